@@ -1,0 +1,34 @@
+# One word per habit. `make demo` and `make test` set everything up by themselves.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test test-slow check bench schema clean
+
+.venv/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mf4]'
+	touch $@
+
+demo: .venv/.ready  ## a synthetic campaign in real vendor formats, processed, with figures to look at
+	$(BIN)/labpipe demo
+
+test: .venv/.ready  ## everything but the slow studies
+	$(BIN)/python -m pytest -n 2
+
+test-slow: .venv/.ready  ## coverage of the intervals over many seeded runs, long fuzzing
+	$(BIN)/python -m pytest -n 2 -m slow
+
+check: .venv/.ready  ## style, types, layers
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+bench: .venv/.ready  ## speed and memory as ratios, in one run
+	$(BIN)/python -m benchmarks
+
+schema: .venv/.ready  ## write the JSON Schema of protocols afresh
+	$(BIN)/python -m labpipe.protocol.json_schema docs/reference/protocol.schema.json
+
+clean:
+	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache build *.egg-info

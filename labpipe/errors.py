@@ -1,0 +1,80 @@
+"""The error tree: everything labpipe says to a person when input cannot be used."""
+
+from __future__ import annotations
+
+
+class LabpipeError(Exception):
+    """Bad input or usage, told in one message without a traceback.
+
+    The grammar of every message is *file, place: expected X, found Y. What to do.*
+    """
+
+
+class UsageError(LabpipeError):
+    """A command was called with something it cannot use."""
+
+
+class ReadError(LabpipeError):
+    """An export cannot be read as the format it is said to be."""
+
+
+class ProtocolError(LabpipeError):
+    """A protocol or a test sheet is wrong; all its faults are in one message."""
+
+
+class ProcessingError(LabpipeError):
+    """A recording is readable but does not hold what the protocol asks for."""
+
+
+class StoreError(LabpipeError):
+    """A result file cannot be written, or is not one that this version understands."""
+
+
+def complaint(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:
+    """Word one message: file, place: expected X, found Y. What to do.
+
+    Parameters
+    ----------
+    file : path or name of the file, shown as given
+    place : line, cell, byte, channel or YAML key; empty when the whole file is meant
+    expected, found : what should stand there, and what does; no full stop at the end
+    remedy : what the person at the bench can do, a whole sentence
+
+    Returns
+    -------
+    The message.
+
+    Examples
+    --------
+    >>> complaint("take.csv", "line 7", expected="a header row", found="nothing",
+    ...           remedy="Export the take again.")
+    'take.csv, line 7: expected a header row, found nothing. Export the take again.'
+    """
+    where = f"{file}, {place}" if place else f"{file}"
+    return f"{where}: expected {expected}, found {found}. {remedy}"
+
+
+def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
+    """Sort known words so that those most like `word` come first.
+
+    Parameters
+    ----------
+    word : what was written
+    known : what would have been valid
+    most : how many to give back at the most
+
+    Returns
+    -------
+    At most `most` of the known words, nearest first.
+
+    Examples
+    --------
+    >>> nearest("forse", ["time", "force"])
+    ['force', 'time']
+    """
+    import difflib  # only needed once something is already wrong
+
+    def likeness(candidate: str) -> float:
+        return difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()
+
+    return sorted(known, key=likeness, reverse=True)[:most]

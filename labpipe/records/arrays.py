@@ -1,0 +1,40 @@
+"""Array types, and the freezing of the arrays that records hold."""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats: TypeAlias = NDArray[np.float64]
+Ints: TypeAlias = NDArray[np.int64]
+Flags: TypeAlias = NDArray[np.bool_]
+
+
+def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
+    """Give back `values` as a read-only float64 array of the stated shape.
+
+    Parameters
+    ----------
+    values : anything numpy turns into an array; an array that is float64 already is not copied
+    shape : the length wanted on each axis, None where any length will do
+
+    Returns
+    -------
+    A read-only view.
+
+    Raises
+    ------
+    ValueError
+        If the shape is another one.
+    """
+    array: Floats = np.asarray(values, dtype=np.float64).view()
+    fits = array.ndim == len(shape) and all(
+        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        message = f"expected an array of shape {shape}, found {array.shape}"
+        raise ValueError(message)
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,229 @@
+"""Curves, branches and shapes: what processing makes of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum, StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.records.arrays import Floats, Ints, frozen
+
+AT_REST = -1
+"""Branch number of samples that belong to no branch: before, after and between movements."""
+
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A range that holds the true value with probability `level`.
+
+    Parameters
+    ----------
+    lower, upper : the ends, in the unit of the number they belong to
+    level : probability, 0.95 throughout labpipe
+    """
+
+    lower: float
+    upper: float
+    level: float = 0.95
+
+
+class Direction(StrEnum):
+    """Which way a branch goes."""
+
+    LOADING = "loading"
+    UNLOADING = "unloading"
+
+
+@dataclass(frozen=True, slots=True)
+class Branch:
+    """One loading or unloading stretch of a curve: samples `start` to `stop`, `stop` left out.
+
+    Parameters
+    ----------
+    start, stop : sample numbers
+    cycle : counted from 1; a loading branch and the unloading branch after it share it
+    direction : loading or unloading
+    start_time, stop_time : s, the turning points themselves, finer than the samples
+    """
+
+    start: int
+    stop: int
+    cycle: int
+    direction: Direction
+    start_time: float
+    stop_time: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockFit:
+    """How two clocks lie to each other: force time = offset + (1 + drift) x marker time.
+
+    Parameters
+    ----------
+    offset : s, force time at marker time zero
+    drift : dimensionless, 1e-6 is one part per million
+    offset_interval, drift_interval : 95 % intervals
+    residual : s, root mean square of what the straight line leaves over at the events
+    event_times_motion, event_times_force : shape (events,), s, the same events on both clocks
+    event_errors : shape (events,), s, standard error of the difference at each event
+    method : in words
+    """
+
+    offset: float
+    drift: float
+    offset_interval: Interval
+    drift_interval: Interval
+    residual: float
+    event_times_motion: Floats
+    event_times_force: Floats
+    event_errors: Floats
+    method: str
+
+    def __post_init__(self) -> None:
+        for name in ("event_times_motion", "event_times_force", "event_errors"):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=(None,)))
+
+    def to_force_time(self, marker_time: Floats) -> Floats:
+        """Force-clock time of marker-clock times, s."""
+        return self.offset + (1.0 + self.drift) * marker_time
+
+    def to_marker_time(self, force_time: Floats) -> Floats:
+        """Marker-clock time of force-clock times, s."""
+        return (force_time - self.offset) / (1.0 + self.drift)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """One quantity on a clock that its owner holds.
+
+    Parameters
+    ----------
+    values : shape (n,), in `unit`; NaN where there is no datum
+    unit : SI unit
+    """
+
+    values: Floats
+    unit: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", frozen(self.values, shape=(None,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Calibrated, unfiltered quantities on one clock.
+
+    Parameters
+    ----------
+    time : shape (n,), s, the clock of the curve
+    series : by name (``force``, ``travel``, ``displacement``), each of shape (n,)
+    clock_fit : how the clocks were joined; None when there is only one clock
+    """
+
+    time: Floats
+    series: Mapping[str, Series]
+    clock_fit: ClockFit | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """Force against displacement, filtered and zeroed, split into branches.
+
+    Parameters
+    ----------
+    time : shape (n,), s
+    displacement : shape (n,), m; NaN where there is no datum
+    force : shape (n,), N; NaN where there is no datum
+    branch : shape (n,), counted from 0 in order of travel, `AT_REST` outside every branch
+    cycle : shape (n,), counted from 1, 0 outside every branch
+    branches : in order of travel
+    """
+
+    time: Floats
+    displacement: Floats
+    force: Floats
+    branch: Ints
+    cycle: Ints
+    branches: tuple[Branch, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
+        count = len(self.time)
+        for name in ("displacement", "force"):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
+        for name in ("branch", "cycle"):
+            numbers: Ints = np.asarray(getattr(self, name), dtype=np.int64).view()
+            if numbers.shape != (count,):
+                message = f"expected {name} of shape {(count,)}, found {numbers.shape}"
+                raise ValueError(message)
+            numbers.flags.writeable = False
+            object.__setattr__(self, name, numbers)
+
+
+class PointFlag(IntEnum):
+    """Where the position of one point in one frame comes from."""
+
+    MISSING = 0
+    """No position: NaN."""
+    MEASURED = 1
+    """Seen by the cameras under its own label."""
+    RELABELLED = 2
+    """Seen by the cameras under another label, given back to its marker."""
+    FILLED = 3
+    """Not seen; put in by the rule of the protocol."""
+    CONSTRUCTED = 4
+    """Never a marker: clamped end or pull point, built from the markers."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """Points along the specimen in every frame, in the specimen frame.
+
+    The frame: x along the undeformed axis from the clamped end, y in the plane of bending
+    towards the pull, z out of it.
+
+    Parameters
+    ----------
+    time : shape (frames,), s, the marker clock
+    positions : shape (frames, points, 3), m; the first point is the clamped end and the last the
+        pull point where the specimen has them
+    names : one per point, in order along the specimen
+    flags : shape (frames, points), values of `PointFlag`
+    arc_length : shape (points,), m, along the specimen from its first point
+    coefficients : shape (frames, 3, terms), of the fitted smooth curve: x, y and z are power series
+        in arc length / `length`; empty (no terms) when no curve was fitted
+    length : m, arc length from the first point to the last
+    rotation_lab_to_specimen : shape (3, 3)
+    """
+
+    time: Floats
+    positions: Floats
+    names: tuple[str, ...]
+    flags: NDArray[np.uint8]
+    arc_length: Floats
+    coefficients: Floats
+    length: float
+    rotation_lab_to_specimen: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
+        frames, points = len(self.time), len(self.names)
+        wanted = (frames, points, 3)
+        object.__setattr__(self, "positions", frozen(self.positions, shape=wanted))
+        object.__setattr__(self, "arc_length", frozen(self.arc_length, shape=(points,)))
+        wanted_terms = (frames, 3, None)
+        object.__setattr__(self, "coefficients", frozen(self.coefficients, shape=wanted_terms))
+        rotation = frozen(self.rotation_lab_to_specimen, shape=(3, 3))
+        object.__setattr__(self, "rotation_lab_to_specimen", rotation)
+        flags: NDArray[np.uint8] = np.asarray(self.flags, dtype=np.uint8).view()
+        if flags.shape != (frames, points):
+            message = f"expected flags of shape {(frames, points)}, found {flags.shape}"
+            raise ValueError(message)
+        flags.flags.writeable = False
+        object.__setattr__(self, "flags", flags)

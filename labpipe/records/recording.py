@@ -1,0 +1,158 @@
+"""What a reader makes of one export: channels on their own clocks, and marker tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.records.quality import QualityNote
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clock:
+    """One time axis of an export, as the instrument wrote it.
+
+    Parameters
+    ----------
+    name : the export's word for it (a raster, a task), or ``time``
+    time : shape (n,), s; kept as written: holes, jitter and start are the instrument's
+    """
+
+    name: str
+    time: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """One named signal with a unit and a clock.
+
+    Parameters
+    ----------
+    name : short name; need not be unique within an export
+    path : full name that is unique within an export, such as ``Model Root/Subsystem/In1``
+    values : shape (n,), in `unit`; NaN where the export is blank
+    clock : name of the clock it was sampled on
+    unit : SI unit of `values`; None while neither file nor protocol has said it, in which case
+        `values` stand as in the file
+    unit_in_file : unit as the export writes it, empty if it does not
+    calibration : in words, how `values` came from the file's numbers; empty if they are the same
+    """
+
+    name: str
+    path: str
+    values: Floats
+    clock: str = "time"
+    unit: str | None = None
+    unit_in_file: str = ""
+    calibration: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", frozen(self.values, shape=(None,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RigidBody:
+    """Pose of a rigid body in every frame, in the frame of the motion-capture system.
+
+    Parameters
+    ----------
+    name : the body's name
+    position : shape (frames, 3), m; NaN where the body was not tracked
+    rotation : shape (frames, 4), quaternion in the order x, y, z, w; NaN where not tracked, or in
+        all frames when the export gives none
+    error : shape (frames,), m, mean marker error; NaN where the export gives none
+    """
+
+    name: str
+    position: Floats
+    rotation: Floats
+    error: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position", frozen(self.position, shape=(None, 3)))
+        frames = len(self.position)
+        object.__setattr__(self, "rotation", frozen(self.rotation, shape=(frames, 4)))
+        object.__setattr__(self, "error", frozen(self.error, shape=(frames,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MarkerTracks:
+    """Measured marker positions and rigid bodies over the frames of one take.
+
+    Parameters
+    ----------
+    time : shape (frames,), s; frame number / export rate where the export states a rate
+    frames : shape (frames,), the export's own frame numbers
+    rate : frames per second as stated, or derived from the time stamps
+    names : one per marker; unique within a take (a repeated name carries its id after a blank)
+    positions : shape (frames, markers, 3), m, in the frame of the motion-capture system; NaN
+        where the marker was not seen
+    bodies : the rigid bodies of the take
+    unit_in_file : unit of length as the export writes it, empty if it does not
+    """
+
+    time: Floats
+    frames: Floats
+    rate: float
+    names: tuple[str, ...]
+    positions: Floats
+    bodies: tuple[RigidBody, ...] = ()
+    unit_in_file: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
+        count = len(self.time)
+        object.__setattr__(self, "frames", frozen(self.frames, shape=(count,)))
+        wanted = (count, len(self.names), 3)
+        object.__setattr__(self, "positions", frozen(self.positions, shape=wanted))
+
+    def body(self, name: str) -> RigidBody | None:
+        """Find a rigid body by its name; None if the take has no such body."""
+        return next((body for body in self.bodies if body.name == name), None)
+
+    @property
+    def missing(self) -> dict[str, int]:
+        """Number of frames in which each marker was not seen."""
+        blank = np.isnan(self.positions).any(axis=2).sum(axis=0)
+        return {name: int(count) for name, count in zip(self.names, blank, strict=True)}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Everything that one export holds.
+
+    Parameters
+    ----------
+    reader : name of the reader that made it
+    program, program_version : as the export says, empty where it does not
+    clocks : the time axes
+    channels : the signals, each naming its clock
+    markers : marker tracks of a motion-capture export, else None
+    metadata : all that the export says about itself; only what JSON can hold
+    notes : what the reader noticed
+    """
+
+    reader: str
+    program: str = ""
+    program_version: str = ""
+    clocks: tuple[Clock, ...] = ()
+    channels: tuple[Channel, ...] = ()
+    markers: MarkerTracks | None = None
+    metadata: Mapping[str, object] = field(default_factory=dict)
+    notes: tuple[QualityNote, ...] = ()
+
+    def clock(self, name: str) -> Clock:
+        """Find a clock by its name.
+
+        Raises
+        ------
+        KeyError
+            If the recording has no such clock.
+        """
+        return {clock.name: clock for clock in self.clocks}[name]

@@ -1,0 +1,128 @@
+"""Results of one test, and the test as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from labpipe.records.curve import Aligned, Curve, Interval, Shape
+from labpipe.records.quality import QualityNote
+from labpipe.records.recording import Recording
+
+
+class Status(StrEnum):
+    """How far a result can be trusted."""
+
+    OK = "ok"
+    DOUBTFUL = "doubtful"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A number with unit, 95 % interval, status and reason.
+
+    Parameters
+    ----------
+    name : stable, snake case, with a cycle after a dot: ``peak_force.1``
+    value : in `unit`; None when it could not be computed
+    unit : SI unit, ``1`` for a pure number
+    interval : None when there is none to be had; the reason then says why
+    status : ``failed`` exactly when `value` is None
+    reason : why a result is doubtful, failed, or lacks an interval; empty otherwise. Begins with a
+        stable code and a colon, such as ``not_reached: ...``
+    method : in words, how the value and the interval were made
+    n : number of samples it rests on
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    interval: Interval | None = None
+    status: Status = Status.OK
+    reason: str = ""
+    method: str = ""
+    n: int = 0
+
+    def __post_init__(self) -> None:
+        if (self.value is None) != (self.status is Status.FAILED):
+            message = f"{self.name}: a result is failed exactly when it has no value"
+            raise ValueError(message)
+        if self.status is not Status.OK and not self.reason:
+            message = f"{self.name}: a {self.status} result must say why"
+            raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True)
+class Specimen:
+    """What was tested.
+
+    Parameters
+    ----------
+    type, spool, sample : nested: samples are cut from a spool, spools belong to a type
+    dimensions : m, by name, such as ``length``
+    """
+
+    type: str
+    spool: str
+    sample: str
+    dimensions: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class InputFile:
+    """One export that went into a test, with the fingerprint that names it.
+
+    Parameters
+    ----------
+    role : what it is for: ``force``, ``markers``, ``frame``
+    file : name inside the test's folder
+    sha256 : hexadecimal
+    bytes : size
+    """
+
+    role: str
+    file: str
+    sha256: str
+    bytes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TestResult:
+    """Everything known of one processed test: what the store keeps and the report draws.
+
+    Parameters
+    ----------
+    test : name of the test
+    specimen : what was tested
+    protocol : name of the protocol
+    protocol_yaml : the resolved protocol, defaults filled in
+    test_yaml : the test sheet as written
+    labpipe_version : the version that made it
+    inputs : the exports
+    recordings : by role; channels reduced to those the protocol names, marker tracks whole
+    aligned, curve, shape : the stages; None where the protocol does not ask for it or it failed
+    results : in the order of the protocol
+    quality : notes of readers and steps
+    display : unit in which people see a quantity, by quantity (``displacement: mm``)
+    figures : names of the figures that the protocol asks for
+    """
+
+    __test__ = False  # not a test of this project, whatever its name suggests to pytest
+
+    test: str
+    specimen: Specimen
+    protocol: str
+    protocol_yaml: str
+    test_yaml: str
+    labpipe_version: str
+    inputs: tuple[InputFile, ...]
+    recordings: Mapping[str, Recording]
+    aligned: Aligned | None
+    curve: Curve | None
+    shape: Shape | None
+    results: tuple[Result, ...]
+    quality: tuple[QualityNote, ...]
+    display: Mapping[str, str] = field(default_factory=dict)
+    figures: tuple[str, ...] = ()

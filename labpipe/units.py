@@ -1,0 +1,133 @@
+"""Quantities with units at the edges, coherent SI inside.
+
+Inside labpipe every number is in s, m, N, Pa, rad, V, kg or products of them. This module is the
+only door between that and what people and files write.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import pint
+
+# A registry of our own: the units of a test lab and nothing else. It loads in a millisecond,
+# where pint's full list takes several hundred, and it cannot mistake "ft" for femtotonne.
+_DEFINITIONS = """
+milli- = 1e-3 = m-
+micro- = 1e-6 = µ- = u-
+centi- = 1e-2 = c-
+kilo- = 1e3 = k-
+mega- = 1e6 = M-
+giga- = 1e9 = G-
+meter = [length] = m = metre = meters = metres
+second = [time] = s = sec = seconds
+gram = [mass] = g
+radian = [] = rad
+volt = [potential] = V
+kelvin = [temperature] = K
+degree = 0.017453292519943295 * radian = deg = °
+percent = 0.01 = % = percent
+ppm = 1e-6
+minute = 60 * second = min
+hour = 3600 * second = h
+hertz = 1 / second = Hz
+newton = kilogram * meter / second ** 2 = N
+pascal = newton / meter ** 2 = Pa
+joule = newton * meter = J
+inch = 0.0254 * meter = in
+pound_force = 4.4482216152605 * newton = lbf
+frame = [] = frame
+"""
+
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
+
+
+@cache
+def _registry() -> pint.UnitRegistry[float]:
+    import pint
+
+    registry: pint.UnitRegistry[float] = pint.UnitRegistry(
+        None, preprocessors=[lambda text: text.replace("%", " percent ")]
+    )
+    registry.load_definitions(_DEFINITIONS.strip().splitlines())
+    return registry
+
+
+@cache
+def si_factor(unit: str, si_unit: str) -> float:
+    """Factor that turns a number in `unit` into a number in `si_unit`.
+
+    Parameters
+    ----------
+    unit : as written by a person or a file, such as ``mm`` or ``N/V``
+    si_unit : the coherent SI unit wanted, ``1`` for a pure number
+
+    Returns
+    -------
+    The factor.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown, or its dimension is not that of `si_unit`.
+
+    Examples
+    --------
+    >>> si_factor("mm", "m")
+    0.001
+    """
+    import pint
+
+    registry = _registry()
+    try:
+        factor = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
+        return float(factor.to(registry.parse_units(_spelt(si_unit))).magnitude)
+    except pint.DimensionalityError as error:
+        message = f"expected a unit of the dimension of {si_unit}, found {unit!r}"
+        raise ValueError(message) from error
+    except Exception as error:  # pint's parser raises a dozen kinds of error for bad text
+        message = f"expected a unit such as {si_unit}, found {unit!r}"
+        raise ValueError(message) from error
+
+
+def _spelt(unit: str) -> str:
+    return "" if unit in {"", "1"} else unit.replace("·", "*").replace("^", "**")
+
+
+def parse_quantity(text: object, si_unit: str) -> float:
+    """Read a quantity written with its unit, such as ``53 mm``, into SI.
+
+    Parameters
+    ----------
+    text : number, blank, unit; a bare number is accepted only for a pure number (`si_unit` ``1``)
+    si_unit : the coherent SI unit of the answer
+
+    Returns
+    -------
+    The value in `si_unit`.
+
+    Raises
+    ------
+    ValueError
+        If the unit is missing, unknown, or of the wrong dimension, or the number is no number.
+
+    Examples
+    --------
+    >>> parse_quantity("53 mm", "m")
+    0.053
+    >>> parse_quantity("-0.21082 N/V", "N/V")
+    -0.21082
+    """
+    match = _QUANTITY.fullmatch(str(text))
+    if match is None or isinstance(text, bool):
+        message = f"expected a number with a unit such as '1 {si_unit}', found {text!r}"
+        raise ValueError(message)
+    number, unit = match.groups()
+    if not unit and si_unit != "1":
+        message = f"expected a unit of the dimension of {si_unit}, found none in {text!r}"
+        raise ValueError(message)
+    # 12 digits: 53 mm is 0.053 m, not 0.053000000000000005
+    return float(f"{float(number) * si_factor(unit or '1', si_unit):.12g}")

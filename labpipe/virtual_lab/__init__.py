@@ -1,0 +1,1 @@
+"""labpipe.virtual_lab."""
