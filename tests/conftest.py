@@ -1,0 +1,32 @@
+"""Fixtures that tests of every layer share."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+REPOSITORY = Path(__file__).resolve().parent.parent
+
+settings.register_profile(
+    "labpipe", deadline=None, max_examples=40, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("labpipe")
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    """The top folder of the project."""
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def realdata() -> Path:
+    """The folder of real exports; tests that need it are skipped where it is absent."""
+    named = os.environ.get("LABPIPE_REALDATA")
+    folder = Path(named) if named else REPOSITORY.parent / "shared" / "realdata"
+    if not folder.is_dir():
+        pytest.skip("no folder of real exports here (set LABPIPE_REALDATA)")
+    return folder
