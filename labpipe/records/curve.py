@@ -29,6 +29,12 @@ class Interval:
     upper: float
     level: float = 0.95
 
+    @classmethod
+    def normal_95(cls, value: float, error: float) -> Interval:
+        """Make the normal 95 % interval, value -+ 1.96 error, of a known standard error."""
+        half = 1.959963984540054 * error
+        return cls(value - half, value + half)
+
 
 class Direction(StrEnum):
     """Which way a branch goes."""

@@ -1,0 +1,164 @@
+"""Corners: where and how high a signal turns, from smooth stretches fitted on both sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.noise import long_run_variance
+from labpipe.records.arrays import Floats
+
+_BINS_PER_SIDE = 600
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """A turning point of a signal.
+
+    Parameters
+    ----------
+    time : s
+    time_error : s, standard error; infinite where the two sides meet without a bend
+    value : in the unit of the signal
+    value_error : standard error of `value`
+    n : number of samples used
+    """
+
+    time: float
+    time_error: float
+    value: float
+    value_error: float
+    n: int
+
+
+def fit_corner(
+    time: Floats, values: Floats, *, near: float, window: float, degree: int
+) -> Corner | None:
+    """Fit two polynomials that meet at a corner of unknown time.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit; increasing time
+    near : s, first guess of the corner
+    window : s on each side of the guess; the corner is looked for in its inner half
+    degree : of the polynomial on each side: 1 for a motion at constant speed, 2 for a force
+
+    Returns
+    -------
+    The corner, or None when there are too few samples on one side.
+
+    Notes
+    -----
+    y = v + sum_k a_k min(t - c, 0)^k + b_k max(t - c, 0)^k; v, a, b by linear least squares for
+    every c on a grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
+    bins per side first. Standard errors use the long-run variance of the residuals
+    (`long_run_variance`). NaN are left out.
+    """
+    chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
+    t, y = _binned(time[chosen] - near, values[chosen])
+    if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
+        return None
+    grid = np.linspace(-0.5 * window, 0.5 * window, 81)
+    costs = [_joint_fit(t, y, at, degree)[1] for at in grid]
+    at = float(grid[int(np.argmin(costs))])
+    parameters = np.append(_joint_fit(t, y, at, degree)[0], at)
+    for _ in range(6):
+        jacobian, misfit = _linearised(t, y, parameters, degree)
+        step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
+        step[-1] = np.clip(step[-1], -0.05 * window, 0.05 * window)
+        parameters = parameters + step
+    if not abs(parameters[-1]) < 0.75 * window:
+        return None
+    jacobian, misfit = _linearised(t, y, parameters, degree)
+    return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
+
+
+def value_at_turn(
+    time: Floats, values: Floats, *, at: float, window: float, degree: int
+) -> Estimate | Failure:
+    """Value of a signal at a turning point whose time is known.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit; increasing time
+    at : s, the turning point
+    window : s on each side
+    degree : of the polynomial on each side
+
+    Returns
+    -------
+    The value with its standard error; a failure ``too_few_samples`` when a side is too short.
+
+    Notes
+    -----
+    The model of `fit_corner` with the time held. NaN are left out.
+    """
+    chosen = (np.abs(time - at) <= window) & ~np.isnan(values)
+    t, y = _binned(time[chosen] - at, values[chosen])
+    if min((t <= 0).sum(), (t > 0).sum()) < degree + 3:
+        return Failure(
+            "too_few_samples", f"fewer than {degree + 3} samples on a side of {at:.3f} s"
+        )
+    coefficients, _ = _joint_fit(t, y, 0.0, degree)
+    design = _design(t, 0.0, degree)
+    variance = long_run_variance(y - design @ coefficients, parameters=design.shape[1])
+    error = np.sqrt(variance * np.linalg.pinv(design.T @ design)[0, 0])
+    return Estimate(float(coefficients[0]), float(error), int(chosen.sum()))
+
+
+def _corner(
+    jacobian: Floats, misfit: Floats, parameters: Floats, near: float, count: int
+) -> Corner:
+    variance = long_run_variance(misfit, parameters=len(parameters))
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0.0] = 1.0
+    information = (jacobian / scale).T @ (jacobian / scale)
+    bends = np.linalg.cond(information) < 1e12
+    inverse = np.linalg.pinv(information) / np.outer(scale, scale)
+    errors = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
+    return Corner(
+        time=near + float(parameters[-1]),
+        time_error=float(errors[-1]) if bends else float("inf"),
+        value=float(parameters[0]),
+        value_error=float(errors[0]),
+        n=count,
+    )
+
+
+def _binned(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Averages of consecutive samples, 600 to 1200 bins on each side of zero."""
+    size = len(time) // (2 * _BINS_PER_SIDE)
+    if size < 2:
+        return time, values
+    count = len(time) // size * size
+    time, values = time[:count].reshape(-1, size), values[:count].reshape(-1, size)
+    return time.mean(axis=1), values.mean(axis=1)
+
+
+def _design(time: Floats, at: float, degree: int) -> Floats:
+    left, right = np.minimum(time - at, 0.0), np.maximum(time - at, 0.0)
+    powers = [side**k for k in range(1, degree + 1) for side in (left, right)]
+    return np.column_stack([np.ones_like(time), *powers])
+
+
+def _joint_fit(time: Floats, values: Floats, at: float, degree: int) -> tuple[Floats, float]:
+    design = _design(time, at, degree)
+    coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
+    misfit = values - design @ coefficients
+    return coefficients, float(misfit @ misfit)
+
+
+def _linearised(
+    time: Floats, values: Floats, parameters: Floats, degree: int
+) -> tuple[Floats, Floats]:
+    """Jacobian of the model and misfit at the present parameters; the last one is the time."""
+    coefficients, at = parameters[:-1], float(parameters[-1])
+    design = _design(time, at, degree)
+    slope = np.zeros_like(time)
+    for k in range(1, degree + 1):
+        left, right = coefficients[2 * k - 1], coefficients[2 * k]
+        side = np.where(time < at, left, right)
+        slope -= k * side * (time - at) ** (k - 1)
+    return np.column_stack([design, slope]), values - design @ coefficients

@@ -1,0 +1,34 @@
+"""What a fitter gives back: an estimate with its standard error, or the reason there is none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number with its standard error.
+
+    Parameters
+    ----------
+    value, error : in the same unit
+    n : number of samples it rests on
+    """
+
+    value: float
+    error: float
+    n: int
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a number could not be had.
+
+    Parameters
+    ----------
+    code : stable, snake case
+    message : one sentence with the numbers
+    """
+
+    code: str
+    message: str

@@ -1,0 +1,205 @@
+"""Numbers of a force-displacement loop: stiffness, energy, residual displacement, peaks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.noise import long_run_variance
+from labpipe.records.arrays import Flags, Floats
+
+
+def secant_stiffness(
+    time: Floats, displacement: Floats, force: Floats, chosen: Flags
+) -> Estimate | Failure:
+    """Slope of force against displacement over chosen samples.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N
+    chosen : shape (n,), the stretch; NaN in it are left out
+
+    Returns
+    -------
+    N/m, or a failure ``too_few_samples`` or ``no_travel``.
+
+    Notes
+    -----
+    k = sum (t - mean t) F / sum (t - mean t) d: time stands in as the instrument, because ordinary
+    least squares of F on a displacement that is itself noisy comes out too small (by the ratio
+    of noise variance to variance; Fuller, Measurement Error Models, 1987, sec. 1.4). The standard
+    error takes the long-run variance of F - k d after a cubic in time, which is the shape of the
+    curve and not noise.
+    """
+    chosen = chosen & ~np.isnan(displacement) & ~np.isnan(force)
+    count = int(chosen.sum())
+    if count < 8:
+        return Failure("too_few_samples", f"{count} samples in the stretch, 8 are needed")
+    t, d, f = time[chosen], displacement[chosen], force[chosen]
+    weight = t - t.mean()
+    travel = float(weight @ (d - d.mean()))
+    if travel == 0.0:
+        return Failure("no_travel", "the displacement does not change over the stretch")
+    slope = float(weight @ (f - f.mean())) / travel
+    scaled = weight / np.abs(weight).max()
+    left = f - slope * d
+    noise = left - np.polynomial.Polynomial.fit(scaled, left, 3)(scaled)
+    variance = long_run_variance(noise, parameters=4)
+    return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
+
+
+def loop_energy(
+    time: Floats, displacement: Floats, force: Floats, *, clock_error: float
+) -> Estimate | Failure:
+    """Work done over a stretch of a curve, the integral of force over displacement.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N; one cycle, evenly sampled
+    clock_error : s, standard error of force time against displacement time
+
+    Returns
+    -------
+    J, or a failure ``gap`` when samples are missing inside.
+
+    Notes
+    -----
+    Trapezoids. The error adds the noise of the force over the steps of displacement, the noise of
+    the displacement over the steps of force, and what a shift of the clocks by `clock_error`
+    changes.
+    """
+    if np.isnan(displacement).any() or np.isnan(force).any():
+        missing = int((np.isnan(displacement) | np.isnan(force)).sum())
+        return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
+    if len(time) < 16:
+        return Failure("too_few_samples", f"{len(time)} samples in the cycle, 16 are needed")
+    work = _work(displacement, force)
+    steps, rises = np.gradient(displacement), np.gradient(force)
+    force_noise = long_run_variance(_rough(force), parameters=0)
+    displacement_noise = long_run_variance(_rough(displacement), parameters=0)
+    later, earlier = _work(displacement[:-2], force[2:]), _work(displacement[2:], force[:-2])
+    per_second = (later - earlier) / (2.0 * float(np.median(np.diff(time))))
+    variance = (
+        force_noise * float(steps @ steps)
+        + displacement_noise * float(rises @ rises)
+        + (per_second * clock_error) ** 2
+    )
+    return Estimate(work, float(np.sqrt(variance)), len(time))
+
+
+def _work(displacement: Floats, force: Floats) -> float:
+    return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(displacement)))
+
+
+def _rough(values: Floats) -> Floats:
+    """What is left of a signal after straight lines through half-overlapping short pieces."""
+    piece = 25
+    count = len(values) // piece * piece
+    if count == 0:
+        return values - values.mean()
+    rows = values[:count].reshape(-1, piece)
+    x = np.linspace(-1.0, 1.0, piece)
+    basis = np.linalg.qr(np.vander(x, 3))[0]
+    left: Floats = (rows - rows @ basis @ basis.T).ravel()
+    return left * np.sqrt(piece / (piece - 3.0))
+
+
+def residual_after_unloading(
+    time: Floats, displacement: Floats, force: Floats, *, force_below: float
+) -> Estimate | Failure:
+    """Displacement that is left when an unloading branch has brought the force back to zero.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N; one unloading branch
+    force_below : N; a force is taken for zero when it stays within this
+
+    Returns
+    -------
+    m, or a failure: ``force_not_zero`` when the branch ends before the force is back at zero,
+    ``too_few_samples``.
+
+    Notes
+    -----
+    The force between five limits and one limit is followed to zero in time by a straight line. If
+    it then stays within the limit (the string is slack), the displacement is its mean over that
+    rest; else it is read off a line through the displacement around the crossing.
+    """
+    known = ~np.isnan(displacement) & ~np.isnan(force)
+    time, displacement, force = time[known], displacement[known], force[known]
+    above = np.flatnonzero(force > force_below)
+    if len(above) == 0 or len(time) < 16:
+        return Failure("too_few_samples", f"{len(time)} samples, {len(above)} above the limit")
+    last = int(above[-1])
+    foot = slice(
+        int(np.flatnonzero(force > 5.0 * force_below)[-1])
+        if force.max() > 5.0 * force_below
+        else 0,
+        last + 1,
+    )
+    if last >= len(force) - 3:
+        found = (
+            f"the force ends at {force[-3:].mean():.4g} N, above the limit of {force_below:.4g} N"
+        )
+        return Failure("force_not_zero", found)
+    zero = _crossing(time[foot], force[foot], after=float(time[last]))
+    rest = time > zero + 0.2
+    if rest.sum() >= 25 and np.abs(force[rest]).max() <= 2.0 * force_below:
+        return _rest_mean(displacement[rest])
+    return _line_at(time, displacement, zero)
+
+
+def _crossing(time: Floats, force: Floats, *, after: float) -> float:
+    """Time at which a falling force reaches zero, on a straight line through its foot."""
+    if len(time) < 4:
+        return after
+    slope, level = np.polynomial.polynomial.polyfit(time - after, force, 1)[::-1]
+    return after - float(level / slope) if slope < 0 else after
+
+
+def _rest_mean(values: Floats) -> Estimate:
+    variance = long_run_variance(values, parameters=1)
+    return Estimate(float(values.mean()), float(np.sqrt(variance / len(values))), len(values))
+
+
+def _line_at(time: Floats, values: Floats, at: float) -> Estimate | Failure:
+    """Value at a time, from a straight line through the second around it."""
+    near = np.abs(time - at) <= 0.5
+    if near.sum() < 8:
+        return Failure("too_few_samples", f"{int(near.sum())} samples within 0.5 s of {at:.3f} s")
+    design = np.column_stack([np.ones(int(near.sum())), time[near] - at])
+    coefficients = np.linalg.lstsq(design, values[near], rcond=None)[0]
+    variance = long_run_variance(values[near] - design @ coefficients, parameters=2)
+    error = float(np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0]))
+    return Estimate(float(coefficients[0]), error, int(near.sum()))
+
+
+def smooth_peak(time: Floats, values: Floats, *, share: float) -> Estimate | Failure:
+    """Largest value of a signal that turns smoothly.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit
+    share : the top of the signal that is fitted: samples above (1 - share) of the peak, next to it
+
+    Returns
+    -------
+    The vertex of a parabola through the top, or a failure ``too_few_samples``.
+    """
+    known = ~np.isnan(values)
+    time, values = time[known], values[known]
+    if len(values) < 8:
+        return Failure("too_few_samples", f"{len(values)} samples, 8 are needed")
+    top = int(np.argmax(values))
+    low = np.flatnonzero(values < values[top] - share * float(np.ptp(values)))
+    first = int(low[low < top][-1]) + 1 if (low < top).any() else 0
+    last = int(low[low > top][0]) if (low > top).any() else len(values)
+    first, last = max(0, min(first, top - 3)), min(len(values), max(last, top + 4))
+    t, y = time[first:last] - time[top], values[first:last]
+    design = np.vander(t, 3)
+    curvature, slope, level = np.linalg.lstsq(design, y, rcond=None)[0]
+    vertex = float(np.clip(-slope / (2 * curvature), t[0], t[-1])) if curvature < 0 else 0.0
+    at = np.array([vertex**2, vertex, 1.0])
+    variance = long_run_variance(y - design @ [curvature, slope, level], parameters=3)
+    error = float(np.sqrt(variance * (at @ np.linalg.pinv(design.T @ design) @ at)))
+    return Estimate(float(at @ [curvature, slope, level]), error, len(y))

@@ -1,0 +1,139 @@
+"""Two instruments, two clocks: their offset and drift from events that both have seen."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.processing.filtering import moving_average, seconds_to_window
+from labpipe.processing.strokes import find_strokes
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import ClockFit, Interval
+
+
+def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float) -> Floats:
+    """Times of the upper turning points of a signal, good to about `smoothing`.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit
+    smoothing : s, span of the moving average that is applied first
+    share : of the range of the signal that a turn must come back by
+
+    Returns
+    -------
+    Shape (peaks,), s; empty for a constant signal.
+    """
+    thin = max(1, seconds_to_window(smoothing, time) // 10)
+    window = max(1, 2 * (seconds_to_window(smoothing, time) // thin // 2) + 1)
+    count = len(values) // thin * thin
+    coarse = np.nanmean(values[:count].reshape(-1, thin), axis=1) if count else values
+    smooth = moving_average(coarse, window=min(window, len(coarse) - 1 + len(coarse) % 2))
+    span = float(np.nanmax(smooth) - np.nanmin(smooth)) if len(smooth) else 0.0
+    if not span > 0:
+        return np.empty(0)
+    clock = time[:count].reshape(-1, thin).mean(axis=1)
+    strokes = find_strokes(clock, smooth, min_stroke=share * span)
+    turns = [
+        clock[first.stop] for first, second in pairwise(strokes) if first.sign > 0 > second.sign
+    ]
+    return np.array(turns, dtype=np.float64)
+
+
+def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
+    """Pair the peaks of two records of the same test.
+
+    Parameters
+    ----------
+    motion, force : shape (p,) and (q,), s, in order, each on its own clock
+
+    Returns
+    -------
+    pairs : shape (k, 2), positions in `motion` and in `force`; empty if one has no peak
+    is_ambiguous : True when another pairing fits as well
+
+    Notes
+    -----
+    The records see the same peaks in the same order, some perhaps before one of them began. Of all
+    shifts, the one with the most pairs wins, then the one whose pairs lie at the most
+    constant difference; among equals the smallest difference, since both records are started
+    together. Then the choice is ambiguous.
+    """
+    candidates = []
+    for shift in range(-len(motion) + 1, len(force)):
+        first = np.arange(max(0, -shift), min(len(motion), len(force) - shift))
+        if len(first) == 0:
+            continue
+        lag = force[first + shift] - motion[first]
+        spread = float(np.ptp(lag))
+        candidates.append((-len(first), round(spread, 1), abs(float(np.median(lag))), shift))
+    if not candidates:
+        return np.empty((0, 2), dtype=np.int64), False
+    candidates.sort()
+    best = candidates[0]
+    rivals = [other for other in candidates[1:] if other[:2] == best[:2]]
+    first = np.arange(max(0, -best[3]), min(len(motion), len(force) - best[3]))
+    return np.column_stack([first, first + best[3]]), bool(rivals)
+
+
+def fit_clocks(motion: Floats, force: Floats, errors: Floats, *, method: str) -> ClockFit:
+    """Fit force time = offset + (1 + drift) x marker time to events seen on both clocks.
+
+    Parameters
+    ----------
+    motion, force : shape (events,), s, at least one event
+    errors : shape (events,), s, standard error of the difference at each event, positive
+    method : in words, how the events were found
+
+    Returns
+    -------
+    The fit. With one event the drift is taken as zero and its interval is NaN.
+
+    Raises
+    ------
+    ValueError
+        If there is no event, or an error is not positive.
+
+    Notes
+    -----
+    Weighted least squares with known errors; 95 % intervals are normal ones. When the events
+    scatter more than their errors allow (chi-square over its degrees of freedom above its 99 %
+    quantile), the intervals are widened by the square root of that ratio.
+    """
+    if len(motion) == 0 or not (errors > 0).all():
+        message = f"events={len(motion)}: expected at least one event and positive errors"
+        raise ValueError(message)
+    single = len(motion) == 1
+    centre = float(np.average(motion, weights=errors**-2.0))
+    design = np.column_stack([np.ones_like(motion), motion - centre])[:, : 1 if single else 2]
+    weighted = design / errors[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    solution = covariance @ weighted.T @ ((force - motion) / errors)
+    misfit = force - motion - design @ solution
+    covariance = covariance * _excess(misfit / errors, freedom=len(motion) - design.shape[1])
+    drift = 0.0 if single else float(solution[1])
+    to_zero = np.array([1.0, -centre])[: len(solution)]
+    offset_error = float(np.sqrt(to_zero @ covariance @ to_zero))
+    drift_error = float("nan") if single else float(np.sqrt(covariance[1, 1]))
+    return ClockFit(
+        offset=float(to_zero @ solution),
+        drift=drift,
+        offset_interval=Interval.normal_95(float(to_zero @ solution), offset_error),
+        drift_interval=Interval.normal_95(drift, drift_error),
+        residual=float(np.sqrt(np.mean(misfit**2))),
+        event_times_motion=motion,
+        event_times_force=force,
+        event_errors=errors,
+        method=method,
+    )
+
+
+def _excess(pulls: Floats, *, freedom: int) -> float:
+    """Factor on the variance when events scatter more than their errors allow, else 1."""
+    if freedom < 1:
+        return 1.0
+    from scipy.special import chdtri
+
+    square = float(pulls @ pulls)
+    return square / freedom if square > float(chdtri(freedom, 0.01)) else 1.0

@@ -1,0 +1,216 @@
+"""Turning points of a motion: any number of cycles, dwell at the ends, a partial last cycle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import AT_REST, Branch, Direction
+
+_MOST_POINTS = 50_000
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """One stretch of motion in one direction.
+
+    Parameters
+    ----------
+    start, stop : first and last sample of the stretch
+    sign : +1 where the motion grows, -1 where it falls
+    """
+
+    start: int
+    stop: int
+    sign: int
+
+
+def noise_level(values: Floats) -> float:
+    """Estimate the standard deviation of white noise on a smooth signal.
+
+    Parameters
+    ----------
+    values : shape (n,)
+
+    Returns
+    -------
+    In the unit of `values`; 0 for fewer than five samples.
+
+    Notes
+    -----
+    Median absolute second difference / (0.6745 sqrt 6): blind to slopes, hardly touched by
+    corners and jumps. NaN are left out.
+    """
+    second = np.diff(values, n=2)
+    second = second[~np.isnan(second)]
+    if len(second) < 3:
+        return 0.0
+    return float(np.median(np.abs(second)) / (0.6745 * np.sqrt(6.0)))
+
+
+def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[Stroke, ...]:
+    """Split a motion at its turning points.
+
+    Parameters
+    ----------
+    time : shape (n,), s, increasing
+    motion : shape (n,), m
+    min_stroke : m; what moves less than this is noise or part of a longer stroke
+
+    Returns
+    -------
+    The strokes in order. Neighbours share their turning sample, unless the motion dwells there:
+    then the dwell belongs to neither. Empty when nothing moves by `min_stroke`.
+
+    Raises
+    ------
+    ValueError
+        If `min_stroke` is not positive.
+
+    Notes
+    -----
+    Extremes are found with hysteresis: a new one counts once the motion has come back from it by
+    `min_stroke`. A dwell is told from a smooth reversal by the time t1 spent within a tolerance of
+    the extreme and t4 within four times that: 2 t1 - t4 is the dwell for a corner, and zero for
+    a parabola. NaN are bridged by straight lines.
+    """
+    if not min_stroke > 0:
+        message = f"min_stroke={min_stroke}: expected a positive length"
+        raise ValueError(message)
+    known = ~np.isnan(motion)
+    if known.sum() < 3:
+        return ()
+    motion = np.interp(time, time[known], motion[known])
+    extremes = _extremes(motion, min_stroke)
+    tolerance = 5.0 * noise_level(motion)
+    pairs = list(pairwise(extremes))
+    return tuple(
+        _trimmed(time, motion, pair, tolerance, (pair == pairs[0], pair == pairs[-1]))
+        for pair in pairs
+    )
+
+
+def _extremes(motion: Floats, min_stroke: float) -> list[int]:
+    """Sample numbers of the alternating extremes, the two ends of the movement included."""
+    stride = max(1, len(motion) // _MOST_POINTS)
+    values = motion[::stride]
+    spread = np.maximum.accumulate(values) - np.minimum.accumulate(values)
+    if spread[-1] < min_stroke:
+        return []
+    begin = int(np.argmax(spread >= min_stroke))
+    rising = bool(values[begin] == values[: begin + 1].max())
+    sign = 1 if rising else -1
+    found = [int(np.argmin(sign * values[: begin + 1]))]
+    extreme = begin
+    for index, value in enumerate(values[begin:].tolist(), start=begin):
+        ahead = sign * (value - float(values[extreme]))
+        if ahead > 0:
+            extreme = index
+        elif -ahead >= min_stroke:
+            found.append(extreme)
+            extreme, sign = index, -sign
+    found.append(extreme)
+    return [index * stride for index in found]
+
+
+def _trimmed(
+    time: Floats,
+    motion: Floats,
+    extremes: tuple[int, int],
+    tolerance: float,
+    outermost: tuple[bool, bool],
+) -> Stroke:
+    """Cut the dwell from both ends of the stretch between two extremes."""
+    first, last = extremes
+    sign = 1 if motion[last] > motion[first] else -1
+    backwards = slice(last, first - 1 if first else None, -1)
+    shortest = float(time[last] - time[first]) * max(0.02, 3.0 / (last - first))
+    start = _dwell(
+        time[first : last + 1],
+        motion[first : last + 1],
+        tolerance,
+        0.0 if outermost[0] else shortest,
+    )
+    stop = _dwell(
+        time[last] - time[backwards],
+        motion[backwards],
+        tolerance,
+        0.0 if outermost[1] else shortest,
+    )
+    begin = int(np.searchsorted(time, time[first] + start))
+    return Stroke(begin, int(np.searchsorted(time, time[last] - stop)), sign)
+
+
+def _dwell(time: Floats, motion: Floats, tolerance: float, shortest: float) -> float:
+    """Seconds that a motion stays at its first value before it leaves for good."""
+    travel = np.abs(motion - motion[0])
+    tolerance = max(tolerance, 1e-4 * float(travel[-1]))
+    near, wide = (
+        float(time[np.flatnonzero(travel <= factor * tolerance)[-1]] - time[0])
+        for factor in (1.0, 4.0)
+    )
+    return (4.0 * near - wide) / 3.0 if 2.0 * near - wide > shortest else 0.0
+
+
+def split_branches(
+    time: Floats,
+    strokes: tuple[Stroke, ...],
+    *,
+    turning_times: Floats | None = None,
+) -> tuple[Branch, ...]:
+    """Turn strokes into the loading and unloading branches of cycles.
+
+    Parameters
+    ----------
+    time : shape (n,), s
+    strokes : in order of travel
+    turning_times : shape (strokes, 2), s, start and stop of each stroke where they are known
+        better than to the sample; NaN where they are not
+
+    Returns
+    -------
+    One branch per stroke. The direction of the first stroke is loading; a cycle is a loading
+    branch with the unloading branch after it.
+    """
+    branches = []
+    for number, stroke in enumerate(strokes):
+        ends = [float(time[stroke.start]), float(time[stroke.stop])]
+        if turning_times is not None:
+            finer = np.where(np.isnan(turning_times[number]), ends, turning_times[number])
+            ends = [float(end) for end in finer]
+        loading = stroke.sign == strokes[0].sign
+        branches.append(
+            Branch(
+                start=stroke.start,
+                stop=stroke.stop + (number == len(strokes) - 1),
+                cycle=number // 2 + 1,
+                direction=Direction.LOADING if loading else Direction.UNLOADING,
+                start_time=ends[0],
+                stop_time=ends[1],
+            )
+        )
+    return tuple(branches)
+
+
+def branch_numbers(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints]:
+    """Branch and cycle number of every sample.
+
+    Parameters
+    ----------
+    count : number of samples
+    branches : as from `split_branches`
+
+    Returns
+    -------
+    branch : shape (count,), `AT_REST` outside every branch
+    cycle : shape (count,), 0 outside every branch
+    """
+    branch = np.full(count, AT_REST, dtype=np.int64)
+    cycle = np.zeros(count, dtype=np.int64)
+    for number, part in enumerate(branches):
+        branch[part.start : part.stop] = number
+        cycle[part.start : part.stop] = part.cycle
+    return branch, cycle
