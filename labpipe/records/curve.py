@@ -15,6 +15,10 @@ AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
 
 
+_NORMAL_95 = 1.959963984540054
+"""Two-sided 95 % quantile of the normal distribution."""
+
+
 @dataclass(frozen=True, slots=True)
 class Interval:
     """A range that holds the true value with probability `level`.
@@ -32,8 +36,13 @@ class Interval:
     @classmethod
     def normal_95(cls, value: float, error: float) -> Interval:
         """Make the normal 95 % interval, value -+ 1.96 error, of a known standard error."""
-        half = 1.959963984540054 * error
+        half = _NORMAL_95 * error
         return cls(value - half, value + half)
+
+    @property
+    def standard_error(self) -> float:
+        """Standard error that a normal 95 % interval stands for, in the unit of its ends."""
+        return (self.upper - self.lower) / (2.0 * _NORMAL_95)
 
 
 class Direction(StrEnum):
@@ -91,6 +100,10 @@ class ClockFit:
     def __post_init__(self) -> None:
         for name in ("event_times_motion", "event_times_force", "event_errors"):
             object.__setattr__(self, name, frozen(getattr(self, name), shape=(None,)))
+
+    def to_force_seconds(self, marker_time: float) -> float:
+        """Force-clock time of one marker-clock time, s."""
+        return self.offset + (1.0 + self.drift) * marker_time
 
     def to_force_time(self, marker_time: Floats) -> Floats:
         """Force-clock time of marker-clock times, s."""

@@ -1,0 +1,97 @@
+"""What lies on the bench while one test is being reduced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Shape
+from labpipe.records.quality import QualityNote, Severity
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """One quantity on its own clock.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and `unit`
+    unit : SI
+    clock : name of the clock that `time` belongs to
+    relative_error : standard uncertainty of the scale, from the protocol
+    zero_error : standard error of the zero, in `unit`
+    alternative : shape (n,), the same quantity from a shape with one term more; what a number
+        changes when it is computed from this instead tells how far the fit can be trusted
+    """
+
+    time: Floats
+    values: Floats
+    unit: str
+    clock: str
+    relative_error: float = 0.0
+    zero_error: float = 0.0
+    alternative: Floats | None = None
+
+
+@dataclass(slots=True)
+class Bench:
+    """The stages of one test, filled in from left to right.
+
+    Parameters
+    ----------
+    force, displacement : names of the signals that make the curve
+    raw : signals calibrated and zeroed but not smoothed, by name
+    signals : the same after all steps
+    shape, clock_fit, aligned, curve : stages; None while not reached
+    turning_times : shape (branches, 2), s, ends of the branches on the clock of the curve
+    blocked : why the stages after the last one reached are missing: code and sentence
+    doubts : why results that rest on a quantity (``clock``, ``force``, ``displacement``) are
+        doubtful
+    notes : quality notes so far
+    """
+
+    force: str = "force"
+    displacement: str = "displacement"
+    raw: dict[str, Signal] = field(default_factory=dict)
+    signals: dict[str, Signal] = field(default_factory=dict)
+    shape: Shape | None = None
+    clock_fit: ClockFit | None = None
+    aligned: Aligned | None = None
+    curve: Curve | None = None
+    blocked: str = ""
+    doubts: dict[str, str] = field(default_factory=dict)
+    notes: list[QualityNote] = field(default_factory=list)
+
+    def note(self, code: str, severity: Severity, where: str, message: str) -> None:
+        """Write down a quality note, once."""
+        note = QualityNote(code, severity, where, message)
+        if note not in self.notes:
+            self.notes.append(note)
+
+    def doubt(self, quantity: str, code: str, message: str, *, where: str) -> None:
+        """Write down a warning and mark all results that rest on a quantity as doubtful."""
+        self.note(code, Severity.WARNING, where, message)
+        self.doubts.setdefault(quantity, f"{code}: {message}")
+
+    def block(self, code: str, message: str, *, where: str) -> None:
+        """Write down an error after which later stages cannot be had; the first one counts."""
+        self.note(code, Severity.ERROR, where, message)
+        self.blocked = self.blocked or f"{code}: {message}"
+
+    def cycles(self) -> list[list[Branch]]:
+        """The branches of the curve, cycle by cycle."""
+        branches = self.curve.branches if self.curve else ()
+        numbers = sorted({branch.cycle for branch in branches})
+        return [[branch for branch in branches if branch.cycle == number] for number in numbers]
+
+    def within(self, branch: Branch) -> slice:
+        """Samples of the curve that belong to a branch."""
+        return slice(branch.start, branch.stop)
+
+
+def rms(values: Floats) -> float:
+    """Root mean square of what is not NaN; NaN when nothing is."""
+    known = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")

@@ -1,0 +1,314 @@
+"""From the bench to results: every number with interval, status and reason.
+
+Each function gives the results of one entry of a protocol's list. The numbers themselves come from
+`labpipe.fitting`; here they get their names, their uncertainty from calibration, zero and shape,
+and their status.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from labpipe.fitting.corners import fit_corner, value_at_turn
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.loops import (
+    loop_energy,
+    residual_after_unloading,
+    secant_stiffness,
+    smooth_peak,
+)
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.processing.filtering import moving_average
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Curve, Interval
+from labpipe.records.result import Result, Status
+
+_PEAK_WINDOW = 2.0
+"""s on each side of a turning point that a peak is read from."""
+
+
+def clock_results(bench: Bench) -> list[Result]:
+    """``clock_offset`` (s) and ``clock_drift`` (1): force time against marker time."""
+    method = "weighted straight line through turning points seen on both clocks"
+    fit = bench.clock_fit
+    offset: Estimate | Failure
+    if fit is None:
+        offset = drift = _blocked(bench, Failure("one_clock", "the test has only one clock"))
+    else:
+        events = len(fit.event_times_motion)
+        offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
+        drift = Estimate(fit.drift, fit.drift_interval.standard_error, events)
+        if events < 2:
+            drift = Failure("one_event", "one turning point gives an offset but no drift")
+    return [
+        _result(bench, "clock_offset", offset, "s", ("clock",), method),
+        _result(bench, "clock_drift", drift, "1", ("clock",), method),
+    ]
+
+
+def peak_force(bench: Bench) -> list[Result]:
+    """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
+    method = "parabolas on both sides of the corner, unsmoothed force; else vertex of a parabola"
+    return _per_cycle(bench, "peak_force", "N", ("force",), _peak_force, method)
+
+
+def peak_displacement(bench: Bench) -> list[Result]:
+    """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
+    method = "parabolas on both sides of the turning point; else vertex of a parabola"
+    quantities = ("displacement",)
+    return _per_cycle(bench, "peak_displacement", "m", quantities, _peak_displacement, method)
+
+
+def energy(bench: Bench) -> list[Result]:
+    """``energy.<cycle>`` (J): work dissipated over one cycle."""
+    quantities = ("force", "displacement", "clock")
+    return _per_cycle(bench, "energy", "J", quantities, _energy, "integral of force by trapezoids")
+
+
+def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
+    """``residual_displacement.<cycle>`` (m): displacement left at zero force after unloading."""
+    method = f"displacement once the force is back at zero, within {force_below:g} N"
+    quantities = ("force", "displacement", "clock")
+    number = partial(_residual, force_below=force_below)
+    return _per_cycle(bench, "residual_displacement", "m", quantities, number, method)
+
+
+def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[Result]:
+    """Stiffness (N/m) between two displacements of the first loading branch."""
+    method = f"line from {low:g} m to {high:g} m of the first loading, time as instrument"
+    return _of_first_cycle(bench, name, 1, low, high, method)
+
+
+def unloading_stiffness(bench: Bench, *, over: float) -> list[Result]:
+    """``unloading_stiffness`` (N/m) over the first stretch of the first unloading branch."""
+    method = f"line from {0.1 * over:g} m to {over:g} m off the first peak, time as instrument"
+    return _of_first_cycle(bench, "unloading_stiffness", 2, 0.1 * over, over, method)
+
+
+def _of_first_cycle(
+    bench: Bench, name: str, branches: int, low: float, high: float, method: str
+) -> list[Result]:
+    """Stiffness over a window of the last of the first `branches` branches."""
+    first = bench.cycles()[:1]
+    outcome: Estimate | Failure
+    if not first or len(first[0]) < branches:
+        outcome = _blocked(bench, Failure("no_branch", "the first cycle has no such branch"))
+    else:
+        number = partial(_in_window, low=low, high=high)
+        outcome = _with_shape_error(bench, first[0][:branches], number)
+    quantities = ("force", "displacement", "clock")
+    return [_result(bench, name, outcome, "N/m", quantities, method)]
+
+
+_Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
+"""A number of one cycle, from the bench, the branches of the cycle and a displacement."""
+
+
+def _per_cycle(
+    bench: Bench,
+    name: str,
+    unit: str,
+    quantities: tuple[str, ...],
+    of_cycle: _Numbers,
+    method: str,
+) -> list[Result]:
+    cycles = bench.cycles()
+    if not cycles:
+        failure = _blocked(bench, Failure("no_cycle", "the motion has no branch"))
+        return [_result(bench, f"{name}.1", failure, unit, quantities, method)]
+    return [
+        _result(
+            bench,
+            f"{name}.{branches[0].cycle}",
+            _with_shape_error(bench, branches, of_cycle),
+            unit,
+            quantities,
+            method,
+        )
+        for branches in cycles
+    ]
+
+
+def _with_shape_error(
+    bench: Bench, branches: list[Branch], of_cycle: _Numbers
+) -> Estimate | Failure:
+    """Estimate, its error widened by what another shape would have given."""
+    displacement = bench.signals[bench.displacement]
+    estimate = of_cycle(bench, branches, displacement.values)
+    if displacement.alternative is None or isinstance(estimate, Failure):
+        return estimate
+    other = of_cycle(bench, branches, displacement.alternative)
+    if isinstance(other, Failure):
+        return estimate
+    change = abs(other.value - estimate.value) / np.sqrt(3.0)  # a rectangle of that half width
+    return Estimate(estimate.value, float(np.hypot(estimate.error, change)), estimate.n)
+
+
+def _peak_force(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
+    del displacement
+    force = bench.raw[bench.force]
+    if _is_sharp(bench, branches):
+        at = branches[0].stop_time
+        at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
+        near = slice(*np.searchsorted(force.time, [at - 2 * _PEAK_WINDOW, at + 2 * _PEAK_WINDOW]))
+        corner = fit_corner(
+            force.time[near], force.values[near], near=at, window=_window(branches), degree=2
+        )
+        if corner is None:
+            return Failure("no_corner", f"the force has no corner near {at:.3f} s of its clock")
+        estimate = Estimate(corner.value, corner.value_error, corner.n)
+    else:
+        curve, stretch = _curve(bench), _cycle(branches)
+        found = smooth_peak(curve.time[stretch], curve.force[stretch], share=0.02)
+        if isinstance(found, Failure):
+            return found
+        estimate = found
+    return _scaled(estimate, force)
+
+
+def _peak_displacement(
+    bench: Bench, branches: list[Branch], displacement: Floats
+) -> Estimate | Failure:
+    signal = bench.signals[bench.displacement]
+    if _is_sharp(bench, branches):
+        found = value_at_turn(
+            signal.time,
+            displacement,
+            at=branches[0].stop_time,
+            window=_window(branches),
+            degree=2,
+        )
+    else:
+        stretch = _cycle(branches)
+        found = smooth_peak(signal.time[stretch], displacement[stretch], share=0.02)
+    return found if isinstance(found, Failure) else _scaled(found, signal)
+
+
+def _energy(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
+    if len(branches) < 2:
+        return Failure("partial_cycle", "the cycle has no unloading branch")
+    curve, stretch = _curve(bench), _cycle(branches)
+    found = loop_energy(
+        curve.time[stretch],
+        displacement[stretch],
+        curve.force[stretch],
+        clock_error=_clock_error(bench),
+    )
+    if isinstance(found, Failure):
+        return found
+    opened = displacement[stretch][-1] - displacement[stretch][0]
+    zero = bench.raw[bench.force].zero_error * opened
+    scale = bench.raw[bench.force].relative_error * found.value
+    return Estimate(found.value, float(np.hypot(np.hypot(found.error, zero), scale)), found.n)
+
+
+def _residual(
+    bench: Bench, branches: list[Branch], displacement: Floats, force_below: float
+) -> Estimate | Failure:
+    if len(branches) < 2:
+        return Failure("partial_cycle", "the cycle has no unloading branch")
+    curve, unloading = _curve(bench), bench.within(branches[1])
+    found = residual_after_unloading(
+        curve.time[unloading],
+        displacement[unloading],
+        curve.force[unloading],
+        force_below=force_below,
+    )
+    zero = bench.signals[bench.displacement].zero_error
+    if isinstance(found, Failure):
+        return found
+    return Estimate(found.value, float(np.hypot(found.error, zero)), found.n)
+
+
+def _in_window(
+    bench: Bench, branches: list[Branch], displacement: Floats, low: float, high: float
+) -> Estimate | Failure:
+    """Stiffness between two distances from where the branch begins."""
+    curve = _curve(bench)
+    branch = bench.within(branches[-1])
+    time, force, path = curve.time[branch], curve.force[branch], displacement[branch]
+    smooth = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
+    travelled = np.abs(smooth - (smooth[0] if len(branches) > 1 else 0.0))
+    inside = (travelled >= low) & (travelled <= high)
+    if not (travelled > high).any():
+        reached = float(np.nanmax(travelled))
+        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
+    inside[int(np.argmax(travelled > high)) :] = False
+    found = secant_stiffness(time, path, force, inside)
+    if isinstance(found, Failure):
+        return found
+    scale = bench.raw[bench.force].relative_error * found.value
+    return Estimate(found.value, float(np.hypot(found.error, scale)), found.n)
+
+
+def _curve(bench: Bench) -> Curve:
+    if bench.curve is None:  # cycles() is empty then, so no number of a cycle is asked for
+        message = "a number of a cycle was asked for before there is a curve"
+        raise ValueError(message)
+    return bench.curve
+
+
+def _is_sharp(bench: Bench, branches: list[Branch]) -> bool:
+    """Whether the motion turns at once at the end of loading: no dwell, and clocks from corners."""
+    turns = len(branches) > 1 and branches[0].stop == branches[1].start
+    return turns and bench.clock_fit is not None
+
+
+def _cycle(branches: list[Branch]) -> slice:
+    return slice(branches[0].start, branches[-1].stop)
+
+
+def _window(branches: list[Branch]) -> float:
+    shortest = min(branch.stop_time - branch.start_time for branch in branches)
+    return min(_PEAK_WINDOW, 0.4 * shortest)
+
+
+def _clock_error(bench: Bench) -> float:
+    fit = bench.clock_fit
+    if fit is None:
+        return 0.0
+    return float(np.sqrt(1.0 / np.sum(fit.event_errors**-2.0)))
+
+
+def _scaled(estimate: Estimate, signal: Signal) -> Estimate:
+    """Add the uncertainty of scale and zero."""
+    error = np.sqrt(
+        estimate.error**2 + signal.zero_error**2 + (signal.relative_error * estimate.value) ** 2
+    )
+    return Estimate(estimate.value, float(error), estimate.n)
+
+
+def _blocked(bench: Bench, otherwise: Failure) -> Failure:
+    if not bench.blocked:
+        return otherwise
+    code, _, message = bench.blocked.partition(": ")
+    return Failure(code, message)
+
+
+def _result(
+    bench: Bench,
+    name: str,
+    outcome: Estimate | Failure,
+    unit: str,
+    quantities: tuple[str, ...],
+    method: str,
+) -> Result:
+    if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
+        outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
+    if isinstance(outcome, Failure):
+        reason = f"{outcome.code}: {outcome.message}"
+        return Result(name, None, unit, None, Status.FAILED, reason, method, 0)
+    doubts = [bench.doubts[quantity] for quantity in quantities if quantity in bench.doubts]
+    return Result(
+        name=name,
+        value=outcome.value,
+        unit=unit,
+        interval=Interval.normal_95(outcome.value, outcome.error),
+        status=Status.DOUBTFUL if doubts else Status.OK,
+        reason="; ".join(doubts),
+        method=method,
+        n=outcome.n,
+    )
