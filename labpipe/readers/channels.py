@@ -1,0 +1,92 @@
+"""Finding a channel by the name that a person wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from labpipe.errors import ReadError, complaint, nearest
+from labpipe.records.recording import Channel, Recording
+
+_INSPECT = "`labpipe inspect` lists them all."
+
+
+def select_channel(recording: Recording, wanted: str, file: object) -> Channel:
+    """Find the one channel that a name stands for.
+
+    Parameters
+    ----------
+    recording : what a reader made of the export
+    wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone where no other
+        channel has it; quotes and the two characters backslash-n may be left out
+    file : named in the errors
+
+    Returns
+    -------
+    The channel.
+
+    Raises
+    ------
+    ReadError
+        If no channel is meant by that name (the nearest are listed), or more than one.
+    """
+    known = [(channel.name, channel.path) for channel in recording.channels]
+    return recording.channels[find_channel(wanted, known, file)]
+
+
+def find_channel(wanted: str, known: Sequence[tuple[str, str]], file: object) -> int:
+    """Find which of the (name, path) pairs a name stands for.
+
+    Parameters
+    ----------
+    wanted : as for `select_channel`
+    known : name and path of each channel of the export
+    file : named in the errors
+
+    Returns
+    -------
+    Its index.
+
+    Raises
+    ------
+    ReadError
+        If it stands for none of them, or for more than one.
+    """
+    exact = [i for i, (_, path) in enumerate(known) if path == wanted]
+    spelt = [i for i, (_, path) in enumerate(known) if _spellings(path) & _spellings(wanted)]
+    named = [i for i, (name, _) in enumerate(known) if name == wanted]
+    found = exact or spelt or named
+    if len(found) == 1:
+        return found[0]
+    paths = [path for _, path in known]
+    if found:
+        raise ReadError(_ambiguous(wanted, [paths[i] for i in found], file))
+    raise ReadError(_unknown(wanted, paths, file))
+
+
+def _spellings(path: str) -> set[str]:
+    """Ways to write one path: with or without quotes and Simulink's line breaks."""
+    bare = path.replace('"', "")
+    unbroken = {text.replace("\\n", "").replace("\n", "") for text in (path, bare)}
+    return {path, bare} | unbroken
+
+
+def _ambiguous(wanted: str, paths: list[str], file: object) -> str:
+    return complaint(
+        file,
+        f"channel {wanted!r}",
+        expected="a name that only one channel has",
+        found=f"{len(paths)} channels of that name",
+        remedy=f"Give the full path, one of: {_listed(paths)}.",
+    )
+
+
+def _unknown(wanted: str, paths: list[str], file: object) -> str:
+    close = nearest(wanted, paths)
+    remedy = f"Nearest: {_listed(close)}. {_INSPECT}" if close else "The file holds no channels."
+    expected = f"one of the {len(paths)} channels of the file"
+    place = f"channel {wanted!r}"
+    return complaint(file, place, expected=expected, found="no such channel", remedy=remedy)
+
+
+def _listed(paths: list[str]) -> str:
+    return ", ".join(f"'{path}'" for path in paths)

@@ -1,0 +1,190 @@
+"""Time axes of exports: holes, jitter, odd starts; what a careful person would want to know."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Clock
+
+LONG_STEP = 1.5
+"""A step above this many medians is a hole, or jitter."""
+
+JITTER = 0.05
+"""Regular steps further than this from their median (relative) are called jitter."""
+
+ROUND = 0.002
+"""A mean step this close (relative) to a round one was meant to be that one."""
+
+SAMPLED_ON_EVENT = frozenset({"OnChange"})
+"""Rasters that write a sample when something changes: long steps mean nothing there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """A stretch of a time axis in which samples were lost.
+
+    Parameters
+    ----------
+    after : number of the last sample before it, counted from 0
+    at : s, time of that sample
+    length : s, from that sample to the next one
+    """
+
+    after: int
+    at: float
+    length: float
+
+
+def find_holes(time: Floats) -> tuple[Hole, ...]:
+    """Find where samples were lost.
+
+    Parameters
+    ----------
+    time : shape (n,), s
+
+    Returns
+    -------
+    The holes in order of time; none if the axis holds fewer than three samples or a NaN.
+
+    Notes
+    -----
+    A hole is a step above 1.5 medians that no neighbouring step makes up for: a sample that came
+    late is followed by a short step (``rec1_253.mat``: 1.51 ms, then 0.49 ms at 1 kHz), and
+    nothing was lost there.
+    """
+    steps = np.diff(time)
+    median = _median(steps)
+    if not median > 0.0:
+        return ()
+    long = _long_steps(steps, median)
+    lost = long[_with_shorter_neighbour(steps, long) > (1.0 + LONG_STEP) * median]
+    return tuple(Hole(int(i), float(time[i]), float(steps[i])) for i in lost)
+
+
+def clock_notes(clock: Clock) -> list[QualityNote]:
+    """Say what is odd about a time axis.
+
+    Parameters
+    ----------
+    clock : the time axis as the export holds it
+
+    Returns
+    -------
+    Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing`` (both errors: the axis
+    cannot be used), ``time_repeats``, ``time_holes``, ``time_jitter``, ``step_not_nominal``,
+    ``time_start_not_zero``.
+    """
+    where = f"clock {clock.name}"
+    if len(clock.time) == 0:
+        return [QualityNote("clock_empty", Severity.WARNING, where, "it has no samples")]
+    steps = np.diff(clock.time)
+    broken = _broken_axis(clock.time, steps, where)
+    if broken:
+        return broken
+    notes = _repeats(steps, clock.time, where)
+    if clock.name not in SAMPLED_ON_EVENT:
+        notes += _step_notes(clock.time, steps, where)
+    if clock.time[0] != 0.0:
+        message = f"time starts at {clock.time[0]:.7g} s, not at 0"
+        notes.append(QualityNote("time_start_not_zero", Severity.INFO, where, message))
+    return notes
+
+
+def _median(steps: Floats) -> float:
+    return float(np.median(steps)) if len(steps) > 1 else 0.0
+
+
+def _long_steps(steps: Floats, median: float) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    return np.flatnonzero(steps > LONG_STEP * median)
+
+
+def _with_shorter_neighbour(
+    steps: Floats, chosen: np.ndarray[tuple[int], np.dtype[np.intp]]
+) -> Floats:
+    """Each chosen step plus the shorter of the steps beside it."""
+    padded = np.concatenate(([np.inf], steps, [np.inf]))
+    together: Floats = steps[chosen] + np.minimum(padded[chosen], padded[chosen + 2])
+    return together
+
+
+def _broken_axis(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
+    bad = np.flatnonzero(~np.isfinite(time))
+    if len(bad):
+        message = f"{len(bad)} time stamps are no numbers, the first at sample {bad[0] + 1}"
+        return [QualityNote("time_not_finite", Severity.ERROR, where, message)]
+    back = np.flatnonzero(steps < 0.0)
+    if len(back):
+        i = int(back[0])
+        message = (
+            f"time runs backwards {len(back)} times, first at sample {i + 2}:"
+            f" {time[i + 1]:.9g} s after {time[i]:.9g} s"
+        )
+        return [QualityNote("time_not_increasing", Severity.ERROR, where, message)]
+    return []
+
+
+def _repeats(steps: Floats, time: Floats, where: str) -> list[QualityNote]:
+    same = np.flatnonzero(steps == 0.0)
+    if not len(same):
+        return []
+    i = int(same[0])
+    message = f"{len(same)} time stamps repeat the one before, first at sample {i + 2}"
+    message += f" ({time[i]:.9g} s)"
+    return [QualityNote("time_repeats", Severity.WARNING, where, message)]
+
+
+def _step_notes(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
+    median = _median(steps)
+    if not median > 0.0:
+        return []
+    holes = find_holes(time)
+    whole = np.ones(len(steps), dtype=np.bool_)
+    whole[[hole.after for hole in holes]] = False
+    regular = steps[whole]
+    return [
+        *_hole_note(holes, median, where),
+        *_jitter_note(regular, median, where),
+        *_nominal_note(float(regular.mean()), len(steps), where),
+    ]
+
+
+def _hole_note(holes: tuple[Hole, ...], median: float, where: str) -> list[QualityNote]:
+    if not holes:
+        return []
+    lengths = [hole.length for hole in holes]
+    lost = sum(round(length / median) - 1 for length in lengths)
+    first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
+    message = (
+        f"{len(holes)} holes of {1e3 * min(lengths):.4g} to {1e3 * max(lengths):.4g} ms,"
+        f" about {lost} samples lost, first at {first}"
+    )
+    return [QualityNote("time_holes", Severity.WARNING, where, message)]
+
+
+def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote]:
+    shortest, longest = float(regular.min()), float(regular.max())
+    if max(longest - median, median - shortest) <= JITTER * median:
+        return []
+    message = (
+        f"steps from {1e3 * shortest:.4g} to {1e3 * longest:.4g} ms"
+        f" around {1e3 * median:.4g} ms without loss"
+    )
+    return [QualityNote("time_jitter", Severity.INFO, where, message)]
+
+
+def _nominal_note(step: float, count: int, where: str) -> list[QualityNote]:
+    """Compare the mean step with the round step, or step of a round rate, that was meant."""
+    round_steps = (float(f"{step:.1e}"), 1.0 / float(f"{1.0 / step:.1e}"))
+    nominal = min(round_steps, key=lambda each: abs(step - each))
+    drift = (step - nominal) * count
+    if abs(drift) <= 0.5 * nominal or abs(step - nominal) > ROUND * nominal:
+        return []
+    message = (
+        f"mean step {1e3 * step:.6g} ms where {1e3 * nominal:.3g} ms is nominal:"
+        f" sample number / rate would be wrong by {abs(drift):.3g} s at the end"
+    )
+    return [QualityNote("step_not_nominal", Severity.INFO, where, message)]

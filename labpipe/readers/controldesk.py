@@ -1,0 +1,257 @@
+"""What all exports of dSPACE ControlDesk share, whatever the container."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.channels import find_channel
+from labpipe.readers.clocks import clock_notes
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, Recording
+
+_PROGRAM_VERSION = re.compile(r"ControlDesk version:\s*([\w.]+)")
+
+
+@dataclass(frozen=True, slots=True)
+class Trace:
+    """A channel of an export that has not been loaded yet.
+
+    Parameters
+    ----------
+    name, path, unit_in_file : as in `Channel`
+    clock : index of its time axis
+    load : gives its samples
+    about : everything else that the export says about it
+    """
+
+    name: str
+    path: str
+    unit_in_file: str
+    clock: int
+    load: Callable[[], object]
+    about: Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """The contents of one export, not loaded yet.
+
+    Parameters
+    ----------
+    axes : name (raster, may be empty) and samples of each time axis
+    traces : the channels in the order of the file
+    origin : the export's text on model and program
+    metadata : what it says about itself
+    notes : what reading its head brought up
+    start : s, the start that it states, None if it does not
+    """
+
+    axes: Sequence[tuple[str, Callable[[], object]]]
+    traces: Sequence[Trace]
+    origin: str
+    metadata: Mapping[str, object]
+    notes: Sequence[QualityNote] = ()
+    start: float | None = None
+
+
+def load_export(
+    export: Export, *, reader: str, path: Path, channels: Sequence[str] | None
+) -> Recording:
+    """Load the channels that are wanted, on their time axes.
+
+    Parameters
+    ----------
+    export : its head
+    reader : name of the reader
+    path : named in errors
+    channels : names or paths wanted, None for all; only their time axes are loaded
+
+    Returns
+    -------
+    The recording; channel values as in the file, infinities made NaN, units left open.
+
+    Raises
+    ------
+    ReadError
+        If a wanted channel does not exist, or a channel is not as long as its time axis.
+    """
+    traces = _with_unique_paths(export.traces)
+    if channels is not None:
+        known = [(trace.name, trace.path) for trace in traces]
+        chosen = sorted({find_channel(wanted, known, path) for wanted in channels})
+        traces = [traces[i] for i in chosen]
+    names = _clock_names([name for name, _ in export.axes])
+    used = range(len(names)) if channels is None else sorted({t.clock for t in traces})
+    clocks = {i: Clock(names[i], _samples(export.axes[i][1]())) for i in used}
+    loaded = [_channel(trace, clocks[trace.clock], path) for trace in traces]
+    return Recording(
+        reader=reader,
+        program="ControlDesk",
+        program_version=_program_version(export.origin),
+        clocks=tuple(clocks.values()),
+        channels=tuple(loaded),
+        metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
+        notes=(
+            *export.notes,
+            *_name_notes(traces),
+            *(note for clock in clocks.values() for note in clock_notes(clock)),
+            *_start_note(list(clocks.values()), export.start),
+            *_value_notes(traces, loaded),
+        ),
+    )
+
+
+def written_date(text: str, near: date) -> str:
+    """Settle whether day or month comes first in a date, by a date that is known to be close.
+
+    Parameters
+    ----------
+    text : as ControlDesk wrote it in the language of the computer
+    near : the day of saving, at most a few days later
+
+    Returns
+    -------
+    ISO date, empty if no reading of the text lies within a week of `near`.
+
+    Examples
+    --------
+    >>> written_date("4-5-2023 17:30:33", date(2023, 5, 4))
+    '2023-05-04'
+    """
+    numbers = [int(word) for word in re.findall(r"\d+", text)[:3]]
+    if len(numbers) < 3:
+        return ""
+    a, b, c = numbers
+    orders = [(a, b, c)] if a > 31 else [(c, a, b), (c, b, a)]
+    days = [day for order in orders if (day := _day(*order)) is not None]
+    days.sort(key=lambda day: abs((day - near).days))
+    return days[0].isoformat() if days and abs((days[0] - near).days) <= 7 else ""
+
+
+def plain(value: object) -> object:
+    """Give back what JSON can hold: infinities and NaN become text, arrays become lists."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.item() if value.size == 1 else value.ravel()[:16].tolist())
+    if isinstance(value, list | tuple):
+        items = [plain(item) for item in value]
+        return items[0] if len(items) == 1 else items
+    if isinstance(value, float) and not np.isfinite(value):
+        return str(value)
+    return value if isinstance(value, str | int | float | bool | None) else str(value)
+
+
+def _day(year: int, month: int, day: int) -> date | None:
+    try:
+        return date(year, month, day)
+    except ValueError:
+        return None
+
+
+def _program_version(origin: str) -> str:
+    match = _PROGRAM_VERSION.search(origin)
+    return match.group(1).rstrip(".") if match else ""
+
+
+def _with_unique_paths(traces: Sequence[Trace]) -> list[Trace]:
+    """Number the paths that occur more than once: one signal on two rasters."""
+    total = Counter(trace.path for trace in traces)
+    seen: Counter[str] = Counter()
+    unique: list[Trace] = []
+    for trace in traces:
+        seen[trace.path] += 1
+        number = f" [{seen[trace.path]}]" if total[trace.path] > 1 else ""
+        unique.append(replace(trace, path=trace.path + number))
+    return unique
+
+
+def _clock_names(rasters: Sequence[str]) -> list[str]:
+    names = [raster or "time" for raster in rasters]
+    return [f"{name} [{i + 1}]" if names.count(name) > 1 else name for i, name in enumerate(names)]
+
+
+def _samples(values: object) -> Floats:
+    return np.asarray(values, dtype=np.float64).ravel()
+
+
+def _channel(trace: Trace, clock: Clock, path: Path) -> Channel:
+    values = _samples(trace.load())
+    if len(values) != len(clock.time):
+        text = complaint(
+            path,
+            f"channel '{trace.path}'",
+            expected=f"{len(clock.time)} samples as on its time axis '{clock.name}'",
+            found=f"{len(values)}",
+            remedy="Export the recording again; the file may have been edited.",
+        )
+        raise ReadError(text)
+    infinite = np.isinf(values)
+    if infinite.any():
+        values = np.where(infinite, np.nan, values)
+    return Channel(
+        trace.name, trace.path, values, clock=clock.name, unit_in_file=trace.unit_in_file
+    )
+
+
+def _name_notes(traces: Sequence[Trace]) -> list[QualityNote]:
+    notes: list[QualityNote] = []
+    shared = {name: n for name, n in Counter(t.name for t in traces).items() if n > 1}
+    if shared:
+        listed = ", ".join(f"{n} are called '{name}'" for name, n in list(shared.items())[:3])
+        message = f"of {len(traces)} channels {listed}: tell them apart by path"
+        notes.append(QualityNote("names_not_unique", Severity.INFO, "channels", message))
+    broken = [trace.path for trace in traces if "\\n" in trace.path]
+    if broken:
+        message = f"a path holds the two characters backslash-n: '{broken[0]}'"
+        notes.append(QualityNote("line_break_in_path", Severity.INFO, "channels", message))
+    if traces and not any(trace.unit_in_file for trace in traces):
+        message = "the export states no units; the protocol must"
+        notes.append(QualityNote("units_not_stated", Severity.INFO, "channels", message))
+    return notes
+
+
+def _start_note(clocks: Sequence[Clock], stated: float | None) -> list[QualityNote]:
+    """Compare the stated start with the first time axis; half a step apart is a contradiction."""
+    if stated is None or not clocks or len(clocks[0].time) < 2:
+        return []
+    first, second = clocks[0].time[:2]
+    if abs(stated - first) <= 0.5 * abs(second - first):
+        return []
+    message = f"StartTimestamp says {stated:.7g} s, the time axis begins at {first:.7g} s: kept"
+    return [QualityNote("start_differs", Severity.INFO, f"clock {clocks[0].name}", message)]
+
+
+def _value_notes(traces: Sequence[Trace], channels: Sequence[Channel]) -> list[QualityNote]:
+    notes: list[QualityNote] = []
+    constant: list[str] = []
+    for trace, channel in zip(traces, channels, strict=True):
+        blank = np.isnan(channel.values)
+        if blank.any():
+            notes.append(_blank_note(trace, blank, channel.path))
+        elif len(blank) and channel.values.min() == channel.values.max():
+            constant.append(channel.path)
+    if constant:
+        listed = ", ".join(f"'{path}'" for path in constant[:3])
+        message = f"{len(constant)} of {len(channels)} channels never change: {listed}"
+        message += " ..." if len(constant) > 3 else ""
+        notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
+    return notes
+
+
+def _blank_note(trace: Trace, blank: Flags, where: str) -> QualityNote:
+    infinite = int(np.isinf(_samples(trace.load())).sum())
+    first = int(np.flatnonzero(blank)[0]) + 1
+    message = f"{int(blank.sum())} of {len(blank)} samples are no numbers"
+    message += f" ({infinite} of them infinite)" if infinite else ""
+    message += f", the first at sample {first}"
+    return QualityNote("not_finite", Severity.WARNING, where, message)

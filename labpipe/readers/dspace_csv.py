@@ -1,0 +1,173 @@
+"""Reader of dSPACE ControlDesk recordings saved as CSV.
+
+**Writes this file**: ControlDesk, "export as CSV".
+
+**Recording**: one channel per trace, all on the clock of the first trace.
+
+**Units**: left open; no file seen states them, the protocol must.
+
+**Missing data**: blank cells become NaN; ``Infinity`` becomes NaN and is noted.
+
+**Clock and frame**: the first, unnamed trace exactly as written.
+
+**File structure**: rows of properties (section, group, key, value; then one row per property of
+the traces, its name in the first cell), then ``trace_values`` opens the samples on the same line;
+later lines begin with an empty cell.
+
+**Known versions**: ControlDesk 25.1.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from datetime import UTC, date, datetime
+from pathlib import Path
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.controldesk import Export, Trace, load_export, written_date
+from labpipe.readers.files import read_head, reading
+from labpipe.readers.tables import Body, read_numbers
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote
+from labpipe.records.recording import Recording
+
+_BOM = b"\xef\xbb\xbf"
+_OPENS = b"trace_values"
+_NAMES = "trace_names"
+_AGAIN = "Export the recording from ControlDesk as CSV again."
+_OF_TRACES = (
+    *("devices", "raster", "description", "displayidentifier", "path", "flags"),
+    *("min", "max", "minWeak", "maxWeak"),
+)
+
+
+def recognise(path: Path) -> bool:
+    """Tell whether a file is a ControlDesk CSV, by the words in its first cells."""
+    lines = read_head(path).removeprefix(_BOM).splitlines()
+    return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
+
+
+def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+    """Read a ControlDesk CSV file.
+
+    Parameters
+    ----------
+    path : the export
+    channels : names or paths wanted, None for all
+
+    Returns
+    -------
+    The recording.
+
+    Raises
+    ------
+    ReadError
+        If a row of properties or the samples are missing or damaged, or a wanted channel is.
+    """
+    read_head(path)
+    with reading(path, "a readable file"):
+        content = path.read_bytes().removeprefix(_BOM)
+    start = _opening(content, path)
+    with reading(path, "rows of properties"):
+        text = content[:start].decode("utf-8", errors="replace")
+        rows = list(csv.reader(io.StringIO(text, newline="")))
+    traces = _properties(rows, path)
+    samples, notes = _samples(content, start, traces, path)
+    export = _export(rows, traces, samples, notes)
+    return load_export(export, reader="dspace-csv", path=path, channels=channels)
+
+
+def _opening(content: bytes, path: Path) -> int:
+    """Offset of the line that opens the samples."""
+    start = 0 if content.startswith(_OPENS) else content.find(b"\n" + _OPENS) + 1
+    if start or content.startswith(_OPENS):
+        return start
+    last_line = content.count(b"\n") + 1
+    place = f"line {last_line}"
+    text = complaint(
+        path, place, expected="a line that begins with trace_values", found="none", remedy=_AGAIN
+    )
+    raise ReadError(text)
+
+
+def _properties(rows: Sequence[Sequence[str]], path: Path) -> dict[str, list[str]]:
+    """Rows on the traces by the word in their first cell, all as long as the row of names."""
+    found = {row[0]: list(row[1:]) for row in rows if row and row[0]}
+    if len(found.get(_NAMES, [])) < 1:
+        text = complaint(
+            path,
+            f"lines 1 to {len(rows)}",
+            expected="a row trace_names with one cell per trace",
+            found="none",
+            remedy=_AGAIN,
+        )
+        raise ReadError(text)
+    width = len(found[_NAMES])
+    return {key: (cells + [""] * width)[:width] for key, cells in found.items()}
+
+
+def _samples(
+    content: bytes, start: int, traces: Mapping[str, list[str]], path: Path
+) -> tuple[Floats, list[QualityNote]]:
+    """All traces as columns; the first cell of each line is no datum."""
+    size = traces.get("trace_size", [""])[0]
+    width = len(traces[_NAMES])
+    body = Body(
+        text=content[start + len(_OPENS) :],
+        width=width + 1,
+        first_line=content[:start].count(b"\n") + 1,
+        stated_rows=int(size) if size.isdecimal() else None,
+    )
+    return read_numbers(body, range(1, width + 1), path)
+
+
+def _export(
+    rows: Sequence[Sequence[str]],
+    traces: Mapping[str, list[str]],
+    samples: Floats,
+    notes: Sequence[QualityNote],
+) -> Export:
+    about = _descriptions(rows)
+    general, measurement = about.get("General", {}), about.get("Measurement", {})
+    saved = _reference_day(measurement.get("ReferenceTime", ""))
+    day = written_date(general.get("DateTime", ""), saved) if saved else ""
+    raster = traces.get("raster", [""])[0]
+    return Export(
+        axes=[(raster, lambda: samples[:, 0])],
+        traces=[_trace(traces, i, samples) for i in range(1, len(traces[_NAMES]))],
+        origin=general.get("Origin", ""),
+        metadata={"date": day, **about},
+        notes=notes,
+        start=None,  # the axis begins at 0 whatever StartTimestamp says (25.1)
+    )
+
+
+def _trace(traces: Mapping[str, list[str]], i: int, samples: Floats) -> Trace:
+    name = traces[_NAMES][i]
+    folder = traces.get("path", [""] * (i + 1))[i]
+    return Trace(
+        name=name,
+        path=f"{folder}/{name}" if folder else name,
+        unit_in_file=traces.get("trace_units", [""] * (i + 1))[i],
+        clock=0,
+        load=lambda: samples[:, i],
+        about={key: traces[key][i] for key in _OF_TRACES if key in traces},
+    )
+
+
+def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
+    """Group, key and value of the rows before those on the traces."""
+    about: dict[str, dict[str, str]] = {}
+    for row in rows:
+        if len(row) >= 4 and row[1] and row[0] in {"descriptions", ""}:
+            about.setdefault(row[1], {})[row[2]] = row[3]
+    return about
+
+
+def _reference_day(nanoseconds: str) -> date | None:
+    """The day of ReferenceTime, ns since 1970 UTC."""
+    if not nanoseconds.isdecimal() or len(nanoseconds) > 19:
+        return None
+    return datetime.fromtimestamp(int(nanoseconds) // 10**9, tz=UTC).date()

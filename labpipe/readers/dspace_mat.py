@@ -1,0 +1,326 @@
+"""Reader of dSPACE ControlDesk recordings saved as MATLAB files.
+
+**Writes this file**: ControlDesk, "export as MAT".
+
+**Recording**: one channel per measured variable, on the clock of its raster.
+
+**Units**: left open; no file seen states them, the protocol must.
+
+**Missing data**: none in the format; infinities become NaN and are noted.
+
+**Clock and frame**: ``X.Data`` exactly as written, one clock per raster. Never index / rate.
+
+**File structure**: one struct with the fields X (time axes) and Y (channels), in a MAT v5 file or
+in an HDF5 file with a 512-byte user block (v7.3). The content decides, not the suffix.
+
+**Known versions**: file format revisions 2.0 (classic ControlDesk) and 2.1 (5.2 to 7.5).
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from calendar import monthrange
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import date
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.controldesk import Export, Trace, load_export, plain, written_date
+from labpipe.readers.files import read_head, reading
+from labpipe.records.quality import QualityNote, Severity
+
+if TYPE_CHECKING:
+    import h5py
+
+    from labpipe.records.recording import Recording
+
+Node = Any
+"""A struct array as a list of mappings, text, or an array: what both containers are turned into."""
+
+_HDF5 = b"\x89HDF\r\n\x1a\n"
+_V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
+_REVISION = re.compile(r"Revision (\d+\.\d+)")
+_CREATED = re.compile(r"Created on: \w{3} (\w{3}) +(\d+) [\d:]+ (\d{4})")
+_MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
+_QUOTED = re.compile(r'"([^"]*)"$')
+_KNOWN = frozenset({"2.0", "2.1"})
+_DEFLATE_LIMIT = 1100
+"""No deflated data set is larger than 1032 times the file that holds it."""
+
+
+def recognise(path: Path) -> bool:
+    """Tell whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
+    head = read_head(path, 1024)
+    return head.startswith((_V5, _V73)) or head[512:520] == _HDF5
+
+
+def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+    """Read a ControlDesk MAT file.
+
+    Parameters
+    ----------
+    path : the export
+    channels : names or paths wanted, None for all; v7.3 files load nothing else
+
+    Returns
+    -------
+    The recording.
+
+    Raises
+    ------
+    ReadError
+        If it is damaged, holds no struct with X and Y, or lacks a wanted channel.
+    """
+    with _variables(path) as (variables, created):
+        name, tree = _recorded(variables, path)
+        export = _parse(name, tree, created, path)
+        return load_export(export, reader="dspace-mat", path=path, channels=channels)
+
+
+@contextmanager
+def _variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
+    """Open either container: its variables, and the header text with the day of saving."""
+    head = read_head(path, 1024)
+    created = head[:116].decode("latin-1").strip(" \0")
+    if head[512:520] != _HDF5:
+        yield _read_v5(path), created
+        return
+    import h5py
+
+    with reading(path, "a whole MAT v7.3 file"):
+        file = h5py.File(path, "r")
+    with file:
+        with reading(path, "a whole MAT v7.3 file"):
+            size = path.stat().st_size
+            found = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
+        yield found, created
+
+
+def _read_v5(path: Path) -> dict[str, Node]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    what = "a whole MAT v5 file"
+    with reading(path, what, also=(MatReadError,)), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # duplicate or odd variables: not the ones we look for
+        found = loadmat(path, struct_as_record=False, verify_compressed_data_integrity=True)
+        return {key: _from_v5(item) for key, item in found.items() if not key.startswith("__")}
+
+
+def _from_v5(value: Any) -> Node:
+    if not isinstance(value, np.ndarray):
+        return value
+    if value.dtype == object:
+        items = value.ravel()
+        if value.size and hasattr(items[0], "_fieldnames"):
+            return [{key: _from_v5(getattr(s, key)) for key in s._fieldnames} for s in items]
+        return [_from_v5(item) for item in items]
+    return "\n".join(str(row) for row in value.ravel()) if value.dtype.kind == "U" else value
+
+
+def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:
+    import h5py
+
+    if not isinstance(node, h5py.Group):
+        return _from_dataset(node, file, size)
+    rows = [len(item) for item in node.values() if _holds_references(item)]
+    if not rows:
+        return [{key: _from_hdf5(item, file, size) for key, item in node.items()}]
+    table = {key: np.ravel(item[()]) for key, item in node.items() if _holds_references(item)}
+    return [
+        {key: _from_hdf5(file[refs[i]], file, size) for key, refs in table.items()}
+        for i in range(min(rows))
+    ]
+
+
+def _holds_references(item: Any) -> bool:
+    import h5py
+
+    return isinstance(item, h5py.Dataset) and h5py.check_ref_dtype(item.dtype) is not None
+
+
+def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
+    """Text, small array, or (lazily) the samples of a channel."""
+    is_text = item.attrs.get("MATLAB_class") == b"char"
+    if item.attrs.get("MATLAB_empty"):
+        return "" if is_text else np.empty(0)
+    if _holds_references(item):
+        return [_from_hdf5(file[ref], file, size) for ref in np.ravel(item[()])]
+    if item.nbytes > _DEFLATE_LIMIT * size:
+        message = f"{item.name} claims {item.nbytes} bytes in a file of {size}"
+        raise ValueError(message)
+    if is_text:
+        units = np.asarray(item[()]).T.astype("<u2")
+        return units.tobytes().decode("utf-16-le", errors="replace")
+    return item if item.size > 64 else np.asarray(item[()])
+
+
+def _recorded(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:
+    """Find the only variable that has the fields X and Y, whatever it is called."""
+    found = {
+        name: item[0]
+        for name, item in variables.items()
+        if isinstance(item, list)
+        and item
+        and isinstance(item[0], dict)
+        and {"X", "Y"} <= {*item[0]}
+    }
+    if len(found) == 1:
+        return next(iter(found.items()))
+    names = ", ".join(list(found or variables)[:5]) or "nothing"
+    text = complaint(
+        path,
+        "",
+        expected="one variable with the fields X and Y, as ControlDesk writes it",
+        found=f"{len(found)} among the variables {names}" if found else f"only {names}",
+        remedy="Export the recording from ControlDesk as MAT.",
+    )
+    raise ReadError(text)
+
+
+def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Export:
+    axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
+    general = _first(tree, "Description", "General")
+    written = _text(general, "DateTime") or _text(_first(tree, "Capture"), "DateTime")
+    saved = _day_of_saving(created)
+    metadata = {
+        "variable": name,
+        "created": created,
+        "revision": _revision(tree, path),
+        "date": written_date(written, saved) if saved else "",
+        **{key: plain(item) for key, item in tree.items() if key not in {"X", "Y"}},
+    }
+    start = _first(tree, "Description", "Measurement").get("StartTimestamp")
+    return Export(
+        axes=[(_text(axis, "Raster"), _loader(axis, "X", path)) for axis in axes],
+        traces=[_trace(item, len(axes), path) for item in traces],
+        origin=_text(general, "Origin"),
+        metadata=metadata,
+        notes=_notes(metadata, axes, path),
+        start=_number(start),
+    )
+
+
+def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str, Node]]:
+    items = tree[field]
+    if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
+        return items
+    text = complaint(
+        path,
+        f"field {field}",
+        expected="a struct with the field Data",
+        found="something else",
+        remedy="Export the recording from ControlDesk again.",
+    )
+    raise ReadError(text)
+
+
+def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
+    port, folder = _text(item, "Name"), _text(item, "Path")
+    quoted = _QUOTED.search(port)  # revision 2.0 keeps the whole quoted path in Name
+    full = f"{folder}/{port}" if folder else port
+    index = _number(item.get("XIndex", 1))
+    if index is None or not 1 <= index <= n_axes or index != int(index):
+        text = complaint(
+            path,
+            f"channel '{full}', XIndex",
+            expected=f"the number of a time axis, 1 to {n_axes}",
+            found=str(plain(item.get("XIndex"))),
+            remedy="Export the recording from ControlDesk again.",
+        )
+        raise ReadError(text)
+    return Trace(
+        name=quoted.group(1) if quoted else port,
+        path=full,
+        unit_in_file=_text(item, "Unit"),
+        clock=int(index) - 1,
+        load=_loader(item, full, path),
+        about={key: plain(field) for key, field in item.items() if key != "Data"},
+    )
+
+
+def _loader(item: Mapping[str, Node], what: str, path: Path) -> Callable[[], object]:
+    """Samples of an axis or a channel, loaded when called for, whole numbers as floats."""
+
+    def load() -> object:
+        with reading(path, f"the samples of {what}"):
+            data = np.asarray(item["Data"])
+            if data.dtype.kind not in "biuf":
+                message = f"{what} holds {data.dtype} in the place of numbers"
+                raise ValueError(message)
+            return data.astype(np.float64, copy=False)
+
+    return load
+
+
+def _first(tree: Mapping[str, Node], *keys: str) -> dict[str, Node]:
+    """The struct found by going down the keys, empty where there is none."""
+    for key in keys:
+        below = tree.get(key)
+        if not (isinstance(below, list) and below and isinstance(below[0], dict)):
+            return {}
+        tree = below[0]
+    return dict(tree)
+
+
+def _text(item: Mapping[str, Node], key: str) -> str:
+    value = item.get(key, "")
+    return value if isinstance(value, str) else ""
+
+
+def _number(value: Node) -> float | None:
+    array = np.asarray(value) if value is not None else np.empty(0)
+    return float(array.ravel()[0]) if array.size == 1 and array.dtype.kind in "biuf" else None
+
+
+def _revision(tree: Mapping[str, Node], path: Path) -> str:
+    info = _first(tree, "Info")
+    numbers = [_number(info.get(key)) for key in ("RevisionMajor", "RevisionMinor")]
+    match = _REVISION.search(_text(_first(tree, "Description"), "GeneratorVersion"))
+    if None not in numbers:
+        revision = ".".join(f"{number:g}" for number in numbers)
+    else:
+        revision = match.group(1) if match else ""
+    if revision and not revision.startswith("2."):
+        text = complaint(
+            path,
+            "Info",
+            expected="a file format revision 2.x",
+            found=revision,
+            remedy="Export the recording with ControlDesk 7 as MAT.",
+        )
+        raise ReadError(text)
+    return revision
+
+
+def _day_of_saving(created: str) -> date | None:
+    """The day in the header text, `Created on: Sun Jan 03 15:55:34 2021`, always in English."""
+    match = _CREATED.search(created)
+    if match is None or match.group(1) not in _MONTHS:
+        return None
+    day, year = int(match.group(2)), int(match.group(3))
+    month = _MONTHS.index(match.group(1)) + 1
+    return date(year, month, day) if 0 < day <= monthrange(year, month)[1] else None
+
+
+def _notes(
+    metadata: Mapping[str, object], axes: Sequence[Mapping[str, Node]], path: Path
+) -> list[QualityNote]:
+    notes: list[QualityNote] = []
+    name, revision = str(metadata["variable"]), metadata["revision"]
+    if name != path.stem:
+        message = f"the variable is called '{name}', not after the file"
+        notes.append(QualityNote("variable_name_differs", Severity.INFO, "file", message))
+    if revision not in _KNOWN:
+        message = f"file format revision {revision or 'not stated'}: only 2.0 and 2.1 are known"
+        notes.append(QualityNote("revision_unseen", Severity.WARNING, "file", message))
+    if len(axes) > 1:
+        rasters = ", ".join(_text(axis, "Raster") or "unnamed" for axis in axes)
+        message = f"{len(axes)} time axes: {rasters}"
+        notes.append(QualityNote("several_clocks", Severity.INFO, "file", message))
+    return notes

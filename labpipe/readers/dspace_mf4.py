@@ -1,0 +1,139 @@
+"""Reader of dSPACE ControlDesk recordings saved as MDF 4.
+
+**Writes this file**: ControlDesk, "export as MF4".
+
+**Recording**: one channel per measured variable, one clock per channel group.
+
+**Units**: left open; no file seen states them, the protocol must.
+
+**Missing data**: none in the format; infinities become NaN and are noted.
+
+**Clock and frame**: the master channel exactly as written; it is named after the raster.
+
+**File structure**: MDF 4.10, read by asammdf (the optional extra ``mf4``).
+
+**Known versions**: MDF 4.10 of ControlDesk 7.4.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from html import unescape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.controldesk import Export, Trace, load_export
+from labpipe.readers.files import read_head, reading
+from labpipe.records.recording import Recording
+
+_PROPERTY = re.compile(r'<e name="([^"]*)"[^>]*>(.*?)</e>', re.DOTALL)
+_WHAT = "a whole MDF 4 file"
+
+
+def recognise(path: Path) -> bool:
+    """Tell whether a file is an MDF file of version 4, by its first bytes."""
+    head = read_head(path, 64)
+    return head.startswith(b"MDF     4")
+
+
+def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+    """Read a ControlDesk MF4 file.
+
+    Parameters
+    ----------
+    path : the export
+    channels : names or paths wanted, None for all
+
+    Returns
+    -------
+    The recording.
+
+    Raises
+    ------
+    ReadError
+        If asammdf is not installed, the file is damaged, or a wanted channel is missing.
+    """
+    read_head(path)
+    with _opened(path) as file:
+        with reading(path, _WHAT):
+            export = _parse(file)
+        with reading(path, _WHAT):
+            return load_export(export, reader="dspace-mf4", path=path, channels=channels)
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # asammdf on its own optional parts
+        try:
+            from asammdf import MDF
+            from asammdf.blocks.utils import MdfException
+        except ImportError as error:
+            raise ReadError(_not_installed(path)) from error
+        with reading(path, _WHAT, also=(MdfException,)):
+            file = MDF(path)
+        try:
+            yield file
+        finally:
+            file.close()
+
+
+def _not_installed(path: Path) -> str:
+    return complaint(
+        path,
+        "",
+        expected="the package asammdf to read MF4",
+        found="it is not installed",
+        remedy="Run: pip install 'labpipe[mf4]', or export the recording as MAT.",
+    )
+
+
+def _parse(file: Any) -> Export:
+    axes, traces = [], []
+    for number, group in enumerate(file.groups):
+        master = file.masters_db.get(number)
+        if master is None:
+            continue
+        axes.append((group.channels[master].name, _loader(file, number, master)))
+        traces += [
+            _trace(file, number, index, len(axes) - 1)
+            for index in range(len(group.channels))
+            if index != master
+        ]
+    about = {key: unescape(value) for key, value in _PROPERTY.findall(file.header.comment or "")}
+    return Export(
+        axes=axes,
+        traces=traces,
+        origin=about.get("Origin", ""),
+        metadata={"mdf": file.version, "start_time": file.header.start_time.isoformat(), **about},
+        start=_stated(about.get("StartTimestamp", "")),
+    )
+
+
+def _trace(file: Any, group: int, index: int, clock: int) -> Trace:
+    channel = file.groups[group].channels[index]
+    return Trace(
+        name=channel.name.rsplit("/", 1)[-1],
+        path=channel.name,
+        unit_in_file=channel.unit or "",
+        clock=clock,
+        load=_loader(file, group, index),
+        about={"comment": channel.comment or ""},
+    )
+
+
+def _loader(file: Any, group: int, index: int) -> Any:
+    return lambda: np.asarray(file.get(group=group, index=index).samples, dtype=np.float64)
+
+
+def _stated(text: str) -> float | None:
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -1,0 +1,104 @@
+"""Opening exports: the one place where a library error becomes a ReadError."""
+
+from __future__ import annotations
+
+import csv
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from labpipe.errors import ReadError, complaint
+
+BROKEN: tuple[type[Exception], ...] = (
+    OSError,  # h5py and the operating system
+    EOFError,
+    ValueError,  # also pandas' ParserError and every UnicodeError
+    LookupError,
+    TypeError,  # scipy meets a tag that its tables do not know
+    AttributeError,  # a file that is not of the shape its header promises
+    ArithmeticError,
+    AssertionError,
+    MemoryError,  # a damaged length asks for more than there is
+    RuntimeError,  # h5py; NotImplementedError and RecursionError too
+    SyntaxError,  # damaged XML inside an MF4 or xlsx
+    struct.error,
+    zlib.error,
+    zipfile.BadZipFile,
+    csv.Error,
+)
+"""What the format libraries were seen to raise, or say they raise, for damaged files."""
+
+_CUT = "Export the recording again; the file may have been cut off while copying."
+
+
+@contextmanager
+def reading(
+    path: Path, what: str, *, also: tuple[type[BaseException], ...] = (), remedy: str = _CUT
+) -> Iterator[None]:
+    """Turn what a format library raises for a broken file into a ReadError that names the file.
+
+    Parameters
+    ----------
+    path : the export
+    what : what was expected, such as ``a whole MAT v5 file``
+    also : errors that only one library knows
+    remedy : what the person at the bench can do
+
+    Raises
+    ------
+    ReadError
+        In the place of every error of `BROKEN` and `also`.
+    """
+    try:
+        yield
+    except FileNotFoundError as error:
+        raise ReadError(_absent(path)) from error
+    except PermissionError as error:
+        found = "one that may not be read"
+        text = complaint(path, "", expected="a file", found=found, remedy="Check its permissions.")
+        raise ReadError(text) from error
+    except (*BROKEN, *also) as error:
+        found = f"a damaged one ({_first_line(error)})"
+        raise ReadError(complaint(path, "", expected=what, found=found, remedy=remedy)) from error
+
+
+def read_head(path: Path, size: int = 65536) -> bytes:
+    """Read the first bytes of an export.
+
+    Parameters
+    ----------
+    path : the export
+    size : how many bytes at the most
+
+    Returns
+    -------
+    The bytes.
+
+    Raises
+    ------
+    ReadError
+        If there is no such file, it is a folder, it may not be read, or it is empty.
+    """
+    if path.is_dir():
+        remedy = "Name one of the files in it."
+        raise ReadError(complaint(path, "", expected="a file", found="a folder", remedy=remedy))
+    with reading(path, "a readable file"), path.open("rb") as stream:
+        head = stream.read(size)
+    if not head:
+        remedy = "Export the recording again."
+        found = "an empty file (0 bytes)"
+        raise ReadError(complaint(path, "", expected="an export", found=found, remedy=remedy))
+    return head
+
+
+def _absent(path: Path) -> str:
+    remedy = "Check the name and the folder."
+    return complaint(path, "", expected="a file", found="none of that name", remedy=remedy)
+
+
+def _first_line(error: BaseException) -> str:
+    said = str(error).strip().splitlines()
+    return said[0][:160] if said else type(error).__name__
