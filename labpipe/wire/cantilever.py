@@ -1,0 +1,291 @@
+"""The clamped wire in large deflection, solved exactly for a law that varies along it (PHYSICS 5).
+
+The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
+bending towards the pull; theta is the angle of the tangent from x. With the force (Px, Py) at the
+tip,
+
+    M(s) = integral from s to L of (Py cos theta - Px sin theta),   theta(s) = integral of kappa(M),
+
+at Chebyshev-Lobatto stations, every station with its own history. Newton's method with the exact
+Jacobian solves it; one more unknown (an end load, the tension of the string) is bordered on by the
+condition that fixes it. A path is walked in steps that are halved where Newton fails. No series,
+and no single stiffness for the whole wire, both of which the source uses.
+
+The clamp is driven down, which in its own frame lifts the anchor of the string. The string pulls or
+is slack; the counterweight always hangs at the tip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.wire.laws import MomentLaw, respond, virgin_plays
+from labpipe.wire.newton import Condition, DeadLoad, EndLoad, Pull, Unknowns, solve
+from labpipe.wire.spectral import chebyshev_stations
+
+DEFAULT_STATIONS = 64
+_SMALLEST_STEP = 2.0**-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireState:
+    """What a wire remembers: its moments and its history, station by station.
+
+    Parameters
+    ----------
+    moment : shape (stations,), N m
+    plays : shape (stations, plays), N m
+    force : shape (2,), N, at the tip
+    load : the unknown of the last solution, N: the string's tension or the end load
+    travel : m, where the path stands: travel of the clamp, or tip deflection
+    """
+
+    moment: Floats
+    plays: Floats
+    force: Floats
+    load: float = 0.0
+    travel: float = 0.0
+
+    def __post_init__(self) -> None:
+        stations = len(self.moment)
+        object.__setattr__(self, "moment", frozen(self.moment, shape=(None,)))
+        object.__setattr__(self, "plays", frozen(self.plays, shape=(stations, None)))
+        object.__setattr__(self, "force", frozen(self.force, shape=(2,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CantileverShape:
+    """A wire in equilibrium; arrays are of shape (stations,) from the clamp to the tip.
+
+    Parameters
+    ----------
+    arc_length, x, y : m
+    angle : rad
+    moment : N m
+    curvature : 1/m
+    force : shape (2,), N, at the tip: string and counterweight together
+    tension : N, of the string; 0 where there is none or it is slack
+    state : what the next step starts from
+    """
+
+    arc_length: Floats
+    x: Floats
+    y: Floats
+    angle: Floats
+    moment: Floats
+    curvature: Floats
+    force: Floats
+    tension: float
+    state: WireState
+
+
+@dataclass(frozen=True, slots=True)
+class StringRig:
+    """The string and what hangs on it.
+
+    Parameters
+    ----------
+    string_length : m, from the load cell to the tip
+    weight : N, of the counterweight at the tip
+    anchor_x : m, place of the load cell along the undeformed axis: above the initial tip
+    anchor_height : m, of the load cell over the clamped axis at zero travel; less than
+        `string_length` when there is string to spare
+    """
+
+    string_length: float
+    weight: float
+    anchor_x: float
+    anchor_height: float
+
+    def taut_travel(self, x: float, y: float) -> float:
+        """Travel of the clamp at which the string just spans to a tip at (x, y), m."""
+        rise = np.sqrt(self.string_length**2 - (self.anchor_x - x) ** 2)
+        return float(y + rise - self.anchor_height)
+
+
+Step: TypeAlias = Callable[[WireState, float], WireState | None]
+
+
+def straight(law: MomentLaw, n_stations: int = DEFAULT_STATIONS) -> WireState:
+    """State of a straight wire that was never bent."""
+    return WireState(np.zeros(n_stations), virgin_plays(law, n_stations), np.zeros(2))
+
+
+def bend_under_force(
+    law: MomentLaw, state: WireState, length: float, force: Floats
+) -> CantileverShape:
+    """Bend a wire by going straight from its present end force to another.
+
+    Parameters
+    ----------
+    law, state : law and history of the wire
+    length : m
+    force : shape (2,), N, fixed in direction
+
+    Returns
+    -------
+    The shape in equilibrium.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
+    """
+    start, goal = state.force, np.asarray(force, dtype=np.float64)
+
+    def step(present: WireState, share: float) -> WireState | None:
+        condition = DeadLoad(start + share * (goal - start))
+        return _advance(law, present, length, condition, travel=share)
+
+    reached = _walk(step, _restart(state, 0.0), 1.0, f"force={goal.tolist()}")
+    return shape_of(law, reached, length)
+
+
+def bend_to_deflection(
+    law: MomentLaw, state: WireState, length: float, deflection: float
+) -> CantileverShape:
+    """Bend a wire by an end force normal to the clamped axis until its tip is at `deflection`.
+
+    Parameters
+    ----------
+    law, state : law and history of the wire; `state.travel` is its present deflection
+    length, deflection : m
+
+    Returns
+    -------
+    The shape; ``force[1]`` is the end load.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way, as for a deflection that exceeds the length.
+    """
+
+    def step(present: WireState, travel: float) -> WireState | None:
+        return _advance(law, present, length, EndLoad(travel), travel=travel)
+
+    reached = _walk(step, state, deflection, f"deflection={deflection!r}")
+    return shape_of(law, reached, length)
+
+
+def bend_to_travel(
+    law: MomentLaw, state: WireState, length: float, rig: StringRig, travel: float
+) -> CantileverShape:
+    """Bend a wire by driving its clamp until it has travelled `travel`, the string pulling.
+
+    Parameters
+    ----------
+    law, state : law and history of the wire; `state.travel` is the present travel
+    length : m
+    rig : the string
+    travel : m, from the initial height of the clamp, positive downwards
+
+    Returns
+    -------
+    The shape; its tension is zero where the string is slack.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
+    """
+
+    def step(present: WireState, travel: float) -> WireState | None:
+        hanging = _advance(law, present, length, DeadLoad(np.array([0.0, -rig.weight])), travel)
+        if hanging is not None and rig.taut_travel(*_tip(law, hanging, length)) >= travel:
+            return hanging
+        anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
+        condition = Pull(anchor, rig.string_length, rig.weight)
+        taut = _advance(law, present, length, condition, travel)
+        return None if taut is None or taut.load < -1e-9 else taut
+
+    reached = _walk(step, state, travel, f"travel={travel!r}")
+    return shape_of(law, reached, length)
+
+
+def end_load_curve(
+    law: MomentLaw, length: float, deflections: Floats, *, n_stations: int = DEFAULT_STATIONS
+) -> Floats:
+    """End load normal to the clamped axis at each of a row of tip deflections, from straight.
+
+    Parameters
+    ----------
+    law : law of the wire
+    length : m
+    deflections : shape (n,), m, in the order in which they are reached
+
+    Returns
+    -------
+    Shape (n,), N.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
+    """
+    state = straight(law, n_stations)
+    loads = np.empty(len(deflections))
+    for number, deflection in enumerate(deflections):
+        shape = bend_to_deflection(law, state, length, float(deflection))
+        state, loads[number] = shape.state, shape.force[1]
+    return loads
+
+
+def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
+    """Work out the shape that belongs to a state in equilibrium."""
+    stations = chebyshev_stations(len(state.moment))
+    curvature = respond(law, state.moment, state.plays).curvature
+    angle = length * stations.from_clamp @ curvature
+    return CantileverShape(
+        arc_length=length * stations.position,
+        x=length * stations.from_clamp @ np.cos(angle),
+        y=length * stations.from_clamp @ np.sin(angle),
+        angle=angle,
+        moment=state.moment,
+        curvature=curvature,
+        force=state.force,
+        tension=state.load,
+        state=state,
+    )
+
+
+def _tip(law: MomentLaw, state: WireState, length: float) -> tuple[float, float]:
+    shape = shape_of(law, state, length)
+    return float(shape.x[-1]), float(shape.y[-1])
+
+
+def _restart(state: WireState, travel: float) -> WireState:
+    return WireState(state.moment, state.plays, state.force, state.load, travel)
+
+
+def _advance(
+    law: MomentLaw, state: WireState, length: float, condition: Condition, travel: float
+) -> WireState | None:
+    """One step from a state to the equilibrium under a condition; None where Newton fails."""
+    found = solve(law, state.plays, length, condition, Unknowns(state.moment, state.load))
+    if found is None:
+        return None
+    return WireState(found.moment, found.plays, found.force, found.load, travel)
+
+
+def _walk(step: Step, state: WireState, goal: float, what: str) -> WireState:
+    """Go from the state's travel to the goal, in halves where a step fails."""
+    whole = goal - state.travel
+    fraction, done = 1.0, 0.0
+    begin = state.travel
+    while done < 1.0:
+        reach = min(1.0, done + fraction)
+        ahead = step(state, goal if reach == 1.0 else begin + reach * whole)
+        if ahead is not None:
+            state, done, fraction = ahead, reach, min(1.0, 2.0 * fraction)
+        elif fraction <= _SMALLEST_STEP:
+            message = f"{what}: no equilibrium beyond {begin + done * whole:.6g}"
+            raise ValueError(message)
+        else:
+            fraction *= 0.5
+    return state

@@ -1,0 +1,193 @@
+"""Newton's method for the clamped wire, bordered by the condition that fixes its end force."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.laws import MomentLaw, Response, respond
+from labpipe.wire.spectral import Stations, chebyshev_stations
+
+_ITERATIONS = 40
+_TOLERANCE = 1e-11
+_LARGEST_TURN = 0.7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demand:
+    """What a condition asks at a tip position and a load.
+
+    Parameters
+    ----------
+    force : shape (2,), N, at the tip
+    force_by_tip : shape (2, 2), N/m, its derivative by the tip's position
+    force_by_load : shape (2,), its derivative by the load
+    gap : m, zero where the condition holds
+    gap_by_tip : shape (2,), its derivative by the tip's position
+    gap_by_load : m/N, its derivative by the load
+    """
+
+    force: Floats
+    force_by_tip: Floats
+    force_by_load: Floats
+    gap: float
+    gap_by_tip: Floats
+    gap_by_load: float = 0.0
+
+
+class Condition(Protocol):
+    """What fixes the force at the tip."""
+
+    def demand(self, tip: Floats, load: float) -> Demand:
+        """Work out force, gap and their derivatives at a tip position and a load."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DeadLoad:
+    """A given force, N, shape (2,); the load is unused and zero."""
+
+    force: Floats
+
+    def demand(self, tip: Floats, load: float) -> Demand:
+        """The force itself."""
+        return Demand(self.force, np.zeros((2, 2)), np.zeros(2), load, np.zeros_like(tip), 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class EndLoad:
+    """A force normal to the clamped axis that brings the tip to `deflection`, m."""
+
+    deflection: float
+
+    def demand(self, tip: Floats, load: float) -> Demand:
+        """The load along y; the gap to the deflection."""
+        along_y = np.array([0.0, 1.0])
+        return Demand(
+            load * along_y, np.zeros((2, 2)), along_y, float(tip[1]) - self.deflection, along_y
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pull:
+    """A taut string from `anchor` (shape (2,), m) of `length`, and a `weight` (N) at the tip."""
+
+    anchor: Floats
+    length: float
+    weight: float
+
+    def demand(self, tip: Floats, load: float) -> Demand:
+        """Tension towards the anchor and weight downwards; the gap is the string's stretch."""
+        reach = self.anchor - tip
+        distance = float(np.hypot(*reach))
+        force = load / self.length * reach - np.array([0.0, self.weight])
+        return Demand(
+            force,
+            -load / self.length * np.eye(2),
+            reach / self.length,
+            distance - self.length,
+            -reach / distance,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """What Newton's method improves: moments, shape (stations,), N m, and the load, N."""
+
+    moment: Floats
+    load: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Equilibrium:
+    """What it found: moments, history, force at the tip and load."""
+
+    moment: Floats
+    plays: Floats
+    force: Floats
+    load: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Linearised:
+    residual: Floats
+    jacobian: Floats
+    response: Response
+    force: Floats
+
+
+def solve(
+    law: MomentLaw, plays: Floats, length: float, condition: Condition, start: Unknowns
+) -> Equilibrium | None:
+    """Find the equilibrium next to a start, or None if the iteration does not settle.
+
+    Parameters
+    ----------
+    law : law of every station
+    plays : shape (stations, plays), N m, history before the step
+    length : m
+    condition : what fixes the end force
+    start : first guess
+    """
+    stations = chebyshev_stations(len(start.moment))
+    moment, load = start.moment, start.load
+    for _ in range(_ITERATIONS):
+        system = _linearise(law, plays, length, condition, Unknowns(moment, load), stations)
+        if not np.all(np.isfinite(system.residual)):
+            return None
+        change = -np.linalg.solve(system.jacobian, system.residual)
+        change *= _damping(change[:-1], system.response.compliance, length)
+        moment, load = moment + change[:-1], load + change[-1]
+        largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
+        if np.max(np.abs(change[:-1])) <= _TOLERANCE * largest:
+            return _equilibrium(law, plays, length, condition, Unknowns(moment, load), stations)
+    return None
+
+
+def _damping(change: Floats, compliance: Floats, length: float) -> float:
+    """Share of a step that turns no part of the wire by more than `_LARGEST_TURN` (rad)."""
+    turn = float(np.max(np.abs(change * compliance))) * length
+    return min(1.0, _LARGEST_TURN / turn) if turn > 0.0 else 1.0
+
+
+def _linearise(
+    law: MomentLaw,
+    plays: Floats,
+    length: float,
+    condition: Condition,
+    at: Unknowns,
+    stations: Stations,
+) -> _Linearised:
+    response = respond(law, at.moment, plays)
+    from_clamp, to_tip = length * stations.from_clamp, length * stations.to_tip
+    angle = from_clamp @ response.curvature
+    cos, sin = np.cos(angle), np.sin(angle)
+    weights = length * stations.weights
+    wanted = condition.demand(np.array([weights @ cos, weights @ sin]), at.load)
+    angle_by_moment = from_clamp * response.compliance
+    tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
+    levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
+    lateral = -wanted.force[1] * sin - wanted.force[0] * cos
+    n = len(at.moment)
+    jacobian = np.empty((n + 1, n + 1))
+    jacobian[:n, :n] = np.eye(n) - (to_tip * lateral) @ angle_by_moment
+    jacobian[:n, :n] -= levers @ (wanted.force_by_tip @ tip_by_moment)
+    jacobian[:n, n] = -levers @ wanted.force_by_load
+    jacobian[n, :n] = wanted.gap_by_tip @ tip_by_moment
+    jacobian[n, n] = wanted.gap_by_load
+    residual = np.append(at.moment - levers @ wanted.force, wanted.gap)
+    return _Linearised(residual, jacobian, response, wanted.force)
+
+
+def _equilibrium(
+    law: MomentLaw,
+    plays: Floats,
+    length: float,
+    condition: Condition,
+    at: Unknowns,
+    stations: Stations,
+) -> Equilibrium:
+    last = _linearise(law, plays, length, condition, at, stations)
+    return Equilibrium(at.moment, last.response.plays, last.force, float(at.load))
