@@ -1,1 +1,1 @@
-"""labpipe.protocol."""
+"""Protocols and test sheets: YAML in, validated models with SI values out."""

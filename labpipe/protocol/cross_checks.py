@@ -1,0 +1,211 @@
+"""Checks of one part of a protocol against another, none of which needs data."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
+
+from labpipe.protocol.faults import Fault, KeyPath, did_you_mean, one_of
+from labpipe.protocol.outline import Outline, Values
+from labpipe.protocol.quantities import SI_UNITS
+from labpipe.protocol.source_checks import source_faults
+from labpipe.units import si_factor
+
+Faults: TypeAlias = Iterator[Fault]
+
+_MARKER_STEPS = ("repair-markers", "specimen-frame", "fit-shape")
+_BRANCH_RESULTS = (
+    "peak-force",
+    "peak-displacement",
+    "initial-stiffness",
+    "unloading-stiffness",
+    "energy",
+    "residual-displacement",
+    "stiffness",
+)
+
+
+def cross_faults(data: Values) -> list[Fault]:
+    """Find what is wrong between the parts of a protocol.
+
+    Parameters
+    ----------
+    data : the protocol as plain values, whether or not its details are valid
+
+    Returns
+    -------
+    The faults, with their paths in `data`.
+    """
+    outline = Outline(data)
+    checks: tuple[Callable[[Outline], Faults], ...] = (
+        source_faults,
+        _step_faults,
+        _align_faults,
+        _curve_faults,
+        _branch_faults,
+        _result_faults,
+        _figure_faults,
+        _display_faults,
+    )
+    return [fault for check in checks for fault in check(outline)]
+
+
+def _step_faults(outline: Outline) -> Faults:
+    known = [channel.name for channel in outline.channels]
+    before: list[str] = []
+    for number, tag, step in outline.entries("steps", "step"):
+        here: KeyPath = ("steps", number, "step")
+        if tag in _MARKER_STEPS:
+            yield from _marker_step_faults(outline, tag, here, before)
+        yield from _channel_faults(step, ("steps", number, "channel"), known, outline)
+        yield from _span_faults(outline, step, ("steps", number, "span"))
+        known = [*known, *outline.made_by(tag)]
+        before.append(tag)
+
+
+def _marker_step_faults(outline: Outline, tag: str, here: KeyPath, before: list[str]) -> Faults:
+    if not outline.has_markers():
+        yield Fault(here, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
+    elif not outline.block("markers"):
+        yield Fault(here, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
+    if tag in before:
+        yield Fault(here, f"{tag!r} once", "a second one", "Remove one of them.")
+    if tag == "fit-shape" and "specimen-frame" not in before:
+        remedy = "Put the step 'specimen-frame' before it."
+        yield Fault(here, "'specimen-frame' before 'fit-shape'", "no such step before", remedy)
+
+
+_ADD_MARKERS = "Add the source 'markers'."
+
+
+def _channel_faults(
+    block: Values, path: KeyPath, known: list[str], outline: Outline | None = None
+) -> Faults:
+    """Find a channel that does not exist, or not yet."""
+    name = block.get(str(path[-1]))
+    if not isinstance(name, str) or name in known:
+        return
+    if outline is not None and name in outline.made:
+        remedy = "Move it behind the step that makes this channel."
+        yield Fault(path, "a channel that exists at this step", repr(name), remedy)
+        return
+    expected = f"one of the channels {one_of(name, known)}" if known else "a channel"
+    remedy = did_you_mean(name, known) or "No source gives a channel."
+    yield Fault(path, expected, repr(name), remedy)
+
+
+def _span_faults(outline: Outline, step: Values, path: KeyPath) -> Faults:
+    span = step.get("span")
+    if isinstance(span, str) and span.strip().endswith("%") and not outline.block("branches"):
+        remedy = "Add the block 'branches', or give the span in s."
+        yield Fault(path, "a span of time or samples where there are no branches", span, remedy)
+
+
+def _all_channels(outline: Outline) -> list[str]:
+    return [channel.name for channel in outline.channels] + outline.made
+
+
+def _align_faults(outline: Outline) -> Faults:
+    align = outline.block("align")
+    if not outline.turning_points:
+        return
+    sources = [channel.name for channel in outline.channels]
+    yield from _channel_faults(align, ("align", "channel"), sources)
+    here = ("align", "method")
+    if not outline.has_markers():
+        yield Fault(here, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
+    elif not outline.clamp:
+        remedy = "Name the rigid body at the clamp in 'markers.clamp'."
+        yield Fault(here, "a clamp whose motion has the turning points", "none", remedy)
+
+
+def _curve_faults(outline: Outline) -> Faults:
+    curve = outline.block("curve")
+    for key, unit in (("force", "N"), ("displacement", "m")):
+        name = curve.get(key)
+        yield from _channel_faults(curve, ("curve", key), _all_channels(outline))
+        found = outline.unit_of(name) if isinstance(name, str) else None
+        if found not in (None, unit):
+            expected = f"a channel in {unit}"
+            yield Fault(("curve", key), expected, f"{name!r} in {found}", "Name another channel.")
+    clocks = {outline.clock_of(str(name)) for name in curve.values()} - {None}
+    if len(clocks) > 1 and not outline.turning_points:
+        remedy = "Set 'align.method' to 'turning-points'."
+        path: KeyPath = ("align", "method") if outline.block("align") else ("curve",)
+        yield Fault(path, "a method that joins the two clocks of the curve", "none", remedy)
+
+
+def _branch_faults(outline: Outline) -> Faults:
+    branches = outline.block("branches")
+    yield from _channel_faults(branches, ("branches", "channel"), _all_channels(outline))
+    if branches and not outline.block("curve"):
+        yield _lacking(("branches",), "curve", "'branches'")
+
+
+def _result_faults(outline: Outline) -> Faults:
+    seen: list[object] = []
+    for number, tag, entry in outline.entries("results", "result"):
+        path: KeyPath = ("results", number, "result")
+        yield from _need_faults(outline, tag, path)
+        name = entry.get("name", tag)
+        if name in seen:
+            remedy = "Give it another 'name'." if tag == "stiffness" else "Remove one of them."
+            yield Fault(path, "each result once", f"a second {name!r}", remedy)
+        seen.append(name)
+
+
+def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
+    if tag in _BRANCH_RESULTS:
+        for block in ("curve", "branches"):
+            if not outline.block(block):
+                yield _lacking(path, block, repr(tag))
+    if tag == "clock" and not outline.turning_points:
+        yield _lacking_word(path, "align.method", "turning-points", repr(tag))
+    if tag == "tip-travel":
+        yield from _shape_faults(outline, tag, path)
+
+
+def _shape_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
+    if "fit-shape" not in [step for _, step, _ in outline.entries("steps", "step")]:
+        remedy = "Add the step 'fit-shape'."
+        yield Fault(path, f"the step 'fit-shape' for {tag!r}", "no such step", remedy)
+
+
+def _figure_faults(outline: Outline) -> Faults:
+    said = outline.block("report").get("figures")
+    names = said if isinstance(said, list) else []
+    for number, name in enumerate(names):
+        path: KeyPath = ("report", "figures", number)
+        if name in ("force-displacement", "timeline") and not outline.block("curve"):
+            yield _lacking(path, "curve", repr(name))
+        if name == "wire-shapes":
+            yield from _shape_faults(outline, name, path)
+        if name == "marker-quality" and not outline.has_markers():
+            yield Fault(path, f"a source of marker tracks for {name!r}", "none", _ADD_MARKERS)
+        if name in names[:number]:
+            yield Fault(path, "each figure once", f"{name!r} again", "Remove one of them.")
+
+
+def _display_faults(outline: Outline) -> Faults:
+    for quantity, unit in outline.block("report", "display").items():
+        path: KeyPath = ("report", "display", quantity)
+        if quantity not in SI_UNITS:
+            remedy = did_you_mean(quantity, SI_UNITS)
+            expected = f"one of the quantities {one_of(quantity, SI_UNITS)}"
+            yield Fault(path, expected, repr(quantity), remedy, "key")
+            continue
+        try:
+            si_factor(str(unit), SI_UNITS[quantity])
+        except ValueError:
+            expected = f"a unit of {quantity} such as {SI_UNITS[quantity]}"
+            yield Fault(path, expected, repr(unit), "Write the unit alone, without a number.")
+
+
+def _lacking(path: KeyPath, block: str, needed_for: str) -> Fault:
+    expected = f"a block {block!r} for {needed_for}"
+    return Fault(path, expected, "none", f"Add the block {block!r}.")
+
+
+def _lacking_word(path: KeyPath, key: str, word: str, needed_for: str) -> Fault:
+    expected = f"{key!r} to be {word!r} for {needed_for}"
+    return Fault(path, expected, "another", f"Set {key!r} to {word!r}.")

@@ -1,0 +1,175 @@
+"""Faults of a protocol or test sheet in the words of the bench, whichever check found them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, TypeAlias
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+from labpipe.errors import nearest
+
+KeyPath: TypeAlias = tuple[str | int, ...]
+"""Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
+
+_TYPE = "labpipe"
+_EXPECTED = {
+    "model_type": "a block of keys with values",
+    "model_attributes_type": "a block of keys with values",
+    "dict_type": "a block of keys with values",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "string_type": "text",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong, and where.
+
+    Parameters
+    ----------
+    path : way to the value in the YAML file
+    expected, found : as in every message of labpipe
+    remedy : what to do about it; may be empty
+    at : whether the key itself is at fault, or its value
+    """
+
+    path: KeyPath
+    expected: str
+    found: str
+    remedy: str = ""
+    at: Literal["key", "value"] = "value"
+
+
+def one_of(word: str, known: Iterable[str]) -> str:
+    """List what would have been valid, nearest first.
+
+    Parameters
+    ----------
+    word : what was written
+    known : what would have been valid
+    """
+    words = sorted(set(known))
+    listed = nearest(word, words, most=6)
+    more = ", ..." if len(words) > len(listed) else ""
+    return f"{', '.join(repr(each) for each in listed)}{more}"
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Offer the valid word that is most like the one written; empty if nothing is valid."""
+    best = nearest(word, sorted(set(known)), most=1)
+    return f"Did you mean {best[0]!r}?" if best else ""
+
+
+def shown(value: object) -> str:
+    """Name a value of a YAML file in a message."""
+    if value is None:
+        return "nothing"
+    if isinstance(value, Mapping):
+        return "a block of keys"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "a list"
+    return repr(str(value))
+
+
+def error_of(*, expected: str, found: object, remedy: str = "") -> PydanticCustomError:
+    """Make the error that a validator of the schema raises.
+
+    Parameters
+    ----------
+    expected : what should stand there
+    found : the value that does
+    remedy : what to do about it; may be empty
+    """
+    return _error(Fault((), expected, shown(found), remedy))
+
+
+def raised(faults: Iterable[Fault], data: object) -> ValidationError:
+    """Make one validation error of several faults.
+
+    Parameters
+    ----------
+    faults : what is wrong, with paths from where the validator stands
+    data : what was validated
+    """
+    lines = [InitErrorDetails(type=_error(each), loc=each.path, input=data) for each in faults]
+    return ValidationError.from_exception_data("labpipe", lines)
+
+
+def faults_of(error: ValidationError, *, data: object, keys: Iterable[str]) -> list[Fault]:
+    """Word the errors of one block, those of its inner blocks being worded already.
+
+    Parameters
+    ----------
+    error : what pydantic found
+    data : the block as it was validated
+    keys : the valid keys of the block
+    """
+    known = list(keys)
+    return [_worded(line, data, known) for line in error.errors(include_url=False)]
+
+
+def _error(fault: Fault) -> PydanticCustomError:
+    context = {
+        "expected": fault.expected,
+        "found": fault.found,
+        "remedy": fault.remedy,
+        "at": fault.at,
+    }
+    return PydanticCustomError(_TYPE, "expected {expected}, found {found}. {remedy}", context)
+
+
+def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
+    path = _path_in(data, line["loc"])
+    context = line.get("ctx", {})
+    if line["type"] == "labpipe":
+        told = (context[part] for part in ("expected", "found", "remedy", "at"))
+        return Fault(path, *told)
+    if line["type"] in ("missing", "union_tag_not_found"):
+        key = _quoted(context["discriminator"])[0] if context else line["loc"][-1]
+        return Fault(path, f"the key {key!r}", "no such key", f"Add the key {key!r}.")
+    match line["type"]:
+        case "extra_forbidden":
+            word = str(path[-1])
+            expected = f"one of the keys {one_of(word, keys)}"
+            return Fault(path, expected, repr(word), did_you_mean(word, keys), "key")
+        case "union_tag_invalid":
+            tag = _quoted(context["discriminator"])[0]
+            return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
+        case "literal_error":
+            found = path[-1] if line["loc"][-1] == "[key]" else line["input"]
+            return _not_one_of(path, found, _quoted(context["expected"]))
+        case other:
+            expected = _EXPECTED.get(other, line["msg"])
+            return Fault(path, expected, shown(line["input"]))
+
+
+def _not_one_of(path: KeyPath, found: object, known: list[str]) -> Fault:
+    word = str(found)
+    remedy = did_you_mean(word, known)
+    return Fault(path, f"one of {one_of(word, known)}", shown(found), remedy)
+
+
+def _quoted(text: str) -> list[str]:
+    return re.findall(r"'([^']*)'", text)
+
+
+def _path_in(data: object, location: tuple[int | str, ...]) -> KeyPath:
+    """Strip from a pydantic location what is no place in the YAML: union tags, missing keys."""
+    path: list[str | int] = []
+    node: Any = data
+    for part in location:
+        if _holds(node, part):
+            node = node[part]
+            path.append(part)
+    return tuple(path)
+
+
+def _holds(node: object, part: int | str) -> bool:
+    if isinstance(node, Mapping):
+        return part in node
+    return isinstance(node, list) and isinstance(part, int) and part < len(node)

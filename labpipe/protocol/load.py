@@ -1,0 +1,211 @@
+"""From YAML to a protocol or a test sheet and back; every fault found is told in one error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import ValidationError
+
+from labpipe.errors import ProtocolError
+from labpipe.protocol.block import Block
+from labpipe.protocol.faults import Fault, did_you_mean, faults_of, one_of
+from labpipe.protocol.overrides import with_overrides
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet import COPY_IT, TestSheet
+from labpipe.protocol.shipped import find_protocol
+from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text
+
+_B = TypeVar("_B", bound=Block)
+
+
+def load_protocol(path: Path) -> Protocol:
+    """Read a protocol.
+
+    Parameters
+    ----------
+    path : the YAML file
+
+    Returns
+    -------
+    The protocol, defaults filled in.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
+    return parse_protocol(read_text(path), str(path))
+
+
+def parse_protocol(text: str, name: str) -> Protocol:
+    """Read a protocol from text, such as the one that a result file holds.
+
+    Parameters
+    ----------
+    text : YAML
+    name : where it comes from, as in messages
+
+    Returns
+    -------
+    The protocol, defaults filled in.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
+    return _checked(Protocol, parse_yaml(text, name))
+
+
+def load_test_sheet(path: Path) -> TestSheet:
+    """Read a test sheet, and see that the files it names do not leave its folder.
+
+    Parameters
+    ----------
+    path : the ``test.yaml``
+
+    Returns
+    -------
+    The test sheet.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
+    document = parse_yaml(read_text(path), str(path))
+    return _checked(TestSheet, document, lambda sheet: _leaving(sheet, path.parent))
+
+
+def parse_test_sheet(text: str, name: str) -> TestSheet:
+    """Read a test sheet from text, such as the one that a result file holds.
+
+    Parameters
+    ----------
+    text : YAML
+    name : where it comes from, as in messages
+
+    Returns
+    -------
+    The test sheet.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
+    return _checked(TestSheet, parse_yaml(text, name))
+
+
+def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -> Protocol:
+    """Find the protocol of a test and put the test's own values into it.
+
+    Parameters
+    ----------
+    sheet : the test sheet
+    sheet_path : the file that it was loaded from
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+
+    Returns
+    -------
+    The protocol, with defaults, overrides and the specimen's dimensions filled in.
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such protocol, it is wrong, an override does not fit it, or the roles of the
+        files are not those of its sources; the message has one line per fault.
+    """
+    said = parse_yaml(read_text(sheet_path), str(sheet_path))
+    found = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
+    if isinstance(found, Fault):
+        raise _complaint([said.place(found)])
+    plain = parse_yaml(read_text(found), str(found))
+    merged = with_overrides(plain, said)
+    told = [*merged.told, *(said.place(fault) for fault in _role_faults(sheet, merged))]
+    try:
+        protocol = Protocol.model_validate(merged.data)
+    except ValidationError as error:
+        faults = faults_of(error, data=merged.data, keys=())
+        remark = f"(With what {sheet_path} changes.)" if _is_sound(plain) else ""
+        placed = [merged.place(fault) for fault in faults]
+        again = [merged.place(fault, remark) for fault in faults]
+        both = zip(placed, again, strict=True)
+        told += [bare if bare.file == str(sheet_path) else full for bare, full in both]
+        raise _complaint(told) from None
+    if told:
+        raise _complaint(told)
+    return protocol
+
+
+def dump_protocol(protocol: Protocol) -> str:
+    """Write a protocol as YAML with units, defaults filled in.
+
+    Parameters
+    ----------
+    protocol : the protocol
+
+    Returns
+    -------
+    Text that `parse_protocol` reads into an equal protocol.
+    """
+    data = protocol.model_dump(mode="json", by_alias=True)
+    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=1000)
+
+
+def _checked(
+    model: type[_B],
+    document: Document,
+    more: Callable[[_B], Iterable[Fault]] = lambda _block: (),
+) -> _B:
+    """Validate a document; tell all its faults at once."""
+    told = list(document.told)
+    try:
+        block = model.model_validate(document.data)
+    except ValidationError as error:
+        faults = faults_of(error, data=document.data, keys=())
+        raise _complaint([*told, *map(document.place, faults)]) from None
+    told += [document.place(fault) for fault in more(block)]
+    if told:
+        raise _complaint(told)
+    return block
+
+
+def _complaint(told: list[Told]) -> ProtocolError:
+    lines = sorted({(each.file, each.mark, each.text) for each in told})
+    return ProtocolError("\n".join(text for _, _, text in lines))
+
+
+def _is_sound(document: Document) -> bool:
+    try:
+        Protocol.model_validate(document.data)
+    except ValidationError:
+        return False
+    return True
+
+
+def _leaving(sheet: TestSheet, folder: Path) -> Iterable[Fault]:
+    """Find files that a symbolic link takes out of the folder of the test."""
+    home = folder.resolve()
+    for role, names in sheet.files.items():
+        for name in names:
+            if not (folder / name).resolve().is_relative_to(home):
+                expected = "a file inside the folder of the test"
+                yield Fault(("files", role), expected, f"{name!r}, a link out of it", COPY_IT)
+
+
+def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
+    """Find roles that only one of test sheet and protocol has."""
+    data = protocol.data if isinstance(protocol.data, Mapping) else {}
+    sources = data.get("sources")
+    roles = [str(role) for role in sources] if isinstance(sources, Mapping) else []
+    for role in sheet.files:
+        if roles and role not in roles:
+            expected = f"a role of the protocol: {one_of(role, roles)}"
+            yield Fault(("files", role), expected, repr(role), did_you_mean(role, roles), "key")
+    for missing in sorted(set(roles) - set(sheet.files)):
+        expected = f"a file in the role {missing!r}"
+        yield Fault(("files",), expected, "none", "Add it to 'files'.")

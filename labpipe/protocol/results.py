@@ -1,0 +1,100 @@
+"""Results of a protocol: the numbers that are taken from the curve and the shape."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.faults import error_of
+from labpipe.protocol.quantities import Distance, Force, Length, Snake
+
+
+class ClockResult(Block):
+    """``clock_offset`` (s) and ``clock_drift`` (1) of the two clocks."""
+
+    result: Literal["clock"]
+
+
+class PeakForce(Block):
+    """``peak_force.<cycle>`` (N)."""
+
+    result: Literal["peak-force"]
+
+
+class PeakDisplacement(Block):
+    """``peak_displacement.<cycle>`` (m)."""
+
+    result: Literal["peak-displacement"]
+
+
+class _Window(Block):
+    """A stretch of displacement."""
+
+    result: str
+    start: Distance = Field(alias="from")
+    stop: Distance = Field(alias="to")
+
+    @field_validator("stop")
+    @classmethod
+    def _behind_start(cls, stop: float, info: ValidationInfo) -> float:
+        start = info.data.get("start")
+        if start is not None and stop <= start:
+            raise error_of(
+                expected=f"more than 'from' ({1e3 * start:.12g} mm)", found=f"{1e3 * stop:.12g} mm"
+            )
+        return stop
+
+
+class InitialStiffness(_Window):
+    """``initial_stiffness`` (N/m): slope at the start of the first loading."""
+
+    result: Literal["initial-stiffness"]
+
+
+class Stiffness(_Window):
+    """A straight line (N/m) over a window of the first loading, under a name of its own."""
+
+    result: Literal["stiffness"]
+    name: Snake = Field("stiffness", description="Such as stiffness_first")
+
+
+class UnloadingStiffness(Block):
+    """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
+
+    result: Literal["unloading-stiffness"]
+    over: Length
+
+
+class Energy(Block):
+    """``energy.<cycle>`` (J): dissipated over one cycle."""
+
+    result: Literal["energy"]
+
+
+class ResidualDisplacement(Block):
+    """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
+
+    result: Literal["residual-displacement"]
+    force_below: Force
+
+
+class TipTravel(Block):
+    """``tip_travel`` (m): how far the tip moves from where it began."""
+
+    result: Literal["tip-travel"]
+
+
+ResultEntry: TypeAlias = Annotated[
+    ClockResult
+    | PeakForce
+    | PeakDisplacement
+    | InitialStiffness
+    | UnloadingStiffness
+    | Energy
+    | ResidualDisplacement
+    | Stiffness
+    | TipTravel,
+    Field(discriminator="result"),
+]

@@ -1,0 +1,133 @@
+"""Blocks of a protocol that describe the rig, the specimen, the markers and the report."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field, PlainValidator, WithJsonSchema
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.faults import error_of
+from labpipe.protocol.quantities import (
+    Area,
+    Distance,
+    Duration,
+    Length,
+    Mass,
+    Offset,
+    Ratio,
+    Snake,
+    Speed,
+    Text,
+    Whole,
+)
+
+
+class Section(Block):
+    """Cross-section of the specimen; give what is known."""
+
+    outer_diameter: Length | None = None
+    inner_diameter: Length | None = None
+    wall: Length | None = None
+    width: Length | None = None
+    thickness: Length | None = None
+    area: Area | None = None
+
+
+class SpecimenBlock(Block):
+    """Dimensions that all specimens of the protocol share."""
+
+    length: Length | None = Field(None, description="Free length; a test sheet can give its own")
+    span: Length | None = Field(None, description="Distance of the supports")
+    section: Section | None = None
+
+
+class LoadString(Block):
+    """The string between specimen and load cell."""
+
+    length: Length
+    counterweight: Mass = 0.0
+
+
+class Rig(Block):
+    """What the machine was told to do; a check on the recordings, never a measurement."""
+
+    crosshead_speed: Speed | None = None
+    stroke: Length | None = None
+    cycles: Annotated[int, Whole(1, 1_000_000)] | None = None
+    string: LoadString | None = None
+
+
+def _all_or_names(value: object) -> object:
+    if value == "all":
+        return value
+    names = value if isinstance(value, list | tuple) else [value]
+    if not names or not all(isinstance(name, str) and name for name in names):
+        raise error_of(expected="the word 'all', or a list of marker names", found=value)
+    return tuple(names)
+
+
+Along: TypeAlias = Annotated[
+    Literal["all"] | tuple[str, ...],
+    PlainValidator(_all_or_names),
+    WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
+]
+
+
+class Markers(Block):
+    """What the markers of a take stand for."""
+
+    clamp: Text | None = Field(description="Rigid body at the clamped end; null if there is none")
+    along: Along = Field(
+        "all", description="Markers along the specimen: all, or a list of names and patterns"
+    )
+    rings: Literal["none", "by-body"] = Field(
+        "none", description="by-body: markers of one body stand for the centre of their ring"
+    )
+    grip_offset: Offset = Field(0.0, description="Pivot of the clamp to the clamped end")
+    pull_offset: Distance = Field(0.0, description="Last marker to the string, along the specimen")
+    centre_offset: Offset = Field(0.0, description="Axis to marker centre, towards the pull")
+
+
+class AlignNone(Block):
+    """One clock: nothing to align."""
+
+    method: Literal["none"] = "none"
+
+
+class AlignTurningPoints(Block):
+    """Two clocks, joined at the turning points that both saw."""
+
+    method: Literal["turning-points"]
+    channel: Snake = Field(description="Channel whose corners mark the turning points")
+    motion_window: Duration = Field(description="On each side of a turning point of the clamp")
+    force_window: Duration = Field(description="On each side of a corner of the channel")
+    max_residual: Duration = Field(description="Doubtful above")
+    max_drift: Ratio = Field(description="Doubtful above")
+
+
+Align: TypeAlias = Annotated[AlignNone | AlignTurningPoints, Field(discriminator="method")]
+
+
+class CurveBlock(Block):
+    """Which channels make the curve."""
+
+    force: Snake
+    displacement: Snake
+
+
+class Branches(Block):
+    """How the curve is cut into loading and unloading."""
+
+    channel: Snake = Field(description="Channel whose turning points part the branches")
+    min_stroke: Length = Field(description="Smaller movements back and forth are noise")
+
+
+FigureName: TypeAlias = Literal["force-displacement", "wire-shapes", "timeline", "marker-quality"]
+
+
+class Report(Block):
+    """What people get to see."""
+
+    display: dict[str, Text] = Field({}, description="Unit of each quantity, such as force: mN")
+    figures: tuple[FigureName, ...] = ()

@@ -1,0 +1,130 @@
+"""The grammar of a test sheet (test.yaml): what was tested, when, and which exports there are."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from datetime import date
+from pathlib import PurePosixPath, PureWindowsPath
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.faults import Fault, did_you_mean, error_of
+from labpipe.protocol.quantities import FileStem, Length, Remark, Text
+from labpipe.protocol.source import Role
+
+SHEET_NAME = "test.yaml"
+
+
+class SheetSpecimen(Block):
+    """What was tested: samples are cut from a spool, spools belong to a type."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, Length]
+
+    type: Text
+    spool: Text
+    sample: Text
+    length: Length | None = Field(None, description="Free length; goes before the protocol's")
+
+    @property
+    def dimensions(self) -> dict[str, float]:
+        """Lengths by name, m."""
+        length = {} if self.length is None else {"length": self.length}
+        return length | dict(self.__pydantic_extra__)
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Refuse dimensions that look like a misspelt key."""
+        if not isinstance(data, Mapping):
+            return []
+        known = [*cls.keys(), "span"]
+        return [_misspelt(str(key), known) for key in data if _is_misspelt(str(key), known)]
+
+
+def _is_misspelt(key: str, known: list[str]) -> bool:
+    if key in known:
+        return False
+    if re.fullmatch(r"[a-z][a-z0-9_]*", key) is None:
+        return True
+    return bool(difflib.get_close_matches(key, known, n=1, cutoff=0.8))
+
+
+def _misspelt(key: str, known: list[str]) -> Fault:
+    expected = "a known key, or the name of a dimension in small letters"
+    return Fault((key,), expected, repr(key), did_you_mean(key, known), "key")
+
+
+def _inside(value: object) -> str:
+    """Take the name of a file in the folder of the test, or below it."""
+    name = str(value)
+    roots = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
+    if not isinstance(value, str) or not name.strip():
+        raise error_of(expected="the name of a file", found=value)
+    if roots or ".." in PureWindowsPath(name).parts:
+        raise error_of(expected="a file inside the folder of the test", found=value, remedy=COPY_IT)
+    return name
+
+
+COPY_IT = "Copy the export into the folder of the test and name it from there."
+
+
+def _listed(value: object) -> object:
+    return [value] if isinstance(value, str) else value
+
+
+FileNames = Annotated[
+    tuple[Annotated[str, BeforeValidator(_inside)], ...],
+    BeforeValidator(_listed),
+    Field(min_length=1),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string"},
+                {"type": "array", "minItems": 1, "items": {"type": "string"}},
+            ]
+        }
+    ),
+]
+
+
+def _date(value: object) -> date | None:
+    if value is None or type(value) is date:
+        return value
+    try:
+        return date.fromisoformat(str(value))
+    except ValueError as error:
+        raise error_of(expected="a date such as 2026-03-04", found=value) from error
+
+
+Day = Annotated[
+    date | None,
+    BeforeValidator(_date),
+    WithJsonSchema({"type": ["string", "null"], "format": "date"}),
+]
+
+
+class Override(Block):
+    """A value of the protocol that this test changes, and why."""
+
+    value: Any
+    because: Text
+
+
+class TestSheet(Block):
+    """One test: a specimen, a protocol and the exports."""
+
+    __test__ = False  # not a test of this project, whatever its name suggests to pytest
+
+    test: FileStem
+    protocol: Text = Field(description="Name of a protocol, or a path to one")
+    specimen: SheetSpecimen
+    date: Day = None
+    operator: Remark = ""
+    files: dict[Role, FileNames] = Field(
+        min_length=1, description="By role: a file, or the parts of one recording in order"
+    )
+    overrides: dict[str, Override] = Field({}, description="By dotted key of the protocol")

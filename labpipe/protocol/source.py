@@ -1,0 +1,142 @@
+"""Sources of a protocol: which exports come, which channels are wanted, in which units."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, get_args
+
+from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.quantities import SI_UNITS, Ratio, Snake, Text
+from labpipe.units import parse_quantity, si_factor
+
+Role = Literal["force", "markers", "frame"]
+ReaderName = Literal["dspace-mat", "dspace-csv", "dspace-mf4", "motive-csv", "motive-xlsx"]
+READERS: Final[tuple[str, ...]] = get_args(ReaderName)
+"""The readers a protocol can name; `labpipe.readers` must offer each of them."""
+MARKER_READERS: Final = frozenset({"motive-csv", "motive-xlsx"})
+"""Those whose exports hold marker tracks rather than channels."""
+
+
+def _listed(value: object) -> object:
+    """Take one word for a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
+Readers = Annotated[
+    tuple[ReaderName, ...],
+    BeforeValidator(_listed),
+    Field(min_length=1),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"enum": list(READERS)},
+                {"type": "array", "minItems": 1, "items": {"enum": list(READERS)}},
+            ]
+        }
+    ),
+]
+
+
+class Calibration(Block):
+    """A straight line from what the instrument wrote to what it stands for."""
+
+    gain: Text = Field(description="Such as 0.5 N/V: target unit per unit of the channel")
+    offset: Text | None = Field(None, description="Such as 0.01 N: added after the gain")
+    gain_uncertainty: Ratio = Field(
+        0.0, description="Standard uncertainty of the gain, such as 1 %"
+    )
+
+
+class ChannelSource(Block):
+    """One channel of an export."""
+
+    channel: Text = Field(description="Name or full path in the export, as `labpipe inspect` says")
+    unit: Text | None = Field(None, description="Unit in the export, where the export is silent")
+    calibration: Calibration | None = None
+    quantity: Snake | None = Field(None, description="Needed where the name does not say it")
+    _name: str = PrivateAttr("")
+
+    @property
+    def target_unit(self) -> str:
+        """SI unit of the channel once calibrated."""
+        return SI_UNITS[self.quantity or self._name]
+
+    @property
+    def channel_unit(self) -> str | None:
+        """SI unit of the channel before calibration; None where the export must say it."""
+        if self.unit is None:
+            return None
+        return self.target_unit if self.calibration is None else si_unit_like(self.unit)
+
+    @property
+    def gain(self) -> float:
+        """Calibration gain, `target_unit` per `channel_unit`; 1 without a calibration."""
+        if self.calibration is None:
+            return 1.0
+        return parse_quantity(self.calibration.gain, f"{self.target_unit}/({self.channel_unit})")
+
+    @property
+    def offset(self) -> float:
+        """Calibration offset, in `target_unit`; 0 without one."""
+        if self.calibration is None or self.calibration.offset is None:
+            return 0.0
+        return parse_quantity(self.calibration.offset, self.target_unit)
+
+    @property
+    def gain_uncertainty(self) -> float:
+        """Standard uncertainty of the gain as a ratio; 0 where nobody has said it."""
+        return 0.0 if self.calibration is None else self.calibration.gain_uncertainty
+
+    def named(self, name: str) -> ChannelSource:
+        """Give back the same channel under the name that labpipe uses for it."""
+        channel = self.model_copy()
+        channel._name = name
+        return channel
+
+
+class Source(Block):
+    """One export of a test, or several parts of one."""
+
+    reader: Readers = Field(description="The format, or the formats, that the export may have")
+    channel: Text | None = Field(None, description="Short for one channel named like the role")
+    unit: Text | None = None
+    calibration: Calibration | None = None
+    quantity: Snake | None = None
+    channels: dict[Snake, ChannelSource] | None = None
+    _role: str = PrivateAttr("")
+
+    @property
+    def all_channels(self) -> dict[str, ChannelSource]:
+        """The channels by name, however they were written; empty for marker tracks."""
+        if self.channel is not None:
+            single = ChannelSource(
+                channel=self.channel,
+                unit=self.unit,
+                calibration=self.calibration,
+                quantity=self.quantity,
+            )
+            return {self._role: single.named(self._role)}
+        return {name: each.named(name) for name, each in (self.channels or {}).items()}
+
+    def in_role(self, role: str) -> Source:
+        """Give back the same source, knowing its role."""
+        source = self.model_copy()
+        source._role = role
+        return source
+
+
+def si_unit_like(unit: str) -> str | None:
+    """Find the SI unit of the dimension of a unit; None if no quantity has it.
+
+    Parameters
+    ----------
+    unit : as written, such as ``mV``
+    """
+    for si_unit in SI_UNITS.values():
+        try:
+            si_factor(unit, si_unit)
+        except ValueError:
+            continue
+        return si_unit
+    return None

@@ -1,0 +1,83 @@
+"""Steps of a protocol: what is done to the recordings, in order."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from pydantic import Field
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.quantities import (
+    Duration,
+    Frequency,
+    Length,
+    Snake,
+    SpanOf,
+    Whole,
+)
+
+
+class RepairMarkers(Block):
+    """Undo label switches, fill short gaps, flag what was touched."""
+
+    step: Literal["repair-markers"]
+    max_gap: Duration = Field(description="Longer gaps stay gaps")
+    max_jump: Length = Field(description="Farther than a marker moves between two frames")
+    frozen: Duration = Field(description="A track that stands still for longer is lost")
+
+
+class SpecimenFrame(Block):
+    """Turn the markers into the frame of the specimen; with a clamp, this makes `travel`."""
+
+    step: Literal["specimen-frame"]
+    over: Duration = Field(description="Stretch at the start that defines the straight specimen")
+
+
+class FitShape(Block):
+    """Fit a smooth curve through the markers of every frame; this makes `deflection`."""
+
+    step: Literal["fit-shape"]
+    terms: Annotated[int, Whole(2, 12)]
+    tip: Literal["free", "loaded"] = Field(description="free: no bending moment at the tip")
+
+
+class Zero(Block):
+    """Subtract the mean of a stretch without load."""
+
+    step: Literal["zero"]
+    channel: Snake
+    over: Duration
+    at: Literal["start", "end"] = "start"
+
+
+class Smooth(Block):
+    """Smooth by a centred moving average."""
+
+    step: Literal["smooth"]
+    channel: Snake
+    method: Literal["moving-average"]
+    span: SpanOf
+
+
+class LowPass(Block):
+    """Smooth by a zero-phase Butterworth filter."""
+
+    step: Literal["low-pass"]
+    channel: Snake
+    cutoff: Frequency
+    order: Annotated[int, Whole(1, 8)]
+
+
+class Decimate(Block):
+    """Keep every so many samples."""
+
+    step: Literal["decimate"]
+    channel: Snake
+    factor: Annotated[int, Whole(2, 100_000)]
+    method: Literal["filtered", "stride"] = "filtered"
+
+
+Step: TypeAlias = Annotated[
+    RepairMarkers | SpecimenFrame | FitShape | Zero | Smooth | LowPass | Decimate,
+    Field(discriminator="step"),
+]

@@ -1,0 +1,241 @@
+"""YAML text to plain values, remembering where each one stands.
+
+Unquoted words stay text: YAML 1.1 would make the number 333 of a test called ``0333``, and *false*
+of ``no``. What a value is, its key decides. Aliases, tags and repeated keys are refused: a protocol
+is read by people.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import yaml
+
+from labpipe.errors import ProtocolError, complaint
+from labpipe.protocol.faults import Fault, KeyPath, shown
+
+Mark: TypeAlias = tuple[int, int]
+"""Line and column, counted from 1."""
+_PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
+_NOTHING = ("", "~", "null")
+
+
+@dataclass(frozen=True, slots=True)
+class Spot:
+    """Where a key and its value stand.
+
+    Parameters
+    ----------
+    file : name of the YAML file
+    key, value : where each begins
+    """
+
+    file: str
+    key: Mark
+    value: Mark
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """One fault, placed, ready to be listed with others.
+
+    Parameters
+    ----------
+    file : name of the YAML file
+    mark : line and column
+    text : the whole message
+    """
+
+    file: str
+    mark: Mark
+    text: str
+
+
+@dataclass(slots=True)
+class Document:
+    """The content of one YAML file.
+
+    Parameters
+    ----------
+    file : its name, as in messages
+    data : blocks as dict, lists as list, everything else as text or None
+    spots : where each value stands
+    told : what is wrong with the YAML itself
+    """
+
+    file: str
+    data: object = None
+    spots: dict[KeyPath, Spot] = field(default_factory=dict)
+    told: list[Told] = field(default_factory=list)
+
+    def at(self, path: KeyPath) -> object:
+        """Find the value under a path.
+
+        Parameters
+        ----------
+        path : of a value that is there
+        """
+        node: Any = self.data
+        for part in path:
+            node = node[part]
+        return node
+
+    def place(self, fault: Fault, remark: str = "") -> Told:
+        """Say where a fault stands.
+
+        Parameters
+        ----------
+        fault : what is wrong; a path that is not in the file stands for the block around it
+        remark : added to the end
+        """
+        path = fault.path
+        while path not in self.spots:
+            path = path[:-1]
+        spot = self.spots[path]
+        mark = spot.key if fault.at == "key" else spot.value
+        return tell(spot.file, mark, fault, remark)
+
+
+def tell(file: str, mark: Mark, fault: Fault, remark: str = "") -> Told:
+    """Word a fault with its line, column and dotted key.
+
+    Parameters
+    ----------
+    file : name of the YAML file
+    mark : line and column
+    fault : what is wrong
+    remark : added to the end
+    """
+    key = ".".join(str(part) for part in fault.path)
+    place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
+    remedy = " ".join(part for part in (fault.remedy, remark) if part)
+    text = complaint(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
+    return Told(file, mark, text.rstrip())
+
+
+def read_text(path: Path) -> str:
+    """Read a YAML file as UTF-8 text.
+
+    Parameters
+    ----------
+    path : the file
+
+    Raises
+    ------
+    ProtocolError
+        If there is no such file, or it is not text.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        found = f"the byte 0x{error.object[error.start]:02x}"
+        remedy = "Save it as UTF-8."
+        text = complaint(
+            path, f"byte {error.start}", expected="UTF-8 text", found=found, remedy=remedy
+        )
+        raise ProtocolError(text) from error
+    except OSError as error:
+        found = (error.strerror or str(error)).lower()
+        remedy = "Check the name and the folder."
+        text = complaint(path, "", expected="a YAML file", found=found, remedy=remedy)
+        raise ProtocolError(text) from error
+
+
+def parse_yaml(text: str, file: str) -> Document:
+    """Parse YAML text into plain values.
+
+    Parameters
+    ----------
+    text : the content of the file
+    file : its name, as in messages
+
+    Returns
+    -------
+    The document; faults that leave it readable (a repeated key) are in it.
+
+    Raises
+    ------
+    ProtocolError
+        If the text is not YAML.
+    """
+    document = Document(file)
+    node = _compose(text, file)
+    if node is None:
+        document.spots[()] = Spot(file, (1, 1), (1, 1))
+    else:
+        document.spots[()] = Spot(file, _mark(node), _mark(node))
+        document.data = _value(node, (), document)
+    return document
+
+
+def _compose(text: str, file: str) -> yaml.Node | None:
+    try:
+        for event in yaml.parse(text, Loader=yaml.BaseLoader):
+            if isinstance(event, yaml.AliasEvent):
+                mark = _mark(event)
+                fault = Fault((), "a value", f"the alias '*{event.anchor}'", "Write it out.")
+                raise ProtocolError(tell(file, mark, fault).text)
+        return yaml.compose(text, Loader=yaml.BaseLoader)
+    except RecursionError as error:
+        remedy = "Write the file in fewer levels."
+        message = complaint(file, "", expected="YAML", found="endless nesting", remedy=remedy)
+        raise ProtocolError(message) from error
+    except yaml.YAMLError as error:
+        raise ProtocolError(_syntax(error, text, file)) from error
+
+
+def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
+    """Word an error of the YAML library."""
+    mark = getattr(error, "problem_mark", None)
+    if mark is not None:
+        place = f"line {mark.line + 1}, column {mark.column + 1}"
+    else:
+        before = text[: getattr(error, "position", 0)]
+        place = f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
+    problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "something else"
+    context = getattr(error, "context", None)
+    found = f"{problem} {context}" if context else str(problem)
+    remedy = "Look at this line and the one before it: indentation, ':' and brackets."
+    return complaint(file, place, expected="YAML", found=found, remedy=remedy)
+
+
+def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
+    if node.tag not in _PLAIN_TAGS:
+        fault = Fault(path, "a plain value", f"the tag {node.tag!r}", "Leave the tag out.")
+        document.told.append(tell(document.file, _mark(node), fault))
+    if isinstance(node, yaml.MappingNode):
+        return _block(node, path, document)
+    if isinstance(node, yaml.SequenceNode):
+        return [_item(each, (*path, i), document) for i, each in enumerate(node.value)]
+    is_plain = isinstance(node, yaml.ScalarNode) and node.style is None
+    return None if is_plain and node.value in _NOTHING else node.value
+
+
+def _item(node: yaml.Node, path: KeyPath, document: Document) -> object:
+    document.spots[path] = Spot(document.file, _mark(node), _mark(node))
+    return _value(node, path, document)
+
+
+def _block(node: yaml.MappingNode, path: KeyPath, document: Document) -> dict[str, object]:
+    block: dict[str, object] = {}
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            fault = Fault(path, "a word as key", shown(key.value), "Write 'key: value'.")
+            document.told.append(tell(document.file, _mark(key), fault))
+            continue
+        here = (*path, key.value)
+        if key.value in block:
+            first = document.spots[here].key[0]
+            fault = Fault(here, "each key once", f"{key.value!r} again (first in line {first})")
+            document.told.append(tell(document.file, _mark(key), fault))
+            continue
+        document.spots[here] = Spot(document.file, _mark(key), _mark(value))
+        block[key.value] = _value(value, here, document)
+    return block
+
+
+def _mark(place: yaml.Node | yaml.Event) -> Mark:
+    start = place.start_mark
+    return (start.line + 1, start.column + 1) if start else (1, 1)
