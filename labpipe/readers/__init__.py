@@ -1,1 +1,137 @@
-"""labpipe.readers."""
+"""From exports to recordings: one reader per format, recognised by content, never by suffix."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, motive_csv
+from labpipe.readers.channels import find_channel, select_channel
+from labpipe.readers.strangers import name_format
+from labpipe.records.quality import Severity
+from labpipe.records.recording import Recording
+
+__all__ = [
+    "READERS",
+    "Reader",
+    "find_channel",
+    "read_export",
+    "recognise_export",
+    "select_channel",
+]
+
+
+class _Read(Protocol):
+    def __call__(self, path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+        """Read one export."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """One format.
+
+    Parameters
+    ----------
+    name : as protocols write it
+    recognise : tells from the content whether a file is of this format
+    read : makes a recording of it, faults of the time axis as notes of severity error
+    """
+
+    name: str
+    recognise: Callable[[Path], bool]
+    read: _Read
+
+
+READERS: dict[str, Reader] = {
+    "dspace-mat": Reader("dspace-mat", dspace_mat.recognise, dspace_mat.read),
+    "dspace-csv": Reader("dspace-csv", dspace_csv.recognise, dspace_csv.read),
+    "dspace-mf4": Reader("dspace-mf4", dspace_mf4.recognise, dspace_mf4.read),
+    "motive-csv": Reader("motive-csv", motive_csv.recognise, motive_csv.read),
+    "motive-xlsx": Reader("motive-xlsx", motive_csv.recognise_xlsx, motive_csv.read_xlsx),
+}
+
+
+def recognise_export(path: Path) -> Reader:
+    """Find the reader of an export from its content.
+
+    Parameters
+    ----------
+    path : the export
+
+    Returns
+    -------
+    The reader.
+
+    Raises
+    ------
+    ReadError
+        If the file cannot be opened, is empty, or is of no format that is read here.
+    """
+    for reader in READERS.values():
+        if reader.recognise(path):
+            return reader
+    text = complaint(
+        path,
+        "",
+        expected=f"an export of a known format ({', '.join(READERS)})",
+        found=name_format(path),
+        remedy="Export the recording in one of these formats.",
+    )
+    raise ReadError(text)
+
+
+def read_export(
+    path: Path,
+    reader: str | Sequence[str] | None = None,
+    channels: Sequence[str] | None = None,
+) -> Recording:
+    """Read an export that is to be processed.
+
+    Parameters
+    ----------
+    path : the export
+    reader : the format, or formats, that it must have; None to take what the content says
+    channels : names or paths of the channels wanted, None for all; only these are loaded, with
+        their time axes
+
+    Returns
+    -------
+    The recording.
+
+    Raises
+    ------
+    ReadError
+        If the content is of another format, is damaged, lacks a wanted channel, or has a time
+        axis that runs backwards (`Reader.read` leaves that as a note, for `labpipe inspect`).
+    """
+    named = [reader] if isinstance(reader, str) else reader
+    allowed = list(READERS if named is None else named)
+    found = recognise_export(path)
+    if found.name not in allowed:
+        text = complaint(
+            path,
+            "",
+            expected=f"a file of the format {' or '.join(allowed)}",
+            found=f"one of the format {found.name}",
+            remedy="Name the right file, or change `reader` in the protocol.",
+        )
+        raise ReadError(text)
+    recording = found.read(path, channels=channels)
+    _refuse_broken_time(recording, path)
+    return recording
+
+
+def _refuse_broken_time(recording: Recording, path: Path) -> None:
+    for note in recording.notes:
+        if note.severity is Severity.ERROR:
+            text = complaint(
+                path,
+                note.where,
+                expected="time that increases from sample to sample",
+                found=note.message,
+                remedy="Export the recording again; it cannot be processed as it is.",
+            )
+            raise ReadError(text)

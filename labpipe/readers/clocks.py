@@ -159,10 +159,14 @@ def _hole_note(holes: tuple[Hole, ...], median: float, where: str) -> list[Quali
     lost = sum(round(length / median) - 1 for length in lengths)
     first = ", ".join(f"{hole.at:.6g} s" for hole in holes[:3])
     message = (
-        f"{len(holes)} holes of {1e3 * min(lengths):.4g} to {1e3 * max(lengths):.4g} ms,"
+        f"{len(holes)} holes of {_duration(min(lengths))} to {_duration(max(lengths))},"
         f" about {lost} samples lost, first at {first}"
     )
     return [QualityNote("time_holes", Severity.WARNING, where, message)]
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds:.4g} s" if seconds >= 1.0 else f"{1e3 * seconds:.4g} ms"
 
 
 def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote]:

@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -102,39 +101,13 @@ def load_export(
         metadata={**export.metadata, "channels": {t.path: dict(t.about) for t in traces}},
         notes=(
             *export.notes,
+            *_several_note(names),
             *_name_notes(traces),
             *(note for clock in clocks.values() for note in clock_notes(clock)),
             *_start_note(list(clocks.values()), export.start),
             *_value_notes(traces, loaded),
         ),
     )
-
-
-def written_date(text: str, near: date) -> str:
-    """Settle whether day or month comes first in a date, by a date that is known to be close.
-
-    Parameters
-    ----------
-    text : as ControlDesk wrote it in the language of the computer
-    near : the day of saving, at most a few days later
-
-    Returns
-    -------
-    ISO date, empty if no reading of the text lies within a week of `near`.
-
-    Examples
-    --------
-    >>> written_date("4-5-2023 17:30:33", date(2023, 5, 4))
-    '2023-05-04'
-    """
-    numbers = [int(word) for word in re.findall(r"\d+", text)[:3]]
-    if len(numbers) < 3:
-        return ""
-    a, b, c = numbers
-    orders = [(a, b, c)] if a > 31 else [(c, a, b), (c, b, a)]
-    days = [day for order in orders if (day := _day(*order)) is not None]
-    days.sort(key=lambda day: abs((day - near).days))
-    return days[0].isoformat() if days and abs((days[0] - near).days) <= 7 else ""
 
 
 def plain(value: object) -> object:
@@ -149,13 +122,6 @@ def plain(value: object) -> object:
     if isinstance(value, float) and not np.isfinite(value):
         return str(value)
     return value if isinstance(value, str | int | float | bool | None) else str(value)
-
-
-def _day(year: int, month: int, day: int) -> date | None:
-    try:
-        return date(year, month, day)
-    except ValueError:
-        return None
 
 
 def _program_version(origin: str) -> str:
@@ -201,6 +167,13 @@ def _channel(trace: Trace, clock: Clock, path: Path) -> Channel:
     return Channel(
         trace.name, trace.path, values, clock=clock.name, unit_in_file=trace.unit_in_file
     )
+
+
+def _several_note(clocks: Sequence[str]) -> list[QualityNote]:
+    if len(clocks) < 2:
+        return []
+    message = f"{len(clocks)} time axes: {', '.join(clocks)}"
+    return [QualityNote("several_clocks", Severity.INFO, "file", message)]
 
 
 def _name_notes(traces: Sequence[Trace]) -> list[QualityNote]:

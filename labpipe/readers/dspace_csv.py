@@ -26,7 +26,8 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.controldesk import Export, Trace, load_export, written_date
+from labpipe.readers.controldesk import Export, Trace, load_export
+from labpipe.readers.dates import written_date
 from labpipe.readers.files import read_head, reading
 from labpipe.readers.tables import Body, read_numbers
 from labpipe.records.arrays import Floats
@@ -132,7 +133,7 @@ def _export(
     about = _descriptions(rows)
     general, measurement = about.get("General", {}), about.get("Measurement", {})
     saved = _reference_day(measurement.get("ReferenceTime", ""))
-    day = written_date(general.get("DateTime", ""), saved) if saved else ""
+    day = written_date(general.get("DateTime", ""), saved)
     raster = traces.get("raster", [""])[0]
     return Export(
         axes=[(raster, lambda: samples[:, 0])],

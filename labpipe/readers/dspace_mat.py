@@ -20,17 +20,16 @@ from __future__ import annotations
 
 import re
 import warnings
-from calendar import monthrange
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.controldesk import Export, Trace, load_export, plain, written_date
+from labpipe.readers.controldesk import Export, Trace, load_export, plain
+from labpipe.readers.dates import day_of_saving, written_date
 from labpipe.readers.files import read_head, reading
 from labpipe.records.quality import QualityNote, Severity
 
@@ -45,8 +44,6 @@ Node = Any
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
-_CREATED = re.compile(r"Created on: \w{3} (\w{3}) +(\d+) [\d:]+ (\d{4})")
-_MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"]
 _QUOTED = re.compile(r'"([^"]*)"$')
 _KNOWN = frozenset({"2.0", "2.1"})
 _DEFLATE_LIMIT = 1100
@@ -187,12 +184,11 @@ def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Exp
     axes, traces = _structs(tree, "X", path), _structs(tree, "Y", path)
     general = _first(tree, "Description", "General")
     written = _text(general, "DateTime") or _text(_first(tree, "Capture"), "DateTime")
-    saved = _day_of_saving(created)
     metadata = {
         "variable": name,
         "created": created,
         "revision": _revision(tree, path),
-        "date": written_date(written, saved) if saved else "",
+        "date": written_date(written, day_of_saving(created)),
         **{key: plain(item) for key, item in tree.items() if key not in {"X", "Y"}},
     }
     start = _first(tree, "Description", "Measurement").get("StartTimestamp")
@@ -201,7 +197,7 @@ def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Exp
         traces=[_trace(item, len(axes), path) for item in traces],
         origin=_text(general, "Origin"),
         metadata=metadata,
-        notes=_notes(metadata, axes, path),
+        notes=_notes(metadata, path),
         start=_number(start),
     )
 
@@ -298,19 +294,7 @@ def _revision(tree: Mapping[str, Node], path: Path) -> str:
     return revision
 
 
-def _day_of_saving(created: str) -> date | None:
-    """The day in the header text, `Created on: Sun Jan 03 15:55:34 2021`, always in English."""
-    match = _CREATED.search(created)
-    if match is None or match.group(1) not in _MONTHS:
-        return None
-    day, year = int(match.group(2)), int(match.group(3))
-    month = _MONTHS.index(match.group(1)) + 1
-    return date(year, month, day) if 0 < day <= monthrange(year, month)[1] else None
-
-
-def _notes(
-    metadata: Mapping[str, object], axes: Sequence[Mapping[str, Node]], path: Path
-) -> list[QualityNote]:
+def _notes(metadata: Mapping[str, object], path: Path) -> list[QualityNote]:
     notes: list[QualityNote] = []
     name, revision = str(metadata["variable"]), metadata["revision"]
     if name != path.stem:
@@ -319,8 +303,4 @@ def _notes(
     if revision not in _KNOWN:
         message = f"file format revision {revision or 'not stated'}: only 2.0 and 2.1 are known"
         notes.append(QualityNote("revision_unseen", Severity.WARNING, "file", message))
-    if len(axes) > 1:
-        rasters = ", ".join(_text(axis, "Raster") or "unnamed" for axis in axes)
-        message = f"{len(axes)} time axes: {rasters}"
-        notes.append(QualityNote("several_clocks", Severity.INFO, "file", message))
     return notes

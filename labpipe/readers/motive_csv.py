@@ -1,0 +1,238 @@
+"""Reader of OptiTrack Motive takes exported as CSV, or saved as xlsx by a spreadsheet.
+
+**Writes this file**: Motive (and Tracking Tools before it), "export tracking data".
+
+**Recording**: measured markers and rigid bodies; fitted Rigid Body Markers are left out.
+
+**Units**: from the key Length Units; row style states none and is taken as metres.
+
+**Missing data**: blank cells (table), NAN or a counter above 0 (row style) become NaN.
+
+**Clock and frame**: frame / export rate where the column of times agrees within 0.6 ms, else the
+column; positions stay in the frame of the motion-capture system.
+
+**File structure**: table style (line 1 keys and values, rows of labels, ``Frame``, data), or row
+style (every line begins with its type). Everything is found by words, nothing by line number.
+
+**Known versions**: table style 1.21, 1.23, 1.24, 1.25; row style 1.0, 1.1.
+"""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.clocks import clock_notes
+from labpipe.readers.files import read_head, reading
+from labpipe.readers.motive_header import Header, parse_header
+from labpipe.readers.motive_rows import parse_rows
+from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
+from labpipe.readers.tables import Body, read_numbers
+from labpipe.readers.tracking import track_notes
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Clock, MarkerTracks, Recording
+
+_BOM = b"\xef\xbb\xbf"
+_TABLE = (b"Format Version", b'"Format Version')
+_ROWS = (b"comment,", b'"comment",')
+_HEADER_LINES = 40
+"""Header rows are looked for in this many lines; the longest real header has 8."""
+
+_SHEET_HEAD = 200_000
+_SHEETS = ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml")
+
+
+def recognise(path: Path) -> bool:
+    """Tell whether a file is a Motive CSV export of either style, by its first words."""
+    return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE + _ROWS)
+
+
+def recognise_xlsx(path: Path) -> bool:
+    """Tell whether a file is a spreadsheet that holds a Motive table, by its first cell."""
+    if not read_head(path, 4).startswith(b"PK\x03\x04"):
+        return False
+    try:
+        with zipfile.ZipFile(path) as parts:
+            inside = [name for name in _SHEETS if name in parts.namelist()]
+            return any(b"Format Version" in _part_head(parts, name) for name in inside)
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError):
+        return False
+
+
+def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:  # noqa: ARG001
+    """Read a Motive CSV export.
+
+    Parameters
+    ----------
+    path : the export
+    channels : has no meaning here; takes are read whole
+
+    Returns
+    -------
+    The recording: marker tracks, no channels.
+
+    Raises
+    ------
+    ReadError
+        If the header or a cell is damaged, or the version is not known.
+    """
+    read_head(path)
+    with reading(path, "a readable file"):
+        content = path.read_bytes().removeprefix(_BOM)
+    if content.startswith(_ROWS):
+        return _read_row_style(content.decode("utf-8", errors="replace"), path)
+    lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
+    with reading(path, "header rows of cells parted by commas"):
+        text = b"\n".join(lines).decode("utf-8", errors="replace")
+        rows = [next(csv.reader([line]), []) for line in text.split("\n")]
+    header = parse_header(rows, path)
+    offset = sum(len(line) + 1 for line in lines[: header.rows])
+    body = Body(content[offset:], header.width, header.rows + 1, header.stated_rows)
+    chosen = needed_columns(header)
+    values, notes = read_numbers(body, chosen, path)
+    return _recording("motive-csv", header, Columns(values, chosen), notes, path)
+
+
+def read_xlsx(path: Path, *, channels: Sequence[str] | None = None) -> Recording:  # noqa: ARG001
+    """Read a Motive CSV export that a spreadsheet saved as xlsx.
+
+    Parameters
+    ----------
+    path : the workbook; the first sheet with a Motive header is read
+    channels : has no meaning here; takes are read whole
+
+    Returns
+    -------
+    The recording: marker tracks, no channels.
+
+    Raises
+    ------
+    ReadError
+        If the workbook, the header or a cell is damaged, or the version is not known.
+    """
+    read_head(path)
+    sheet = _sheet(path)
+    rows = [[_as_text(cell) for cell in row] for row in sheet[:_HEADER_LINES]]
+    header = parse_header(rows, path)
+    chosen = needed_columns(header)
+    values = _numbers(sheet[header.rows :], chosen, header.rows + 1, path)
+    notes = _rows_note(header, len(values))
+    return _recording("motive-xlsx", header, Columns(values, chosen), notes, path)
+
+
+def _recording(
+    reader: str, header: Header, columns: Columns, notes: list[QualityNote], path: Path
+) -> Recording:
+    values, infinite = _without_infinities(columns)
+    tracks, timing = marker_tracks(header, values, path)
+    objects = [{"type": g.type, "name": g.name, "id": g.id} for g in header.groups]
+    return Recording(
+        reader=reader,
+        program="Motive",
+        program_version=header.version,
+        markers=tracks,
+        metadata={**header.about, "objects": objects},
+        notes=(
+            *header_notes(header, path),
+            *notes,
+            *infinite,
+            *timing,
+            *_take_notes(tracks),
+        ),
+    )
+
+
+def _read_row_style(text: str, path: Path) -> Recording:
+    with reading(path, "lines of a row-style export"):
+        export = parse_rows(text, path)
+    return Recording(
+        reader="motive-csv",
+        program="Motive",
+        program_version=export.version,
+        markers=export.tracks,
+        metadata=export.about,
+        notes=(*export.notes, *_take_notes(export.tracks)),
+    )
+
+
+def _take_notes(tracks: MarkerTracks) -> list[QualityNote]:
+    return clock_notes(Clock("frames", tracks.time)) + track_notes(tracks)
+
+
+def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
+    infinite = np.isinf(columns.values)
+    if not infinite.any():
+        return columns, []
+    row = int(np.flatnonzero(infinite.any(axis=1))[0]) + 1
+    message = f"{int(infinite.sum())} infinite numbers count as blank, the first in data row {row}"
+    note = QualityNote("not_finite", Severity.WARNING, "take", message)
+    return Columns(np.where(infinite, np.nan, columns.values), columns.chosen), [note]
+
+
+def _rows_note(header: Header, rows: int) -> list[QualityNote]:
+    if header.stated_rows in {None, rows}:
+        return []
+    message = f"the header states {header.stated_rows} rows, the file holds {rows}"
+    return [QualityNote("rows_differ", Severity.WARNING, "file", message)]
+
+
+def _part_head(parts: zipfile.ZipFile, name: str) -> bytes:
+    with parts.open(name) as part:
+        return part.read(_SHEET_HEAD)
+
+
+def _sheet(path: Path) -> list[list[object]]:
+    """Cells of the first sheet that begins with a Motive header."""
+    from python_calamine import CalamineError, CalamineWorkbook
+
+    with (
+        reading(path, "a whole xlsx workbook", also=(CalamineError,)),
+        CalamineWorkbook.from_path(path) as book,
+    ):
+        for number in range(len(book.sheet_names)):
+            sheet = book.get_sheet_by_index(number)
+            cells = [list[object](row) for row in sheet.to_python(skip_empty_area=False)]
+            if cells and cells[0] and cells[0][0] == "Format Version":
+                return cells
+    remedy = "Save the sheet of the take alone as xlsx."
+    expected = "a sheet whose first cell is Format Version"
+    raise ReadError(complaint(path, "", expected=expected, found="none", remedy=remedy))
+
+
+def _as_text(cell: object) -> str:
+    """A header cell as Motive wrote it: the spreadsheet made 120.000000 a number."""
+    if isinstance(cell, float):
+        return f"{cell:.12g}"
+    return str(cell)
+
+
+def _numbers(
+    rows: Sequence[Sequence[object]], chosen: Sequence[int], first_row: int, path: Path
+) -> Floats:
+    """Cells of the data rows as numbers, blanks as NaN; wholly blank last rows do not count."""
+    values = np.full((len(rows), len(chosen)), np.nan)
+    for i, row in enumerate(rows):
+        for j, column in enumerate(chosen):
+            cell = row[column] if column < len(row) else ""
+            if isinstance(cell, float):
+                values[i, j] = cell
+            elif cell != "":
+                values[i, j] = _number(cell, f"row {first_row + i}, cell {column + 1}", path)
+    filled = np.flatnonzero(~np.isnan(values).all(axis=1))
+    return values[: int(filled[-1]) + 1 if len(filled) else 0]
+
+
+def _number(cell: object, place: str, path: Path) -> float:
+    try:
+        return float(str(cell))
+    except ValueError as error:
+        remedy = "Save the export again without editing it."
+        expected, found = "a number or a blank", f"'{str(cell)[:40]}'"
+        text = complaint(path, place, expected=expected, found=found, remedy=remedy)
+        raise ReadError(text) from error

@@ -1,0 +1,299 @@
+"""Marker tracks from Motive's row-style exports (1.0, 1.1): every line has its own type."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.motive_table import derived_rate, unique_names
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import MarkerTracks, RigidBody
+
+_BODY_WORDS = frozenset({"trackable", "rigidbody"})
+_POSE = 11
+"""Cells per body of a frame line: id, x y z, qx qy qz qw, yaw pitch roll."""
+
+_MILLIMETRE = 1e-3
+"""Mean error is stated in mm per marker, while positions are in metres."""
+
+_AGAIN = "Export the take from Motive again; the file may have been cut off or edited."
+
+Point = tuple[float, float, float]
+
+
+@dataclass(slots=True)
+class _Body:
+    """What the lines say of one rigid body, by number of the frame line."""
+
+    name: str
+    id: str
+    n_markers: int
+    poses: dict[int, list[float]] = field(default_factory=dict)
+    tracked: dict[int, bool] = field(default_factory=dict)
+    errors: dict[int, float] = field(default_factory=dict)
+    measured: dict[int, list[Point]] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Take:
+    """Everything found so far, while the lines are read one after the other."""
+
+    version: str = "1.0"
+    title: str = ""
+    handedness: str = ""
+    info: dict[str, str] = field(default_factory=dict)
+    bodies: dict[str, _Body] = field(default_factory=dict)
+    numbers: list[float] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    n_bodies: list[int] = field(default_factory=list)
+    n_points: list[int] = field(default_factory=list)
+    named: dict[tuple[str, str], dict[int, Point]] = field(default_factory=dict)
+    anonymous: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class RowExport:
+    """A row-style export.
+
+    Parameters
+    ----------
+    version : ``1.1`` as the file says, ``1.0`` where it says nothing
+    tracks : the take in SI
+    about : what the export says about itself
+    notes : what reading it brought up
+    """
+
+    version: str
+    tracks: MarkerTracks
+    about: dict[str, object]
+    notes: list[QualityNote]
+
+
+def parse_rows(text: str, path: Path) -> RowExport:
+    """Read a row-style export.
+
+    Parameters
+    ----------
+    text : the whole file
+    path : named in errors
+
+    Returns
+    -------
+    The take. A body's measured markers are named ``<body>-Marker <n>``, as version 1.1 names
+    them; positions are taken as metres, for the file states no unit.
+
+    Raises
+    ------
+    ReadError
+        If a line does not have the cells that its own counts promise, or there are no frames.
+
+    Notes
+    -----
+    A lost body repeats its last pose: only frames in which its counter of frames since it was
+    last tracked is 0 count. A line that is cut off is left out if it is the last one.
+    """
+    take, notes = _Take(), []
+    lines = text.splitlines()
+    for number, cells in _cells(lines, path):
+        try:
+            _read_line(take, cells)
+        except (ValueError, IndexError, KeyError) as error:
+            if number < len(lines):
+                raise ReadError(_bad_line(path, number, cells, error)) from error
+            message = f"the last line ({number}) is incomplete and was left out"
+            notes.append(QualityNote("truncated", Severity.WARNING, "file", message))
+    if not take.version.startswith("1."):
+        remedy = "Export the take with Format Version 1.2x (Motive 2 or 3)."
+        expected, found = "info,version,1.0 or 1.1", f"'{take.version}'"
+        raise ReadError(complaint(path, "info", expected=expected, found=found, remedy=remedy))
+    if not take.numbers:
+        place, expected = f"lines 1 to {len(lines)}", "lines that begin with frame"
+        raise ReadError(complaint(path, place, expected=expected, found="none", remedy=_AGAIN))
+    return RowExport(take.version, _tracks(take), _about(take), notes + _notes(take))
+
+
+def _cells(lines: Sequence[str], path: Path) -> Iterator[tuple[int, list[str]]]:
+    for number, line in enumerate(lines, start=1):
+        try:
+            rows = list(csv.reader([line]))
+        except csv.Error as error:
+            raise ReadError(_bad_line(path, number, [line], error)) from error
+        if rows and rows[0]:
+            yield number, rows[0]
+
+
+def _bad_line(path: Path, number: int, cells: Sequence[str], error: Exception) -> str:
+    return complaint(
+        path,
+        f"line {number}",
+        expected="one of the row types of a Motive export with all its cells",
+        found=f"'{cells[0][:20]}' with {len(cells)} cells ({error})",
+        remedy=_AGAIN,
+    )
+
+
+def _read_line(take: _Take, cells: list[str]) -> None:
+    kind = cells[0]
+    if kind == "comment":
+        take.title = take.title or cells[1]
+    elif kind == "info":
+        take.info[cells[1]] = cells[2]
+        take.version = take.info.get("version", take.version)
+    elif kind in {"righthanded", "lefthanded"}:
+        take.handedness = kind
+    elif kind == "frame":
+        _read_frame(take, cells)
+    elif kind in _BODY_WORDS and _is_integer(cells[1]) and not _is_integer(cells[3]):
+        _read_body(take, cells)
+    elif kind in _BODY_WORDS:
+        take.bodies[cells[1]] = _Body(cells[1], cells[2], int(cells[3]))
+    else:
+        message = "unknown row type"
+        raise ValueError(message)
+
+
+def _is_integer(cell: str) -> bool:
+    return cell.strip().lstrip("-").isdecimal()
+
+
+def _read_frame(take: _Take, cells: list[str]) -> None:
+    """Frame line: number, time, bodies with their poses, then the visible points."""
+    count = int(cells[3])
+    start = 4 + _POSE * count
+    n_points = int(cells[start])
+    width = 5 if take.version != "1.0" else 4
+    if len(cells) != start + 1 + width * n_points:
+        message = f"its counts promise {start + 1 + width * n_points} cells"
+        raise ValueError(message)
+    number, time = float(cells[1]), float(cells[2])
+    poses = [cells[4 + _POSE * i : 4 + _POSE * (i + 1)] for i in range(count)]
+    points = [cells[i : i + width] for i in range(start + 1, len(cells), width)]
+    known = {body.id: body for body in take.bodies.values()}
+    values = [(known[pose[0]], [float(cell) for cell in pose[1:8]]) for pose in poses]
+    places = [(tuple(point[3:]), _point(point)) for point in points]
+    row = len(take.numbers)  # nothing of a bad line is kept: all its cells are numbers by now
+    take.numbers.append(number)
+    take.times.append(time)
+    take.n_bodies.append(count)
+    take.n_points.append(n_points)
+    for body, pose_ in values:
+        body.poses[row] = pose_
+    for label, place in places:
+        if len(label) == 2:
+            take.named.setdefault((label[1], label[0]), {})[row] = place
+
+
+def _read_body(take: _Take, cells: list[str]) -> None:
+    """Line on one body in one frame: counter, model and measured markers, flags, mean error."""
+    body, count = take.bodies[cells[3]], int(cells[6])
+    model = 4 if take.version != "1.0" else 3
+    if len(cells) != 7 + (model + 5) * count + 1:
+        message = f"its counts promise {7 + (model + 5) * count + 1} cells"
+        raise ValueError(message)
+    start = 7 + model * count
+    places = [_point(cells[i : i + 3]) for i in range(start, start + 3 * count, 3)]
+    error = float(cells[-1])
+    row = len(take.numbers) - 1
+    if row < 0 or float(cells[1]) != take.numbers[row]:
+        message = f"frame {cells[1]} has no frame line before it"
+        raise ValueError(message)
+    body.tracked[row] = int(cells[5]) == 0
+    body.measured[row] = places
+    body.errors[row] = error
+
+
+def _point(cells: Sequence[str]) -> Point:
+    return float(cells[0]), float(cells[1]), float(cells[2])
+
+
+def _tracks(take: _Take) -> MarkerTracks:
+    time = np.array(take.times)
+    names, columns = _marker_columns(take)
+    positions = np.full((len(time), len(columns), 3), np.nan)
+    for i, column in enumerate(columns):
+        for row, place in column.items():
+            positions[row, i] = place
+    return MarkerTracks(
+        time=time,
+        frames=np.array(take.numbers),
+        rate=derived_rate(time),
+        names=names,
+        positions=positions,
+        bodies=tuple(_rigid_body(body, len(time)) for body in take.bodies.values()),
+    )
+
+
+def _marker_columns(take: _Take) -> tuple[tuple[str, ...], list[dict[int, Point]]]:
+    """Measured markers of the bodies, then points that carry another name (1.1)."""
+    objects: list[tuple[str, str]] = []
+    columns: list[dict[int, Point]] = []
+    for body in take.bodies.values():
+        for i in range(body.n_markers):
+            objects.append((f"{body.name}-Marker {i + 1}", body.id))
+            columns.append({r: p[i] for r, p in body.measured.items() if i < len(p)})
+    own = {name for name, _ in objects}
+    for label, column in take.named.items():
+        if label[0] not in own:
+            objects.append(label)
+            columns.append(column)
+    return unique_names(objects), columns
+
+
+def _rigid_body(body: _Body, frames: int) -> RigidBody:
+    pose, error = np.full((frames, 7), np.nan), np.full(frames, np.nan)
+    for row, values in body.poses.items():
+        if body.tracked.get(row, True):
+            pose[row] = values
+    for row, value in body.errors.items():
+        if body.tracked[row]:
+            error[row] = value * _MILLIMETRE
+    return RigidBody(body.name, pose[:, :3], pose[:, 3:], error)
+
+
+def _about(take: _Take) -> dict[str, object]:
+    return {
+        "title": take.title,
+        "handedness": take.handedness,
+        "info": take.info,
+        "rigid_bodies": {
+            b.name: {"id": b.id, "markers": b.n_markers} for b in take.bodies.values()
+        },
+        "visible_markers": {"least": min(take.n_points), "most": max(take.n_points)},
+        "frames_without_body": take.n_bodies.count(0),
+    }
+
+
+def _notes(take: _Take) -> list[QualityNote]:
+    message = "no unit is stated: positions are taken as metres, mean errors as millimetres"
+    notes = [QualityNote("unit_assumed", Severity.WARNING, "take", message)]
+    stated = take.info.get("framecount", "")
+    if stated.isdecimal() and int(stated) != len(take.numbers):
+        message = f"the header states {stated} rows, the file holds {len(take.numbers)} frames"
+        notes.append(QualityNote("rows_differ", Severity.WARNING, "file", message))
+    if 0 in take.n_bodies:
+        message = f"{take.n_bodies.count(0)} of {len(take.numbers)} frames hold no rigid body"
+        notes.append(QualityNote("frames_without_body", Severity.INFO, "take", message))
+    message = f"{min(take.n_points)} to {max(take.n_points)} markers are seen in a frame"
+    notes.append(QualityNote("visible_markers", Severity.INFO, "markers", message))
+    return notes + _anonymous_note(take)
+
+
+def _anonymous_note(take: _Take) -> list[QualityNote]:
+    """Points of version 1.0 that belong to no body have no identity: counted, not kept."""
+    if take.named:
+        return []
+    measured = np.zeros(len(take.numbers), dtype=np.int64)
+    for body in take.bodies.values():
+        for row, places in body.measured.items():
+            measured[row] += sum(not np.isnan(place[0]) for place in places)
+    left = np.array(take.n_points) - measured
+    if not (left > 0).any():
+        return []
+    message = f"{int(left[left > 0].sum())} points in {int((left > 0).sum())} frames belong to no"
+    message += " body and have no identity: left out"
+    return [QualityNote("anonymous_markers", Severity.INFO, "markers", message)]
