@@ -15,6 +15,8 @@ from labpipe.errors import nearest
 KeyPath: TypeAlias = tuple[str | int, ...]
 """Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
 
+At: TypeAlias = Literal["key", "value"]
+
 _TYPE = "labpipe"
 _EXPECTED = {
     "model_type": "a block of keys with values",
@@ -42,7 +44,7 @@ class Fault:
     expected: str
     found: str
     remedy: str = ""
-    at: Literal["key", "value"] = "value"
+    at: At = "value"
 
 
 def one_of(word: str, known: Iterable[str]) -> str:
@@ -141,17 +143,18 @@ def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
             tag = _quoted(context["discriminator"])[0]
             return _not_one_of((*path, tag), context["tag"], _quoted(context["expected_tags"]))
         case "literal_error":
-            found = path[-1] if line["loc"][-1] == "[key]" else line["input"]
-            return _not_one_of(path, found, _quoted(context["expected"]))
+            known = _quoted(context["expected"])
+            at: At = "key" if line["loc"][-1] == "[key]" else "value"
+            return _not_one_of(path, line["input"], known, at)
         case other:
             expected = _EXPECTED.get(other, line["msg"])
             return Fault(path, expected, shown(line["input"]))
 
 
-def _not_one_of(path: KeyPath, found: object, known: list[str]) -> Fault:
+def _not_one_of(path: KeyPath, found: object, known: list[str], at: At = "value") -> Fault:
     word = str(found)
     remedy = did_you_mean(word, known)
-    return Fault(path, f"one of {one_of(word, known)}", shown(found), remedy)
+    return Fault(path, f"one of {one_of(word, known)}", shown(found), remedy, at)
 
 
 def _quoted(text: str) -> list[str]:

@@ -1,6 +1,7 @@
 """JSON Schema of protocols and test sheets, for editors.
 
-``python -m labpipe.protocol.json_schema FOLDER`` writes them. With the schema named in its first line, an editor completes keys and marks faults while one types.
+``python -m labpipe.protocol.json_schema FOLDER`` writes them. With the schema named in its first
+line, an editor completes keys and marks faults while one types.
 """
 
 from __future__ import annotations

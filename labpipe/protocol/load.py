@@ -16,6 +16,7 @@ from labpipe.protocol.overrides import with_overrides
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import COPY_IT, TestSheet
 from labpipe.protocol.shipped import find_protocol
+from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text
 
 _B = TypeVar("_B", bound=Block)
@@ -206,6 +207,6 @@ def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
         if roles and role not in roles:
             expected = f"a role of the protocol: {one_of(role, roles)}"
             yield Fault(("files", role), expected, repr(role), did_you_mean(role, roles), "key")
-    for missing in sorted(set(roles) - set(sheet.files)):
+    for missing in sorted(set(roles) & set(ROLES) - set(sheet.files)):
         expected = f"a file in the role {missing!r}"
         yield Fault(("files",), expected, "none", "Add it to 'files'.")

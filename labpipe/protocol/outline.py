@@ -10,9 +10,10 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from labpipe.errors import nearest
 from labpipe.protocol.faults import KeyPath
 from labpipe.protocol.quantities import SI_UNITS
-from labpipe.protocol.source import MARKER_READERS, READERS
+from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
 
 Values: TypeAlias = Mapping[str, object]
 
@@ -95,7 +96,8 @@ class Outline:
         found = []
         for role, source in self.sources.items():
             if any(key in source for key in CHANNEL_KEYS):
-                found.append(ChannelOutline(role, role, ("sources", role), source))
+                name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
+                found.append(ChannelOutline(name, role, ("sources", role), source))
             for name in self.block("sources", role, "channels"):
                 path = ("sources", role, "channels", name)
                 found.append(ChannelOutline(name, role, path, self.block(*path)))

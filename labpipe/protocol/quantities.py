@@ -116,7 +116,11 @@ class Quantity:
         if self.above is not None:
             low = f"above {self.written(self.above)}"
         else:
-            low = f"from {self.written(self.least)} up" if math.isfinite(self.least) else "finite"
+            low = (
+                f"from {self.written(self.least)} up"
+                if math.isfinite(self.least)
+                else "that is finite"
+            )
         high = f", at most {self.written(self.most)}" if math.isfinite(self.most) else ""
         return f"{low}{high}"
 

@@ -12,6 +12,8 @@ from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]
 ReaderName = Literal["dspace-mat", "dspace-csv", "dspace-mf4", "motive-csv", "motive-xlsx"]
+ROLES: Final[tuple[str, ...]] = get_args(Role)
+"""What an export can be for."""
 READERS: Final[tuple[str, ...]] = get_args(ReaderName)
 """The readers a protocol can name; `labpipe.readers` must offer each of them."""
 MARKER_READERS: Final = frozenset({"motive-csv", "motive-xlsx"})

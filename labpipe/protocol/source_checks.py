@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from labpipe.protocol.faults import Fault, KeyPath, did_you_mean, one_of
 from labpipe.protocol.outline import CHANNEL_KEYS, ChannelOutline, Outline, Values
 from labpipe.protocol.quantities import SI_UNITS
-from labpipe.protocol.source import MARKER_READERS, READERS, si_unit_like
+from labpipe.protocol.source import MARKER_READERS, READERS, ROLES, si_unit_like
 from labpipe.units import parse_quantity, si_factor
 
 
@@ -18,7 +18,7 @@ def source_faults(outline: Outline) -> Iterator[Fault]:
     ----------
     outline : names and tags of the protocol
     """
-    for role in outline.sources:
+    for role in set(outline.sources) & set(ROLES):
         yield from _content_faults(outline, role)
     yield from _name_faults(outline)
     for channel in outline.channels:
