@@ -1,0 +1,99 @@
+"""The way into a result file: opened, its schema known, every dataset as the layout wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.errors import StoreError, complaint
+from labpipe.store import layout
+from labpipe.store.layout import Field
+
+_AGAIN = "Process the test again from its exports."
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Any]:
+    """Open a result file of a schema that is known here; say every fault of it as StoreError."""
+    try:
+        if not h5py.is_hdf5(path):
+            raise _fault(path, "", "a result file", _instead_of_hdf5(path), _AGAIN)
+        with h5py.File(path, "r") as root:
+            _check_schema(path, root)
+            yield root
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+        found = f"a damaged one ({' '.join(str(error).split())})"
+        raise _fault(path, "", "a whole result file", found, _AGAIN) from error
+
+
+def _fault(file: object, place: str, expected: str, found: str, remedy: str) -> StoreError:
+    return StoreError(complaint(file, place, expected=expected, found=found, remedy=remedy))
+
+
+def _instead_of_hdf5(path: Path) -> str:
+    if not path.exists():
+        return "nothing"
+    with path.open("rb") as file:  # a file that may not be read says so here
+        start = file.read(1)
+    return "a file that is not HDF5" if start else "an empty file"
+
+
+def _check_schema(path: Path, root: Any) -> None:
+    found = root.attrs.get(layout.SCHEMA_ATTRIBUTE)
+    place = layout.SCHEMA_ATTRIBUTE
+    expected = f"{layout.SCHEMA}, the schema that this version reads"
+    if found is None:
+        raise _fault(path, place, expected, "an HDF5 file that labpipe did not make", _AGAIN)
+    if found > layout.SCHEMA:
+        made = f"a file made by a newer labpipe, schema {found}"
+        raise _fault(path, place, expected, made, "Update labpipe.")
+    if found != layout.SCHEMA:
+        raise _fault(path, place, expected, f"schema {found}", _AGAIN)
+
+
+def text(group: Any, name: str) -> str:
+    """Read an attribute that is one string."""
+    return str(group.attrs[name])
+
+
+def texts(group: Any, name: str) -> tuple[str, ...]:
+    """Read an attribute that is a list of strings."""
+    return tuple(str(word) for word in group.attrs[name])
+
+
+def strings(group: Any, name: str, axis: str) -> tuple[str, ...]:
+    """Read a dataset of strings."""
+    encoded = array(group, name, Field((axis,), layout.TEXT, "text"))
+    return tuple(bytes(word).decode() for word in encoded)
+
+
+def arrays(group: Any, kinds: Mapping[str, Field]) -> dict[str, NDArray[Any]]:
+    """Read several datasets, by name."""
+    return {name: array(group, name, kind) for name, kind in kinds.items()}
+
+
+def array(group: Any, name: str, kind: Field) -> NDArray[Any]:
+    """Read a dataset whose unit, axes and number type are those of the layout."""
+    dataset = group[name]
+    _check(dataset, "axes", ", ".join(kind.axes), dataset.attrs.get("axes", "none"))
+    if kind.unit is not None:
+        _check(dataset, "unit", kind.unit, dataset.attrs.get("unit", "none"))
+    if kind.dtype not in {"table", "text"}:
+        _check(dataset, "number type", kind.dtype, str(dataset.dtype))
+    values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
+    if values.size:
+        dataset.read_direct(values)
+    return values
+
+
+def _check(dataset: Any, what: str, expected: str, found: str) -> None:
+    if expected != found:
+        raise _fault(
+            dataset.file.filename, dataset.name, f"{what} {expected!r}", repr(found), _AGAIN
+        )

@@ -1,0 +1,154 @@
+"""Names, units and axes of everything in a result file: the schema, as data.
+
+Every dataset carries the attributes ``unit`` and ``axes``; a unit of None here means that the
+dataset says its own. Strings are UTF-8: of variable length in attributes, of fixed length in
+datasets, so that the checksum covers them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+SCHEMA: Final = 1
+"""Version of the layout; a file with a higher one is refused."""
+
+NO_UNIT: Final = "unknown"
+"""Stands where neither the export nor the protocol has said the unit."""
+
+TEXT: Final = "text"
+"""The unit of a dataset of strings."""
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """What one dataset must be.
+
+    Parameters
+    ----------
+    axes : name of each axis
+    unit : SI unit; None where the dataset says its own
+    dtype : numpy's name of the number type
+    """
+
+    axes: tuple[str, ...]
+    unit: str | None
+    dtype: str = "float64"
+
+
+# Attributes of the root, each also a field of TestResult.
+SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
+ROOT_TEXTS: Final = ("test", "labpipe_version", "protocol", "protocol_yaml", "test_yaml")
+SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
+DISPLAY: Final = "display"
+FIGURES: Final = "figures"
+
+SPECIMEN: Final = "specimen"
+"""Group whose attributes are the dimensions: names, values, and their one unit."""
+
+# /raw/<role>
+RAW: Final = "raw"
+RECORDING_TEXTS: Final = ("reader", "program", "program_version")
+INPUT_FIELDS: Final = ("file", "sha256", "bytes")
+INPUT_ORDER: Final = "input_order"
+METADATA: Final = "metadata"
+NOTES: Final = "notes"
+TIME: Final = "time"
+CLOCK_TIME: Final = Field(("sample",), "s")
+CHANNEL: Final = Field(("sample",), None)
+CHANNEL_TEXTS: Final = {
+    "name": "name",
+    "path": "name_in_file",
+    "clock": "clock",
+    "unit_in_file": "unit_in_file",
+    "calibration": "calibration",
+}
+MARKERS: Final = "markers"
+NAMES: Final = "names"
+MARKER_FIELDS: Final[Mapping[str, Field]] = {
+    "time": Field(("frame",), "s"),
+    "frames": Field(("frame",), "1"),
+    "positions": Field(("frame", "marker", "xyz"), "m"),
+}
+BODIES: Final = "rigid_bodies"
+BODY_FIELDS: Final[Mapping[str, Field]] = {
+    "position": Field(("frame", "xyz"), "m"),
+    "rotation": Field(("frame", "xyzw"), "1"),
+    "error": Field(("frame",), "m"),
+}
+
+# /aligned
+ALIGNED: Final = "aligned"
+SERIES: Final = Field(("sample",), None)
+EVENTS: Final = "events"
+EVENT_FIELDS: Final[Mapping[str, Field]] = {
+    "event_times_motion": Field(("event",), "s"),
+    "event_times_force": Field(("event",), "s"),
+    "event_errors": Field(("event",), "s"),
+}
+CLOCK_FIT_UNITS: Final = {"offset": "s", "drift": "1", "residual": "s"}
+CLOCK_FIT_INTERVALS: Final = ("offset", "drift")
+
+# /curve
+CURVE: Final = "curve"
+CURVE_FIELDS: Final[Mapping[str, Field]] = {
+    "time": Field(("sample",), "s"),
+    "displacement": Field(("sample",), "m"),
+    "force": Field(("sample",), "N"),
+    "branch": Field(("sample",), "1", "int64"),
+    "cycle": Field(("sample",), "1", "int64"),
+}
+BRANCHES: Final = "branches"
+BRANCH_TABLE: Final = Field(("branch",), "sample, sample, 1, text, s, s", "table")
+BRANCH_COLUMNS: Final = (
+    ("start", "int64"),
+    ("stop", "int64"),
+    ("cycle", "int64"),
+    ("direction", "S16"),
+    ("start_time", "float64"),
+    ("stop_time", "float64"),
+)
+
+# /shape
+SHAPE: Final = "shape"
+SHAPE_FIELDS: Final[Mapping[str, Field]] = {
+    "time": Field(("frame",), "s"),
+    "positions": Field(("frame", "point", "xyz"), "m"),
+    "flags": Field(("frame", "point"), "1", "uint8"),
+    "arc_length": Field(("point",), "m"),
+    "coefficients": Field(("frame", "xyz", "term"), "m"),
+    "rotation_lab_to_specimen": Field(("specimen", "lab"), "1"),
+}
+
+# /results/<name> and /quality
+RESULTS: Final = "results"
+RESULT_TEXTS: Final = ("unit", "status", "reason", "method")
+INTERVAL_NUMBERS: Final = ("lower", "upper", "level")
+QUALITY: Final = "quality"
+NOTE_COLUMNS: Final = ("code", "severity", "where", "message")
+
+
+def link_name(name: str, taken: Iterable[str]) -> str:
+    """Turn any name into one that HDF5, h5dump and MATLAB take, and that is still free.
+
+    Parameters
+    ----------
+    name : such as a channel's; slashes, blanks and other signs become underscores
+    taken : names that are in use in the same group
+
+    Returns
+    -------
+    The name, with a number behind it if it was taken.
+
+    Examples
+    --------
+    >>> link_name("Load Cell/Out1", {"Load_Cell_Out1"})
+    'Load_Cell_Out1_2'
+    """
+    plain = re.sub(r"[^\w.+-]", "_", name)
+    plain = plain if plain.strip("._") else "unnamed"
+    used = set(taken)
+    numbered = (f"{plain}_{number}" for number in range(2, len(used) + 3))
+    return next(free for free in (plain, *numbered) if free not in used)

@@ -1,0 +1,249 @@
+"""HDF5 to TestResult: everything checked, nothing guessed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from labpipe.records.curve import (
+    Aligned,
+    Branch,
+    ClockFit,
+    Curve,
+    Direction,
+    Interval,
+    Series,
+    Shape,
+)
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
+from labpipe.store import layout
+from labpipe.store.checked import array, arrays, opened, strings, text, texts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RawTest:
+    """What a result file holds of a test before processing: enough to process it again.
+
+    Parameters
+    ----------
+    test : name of the test
+    specimen : what was tested
+    protocol : name of the protocol
+    protocol_yaml : the resolved protocol
+    test_yaml : the test sheet as written
+    labpipe_version : the version that made the file
+    inputs : the exports, with their fingerprints
+    recordings : by role
+    """
+
+    test: str
+    specimen: Specimen
+    protocol: str
+    protocol_yaml: str
+    test_yaml: str
+    labpipe_version: str
+    inputs: tuple[InputFile, ...]
+    recordings: Mapping[str, Recording]
+
+
+def read_result(path: Path) -> TestResult:
+    """Read a result file whole, exactly as it was written.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+
+    Returns
+    -------
+    The test; arrays are read-only.
+
+    Raises
+    ------
+    StoreError
+        If the file is none of labpipe's, of a newer schema, truncated or damaged.
+    """
+    with opened(path) as root:
+        groups = set(root)
+        return TestResult(
+            **_head(root),
+            aligned=_aligned(root[layout.ALIGNED]) if layout.ALIGNED in groups else None,
+            curve=_curve(root[layout.CURVE]) if layout.CURVE in groups else None,
+            shape=_shape(root[layout.SHAPE]) if layout.SHAPE in groups else None,
+            results=_results(root[layout.RESULTS]),
+            quality=_notes(root[layout.QUALITY]),
+            display=json.loads(text(root, layout.DISPLAY)),
+            figures=texts(root, layout.FIGURES),
+        )
+
+
+def read_raw(path: Path) -> RawTest:
+    """Read what is needed to process a test again when its exports are gone.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+
+    Returns
+    -------
+    The recordings with the protocol, the test sheet and the fingerprints of the exports.
+
+    Raises
+    ------
+    StoreError
+        As `read_result`.
+    """
+    with opened(path) as root:
+        return RawTest(**_head(root))
+
+
+def _head(root: Any) -> dict[str, Any]:
+    """Read the fields that `TestResult` and `RawTest` share."""
+    raw = root[layout.RAW]
+    recordings = {role: _recording(raw[role]) for role in texts(raw, "roles")}
+    return {
+        **{name: text(root, name) for name in layout.ROOT_TEXTS},
+        "specimen": _specimen(root),
+        "inputs": _inputs(raw),
+        "recordings": recordings,
+    }
+
+
+def _specimen(root: Any) -> Specimen:
+    nested = {name: text(root, where) for name, where in layout.SPECIMEN_TEXTS.items()}
+    group = root[layout.SPECIMEN]
+    values = (float(value) for value in group.attrs["values"])
+    dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
+    return Specimen(**nested, dimensions=dimensions)
+
+
+def _inputs(raw: Any) -> tuple[InputFile, ...]:
+    found: dict[int, InputFile] = {}
+    for role, group in raw.items():
+        rows = zip(
+            group.attrs[layout.INPUT_ORDER],
+            texts(group, "file"),
+            texts(group, "sha256"),
+            group.attrs["bytes"],
+            strict=True,
+        )
+        found |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
+    return tuple(found[number] for number in sorted(found))
+
+
+def _recording(group: Any) -> Recording:
+    has_markers = layout.MARKERS in group
+    return Recording(
+        **{name: text(group, name) for name in layout.RECORDING_TEXTS},
+        clocks=tuple(_clock(group, name) for name in texts(group, "clocks")),
+        channels=tuple(_channel(group, name) for name in texts(group, "channels")),
+        markers=_markers(group) if has_markers else None,
+        metadata=json.loads(text(group, layout.METADATA)),
+        notes=_notes(group[layout.NOTES]),
+    )
+
+
+def _clock(group: Any, name: str) -> Clock:
+    return Clock(text(group[name], "clock"), array(group, name, layout.CLOCK_TIME))
+
+
+def _channel(group: Any, name: str) -> Channel:
+    said = {key: text(group[name], where) for key, where in layout.CHANNEL_TEXTS.items()}
+    unit = text(group[name], "unit")
+    values = array(group, name, layout.CHANNEL)
+    return Channel(**said, values=values, unit=None if unit == layout.NO_UNIT else unit)
+
+
+def _markers(group: Any) -> MarkerTracks:
+    markers, bodies = group[layout.MARKERS], group[layout.BODIES]
+    return MarkerTracks(
+        **arrays(markers, layout.MARKER_FIELDS),
+        names=strings(markers, layout.NAMES, "marker"),
+        rate=float(markers.attrs["rate"]),
+        unit_in_file=text(markers, "unit_in_file"),
+        bodies=tuple(
+            RigidBody(name=text(bodies[name], "name"), **arrays(bodies[name], layout.BODY_FIELDS))
+            for name in texts(bodies, "bodies")
+        ),
+    )
+
+
+def _aligned(group: Any) -> Aligned:
+    series = {
+        text(group[name], "name"): Series(
+            array(group, name, layout.SERIES), text(group[name], "unit")
+        )
+        for name in texts(group, "series")
+    }
+    fit = _clock_fit(group) if layout.EVENTS in group else None
+    return Aligned(array(group, layout.TIME, layout.CLOCK_TIME), series, fit)
+
+
+def _clock_fit(group: Any) -> ClockFit:
+    return ClockFit(
+        offset=float(group.attrs["offset"]),
+        drift=float(group.attrs["drift"]),
+        offset_interval=_interval(group, "offset_"),
+        drift_interval=_interval(group, "drift_"),
+        residual=float(group.attrs["residual"]),
+        **arrays(group[layout.EVENTS], layout.EVENT_FIELDS),
+        method=text(group, "method"),
+    )
+
+
+def _interval(group: Any, prefix: str = "") -> Interval:
+    return Interval(*(float(group.attrs[prefix + end]) for end in layout.INTERVAL_NUMBERS))
+
+
+def _curve(group: Any) -> Curve:
+    table = array(group, layout.BRANCHES, layout.BRANCH_TABLE)
+    return Curve(**arrays(group, layout.CURVE_FIELDS), branches=tuple(map(_branch, table)))
+
+
+def _branch(row: Any) -> Branch:
+    return Branch(
+        start=int(row["start"]),
+        stop=int(row["stop"]),
+        cycle=int(row["cycle"]),
+        direction=Direction(row["direction"].decode()),
+        start_time=float(row["start_time"]),
+        stop_time=float(row["stop_time"]),
+    )
+
+
+def _shape(group: Any) -> Shape:
+    return Shape(
+        **arrays(group, layout.SHAPE_FIELDS),
+        names=strings(group, layout.NAMES, "point"),
+        length=float(group.attrs["length"]),
+    )
+
+
+def _results(group: Any) -> tuple[Result, ...]:
+    return tuple(_result(name, group[name]) for name in texts(group, "order"))
+
+
+def _result(name: str, group: Any) -> Result:
+    status = Status(text(group, "status"))
+    return Result(
+        name=name,
+        value=None if status is Status.FAILED else float(group.attrs["value"]),
+        unit=text(group, "unit"),
+        interval=_interval(group) if "lower" in group.attrs else None,
+        status=status,
+        reason=text(group, "reason"),
+        method=text(group, "method"),
+        n=int(group.attrs["n"]),
+    )
+
+
+def _notes(group: Any) -> tuple[QualityNote, ...]:
+    columns = [strings(group, name, "note") for name in layout.NOTE_COLUMNS]
+    return tuple(
+        QualityNote(code, Severity(severity), where, message)
+        for code, severity, where, message in zip(*columns, strict=True)
+    )

@@ -1,0 +1,86 @@
+"""summary.json: the numbers of one test for people and other programs."""
+
+from __future__ import annotations
+
+import json
+from math import isfinite
+from pathlib import Path
+
+from labpipe.records.result import Result, TestResult
+from labpipe.store.replace import replacing
+
+SUMMARY_SCHEMA = 1
+
+
+def summary(result: TestResult) -> dict[str, object]:
+    """Sum up a test in plain SI numbers.
+
+    Parameters
+    ----------
+    result : a processed test
+
+    Returns
+    -------
+    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or could not
+    be had, is None; the status and the reason say why.
+    """
+    specimen = result.specimen
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "test": result.test,
+        "specimen": {
+            "type": specimen.type,
+            "spool": specimen.spool,
+            "sample": specimen.sample,
+            **{name: _number(value) for name, value in specimen.dimensions.items()},
+        },
+        "protocol": result.protocol,
+        "labpipe": result.labpipe_version,
+        "inputs": [
+            {"role": given.role, "file": given.file, "sha256": given.sha256}
+            for given in result.inputs
+        ],
+        "results": [_entry(entry) for entry in result.results],
+        "quality": [
+            {"code": note.code, "severity": str(note.severity), "message": note.message}
+            for note in result.quality
+        ],
+    }
+
+
+def write_summary(result: TestResult, path: Path) -> None:
+    """Write ``summary.json``; an earlier one stays until the new one is whole.
+
+    Parameters
+    ----------
+    result : a processed test
+    path : the file
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written: full disk, no permission.
+    """
+    text = json.dumps(summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode())
+
+
+def _entry(result: Result) -> dict[str, object]:
+    interval = result.interval
+    return {
+        "name": result.name,
+        "value": _number(result.value),
+        "unit": result.unit,
+        "lower": _number(interval.lower) if interval else None,
+        "upper": _number(interval.upper) if interval else None,
+        "level": _number(interval.level) if interval else None,
+        "status": str(result.status),
+        "reason": result.reason,
+        "method": result.method,
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """The number itself; None for what JSON cannot say (NaN, infinities)."""
+    return float(value) if value is not None and isfinite(value) else None

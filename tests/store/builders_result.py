@@ -1,0 +1,304 @@
+"""A synthetic test result: a cantilever with hysteresis, plastic set, noise and marker troubles.
+
+Everything in it is made up; the shapes are smooth curves of the right kind, not a solution of the
+mechanics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import (
+    AT_REST,
+    Aligned,
+    Branch,
+    ClockFit,
+    Curve,
+    Direction,
+    Interval,
+    PointFlag,
+    Series,
+    Shape,
+)
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
+
+LENGTH = 0.085
+STROKE = 0.050
+REST = 3.0
+OFFSET, DRIFT = 3.217, 48e-6
+
+
+def build_result(
+    *,
+    cycles: int = 3,
+    rate: float = 50.0,
+    half_cycle: float = 20.0,
+    markers: int = 8,
+    force_rate: float = 500.0,
+    seed: int = 1,
+) -> TestResult:
+    """Make a whole test; at 50 frames/s, 53 s and 10 kHz it has the size of a real one."""
+    rng = np.random.default_rng(seed)
+    turns: Floats = REST + half_cycle * np.arange(2 * cycles + 1, dtype=np.float64)
+    time: Floats = np.arange(0.0, turns[-1] + REST, 1.0 / rate)
+    travel = _travel(time, turns, cycles)
+    displacement = travel * STROKE / 0.053
+    force = _force(displacement, time, turns)
+    shape = _shape(time, displacement, markers, rng)
+    branches = _branches(time, turns)
+    branch, cycle = _numbers(len(time), branches)
+    raw_force = force + rng.normal(0, 0.004, len(time))
+    raw_displacement = displacement + rng.normal(0, 4e-5, len(time))
+    aligned = Aligned(
+        time,
+        {
+            "force": Series(raw_force, "N"),
+            "travel": Series(travel, "m"),
+            "displacement": Series(raw_displacement, "m"),
+        },
+        _clock_fit(turns, rng),
+    )
+    return TestResult(
+        test="A2-085-1",
+        specimen=Specimen("A2", "A2-s1", "1", {"length": LENGTH}),
+        protocol="wire-cantilever",
+        protocol_yaml="version: 1\nname: wire-cantilever\n",
+        test_yaml="test: A2-085-1\n# µ, ü and 線\n",
+        labpipe_version="0.1.0",
+        inputs=(
+            InputFile("markers", "take.csv", "ab" * 32, 123456),
+            InputFile("force", "force_1.mat", "cd" * 32, 3_000_000_000),
+            InputFile("force", "force_2.mat", "ef" * 32, 7),
+        ),
+        recordings={
+            "markers": _take(shape, travel, rng),
+            "force": _load_cell(turns, cycles, force_rate, rng),
+        },
+        aligned=aligned,
+        curve=Curve(time, displacement, force, branch, cycle, branches),
+        shape=shape,
+        results=_results(),
+        quality=_quality(),
+        display={"displacement": "mm", "force": "N", "energy": "mJ", "time": "s"},
+        figures=("force-displacement", "wire-shapes", "timeline", "marker-quality"),
+    )
+
+
+def _travel(time: Floats, turns: Floats, cycles: int) -> Floats:
+    levels = np.array([0.0, *([0.053, 0.0] * cycles)])
+    smooth: Floats = np.interp(time, turns, levels)
+    return smooth
+
+
+def _force(displacement: Floats, time: Floats, turns: Floats) -> Floats:
+    """A bundle of sliders over the displacement: loops, softening and a set after each cycle."""
+    force = np.zeros_like(displacement)
+    for limit, stiffness in ((0.002, 9.0), (0.008, 5.0), (0.020, 3.5), (0.060, 3.0)):
+        slider = 0.0
+        for number, here in enumerate(displacement):
+            slider = min(max(slider, here - limit), here + limit)
+            force[number] += stiffness * (here - slider)
+    return force * (1.0 + 6.0 * displacement)
+
+
+def _branches(time: Floats, turns: Floats) -> tuple[Branch, ...]:
+    cuts = np.searchsorted(time, turns)
+    return tuple(
+        Branch(
+            start=int(cuts[number]),
+            stop=int(cuts[number + 1]),
+            cycle=number // 2 + 1,
+            direction=Direction.UNLOADING if number % 2 else Direction.LOADING,
+            start_time=float(turns[number]),
+            stop_time=float(turns[number + 1]),
+        )
+        for number in range(len(turns) - 1)
+    )
+
+
+def _numbers(
+    count: int, branches: tuple[Branch, ...]
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    branch = np.full(count, AT_REST, dtype=np.int64)
+    cycle = np.zeros(count, dtype=np.int64)
+    for number, one in enumerate(branches):
+        branch[one.start : one.stop] = number
+        cycle[one.start : one.stop] = one.cycle
+    return branch, cycle
+
+
+def _clock_fit(turns: Floats, rng: np.random.Generator) -> ClockFit:
+    errors = rng.uniform(5e-4, 2e-3, len(turns))
+    return ClockFit(
+        offset=OFFSET,
+        drift=DRIFT,
+        offset_interval=Interval(OFFSET - 0.002, OFFSET + 0.002),
+        drift_interval=Interval(DRIFT - 9e-6, DRIFT + 9e-6),
+        residual=0.0012,
+        event_times_motion=turns,
+        event_times_force=OFFSET + (1 + DRIFT) * turns + rng.normal(0, errors),
+        event_errors=errors,
+        method="straight line through the turning points",
+    )
+
+
+def _shape(time: Floats, displacement: Floats, markers: int, rng: np.random.Generator) -> Shape:
+    """Clamped end, markers, pull point on curves whose slope is a parabola in arc length."""
+    terms = 8
+    along: Floats = np.linspace(0.0, 1.0, 41)
+    table = np.linspace(0.0, 1.4, 60)
+    grid = np.stack([_power_series(tip, along, terms) for tip in table])
+    tip_y = grid[:, 1, :].sum(axis=1)
+    tips = np.interp(displacement, tip_y, table)
+    low = np.clip(np.searchsorted(table, tips) - 1, 0, len(table) - 2)
+    part = ((tips - table[low]) / (table[1] - table[0]))[:, None, None]
+    coefficients = (1 - part) * grid[low] + part * grid[low + 1]
+    arc = np.concatenate([[0.0], np.linspace(0.1, 0.95, markers), [1.0]])
+    powers = arc[None, :] ** np.arange(terms)[:, None]
+    positions = np.einsum("fct,tp->fpc", coefficients, powers)
+    positions[:, 1:-1] += rng.normal(0, 1e-4, positions[:, 1:-1].shape)
+    flags = _flags(len(time), markers)
+    positions[flags == PointFlag.MISSING] = np.nan
+    names = ("clamped end", *(f"wire:Marker{number + 1}" for number in range(markers)), "pull")
+    turn = np.deg2rad(5.0)
+    rotation = [[np.cos(turn), np.sin(turn), 0], [-np.sin(turn), np.cos(turn), 0], [0, 0, 1]]
+    return Shape(
+        time=time,
+        positions=positions,
+        names=names,
+        flags=flags,
+        arc_length=arc * LENGTH,
+        coefficients=coefficients,
+        length=LENGTH,
+        rotation_lab_to_specimen=np.array(rotation),
+    )
+
+
+def _power_series(tip_angle: float, along: Floats, terms: int) -> Floats:
+    angle = tip_angle * (2 * along - along**2)
+    step = along[1]
+    ends = [_integral(np.cos(angle), step), _integral(np.sin(angle), step)]
+    fitted = [np.polynomial.polynomial.polyfit(along, end * LENGTH, terms - 1) for end in ends]
+    series: Floats = np.stack([*fitted, np.zeros(terms)])
+    return series
+
+
+def _integral(values: Floats, step: float) -> Floats:
+    pieces = (values[1:] + values[:-1]) / 2 * step
+    total: Floats = np.concatenate([[0.0], np.cumsum(pieces)])
+    return total
+
+
+def _flags(frames: int, markers: int) -> NDArray[np.uint8]:
+    flags = np.full((frames, markers + 2), PointFlag.MEASURED, dtype=np.uint8)
+    flags[:, [0, -1]] = PointFlag.CONSTRUCTED
+    spot = frames // 10
+    flags[3 * spot : 3 * spot + max(frames // 150, 2), 3] = PointFlag.FILLED
+    flags[int(6.2 * spot) : int(6.2 * spot) + max(frames // 30, 3), 5] = PointFlag.MISSING
+    flags[int(4.5 * spot) :, min(7, markers)] = PointFlag.RELABELLED
+    flags[spot : spot + max(frames // 40, 3), min(7, markers)] = PointFlag.FILLED
+    return flags
+
+
+def _take(shape: Shape, travel: Floats, rng: np.random.Generator) -> Recording:
+    frames = len(shape.time)
+    nothing = np.full(frames, np.nan)
+    clamp = np.stack([np.zeros(frames), -travel, np.zeros(frames)], axis=1)
+    error = np.abs(rng.normal(1.2e-4, 3e-5, frames))
+    error[frames // 2 : frames // 2 + frames // 50] *= 5
+    bodies = (
+        RigidBody("Clamp", clamp, np.tile([0.0, 0.0, 0.0, 1.0], (frames, 1)), error),
+        RigidBody("Table/1", clamp * np.nan, np.full((frames, 4), np.nan), nothing),
+    )
+    tracks = MarkerTracks(
+        time=shape.time,
+        frames=np.arange(frames, dtype=float),
+        rate=50.0,
+        names=shape.names[1:-1],
+        positions=shape.positions[:, 1:-1],
+        bodies=bodies,
+        unit_in_file="Millimeters",
+    )
+    return Recording(
+        reader="motive-csv",
+        program="Motive",
+        program_version="synthetic",
+        markers=tracks,
+        metadata={"Take Name": "synthetic \u0000 take", "columns": [1, 2.5, None, True]},
+        notes=(QualityNote("time_rounded", Severity.INFO, "markers", "Times stand in ms."),),
+    )
+
+
+def _load_cell(turns: Floats, cycles: int, rate: float, rng: np.random.Generator) -> Recording:
+    """Volts of a 16-bit converter on a slightly jittered time axis, and a slow second raster."""
+    ideal: Floats = np.arange(0.0, turns[-1] + 2 * REST, 1.0 / rate)
+    time = ideal + rng.normal(0, 2e-7, len(ideal))
+    travel = _travel(ideal, turns + OFFSET, cycles)
+    volts = 0.2 + 80 * travel * (1 - 4 * travel) + rng.normal(0, 0.008, len(ideal))
+    step = 20 / 2**16
+    slow: Floats = np.arange(0.0, turns[-1], 0.5)
+    volts = np.round(volts / step) * step
+    volts[min(5, len(volts) - 1)] = np.nan
+    return Recording(
+        reader="dspace-mat",
+        program="ControlDesk",
+        program_version="7.4",
+        clocks=(Clock("HostService", time), Clock("slow raster", slow)),
+        channels=(
+            Channel("Out1", "Model Root/Load Cell/Out1", volts, "HostService", "V", "V"),
+            Channel("Out1", "Model Root/Heat/Out1", np.cos(slow), "slow raster", None, "", "x 2"),
+            Channel("time", "Model Root/time", slow, "slow raster", "s"),
+        ),
+        metadata={"revision": "2.1"},
+    )
+
+
+def _results() -> tuple[Result, ...]:
+    return (
+        Result("peak_force.1", 0.62, "N", Interval(0.61, 0.63), method="highest", n=41),
+        Result(
+            "residual_displacement.1",
+            0.0031,
+            "m",
+            status=Status.DOUBTFUL,
+            reason="extrapolated: the force never fell below 5 mN",
+        ),
+        Result(
+            "initial_stiffness", None, "N/m", status=Status.FAILED, reason="not_reached: too short"
+        ),
+    )
+
+
+def _quality() -> tuple[QualityNote, ...]:
+    return (
+        QualityNote("marker_filled", Severity.WARNING, "wire:Marker3", "26 frames were filled."),
+        QualityNote("out_of_plane", Severity.INFO, "shape", "Out of plane by 0.3 mm, rms."),
+    )
+
+
+def differences(one: object, other: object, place: str = "result") -> list[str]:
+    """Say where two records differ; arrays are compared bit by bit, NaN included."""
+    if type(one) is not type(other):
+        return [f"{place}: {type(one).__name__} and {type(other).__name__}"]
+    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
+        same = one.dtype == other.dtype and one.shape == other.shape
+        return [] if same and one.tobytes() == other.tobytes() else [f"{place}: arrays differ"]
+    if is_dataclass(one):
+        parts = [(f.name, getattr(one, f.name), getattr(other, f.name)) for f in fields(one)]
+    elif isinstance(one, Mapping) and isinstance(other, Mapping):
+        if list(one) != list(other):
+            return [f"{place}: keys {list(one)} and {list(other)}"]
+        parts = [(str(key), one[key], other[key]) for key in one]
+    elif isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
+        parts = [(str(number), *pair) for number, pair in enumerate(zip(one, other, strict=True))]
+    else:
+        same = one == other or (one != one and other != other)
+        return [] if same else [f"{place}: {one!r} and {other!r}"]
+    return [text for name, a, b in parts for text in differences(a, b, f"{place}.{name}")]

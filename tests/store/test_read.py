@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+import shutil
+from contextlib import suppress
+from dataclasses import fields
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from labpipe.errors import StoreError
+from labpipe.store.read import RawTest, read_raw, read_result
+from labpipe.store.write import write_result
+from tests.store.builders_result import build_result, differences
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("written") / "result.h5"
+    write_result(build_result(half_cycle=1.0), path)
+    return path
+
+
+@pytest.fixture
+def path(written: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copy(written, tmp_path / "result.h5"))
+
+
+def test_raw_holds_all_that_processing_starts_from(written: Path) -> None:
+    raw, result = read_raw(written), build_result(half_cycle=1.0)
+    for field in fields(RawTest):
+        assert differences(getattr(result, field.name), getattr(raw, field.name)) == []
+
+
+def test_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"none\.h5: expected a result file, found nothing"):
+        read_result(tmp_path / "none.h5")
+
+
+@pytest.mark.parametrize(
+    ("content", "found"), [(b"time,force\n", "a file that is not HDF5"), (b"", "an empty file")]
+)
+def test_not_hdf5(content: bytes, found: str, tmp_path: Path) -> None:
+    (tmp_path / "x.h5").write_bytes(content)
+    with pytest.raises(StoreError, match=rf"x\.h5: expected a result file, found {found}\. Proc"):
+        read_result(tmp_path / "x.h5")
+
+
+def test_folder_instead_of_a_file(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match=r"expected a whole result file, found .*directory"):
+        read_result(tmp_path)
+
+
+def test_truncated(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[:-1000])
+    with pytest.raises(StoreError, match=r"expected a whole result file, found .*truncated"):
+        read_raw(path)
+
+
+def test_foreign_hdf5(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "x.h5", "w") as root:
+        root["x"] = 1
+    with pytest.raises(StoreError, match="found an HDF5 file that labpipe did not make"):
+        read_result(tmp_path / "x.h5")
+
+
+def test_newer_schema(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        root.attrs["labpipe_schema"] = 2
+    message = (
+        r"result\.h5, labpipe_schema: expected 1, the schema that this version reads, "
+        r"found a file made by a newer labpipe, schema 2\. Update labpipe\."
+    )
+    with pytest.raises(StoreError, match=message):
+        read_result(path)
+
+
+def test_schema_that_never_was(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        root.attrs["labpipe_schema"] = 0
+    with pytest.raises(StoreError, match="found schema 0"):
+        read_result(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "attribute", "text"),
+    [
+        ("curve/force", "unit", r"/curve/force: expected unit 'N', found 'mN'"),
+        ("shape/positions", "axes", r"/shape/positions: expected axes 'frame, point, xyz', found"),
+    ],
+)
+def test_wrong_label(name: str, attribute: str, text: str, path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        root[name].attrs[attribute] = "mN"
+    with pytest.raises(StoreError, match=text):
+        read_result(path)
+
+
+def test_wrong_number_type(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        labels = dict(root["curve/force"].attrs)
+        values = root["curve/force"][()]
+        del root["curve/force"]
+        root["curve/force"] = values.astype(np.float32)
+        root["curve/force"].attrs.update(labels)
+    with pytest.raises(StoreError, match="expected number type 'float64', found 'float32'"):
+        read_result(path)
+
+
+def test_missing_dataset(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        del root["curve/force"]
+    with pytest.raises(StoreError, match=r"expected a whole result file, found .*force"):
+        read_result(path)
+
+
+def test_damaged_chunk(path: Path) -> None:
+    with h5py.File(path) as root:
+        chunk = root["raw/force/Out1"].id.get_chunk_info(0)
+    content = bytearray(path.read_bytes())
+    content[chunk.byte_offset + chunk.size // 2] ^= 0x10
+    path.write_bytes(content)
+    with pytest.raises(StoreError, match=r"found a damaged one \(.*(checksum|filter|read)"):
+        read_result(path)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(where=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), cut=st.booleans())
+def test_damage_anywhere_is_said_or_harmless(
+    where: float, bit: int, cut: bool, written: Path, tmp_path: Path
+) -> None:
+    content = bytearray(written.read_bytes())
+    place = int(where * len(content))
+    content[place] ^= 1 << bit
+    (tmp_path / "x.h5").write_bytes(content[:place] if cut else content)
+    with suppress(StoreError):  # and no other
+        read_result(tmp_path / "x.h5")

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import StoreError
+from labpipe.records.curve import Interval
+from labpipe.records.result import Result
+from labpipe.store.summary import summary, write_summary
+from tests.store.builders_result import build_result
+
+
+def test_summary_is_the_documented_one(tmp_path: Path) -> None:
+    result = build_result(half_cycle=0.5)
+    write_summary(result, tmp_path / "summary.json")
+    read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
+    assert read == summary(result)
+    assert list(read) == [
+        "schema", "test", "specimen", "protocol", "labpipe", "inputs", "results", "quality"
+    ]  # fmt: skip
+    assert read["specimen"] == {"type": "A2", "spool": "A2-s1", "sample": "1", "length": 0.085}
+    assert read["inputs"][0] == {"role": "markers", "file": "take.csv", "sha256": "ab" * 32}
+    assert read["results"][0] == {
+        "name": "peak_force.1",
+        "value": 0.62,
+        "unit": "N",
+        "lower": 0.61,
+        "upper": 0.63,
+        "level": 0.95,
+        "status": "ok",
+        "reason": "",
+        "method": "highest",
+    }
+    assert read["results"][1]["lower"] is None
+    assert read["results"][2]["value"] is None
+    assert read["results"][2]["status"] == "failed"
+    assert read["results"][2]["reason"].startswith("not_reached:")
+    assert read["quality"][0] == {
+        "code": "marker_filled", "severity": "warning", "message": "26 frames were filled."
+    }  # fmt: skip
+
+
+def test_no_number_that_json_cannot_say(tmp_path: Path) -> None:
+    nan, infinite = float("nan"), float("inf")
+    odd = Result("energy.1", nan, "J", Interval(-infinite, infinite))
+    result = replace(build_result(half_cycle=0.5), results=(odd,))
+    write_summary(result, tmp_path / "summary.json")
+    text = (tmp_path / "summary.json").read_text(encoding="utf-8")
+    entry = json.loads(text, parse_constant=pytest.fail)["results"][0]
+    assert [entry[key] for key in ("value", "lower", "upper")] == [None] * 3
+
+
+def test_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="expected a folder to write in, found no such folder"):
+        write_summary(build_result(half_cycle=0.5), tmp_path / "none" / "summary.json")

@@ -1,0 +1,241 @@
+"""Writing and reading belong together: what is written is what is read, or nothing is written."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.errors import StoreError
+from labpipe.records.curve import Aligned
+from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.records.result import TestResult
+from labpipe.store import chunks, write
+from labpipe.store.read import read_result
+from labpipe.store.write import write_result
+from tests.store.builders_result import build_result, differences
+
+
+@pytest.fixture(scope="module")
+def result() -> TestResult:
+    return build_result(half_cycle=4.0)
+
+
+def test_round_trip_is_exact(result: TestResult, tmp_path: Path) -> None:
+    path = tmp_path / "result.h5"
+    write_result(result, path)
+    assert differences(result, read_result(path)) == []
+    assert [found.name for found in tmp_path.iterdir()] == ["result.h5"]
+
+
+def test_comparison_can_fail(result: TestResult, tmp_path: Path) -> None:
+    assert result.curve is not None
+    other = replace(result, curve=replace(result.curve, force=result.curve.force + 1e-12))
+    assert differences(result, other) == ["result.curve.force: arrays differ"]
+
+
+def test_stages_that_are_not_there_stay_away(result: TestResult, tmp_path: Path) -> None:
+    assert result.aligned is not None
+    bare = replace(
+        result,
+        aligned=replace(result.aligned, clock_fit=None, series={}),
+        curve=None,
+        shape=None,
+        results=(),
+        quality=(),
+        recordings={},
+        inputs=(),
+        display={},
+        figures=(),
+        specimen=replace(result.specimen, dimensions={}),
+    )
+    for given_result in (bare, replace(bare, aligned=None)):
+        write_result(given_result, tmp_path / "result.h5")
+        assert differences(given_result, read_result(tmp_path / "result.h5")) == []
+
+
+def test_empty_take_and_unfitted_shape(result: TestResult, tmp_path: Path) -> None:
+    assert result.shape is not None
+    frames = len(result.shape.time)
+    tracks = result.recordings["markers"].markers
+    assert tracks is not None
+    empty = replace(
+        tracks,
+        time=np.empty(0),
+        frames=np.empty(0),
+        names=(),
+        positions=np.empty((0, 0, 3)),
+        bodies=(),
+        rate=float("nan"),
+    )
+    given_result = replace(
+        result,
+        shape=replace(result.shape, coefficients=np.empty((frames, 3, 0))),
+        recordings={"markers": replace(result.recordings["markers"], markers=empty)},
+    )
+    write_result(given_result, tmp_path / "result.h5")
+    assert differences(given_result, read_result(tmp_path / "result.h5")) == []
+
+
+def test_same_result_gives_same_bytes(result: TestResult, tmp_path: Path) -> None:
+    write_result(result, tmp_path / "one.h5")
+    write_result(build_result(half_cycle=4.0), tmp_path / "other.h5")
+    assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "other.h5").read_bytes()
+
+
+def test_every_dataset_is_chunked_filtered_and_labelled(result: TestResult, tmp_path: Path) -> None:
+    write_result(result, tmp_path / "result.h5")
+    datasets: list[Any] = []
+    with h5py.File(tmp_path / "result.h5") as root:
+        root.visititems(
+            lambda _, found: datasets.append(found) if isinstance(found, h5py.Dataset) else None
+        )
+        assert len(datasets) > 40
+        for dataset in datasets:
+            assert dataset.chunks, dataset.name
+            assert (dataset.compression, dataset.shuffle, dataset.fletcher32) == (
+                "gzip",
+                True,
+                True,
+            )
+            assert isinstance(dataset.attrs["unit"], str)
+            assert len(dataset.attrs["axes"].split(", ")) == dataset.ndim
+
+
+def test_layout_is_the_documented_one(result: TestResult, tmp_path: Path) -> None:
+    write_result(result, tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5") as root:
+        assert root.attrs["labpipe_schema"] == 1
+        assert root.attrs["specimen_type"] == "A2"
+        assert root.attrs["protocol_yaml"] == result.protocol_yaml
+        raw = root["raw"]
+        assert raw["force"].attrs["reader"] == "dspace-mat"
+        assert list(raw["force"].attrs["file"]) == ["force_1.mat", "force_2.mat"]
+        assert raw["force/Out1"].attrs["name_in_file"] == "Model Root/Load Cell/Out1"
+        assert raw["force/Out1"].attrs["unit"] == "V"
+        assert raw["force/Out1_2"].attrs["unit"] == "unknown"
+        assert raw["force/time_2"].attrs["name"] == "time"
+        assert raw["markers/time"] == raw["markers/markers/time"]
+        assert raw["markers/markers/positions"].attrs["unit"] == "m"
+        assert raw["markers/rigid_bodies/Table_1"].attrs["name"] == "Table/1"
+        assert root["aligned"].attrs["offset_unit"] == "s"
+        assert root["curve/branches"].dtype.names[:4] == ("start", "stop", "cycle", "direction")
+        assert root["curve/branches"][1]["direction"] == b"unloading"
+        assert root["results/peak_force.1"].attrs["lower"] == 0.61
+        assert np.isnan(root["results/initial_stiffness"].attrs["value"])
+        assert root["quality/code"][0] == b"marker_filled"
+
+
+def test_one_clock_is_called_time(result: TestResult, tmp_path: Path) -> None:
+    one = Recording(
+        "dspace-csv",
+        clocks=(Clock("raster 1", np.arange(3.0)),),
+        channels=(Channel("F/x", "p", np.arange(3.0), "raster 1", ""),),
+    )
+    given_result = replace(result, recordings={"frame": one})
+    write_result(given_result, tmp_path / "result.h5")
+    assert differences(given_result, read_result(tmp_path / "result.h5")) == []
+    with h5py.File(tmp_path / "result.h5") as root:
+        assert root["raw/frame/time"].attrs["clock"] == "raster 1"
+        assert root["raw/frame/F_x"].attrs["name"] == "F/x"
+
+
+def test_large_attributes_fit(result: TestResult, tmp_path: Path) -> None:
+    long = replace(result, protocol_yaml="# ü\n" * 50_000)
+    write_result(long, tmp_path / "result.h5")
+    assert differences(long, read_result(tmp_path / "result.h5")) == []
+
+
+_NAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0"), max_size=12)
+
+
+_SMALL = build_result(half_cycle=0.1, cycles=1, force_rate=50.0)
+
+
+@given(
+    names=st.lists(_NAMES, max_size=5),
+    values=st.lists(st.floats(width=64), max_size=30),
+    texts=st.dictionaries(_NAMES, _NAMES, max_size=3),
+)
+def test_any_names_and_numbers_come_back(
+    names: list[str],
+    values: list[float],
+    texts: dict[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "result.h5"
+    array = np.array(values, dtype=float)
+    recording = Recording(
+        "dspace-csv",
+        clocks=tuple(Clock(name, array) for name in names),
+        channels=tuple(Channel(name, name, array, name, name, name) for name in names),
+        metadata=texts,
+    )
+    given_result = replace(
+        _SMALL,
+        recordings={"force": recording},
+        aligned=Aligned(array, {}),
+        display=texts,
+        test_yaml="".join(names),
+    )
+    write_result(given_result, path)
+    assert differences(given_result, read_result(path)) == []
+
+
+def _full_disk(*_: object, **__: object) -> None:
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize(("owner", "step"), [(Path, "write_bytes"), (os, "fsync")])
+def test_full_disk_leaves_the_earlier_result(
+    owner: object, step: str, result: TestResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "result.h5"
+    path.write_bytes(b"earlier")
+    monkeypatch.setattr(owner, step, _full_disk)
+    with pytest.raises(StoreError, match=r"result\.h5: expected room on the disk, found a full"):
+        write_result(result, path)
+    assert path.read_bytes() == b"earlier"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_interrupt_leaves_the_earlier_result(
+    result: TestResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "result.h5"
+    path.write_bytes(b"earlier")
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(write, "_verify", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_result(result, path)
+    assert path.read_bytes() == b"earlier"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_wrong_checksum_is_found_before_the_rename(
+    result: TestResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chunks, "fletcher32", lambda _: 1)
+    with pytest.raises(StoreError, match="expected to read back what was written"):
+        write_result(result, tmp_path / "result.h5")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_bytes_that_change_on_the_way_are_found(
+    result: TestResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "read_bytes", lambda _: b"other")
+    with pytest.raises(StoreError, match="expected to read back what was written"):
+        write_result(result, tmp_path / "result.h5")
+    assert list(tmp_path.iterdir()) == []
