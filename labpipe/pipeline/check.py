@@ -1,0 +1,215 @@
+"""Checking protocols and tests against each other and against the exports, without processing."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.errors import ProtocolError, ReadError, complaint, nearest
+from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet import SHEET_NAME, TestSheet
+from labpipe.protocol.source import ChannelSource, Source
+from labpipe.readers import read_export, recognise_export, select_channel
+from labpipe.records.recording import Channel, MarkerTracks, Recording
+from labpipe.units import si_factor
+
+_YAML = (".yaml", ".yml")
+_INSPECT = "`labpipe inspect` shows what the file holds."
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong.
+
+    Parameters
+    ----------
+    file : protocol or test sheet in which it was found
+    message : file, place, what was expected, what was found, what to do
+    """
+
+    file: Path
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What was looked at and what was found.
+
+    Parameters
+    ----------
+    protocols, tests : files looked at
+    findings : everything that is wrong, each once
+    """
+
+    protocols: tuple[Path, ...]
+    tests: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+
+
+def check_paths(paths: Sequence[Path] = (), *, protocols: Path | None = None) -> Checked:
+    """Check protocols and tests.
+
+    Parameters
+    ----------
+    paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
+        ``raw`` in the working folder if there are none
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+
+    Returns
+    -------
+    What was looked at and what was found; nothing is raised for what is wrong with a file.
+    """
+    wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
+    files = list(dict.fromkeys(file for path in wanted for file in _yaml_files(path)))
+    tests = tuple(file for file in files if file.name == SHEET_NAME)
+    plans = tuple(file for file in files if file.name != SHEET_NAME)
+    found = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
+    for plan in plans:
+        found += [Finding(plan, message) for message in _protocol_faults(plan)]
+    for test in tests:
+        found += [Finding(test, message) for message in _test_faults(test, protocols)]
+    found += _shared_names(tests)
+    once = {finding.message: finding for finding in reversed(found)}
+    return Checked(plans, tests, tuple(reversed(once.values())))
+
+
+def _yaml_files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return sorted(file for file in path.rglob("*") if file.suffix in _YAML and file.is_file())
+    return [path] if path.suffix in _YAML and path.is_file() else []
+
+
+def _unusable(path: Path) -> Iterator[Finding]:
+    """Find a path with nothing to check."""
+    if _yaml_files(path):
+        return
+    found = "nothing of that name"
+    if path.exists():
+        found = "a folder without any" if path.is_dir() else "another file"
+    expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
+    remedy = f"`labpipe new` writes a {SHEET_NAME}."
+    yield Finding(path, complaint(path, "", expected=expected, found=found, remedy=remedy))
+
+
+def _protocol_faults(path: Path) -> Iterator[str]:
+    try:
+        protocol = load_protocol(path)
+    except ProtocolError as error:
+        yield from str(error).splitlines()
+        return
+    if protocol.name != path.stem:
+        expected, remedy = f"the name of the file, {path.stem!r}", "Change one of them."
+        yield complaint(path, "(name)", expected=expected, found=repr(protocol.name), remedy=remedy)
+
+
+def _test_faults(path: Path, protocols: Path | None) -> Iterator[str]:
+    try:
+        sheet = load_test_sheet(path)
+    except ProtocolError as error:
+        yield from str(error).splitlines()
+        return
+    try:
+        protocol = resolve(sheet, path, protocols)
+    except ProtocolError as error:
+        yield from str(error).splitlines()
+        protocol = None
+    for role, names in sheet.files.items():
+        source = protocol.sources[role] if protocol else None
+        for name in names:
+            yield from _export_faults(path.parent / name, source, protocol)
+
+
+def _export_faults(path: Path, source: Source | None, protocol: Protocol | None) -> Iterator[str]:
+    """Find what is wrong with one export; only that it can be read, where the protocol failed."""
+    try:
+        if source is None or protocol is None:
+            recognise_export(path)
+            return
+        recording = read_export(path, source.reader)
+    except ReadError as error:
+        yield str(error)
+        return
+    for name, channel in source.all_channels.items():
+        yield from _channel_faults(recording, name, channel, path)
+    if recording.markers is not None and protocol.markers is not None:
+        yield from _marker_faults(recording.markers, protocol, path)
+
+
+def _channel_faults(
+    recording: Recording, name: str, source: ChannelSource, path: Path
+) -> Iterator[str]:
+    try:
+        channel = select_channel(recording, source.channel, path)
+    except ReadError as error:
+        yield str(error)
+        return
+    yield from _unit_faults(channel, name, source, path)
+
+
+def _unit_faults(channel: Channel, name: str, source: ChannelSource, path: Path) -> Iterator[str]:
+    """Find a unit that neither file nor protocol says, or that they say in two ways."""
+    place = f"channel {channel.path!r}"
+    wanted = source.channel_unit or source.target_unit
+    units = [unit for unit in (source.unit, channel.unit_in_file) if unit]
+    if not units:
+        remedy = f"Add 'unit' to the channel {name!r} in the protocol or the test sheet."
+        found = "none in the file and none in the protocol"
+        yield complaint(path, place, expected="a unit", found=found, remedy=remedy)
+    for unit in units:
+        try:
+            si_factor(unit, wanted)
+        except ValueError:
+            expected = f"a unit of the dimension of {wanted}"
+            remedy = "Name another channel, or give its calibration."
+            yield complaint(path, place, expected=expected, found=repr(unit), remedy=remedy)
+
+
+def _marker_faults(tracks: MarkerTracks, protocol: Protocol, path: Path) -> Iterator[str]:
+    """Find a clamp or markers that the take does not have."""
+    markers = protocol.markers
+    if markers is None:
+        return
+    bodies = [body.name for body in tracks.bodies]
+    if markers.clamp is not None and markers.clamp not in bodies:
+        near = nearest(markers.clamp, bodies)
+        remedy = f"The take has {', '.join(map(repr, near))}." if near else _INSPECT
+        yield complaint(
+            path,
+            f"rigid body {markers.clamp!r}",
+            expected="the rigid body that 'markers.clamp' names",
+            found="no such body" if bodies else "no rigid bodies at all",
+            remedy=remedy,
+        )
+    for wanted in () if markers.along == "all" else markers.along:
+        if not fnmatch.filter(tracks.names, wanted):
+            near = nearest(wanted, list(tracks.names))
+            remedy = f"Nearest: {', '.join(map(repr, near))}." if near else _INSPECT
+            expected = "markers that 'markers.along' names"
+            place = f"markers {wanted!r}"
+            yield complaint(path, place, expected=expected, found="none", remedy=remedy)
+
+
+def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
+    """Find two tests of one campaign with one name: their results would overwrite each other."""
+    seen: dict[tuple[Path, str], Path] = {}
+    for path in tests:
+        sheet = _sheet_or_none(path)
+        if sheet is None:
+            continue
+        key = (path.resolve().parent.parent, sheet.test.casefold())
+        if key in seen:
+            expected, found = "a name that no other test of the campaign has", repr(sheet.test)
+            remedy = f"{seen[key]} has it too: rename one of them."
+            text = complaint(path, "(test)", expected=expected, found=found, remedy=remedy)
+            yield Finding(path, text)
+        seen.setdefault(key, path)
+
+
+def _sheet_or_none(path: Path) -> TestSheet | None:
+    try:
+        return load_test_sheet(path)
+    except ProtocolError:
+        return None  # told already
