@@ -75,13 +75,13 @@ def loop_energy(
         return Failure("too_few_samples", f"{len(time)} samples in the cycle, 16 are needed")
     work = _work(displacement, force)
     steps, rises = np.gradient(displacement), np.gradient(force)
-    force_noise = long_run_variance(_rough(force), parameters=0)
-    displacement_noise = long_run_variance(_rough(displacement), parameters=0)
+    force_noise, displacement_noise = _noise_power(force), _noise_power(displacement)
     later, earlier = _work(displacement[:-2], force[2:]), _work(displacement[2:], force[:-2])
-    per_second = (later - earlier) / (2.0 * float(np.median(np.diff(time))))
+    per_second = (later - earlier) / (4.0 * float(np.median(np.diff(time))))
     variance = (
         force_noise * float(steps @ steps)
         + displacement_noise * float(rises @ rises)
+        - 0.5 * len(time) * force_noise * displacement_noise  # in both of the above
         + (per_second * clock_error) ** 2
     )
     return Estimate(work, float(np.sqrt(variance)), len(time))
@@ -91,17 +91,24 @@ def _work(displacement: Floats, force: Floats) -> float:
     return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(displacement)))
 
 
-def _rough(values: Floats) -> Floats:
-    """What is left of a signal after straight lines through half-overlapping short pieces."""
-    piece = 25
-    count = len(values) // piece * piece
-    if count == 0:
-        return values - values.mean()
-    rows = values[:count].reshape(-1, piece)
-    x = np.linspace(-1.0, 1.0, piece)
-    basis = np.linalg.qr(np.vander(x, 3))[0]
-    left: Floats = (rows - rows @ basis @ basis.T).ravel()
-    return left * np.sqrt(piece / (piece - 3.0))
+def _noise_power(values: Floats) -> float:
+    """Long-run variance of the fast noise on a slow signal.
+
+    Cubics are taken out of pieces of 100 samples; pieces with a corner are left out; correlation is
+    followed over eight samples, which a piece still holds.
+    """
+    piece, terms, lags = (100, 4, 8) if len(values) >= 400 else (16, 4, 1)
+    rows = values[: len(values) // piece * piece].reshape(-1, piece)
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, piece), terms))[0]
+    left = rows - rows @ basis @ basis.T
+    power = np.sum(left**2, axis=1)
+    left = left[power <= 4.0 * np.median(power)]
+    total = float(np.sum(left**2))
+    for lag in range(1, lags + 1):
+        weight = 2.0 * (1.0 - lag / (lags + 1.0))
+        total += weight * float(np.sum(left[:, lag:] * left[:, :-lag]))
+    # Every covariance of the residuals is too small by terms / piece of the variance.
+    return float(max(total, 0.0) / left.size / (1.0 - terms * (lags + 1.0) / piece))
 
 
 def residual_after_unloading(

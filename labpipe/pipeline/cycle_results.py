@@ -8,6 +8,7 @@ and their status.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -30,103 +31,95 @@ _PEAK_WINDOW = 2.0
 """s on each side of a turning point that a peak is read from."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Asked:
+    """What is said of a result whether or not it can be had."""
+
+    name: str
+    unit: str
+    quantities: tuple[str, ...]
+    method: str
+
+
+_ALL = ("force", "displacement", "clock")
+
+
 def clock_results(bench: Bench) -> list[Result]:
     """``clock_offset`` (s) and ``clock_drift`` (1): force time against marker time."""
     method = "weighted straight line through turning points seen on both clocks"
     fit = bench.clock_fit
-    offset: Estimate | Failure
-    if fit is None:
-        offset = drift = _blocked(bench, Failure("one_clock", "the test has only one clock"))
-    else:
+    offset: Estimate | Failure = _blocked(bench, Failure("one_clock", "there is only one clock"))
+    drift = offset
+    if fit is not None:
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift = Estimate(fit.drift, fit.drift_interval.standard_error, events)
         if events < 2:
             drift = Failure("one_event", "one turning point gives an offset but no drift")
     return [
-        _result(bench, "clock_offset", offset, "s", ("clock",), method),
-        _result(bench, "clock_drift", drift, "1", ("clock",), method),
+        _result(bench, _Asked("clock_offset", "s", ("clock",), method), offset),
+        _result(bench, _Asked("clock_drift", "1", ("clock",), method), drift),
     ]
 
 
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
     method = "parabolas on both sides of the corner, unsmoothed force; else vertex of a parabola"
-    return _per_cycle(bench, "peak_force", "N", ("force",), _peak_force, method)
+    return _per_cycle(bench, _Asked("peak_force", "N", ("force",), method), _peak_force)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
     method = "parabolas on both sides of the turning point; else vertex of a parabola"
-    quantities = ("displacement",)
-    return _per_cycle(bench, "peak_displacement", "m", quantities, _peak_displacement, method)
+    asked = _Asked("peak_displacement", "m", ("displacement",), method)
+    return _per_cycle(bench, asked, _peak_displacement)
 
 
 def energy(bench: Bench) -> list[Result]:
     """``energy.<cycle>`` (J): work dissipated over one cycle."""
-    quantities = ("force", "displacement", "clock")
-    return _per_cycle(bench, "energy", "J", quantities, _energy, "integral of force by trapezoids")
+    return _per_cycle(bench, _Asked("energy", "J", _ALL, "integral of force, trapezoids"), _energy)
 
 
 def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
     """``residual_displacement.<cycle>`` (m): displacement left at zero force after unloading."""
     method = f"displacement once the force is back at zero, within {force_below:g} N"
-    quantities = ("force", "displacement", "clock")
-    number = partial(_residual, force_below=force_below)
-    return _per_cycle(bench, "residual_displacement", "m", quantities, number, method)
+    asked = _Asked("residual_displacement", "m", _ALL, method)
+    return _per_cycle(bench, asked, partial(_residual, force_below=force_below))
 
 
 def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[Result]:
     """Stiffness (N/m) between two displacements of the first loading branch."""
     method = f"line from {low:g} m to {high:g} m of the first loading, time as instrument"
-    return _of_first_cycle(bench, name, 1, low, high, method)
+    number = partial(_in_window, low=low, high=high)
+    asked, first = _Asked(name, "N/m", _ALL, method), bench.cycles()[:1]
+    outcome: Estimate | Failure = _blocked(bench, Failure("no_cycle", "the motion has no branch"))
+    if first:
+        outcome = _with_shape_error(bench, first[0], number)
+    return [_result(bench, asked, outcome)]
 
 
 def unloading_stiffness(bench: Bench, *, over: float) -> list[Result]:
-    """``unloading_stiffness`` (N/m) over the first stretch of the first unloading branch."""
-    method = f"line from {0.1 * over:g} m to {over:g} m off the first peak, time as instrument"
-    return _of_first_cycle(bench, "unloading_stiffness", 2, 0.1 * over, over, method)
-
-
-def _of_first_cycle(
-    bench: Bench, name: str, branches: int, low: float, high: float, method: str
-) -> list[Result]:
-    """Stiffness over a window of the last of the first `branches` branches."""
-    first = bench.cycles()[:1]
-    outcome: Estimate | Failure
-    if not first or len(first[0]) < branches:
-        outcome = _blocked(bench, Failure("no_branch", "the first cycle has no such branch"))
-    else:
-        number = partial(_in_window, low=low, high=high)
-        outcome = _with_shape_error(bench, first[0][:branches], number)
-    quantities = ("force", "displacement", "clock")
-    return [_result(bench, name, outcome, "N/m", quantities, method)]
+    """``unloading_stiffness.<cycle>`` (N/m) over the first stretch of the unloading branch."""
+    method = f"line from {0.1 * over:g} m to {over:g} m off the peak, time as instrument"
+    asked = _Asked("unloading_stiffness", "N/m", _ALL, method)
+    return _per_cycle(bench, asked, partial(_unloading, low=0.1 * over, high=over))
 
 
 _Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
 """A number of one cycle, from the bench, the branches of the cycle and a displacement."""
 
 
-def _per_cycle(
-    bench: Bench,
-    name: str,
-    unit: str,
-    quantities: tuple[str, ...],
-    of_cycle: _Numbers,
-    method: str,
-) -> list[Result]:
+def _per_cycle(bench: Bench, asked: _Asked, of_cycle: _Numbers) -> list[Result]:
     cycles = bench.cycles()
     if not cycles:
         failure = _blocked(bench, Failure("no_cycle", "the motion has no branch"))
-        return [_result(bench, f"{name}.1", failure, unit, quantities, method)]
+        return [_result(bench, asked, failure, part=".1")]
     return [
         _result(
             bench,
-            f"{name}.{branches[0].cycle}",
+            asked,
             _with_shape_error(bench, branches, of_cycle),
-            unit,
-            quantities,
-            method,
+            part=f".{branches[0].cycle}",
         )
         for branches in cycles
     ]
@@ -226,12 +219,41 @@ def _residual(
 def _in_window(
     bench: Bench, branches: list[Branch], displacement: Floats, low: float, high: float
 ) -> Estimate | Failure:
-    """Stiffness between two distances from where the branch begins."""
+    """Stiffness of the loading branch between two displacements."""
+    return _stiffness(bench, branches[0], displacement, low, high)
+
+
+def _unloading(
+    bench: Bench, branches: list[Branch], displacement: Floats, low: float, high: float
+) -> Estimate | Failure:
+    """Stiffness of the unloading branch between two distances from where it begins."""
+    if len(branches) < 2:
+        return Failure("partial_cycle", "the cycle has no unloading branch")
+    turn = _value_at_start(_curve(bench).time, displacement, branches[1])
+    found = _stiffness(bench, branches[1], turn - displacement, low, high)
+    if isinstance(found, Failure):
+        return found
+    return Estimate(-found.value, found.error, found.n)
+
+
+def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
+    """Value at the turning point a branch starts from, by a parabola through its beginning."""
+    begin = slice(part.start, min(part.stop, part.start + 50))
+    known = ~np.isnan(values[begin])
+    t, y = time[begin][known] - part.start_time, values[begin][known]
+    if len(y) < 8:
+        return float(values[part.start])
+    return float(np.polynomial.Polynomial.fit(t, y, 2)(0.0))
+
+
+def _stiffness(
+    bench: Bench, part: Branch, path_of_all: Floats, low: float, high: float
+) -> Estimate | Failure:
+    """Stiffness over the part of a branch whose path lies between two lengths."""
     curve = _curve(bench)
-    branch = bench.within(branches[-1])
-    time, force, path = curve.time[branch], curve.force[branch], displacement[branch]
-    smooth = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
-    travelled = np.abs(smooth - (smooth[0] if len(branches) > 1 else 0.0))
+    branch = bench.within(part)
+    time, force, path = curve.time[branch], curve.force[branch], path_of_all[branch]
+    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
     inside = (travelled >= low) & (travelled <= high)
     if not (travelled > high).any():
         reached = float(np.nanmax(travelled))
@@ -288,27 +310,21 @@ def _blocked(bench: Bench, otherwise: Failure) -> Failure:
     return Failure(code, message)
 
 
-def _result(
-    bench: Bench,
-    name: str,
-    outcome: Estimate | Failure,
-    unit: str,
-    quantities: tuple[str, ...],
-    method: str,
-) -> Result:
+def _result(bench: Bench, asked: _Asked, outcome: Estimate | Failure, *, part: str = "") -> Result:
+    name = asked.name + part
     if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
         outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
     if isinstance(outcome, Failure):
         reason = f"{outcome.code}: {outcome.message}"
-        return Result(name, None, unit, None, Status.FAILED, reason, method, 0)
-    doubts = [bench.doubts[quantity] for quantity in quantities if quantity in bench.doubts]
+        return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
+    doubts = [bench.doubts[quantity] for quantity in asked.quantities if quantity in bench.doubts]
     return Result(
         name=name,
         value=outcome.value,
-        unit=unit,
+        unit=asked.unit,
         interval=Interval.normal_95(outcome.value, outcome.error),
         status=Status.DOUBTFUL if doubts else Status.OK,
         reason="; ".join(doubts),
-        method=method,
+        method=asked.method,
         n=outcome.n,
     )

@@ -98,8 +98,8 @@ def _window_sums(total: Floats, window: int) -> Floats:
     middle[0] = total[window - 1]
     np.subtract(total[window:], total[: count - window], out=middle[1:])
     sums[:half] = total[: 2 * half : 2]
-    before = total[count - 2 : count - 2 - 2 * half : -2] if half else total[:0]
-    sums[count - half :] = (total[-1] - before)[::-1]
+    before = total[count - 2 * half + 2 * np.arange(half)]
+    sums[count - half :] = total[-1] - before
     return sums
 
 

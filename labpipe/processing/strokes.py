@@ -74,8 +74,8 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     -----
     Extremes are found with hysteresis: a new one counts once the motion has come back from it by
     `min_stroke`. A dwell is told from a smooth reversal by the time t1 spent within a tolerance of
-    the extreme and t4 within four times that: 2 t1 - t4 is the dwell for a corner, and zero for
-    a parabola. NaN are bridged by straight lines.
+    the extreme and t4 within four times that: a corner has t4 = 4 t1, a parabola t4 = 2 t1, a
+    dwell t4 < 1.5 t1. NaN are bridged by straight lines.
     """
     if not min_stroke > 0:
         message = f"min_stroke={min_stroke}: expected a positive length"
@@ -152,7 +152,8 @@ def _dwell(time: Floats, motion: Floats, tolerance: float, shortest: float) -> f
         float(time[np.flatnonzero(travel <= factor * tolerance)[-1]] - time[0])
         for factor in (1.0, 4.0)
     )
-    return (4.0 * near - wide) / 3.0 if 2.0 * near - wide > shortest else 0.0
+    dwells = 2.0 * near - wide > shortest and (shortest == 0.0 or wide < 1.5 * near)
+    return (4.0 * near - wide) / 3.0 if dwells else 0.0
 
 
 def split_branches(

@@ -1,0 +1,130 @@
+"""The command line: parse arguments, call the pipeline, print.
+
+Only the standard library is imported here; each command imports what it needs when it runs, so
+that ``labpipe --help`` answers in a blink.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+
+from labpipe import __version__
+from labpipe.errors import LabpipeError
+
+DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+
+_EPILOG = """\
+exit status: 0 done; 1 some results failed (they are listed); 2 bad input or usage
+
+first steps:
+  labpipe demo                      see everything once, on a synthetic campaign
+  labpipe inspect take.csv          what is in this export?
+  labpipe new raw/A2/A2-085-1       write the test.yaml of a test
+  labpipe check raw/A2              is everything there, and spelt right?
+  labpipe process raw/A2/A2-085-1   numbers and figures
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one labpipe command.
+
+    Parameters
+    ----------
+    arguments : as typed, without the program's name; those of this process if None
+
+    Returns
+    -------
+    Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
+    """
+    options = _parser().parse_args(arguments)
+    try:
+        return int(import_module(f"labpipe.cli.{options.command}").run(options))
+    except LabpipeError as error:
+        print(f"labpipe {options.command}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except KeyboardInterrupt:
+        print("labpipe: interrupted; earlier results are as they were", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader of a pipe went away; what Python would flush at exit has nowhere to go.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return DONE
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="labpipe",
+        description="From the raw exports of a wire-harness test lab to numbers and figures.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    _demo(_command(commands, "demo", "a synthetic campaign in vendor formats, processed"))
+    _inspect(_command(commands, "inspect", "what an export holds: channels, rate, gaps, oddities"))
+    _new(_command(commands, "new", "write a test.yaml, or one per row of a campaign sheet"))
+    _check(_command(commands, "check", "protocols and tests against each other and the files"))
+    _process(_command(commands, "process", "exports to result.h5, summary.json and figures"))
+    _simulate(_command(commands, "simulate", "synthetic exports of a test, with known truth"))
+    return parser
+
+
+def _command(
+    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, about: str
+) -> argparse.ArgumentParser:
+    return commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+
+
+def _demo(parser: argparse.ArgumentParser) -> None:
+    where = "folder that gets raw/demo and processed/demo (default: here)"
+    parser.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help=where)
+    parser.add_argument("--no-figures", action="store_true", help="numbers only")
+
+
+def _inspect(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", type=Path, metavar="FILE", help="an export of any known format")
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def _new(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("folder", type=Path, metavar="DIR", help="of the test, or of the campaign")
+    parser.add_argument("--from", dest="sheet", type=Path, metavar="SHEET", help="campaign sheet")
+    parser.add_argument("--protocol", default="wire-cantilever", help="(default: %(default)s)")
+    parser.add_argument("--type", help="specimen type, such as A2")
+    parser.add_argument("--spool", help="spool the sample was cut from, such as A2-s1")
+    parser.add_argument("--sample", help="number of the sample on its spool")
+    parser.add_argument("--length", help="free length with its unit, such as '85 mm'")
+    parser.add_argument("--date", help="day of the test, such as 2026-03-04")
+    parser.add_argument("--operator", help="who ran it")
+    for role in ("force", "markers", "frame"):
+        parser.add_argument(f"--{role}", metavar="FILE", help=f"export of the role {role}")
+    parser.add_argument("--overwrite", action="store_true", help="replace a test.yaml that exists")
+
+
+def _check(parser: argparse.ArgumentParser) -> None:
+    where = "protocols, tests or campaigns (default: protocols/ and raw/)"
+    parser.add_argument("paths", nargs="*", type=Path, metavar="PATH", help=where)
+
+
+def _process(parser: argparse.ArgumentParser) -> None:
+    what = "test folder, campaign folder, test.yaml, or a result.h5 to process again"
+    parser.add_argument("tests", nargs="+", type=Path, metavar="TEST", help=what)
+    parser.add_argument("--out", type=Path, metavar="DIR", help="write to DIR/<test> instead")
+    parser.add_argument("--no-figures", action="store_true", help="numbers only")
+    parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
+
+
+def _simulate(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--out", type=Path, default=Path("raw"), metavar="DIR", help="(default: raw)"
+    )
+    parser.add_argument("--name", default="synthetic-1", help="of the test (default: %(default)s)")
+    parser.add_argument("--rate", default="10 kHz", help="of the force (default: %(default)s)")
+    parser.add_argument("--fps", default="50 Hz", help="of the cameras (default: %(default)s)")
+    parser.add_argument("--cycles", type=int, default=3, help="(default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")

@@ -1,0 +1,121 @@
+"""From the exports that a test sheet names to recordings that speak the protocol's words."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+from labpipe.errors import ReadError, complaint
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.source import ChannelSource, Source
+from labpipe.readers import read_export
+from labpipe.readers.channels import select_channel
+from labpipe.records.recording import Channel, Recording
+from labpipe.records.result import InputFile
+from labpipe.units import si_factor
+
+
+def read_inputs(
+    folder: Path, sheet: TestSheet, protocol: Protocol
+) -> tuple[dict[str, Recording], tuple[InputFile, ...]]:
+    """Read what a test sheet names, reduced to what the protocol asks for.
+
+    Parameters
+    ----------
+    folder : of the test
+    sheet : its files by role
+    protocol : resolved
+
+    Returns
+    -------
+    recordings : by role; channels carry the protocol's names and SI units
+    inputs : the files with their fingerprints, in the same order
+
+    Raises
+    ------
+    ReadError
+        If a file is missing, is not of the format that the protocol names, or lacks a channel.
+    """
+    recordings, inputs = {}, []
+    for role, source in protocol.sources.items():
+        for name in sheet.files[role]:
+            inputs.append(_fingerprint(folder / name, role, name))
+        recordings[role] = read_role(folder / sheet.files[role][0], source)
+    return recordings, tuple(inputs)
+
+
+def read_role(path: Path, source: Source) -> Recording:
+    """Read one export for one role of a protocol.
+
+    Parameters
+    ----------
+    path : the export
+    source : of the protocol
+
+    Returns
+    -------
+    The recording with just the channels that the protocol names, under its names, in SI units.
+
+    Raises
+    ------
+    ReadError
+        As `read_inputs`; also when neither file nor protocol says a unit, or they contradict.
+    """
+    wanted = source.all_channels
+    recording = read_export(
+        path, source.reader, channels=[channel.channel for channel in wanted.values()]
+    )
+    channels = tuple(
+        _in_si(select_channel(recording, channel.channel, path), name, channel, path)
+        for name, channel in wanted.items()
+    )
+    clocks = {channel.clock for channel in channels}
+    kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
+    return replace(recording, channels=channels, clocks=kept)
+
+
+def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Channel:
+    """Rename a channel and turn its numbers into SI, once."""
+    unit = source.unit or channel.unit_in_file
+    si_unit = source.channel_unit or source.target_unit
+    if not unit:
+        message = complaint(
+            path,
+            f"channel {channel.path!r}",
+            expected="a unit",
+            found="none in the file and none in the protocol",
+            remedy=f"Write unit: under the channel {name} in the protocol or the test sheet.",
+        )
+        raise ReadError(message)
+    try:
+        factor = si_factor(unit, si_unit)
+    except ValueError as error:
+        message = complaint(
+            path,
+            f"channel {channel.path!r}",
+            expected=f"a unit of the dimension of {si_unit}",
+            found=repr(unit),
+            remedy="Name another channel, or give its calibration.",
+        )
+        raise ReadError(message) from error
+    calibration = source.calibration.gain if source.calibration is not None else ""
+    values = channel.values if factor == 1.0 else factor * channel.values
+    return replace(channel, name=name, values=values, unit=si_unit, calibration=calibration)
+
+
+def _fingerprint(path: Path, role: str, name: str) -> InputFile:
+    try:
+        with path.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        return InputFile(role, name, digest, path.stat().st_size)
+    except OSError as error:
+        message = complaint(
+            path,
+            "",
+            expected="an export that can be read",
+            found=error.strerror or "an error",
+            remedy="Look at files: in test.yaml.",
+        )
+        raise ReadError(message) from error

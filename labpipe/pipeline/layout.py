@@ -1,0 +1,101 @@
+"""Laying the recordings of a test on the bench: signals in SI, marker tracks, first notes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, complaint
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.marker_steps import MarkerBench
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.source import ChannelSource
+from labpipe.records.arrays import Floats
+from labpipe.records.recording import Channel, Recording
+
+
+def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Bench, MarkerBench]:
+    """Put calibrated signals and marker tracks on the bench.
+
+    Parameters
+    ----------
+    recordings : by role; channels carry the names and units of the protocol
+    protocol : resolved
+
+    Returns
+    -------
+    The bench with its first signals and the readers' notes, and the bench of the markers.
+
+    Raises
+    ------
+    ProcessingError
+        If a clock runs backwards, or a channel has no finite sample.
+    """
+    bench, markers = Bench(), MarkerBench()
+    for role, recording in recordings.items():
+        bench.notes.extend(replace(note, where=_at(role, note.where)) for note in recording.notes)
+        if recording.markers is not None:
+            _check_clock(recording.markers.time, role)
+            markers.tracks, markers.role = recording.markers, role
+        for channel in recording.channels:
+            time = recording.clock(channel.clock).time
+            _check_clock(time, role)
+            signal = _signal(channel, protocol.channels[channel.name], time, role)
+            bench.raw[channel.name] = bench.signals[channel.name] = signal
+            _note_missing(bench, channel)
+    return bench, markers
+
+
+def _at(role: str, where: str) -> str:
+    return f"{role}: {where}" if where else role
+
+
+def _signal(channel: Channel, source: ChannelSource, time: Floats, role: str) -> Signal:
+    values = channel.values
+    if source.calibration is not None:
+        values = source.gain * values + source.offset
+    if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
+        message = complaint(
+            role,
+            f"channel {channel.path!r}",
+            expected="numbers",
+            found="none: every sample is blank or not finite",
+            remedy="Look at the export with `labpipe inspect`.",
+        )
+        raise ProcessingError(message)
+    return Signal(
+        time=time,
+        values=values,
+        unit=source.target_unit,
+        clock=role,
+        relative_error=source.gain_uncertainty,
+    )
+
+
+def _note_missing(bench: Bench, channel: Channel) -> None:
+    missing = int(np.isnan(channel.values).sum())
+    if missing:
+        message = f"{missing} of {len(channel.values)} samples are blank or not finite"
+        bench.doubt(channel.name, "missing_samples", message, where=channel.name)
+
+
+def _check_clock(time: Floats, role: str) -> None:
+    if len(time) < 2:
+        found = f"{len(time)} of them"
+        remedy = "The recording was aborted; leave this test out."
+        message = complaint(role, "time", expected="samples", found=found, remedy=remedy)
+        raise ProcessingError(message)
+    steps = np.diff(time)
+    backwards = np.flatnonzero(~(steps > 0))
+    if len(backwards):
+        at = int(backwards[0]) + 1
+        message = complaint(
+            role,
+            f"sample {at + 1}",
+            expected="a time axis that grows",
+            found=f"{time[at]:.6f} s after {time[at - 1]:.6f} s",
+            remedy="Export the recording again.",
+        )
+        raise ProcessingError(message)

@@ -1,0 +1,204 @@
+"""The per-test command: export -> result.h5, summary.json, figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe import __version__
+from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.pipeline.exports import read_inputs
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet import SHEET_NAME
+from labpipe.records.result import Specimen, Status, TestResult
+from labpipe.store.lock import locked
+from labpipe.store.read import RawTest, read_raw
+from labpipe.store.summary import write_summary
+from labpipe.store.write import write_result
+
+RESULT_FILE, SUMMARY_FILE, FIGURES = "result.h5", "summary.json", "figures"
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Processed:
+    """One processed test and where its files are.
+
+    Parameters
+    ----------
+    folder : holds result.h5, summary.json and figures
+    result : what was found
+    figures : the files that were drawn
+    """
+
+    folder: Path
+    result: TestResult
+    figures: tuple[Path, ...]
+
+    @property
+    def n_failed(self) -> int:
+        """Number of results that could not be had."""
+        return sum(result.status is Status.FAILED for result in self.result.results)
+
+
+def find_tests(targets: Sequence[Path]) -> list[Path]:
+    """Find the tests below some paths.
+
+    Parameters
+    ----------
+    targets : test folders, campaign folders, test.yaml or result.h5 files
+
+    Returns
+    -------
+    test.yaml and result.h5 files, sorted, each once.
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist or holds no test.
+    """
+    found: list[Path] = []
+    for target in targets:
+        below = [target] if target.is_file() else sorted(target.rglob(SHEET_NAME))
+        if not below:
+            message = complaint(
+                target,
+                "",
+                expected="a test.yaml, a folder that holds one, or a result.h5",
+                found="neither" if target.exists() else "nothing of that name",
+                remedy="`labpipe new` writes a test.yaml.",
+            )
+            raise UsageError(message)
+        found.extend(below)
+    return list(dict.fromkeys(found))
+
+
+def process_test(
+    source: Path,
+    *,
+    out: Path | None = None,
+    figures: bool = True,
+    say: Say = lambda _: None,
+) -> Processed:
+    """Process one test.
+
+    Parameters
+    ----------
+    source : its test.yaml, or a result.h5 whose raw group is processed again
+    out : folder that gets a folder per test; None for `processed` beside `raw`
+    figures : whether to draw
+    say : told the name of each stage as it begins
+
+    Returns
+    -------
+    The result and where it was written.
+
+    Raises
+    ------
+    LabpipeError
+        If an input is bad; earlier results are then as they were.
+    """
+    say("read")
+    again = source.suffix == ".h5"
+    raw, protocol = _stored(source) if again else _exported(source)
+    say("process")
+    result = reduce_test(raw, protocol)
+    folder = source.parent if again and out is None else _folder(source, out, result.test)
+    with locked(folder):
+        say("write")
+        write_result(result, folder / RESULT_FILE)
+        write_summary(result, folder / SUMMARY_FILE)
+        drawn = _draw(result, folder / FIGURES, say) if figures else ()
+    return Processed(folder, result, drawn)
+
+
+def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
+    """Reduce one test in memory.
+
+    Parameters
+    ----------
+    raw : its recordings and what is known about it
+    protocol : resolved
+
+    Returns
+    -------
+    Everything that `labpipe process` would store.
+
+    Raises
+    ------
+    ProcessingError
+        If a recording lacks what a step cannot do without.
+    """
+    try:
+        bench, results = reduce_recordings(raw.recordings, protocol)
+    except ProcessingError as error:
+        message = f"{raw.test}, {error}"
+        raise ProcessingError(message) from error
+    return TestResult(
+        test=raw.test,
+        specimen=raw.specimen,
+        protocol=protocol.name,
+        protocol_yaml=raw.protocol_yaml,
+        test_yaml=raw.test_yaml,
+        labpipe_version=__version__,
+        inputs=raw.inputs,
+        recordings=raw.recordings,
+        aligned=bench.aligned,
+        curve=bench.curve,
+        shape=bench.shape,
+        results=results,
+        quality=tuple(bench.notes),
+        display=dict(protocol.report.display),
+        figures=protocol.report.figures,
+    )
+
+
+def _exported(sheet_path: Path) -> tuple[RawTest, Protocol]:
+    """A test from its sheet and exports."""
+    sheet = load_test_sheet(sheet_path)
+    protocol = resolve(sheet, sheet_path)
+    recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
+    specimen = Specimen(
+        sheet.specimen.type,
+        sheet.specimen.spool,
+        sheet.specimen.sample,
+        sheet.specimen.dimensions,
+    )
+    raw = RawTest(
+        test=sheet.test,
+        specimen=specimen,
+        protocol=protocol.name,
+        protocol_yaml=dump_protocol(protocol),
+        test_yaml=sheet_path.read_text(encoding="utf-8"),
+        labpipe_version=__version__,
+        inputs=inputs,
+        recordings=recordings,
+    )
+    return raw, protocol
+
+
+def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
+    """A test from the raw group of an earlier result."""
+    raw = read_raw(result_path)
+    return raw, parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
+
+
+def _folder(sheet: Path, out: Path | None, test: str) -> Path:
+    """Where the results of a test go: beside `raw` in `processed`, at the same depth."""
+    if out is not None:
+        return out / test
+    folder = sheet.resolve().parent
+    above = [parent for parent in folder.parents if parent.name == "raw"]
+    if not above:
+        return Path("processed") / test
+    return above[0].parent / "processed" / folder.relative_to(above[0])
+
+
+def _draw(result: TestResult, folder: Path, say: Say) -> tuple[Path, ...]:
+    say("draw")
+    from labpipe.report.figures import save_figures
+
+    return tuple(save_figures(result, folder))

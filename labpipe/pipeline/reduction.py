@@ -1,0 +1,193 @@
+"""The story of one test: from recordings to results, without touching a file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import assert_never
+
+import numpy as np
+
+from labpipe.errors import ProcessingError
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.clocks import align_clocks, turning_corners
+from labpipe.pipeline.cycle_results import (
+    clock_results,
+    energy,
+    loading_stiffness,
+    peak_displacement,
+    peak_force,
+    residual_displacement,
+    unloading_stiffness,
+)
+from labpipe.pipeline.layout import lay_out
+from labpipe.pipeline.marker_steps import MarkerBench, tip_travel
+from labpipe.pipeline.steps import take_step
+from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
+from labpipe.protocol.results import (
+    ClockResult,
+    Energy,
+    InitialStiffness,
+    PeakDisplacement,
+    PeakForce,
+    ResidualDisplacement,
+    ResultEntry,
+    Stiffness,
+    TipTravel,
+    UnloadingStiffness,
+)
+from labpipe.protocol.rig import AlignTurningPoints
+from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Aligned, Branch, Curve, Series
+from labpipe.records.quality import Severity
+from labpipe.records.recording import Recording
+from labpipe.records.result import Result
+
+
+def reduce_recordings(
+    recordings: Mapping[str, Recording], protocol: Protocol
+) -> tuple[Bench, tuple[Result, ...]]:
+    """Reduce the recordings of one test to stages and results.
+
+    Parameters
+    ----------
+    recordings : by role, their channels named and in SI units as the protocol says
+    protocol : resolved
+
+    Returns
+    -------
+    The bench with every stage that could be reached, and the results in the protocol's order.
+
+    Raises
+    ------
+    ProcessingError
+        If a recording lacks what a step cannot do without, such as the clamp's rigid body.
+    """
+    bench, markers = lay_out(recordings, protocol)
+    _take_steps(bench, markers, protocol)
+    if protocol.curve is not None:
+        _make_curve(bench, protocol)
+    results = [result for entry in protocol.results for result in _results(bench, markers, entry)]
+    return bench, tuple(results)
+
+
+def _take_steps(bench: Bench, markers: MarkerBench, protocol: Protocol) -> None:
+    for number, step in enumerate(protocol.steps):
+        try:
+            take_step(bench, markers, step, protocol)
+        except ValueError as error:
+            message = f"steps.{number} ({step.step}): {error}"
+            raise ProcessingError(message) from error
+
+
+def _make_curve(bench: Bench, protocol: Protocol) -> None:
+    """Put force and displacement on one clock and split them where the motion turns."""
+    if protocol.curve is None or protocol.branches is None:
+        return
+    bench.force, bench.displacement = protocol.curve.force, protocol.curve.displacement
+    motion = bench.raw[protocol.branches.channel]
+    strokes = find_strokes(motion.time, motion.values, min_stroke=protocol.branches.min_stroke)
+    if not strokes:
+        span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
+        message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
+        bench.block("no_motion", message, where=protocol.branches.channel)
+    turns = np.full((len(strokes), 2), np.nan)
+    if isinstance(protocol.align, AlignTurningPoints) and strokes:
+        corners = turning_corners(motion, strokes, window=protocol.align.motion_window)
+        for number, corner in corners.items():
+            turns[number, 1] = turns[number + 1, 0] = corner.time
+        bench.clock_fit = align_clocks(bench, protocol.align, strokes, corners)
+    branches = split_branches(motion.time, strokes, turning_times=turns)
+    _check_rig(bench, protocol, branches)
+    if not bench.blocked:
+        bench.aligned = _aligned(bench)
+        bench.curve = _curve(bench, motion.time, branches)
+
+
+def _aligned(bench: Bench) -> Aligned:
+    """All raw signals at the times of the displacement."""
+    time = bench.signals[bench.displacement].time
+    series = {
+        name: Series(_at(bench, signal, time), signal.unit) for name, signal in bench.raw.items()
+    }
+    return Aligned(time, series, bench.clock_fit)
+
+
+def _curve(bench: Bench, motion_time: Floats, branches: tuple[Branch, ...]) -> Curve | None:
+    displacement = bench.signals[bench.displacement]
+    time = displacement.time
+    force = _at(bench, bench.signals[bench.force], time)
+    if np.isnan(force).all():
+        force_time = bench.signals[bench.force].time
+        message = (
+            f"force from {force_time[0]:.3f} s to {force_time[-1]:.3f} s and motion from "
+            f"{time[0]:.3f} s to {time[-1]:.3f} s do not overlap"
+        )
+        bench.block("no_overlap", message, where="align")
+        return None
+    moved = tuple(_on_clock(branch, motion_time, time) for branch in branches)
+    branch, cycle = branch_numbers(len(time), moved)
+    return Curve(time, displacement.values, force, branch, cycle, moved)
+
+
+def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
+    """Count a branch in samples of another time axis on the same clock."""
+    if len(motion_time) == len(time):
+        return branch
+    last = min(branch.stop, len(motion_time)) - 1
+    start, stop = np.searchsorted(time, [motion_time[branch.start], motion_time[last]])
+    return Branch(
+        int(start), int(stop), branch.cycle, branch.direction, branch.start_time, branch.stop_time
+    )
+
+
+def _at(bench: Bench, signal: Signal, time: Floats) -> Floats:
+    """Values of a signal at times of the curve's clock: interpolated, never extrapolated."""
+    clock = bench.signals[bench.displacement].clock
+    if signal.clock != clock and bench.clock_fit is not None:
+        time = bench.clock_fit.to_force_time(time)
+    if len(time) == len(signal.time) and np.array_equal(time, signal.time):
+        return signal.values
+    return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
+
+
+def _check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -> None:
+    """Compare what the rig was told to do with what was measured."""
+    rig, cycles = protocol.rig, len({branch.cycle for branch in branches})
+    if rig.cycles is not None and branches and cycles != rig.cycles:
+        message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
+        bench.note("cycles_unexpected", Severity.WARNING, "rig.cycles", message)
+    if rig.stroke is None or not branches or protocol.branches is None:
+        return
+    values = bench.raw[protocol.branches.channel].values
+    stroke = float(np.nanmax(values) - np.nanmin(values))
+    if abs(stroke - rig.stroke) > 0.02 * rig.stroke:
+        message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * rig.stroke:.4g} mm expected"
+        bench.note("stroke_unexpected", Severity.WARNING, "rig.stroke", message)
+
+
+def _results(  # noqa: C901, PLR0911  one case per entry of the union
+    bench: Bench, markers: MarkerBench, entry: ResultEntry
+) -> list[Result]:
+    match entry:
+        case ClockResult():
+            return clock_results(bench)
+        case PeakForce():
+            return peak_force(bench)
+        case PeakDisplacement():
+            return peak_displacement(bench)
+        case InitialStiffness():
+            name = "initial_stiffness"
+            return loading_stiffness(bench, name=name, low=entry.start, high=entry.stop)
+        case Stiffness():
+            return loading_stiffness(bench, name=entry.name, low=entry.start, high=entry.stop)
+        case UnloadingStiffness():
+            return unloading_stiffness(bench, over=entry.over)
+        case Energy():
+            return energy(bench)
+        case ResidualDisplacement():
+            return residual_displacement(bench, force_below=entry.force_below)
+        case TipTravel():
+            return tip_travel(bench, markers)
+        case _ as never:
+            assert_never(never)

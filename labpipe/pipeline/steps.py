@@ -1,0 +1,134 @@
+"""The steps of a protocol: one case each, from the words of the YAML to the pure function."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import assert_never
+
+import numpy as np
+
+from labpipe.fitting.noise import long_run_variance
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.marker_steps import MarkerBench, fit_shapes, repair, turn_into_specimen
+from labpipe.processing.filtering import (
+    decimate,
+    low_pass,
+    moving_average,
+    seconds_to_window,
+    window_length,
+)
+from labpipe.protocol.quantities import Span
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.steps import (
+    Decimate,
+    FitShape,
+    LowPass,
+    RepairMarkers,
+    Smooth,
+    SpecimenFrame,
+    Step,
+    Zero,
+)
+from labpipe.records.quality import Severity
+
+
+def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol) -> None:
+    """Carry out one step and note what it did.
+
+    Parameters
+    ----------
+    bench : gets the new signals and notes
+    markers : gets repaired tracks, frame and shape
+    step : of the protocol
+    protocol : for what steps share: markers, rig
+
+    Raises
+    ------
+    ValueError
+        If the data cannot go through the step.
+    """
+    match step:
+        case RepairMarkers():
+            repair(bench, markers, step, protocol.markers)
+        case SpecimenFrame():
+            turn_into_specimen(bench, markers, step, protocol.markers)
+        case FitShape():
+            fit_shapes(bench, markers, step, protocol.markers)
+        case Zero():
+            _zero(bench, step)
+        case Smooth():
+            _smooth(bench, step, protocol)
+        case LowPass():
+            signal = bench.signals[step.channel]
+            rate = 1.0 / float(np.median(np.diff(signal.time)))
+            values = low_pass(signal.values, cutoff=step.cutoff, rate=rate, order=step.order)
+            bench.signals[step.channel] = replace(signal, values=values)
+        case Decimate():
+            _decimate(bench, step)
+        case _ as never:
+            assert_never(never)
+
+
+def _zero(bench: Bench, step: Zero) -> None:
+    signal = bench.signals[step.channel]
+    edge = signal.time[0] + step.over if step.at == "start" else signal.time[-1] - step.over
+    stretch = signal.time <= edge if step.at == "start" else signal.time >= edge
+    rest = signal.values[stretch]
+    known = rest[~np.isnan(rest)]
+    if len(known) < 8:
+        message = f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, not 8"
+        raise ValueError(message)
+    level = float(known.mean())
+    error = float(np.sqrt(long_run_variance(_blocks(known), parameters=1) / len(_blocks(known))))
+    for signals in (bench.raw, bench.signals):
+        before = signals[step.channel]
+        signals[step.channel] = replace(before, values=before.values - level, zero_error=error)
+    said = f"zero at {level:.6g} {signal.unit}, the mean over {step.over:g} s at the {step.at}"
+    bench.note("zeroed", Severity.INFO, step.channel, said)
+
+
+def _blocks(
+    values: np.ndarray[tuple[int], np.dtype[np.float64]],
+) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    """Averages over at most 1000 blocks: as good for a mean, and quick to correlate."""
+    size = max(1, len(values) // 1000)
+    return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+
+
+def _smooth(bench: Bench, step: Smooth, protocol: Protocol) -> None:
+    signal = bench.signals[step.channel]
+    window = _window(step.span, signal, protocol)
+    values = moving_average(signal.values, window=window)
+    bench.signals[step.channel] = replace(signal, values=values)
+    seconds = window * float(np.median(np.diff(signal.time)))
+    said = f"moving average over {window} samples ({seconds:.4g} s)"
+    bench.note("smoothed", Severity.INFO, step.channel, said)
+
+
+def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
+    """Samples of a span; travel and branches are turned into seconds by the rig's speed."""
+    count = len(signal.values)
+    if span.kind == "samples":
+        return window_length(max(1.0, span.value), count)
+    if span.kind == "time":
+        return seconds_to_window(span.value, signal.time)
+    speed, stroke = protocol.rig.crosshead_speed, protocol.rig.stroke
+    if speed is None or (span.kind == "branch" and stroke is None):
+        message = f"span: a span of {span.kind} needs rig.crosshead_speed and rig.stroke"
+        raise ValueError(message)
+    travel = span.value if span.kind == "travel" else span.value * (stroke or 0.0)
+    return seconds_to_window(travel / speed, signal.time)
+
+
+def _decimate(bench: Bench, step: Decimate) -> None:
+    signal = bench.signals[step.channel]
+    values = decimate(signal.values, factor=step.factor, filtered=step.method == "filtered")
+    alternative = signal.alternative
+    bench.signals[step.channel] = replace(
+        signal,
+        time=signal.time[:: step.factor],
+        values=values,
+        alternative=None if alternative is None else alternative[:: step.factor],
+    )
+    said = f"every {step.factor}th sample kept ({step.method})"
+    bench.note("decimated", Severity.INFO, step.channel, said)

@@ -1,0 +1,83 @@
+"""Corners: time and height of a turn, with errors that hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fitting.corners import fit_corner, value_at_turn
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.records.arrays import Floats
+
+TURN, HEIGHT = 4.0013, 1.2
+
+
+def bent(seed: int, *, noise: float, correlated: int = 1) -> tuple[Floats, Floats]:
+    """A force that turns at 4.0013 s and 1.2 N, curved on both sides, 1 kHz."""
+    time = np.arange(0.0, 8.0, 1e-3)
+    past = time - TURN
+    force = HEIGHT + np.where(
+        past < 0, 0.05 * past + 0.004 * past**2, -0.12 * past + 0.01 * past**2
+    )
+    white = np.random.default_rng(seed).normal(0.0, noise, len(time) + correlated)
+    kernel = np.ones(correlated) / np.sqrt(correlated)
+    return time, force + np.convolve(white, kernel, mode="same")[: len(time)]
+
+
+def test_exact_without_noise() -> None:
+    time, force = bent(0, noise=0.0)
+    corner = fit_corner(time, force, near=4.2, window=2.0, degree=2)
+    assert corner is not None
+    assert corner.time == pytest.approx(TURN, abs=1e-5)
+    assert corner.value == pytest.approx(HEIGHT, abs=1e-6)
+
+
+@pytest.mark.parametrize("correlated", [1, 20])
+def test_errors_hold_for_white_and_for_correlated_noise(correlated: int) -> None:
+    pulls = []
+    for seed in range(150):
+        time, force = bent(seed, noise=4e-3, correlated=correlated)
+        corner = fit_corner(time, force, near=4.1, window=2.0, degree=2)
+        assert corner is not None
+        pulls.append(
+            [
+                (corner.time - TURN) / corner.time_error,
+                (corner.value - HEIGHT) / corner.value_error,
+            ]
+        )
+    # The spread of 150 normal pulls is known to 6 %; correlated noise is estimated from fewer.
+    assert np.std(pulls, axis=0) == pytest.approx([1.0, 1.0], abs=0.17 if correlated == 1 else 0.3)
+    assert np.mean(pulls, axis=0) == pytest.approx([0.0, 0.0], abs=0.25)
+
+
+def test_a_straight_signal_has_no_corner() -> None:
+    time = np.arange(0.0, 8.0, 1e-2)
+    noise = np.random.default_rng(5).normal(0, 1e-3, len(time))
+    corner = fit_corner(time, 0.1 * time + noise, near=4.0, window=2.0, degree=1)
+    assert corner is None or corner.time_error > 0.05
+
+
+def test_too_few_samples() -> None:
+    time = np.arange(0.0, 0.1, 0.02)
+    assert fit_corner(time, time, near=0.04, window=0.05, degree=2) is None
+    found = value_at_turn(time, time, at=0.04, window=0.05, degree=2)
+    assert found == Failure("too_few_samples", "fewer than 5 samples on a side of 0.040 s")
+
+
+def test_nan_are_left_out() -> None:
+    time, force = bent(0, noise=0.0)
+    force[::7] = np.nan
+    corner = fit_corner(time, force, near=4.1, window=2.0, degree=2)
+    assert corner is not None
+    assert corner.time == pytest.approx(TURN, abs=1e-4)
+
+
+def test_value_at_a_known_turn_covers() -> None:
+    pulls = []
+    for seed in range(150):
+        time, force = bent(seed, noise=4e-3)
+        found = value_at_turn(time, force, at=TURN, window=2.0, degree=2)
+        assert isinstance(found, Estimate)
+        pulls.append((found.value - HEIGHT) / found.error)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.17)
+    assert np.mean(pulls) == pytest.approx(0.0, abs=0.25)

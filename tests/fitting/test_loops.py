@@ -1,0 +1,142 @@
+"""Numbers of a force-displacement loop against what the loop was made from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.loops import (
+    loop_energy,
+    residual_after_unloading,
+    secant_stiffness,
+    smooth_peak,
+)
+from labpipe.records.arrays import Floats
+
+STIFFNESS = 20.0
+
+
+def value(found: Estimate | Failure) -> Estimate:
+    assert isinstance(found, Estimate), found
+    return found
+
+
+def test_stiffness_is_exact_on_a_line() -> None:
+    time = np.arange(0.0, 4.0, 0.02)
+    found = value(
+        secant_stiffness(time, 1e-3 * time, 0.02 * time + 1.0, np.ones(len(time), dtype=bool))
+    )
+    assert found.value == pytest.approx(STIFFNESS, rel=1e-12)
+    assert found.n == 200
+
+
+def test_stiffness_is_not_made_small_by_a_noisy_displacement() -> None:
+    time, pulls, slopes, plain = np.arange(0.0, 4.0, 0.02), [], [], []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        path = 1e-3 * time + rng.normal(0, 3e-4, len(time))
+        force = 0.02 * time + rng.normal(0, 1e-3, len(time))
+        found = value(secant_stiffness(time, path, force, np.ones(len(time), dtype=bool)))
+        pulls.append((found.value - STIFFNESS) / found.error)
+        slopes.append(found.value)
+        plain.append(float(np.polyfit(path, force, 1)[0]))
+    assert np.mean(slopes) == pytest.approx(STIFFNESS, rel=5e-3)
+    assert np.mean(plain) < 0.95 * STIFFNESS
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.12)
+
+
+def test_stiffness_says_why_not() -> None:
+    time = np.arange(0.0, 4.0, 0.02)
+    none = np.zeros(len(time), dtype=bool)
+    found = secant_stiffness(time, time, time, none)
+    assert found == Failure("too_few_samples", "0 samples in the stretch, 8 are needed")
+    still = secant_stiffness(time, np.ones_like(time), time, ~none)
+    assert still == Failure("no_travel", "the displacement does not change over the stretch")
+
+
+def loop() -> tuple[Floats, Floats, Floats]:
+    """An ellipse of half axes 10 mm and 0.5 N: its area is pi 0.01 0.5 J."""
+    time = np.linspace(0.0, 100.0, 5001)
+    phase = 2 * np.pi * time / 100.0
+    return time, -1e-2 * np.cos(phase), 0.5 * np.sin(phase)
+
+
+def test_energy_is_the_area_of_the_loop() -> None:
+    found = value(loop_energy(*loop(), clock_error=0.0))
+    assert found.value == pytest.approx(np.pi * 1e-2 * 0.5, rel=1e-6)
+
+
+def test_energy_error_holds() -> None:
+    time, path, force = loop()
+    pulls = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        noisy = path + rng.normal(0, 5e-5, len(time)), force + rng.normal(0, 1e-3, len(time))
+        found = value(loop_energy(time, *noisy, clock_error=0.0))
+        pulls.append((found.value - np.pi * 5e-3) / found.error)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.12)
+
+
+def test_energy_knows_what_the_clocks_can_change() -> None:
+    time, path, force = loop()
+    # An ellipse shifted by dt has the area pi a b cos(w dt).
+    shifted = np.interp(time - 1.0, time, force)
+    still = value(loop_energy(time, path, shifted, clock_error=0.0))
+    moved = value(loop_energy(time, path, shifted, clock_error=0.5))
+    rate = np.pi * 5e-3 * np.sin(2 * np.pi * 1.0 / 100.0) * 2 * np.pi / 100.0
+    assert np.sqrt(moved.error**2 - still.error**2) == pytest.approx(0.5 * rate, rel=0.05)
+
+
+def test_energy_refuses_a_gap() -> None:
+    time, path, force = loop()
+    force[100:103] = np.nan
+    found = loop_energy(time, path, force, clock_error=0.0)
+    assert found == Failure("gap", "3 samples of the cycle have no force or no displacement")
+
+
+def unloading(*, slack: bool, noise: float, seed: int = 0) -> tuple[Floats, Floats, Floats]:
+    """Force falls to zero at 12 mm; then the string is slack, or the force goes negative."""
+    time = np.arange(0.0, 53.0, 0.02)
+    path = 0.053 - 1e-3 * time
+    force = (path - 0.012) / 0.041
+    if slack:
+        path, force = np.maximum(path, 0.012), np.maximum(force, 0.0)
+    rng = np.random.default_rng(seed)
+    return time, path + rng.normal(0, 5 * noise, len(time)), force + rng.normal(0, noise, len(time))
+
+
+@pytest.mark.parametrize("slack", [True, False])
+def test_residual_is_where_the_force_is_back_at_zero(slack: bool) -> None:
+    pulls = []
+    for seed in range(150):
+        parts = unloading(slack=slack, noise=2e-4, seed=seed)
+        parts = (parts[0], 0.012 + (parts[1] - 0.012) / 10.0 if slack else parts[1], parts[2])
+        found = value(residual_after_unloading(*parts, force_below=5e-3))
+        assert found.value == pytest.approx(0.012, abs=1e-3)
+        pulls.append((found.value - 0.012) / found.error)
+    assert np.std(pulls) < 1.3
+
+
+def test_residual_is_not_extrapolated() -> None:
+    time, path, force = unloading(slack=False, noise=0.0)
+    found = residual_after_unloading(time[:1500], path[:1500], force[:1500], force_below=5e-3)
+    assert isinstance(found, Failure)
+    assert found.code == "force_not_zero"
+    assert "above the limit of 0.005 N" in found.message
+
+
+def test_smooth_peak_is_the_vertex() -> None:
+    time = np.arange(0.0, 10.0, 0.02)
+    pulls = []
+    for seed in range(200):
+        noise = np.random.default_rng(seed).normal(0, 1e-3, len(time))
+        found = value(smooth_peak(time, np.sin(0.3 * time) + noise, share=0.02))
+        pulls.append((found.value - 1.0) / found.error)
+    assert abs(np.mean(pulls)) < 0.5
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.15)
+
+
+def test_smooth_peak_needs_samples() -> None:
+    found = smooth_peak(np.arange(3.0), np.arange(3.0), share=0.1)
+    assert found == Failure("too_few_samples", "3 samples, 8 are needed")
