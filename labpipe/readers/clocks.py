@@ -174,8 +174,8 @@ def _jitter_note(regular: Floats, median: float, where: str) -> list[QualityNote
     if max(longest - median, median - shortest) <= JITTER * median:
         return []
     message = (
-        f"steps from {1e3 * shortest:.4g} to {1e3 * longest:.4g} ms"
-        f" around {1e3 * median:.4g} ms without loss"
+        f"steps from {_duration(shortest)} to {_duration(longest)}"
+        f" around {_duration(median)} without loss"
     )
     return [QualityNote("time_jitter", Severity.INFO, where, message)]
 

@@ -73,9 +73,13 @@ def _opened(path: Path) -> Iterator[Any]:
         warnings.simplefilter("ignore")  # asammdf on its own optional parts
         try:
             from asammdf import MDF
+            from asammdf.blocks.mdf_v4 import MDF4
             from asammdf.blocks.utils import MdfException
         except ImportError as error:
             raise ReadError(_not_installed(path)) from error
+        # 8.8: what a damaged file leaves half made complains on stderr when it is deleted. Files
+        # are closed below, so nothing needs its __del__.
+        MDF4.__del__ = lambda _: None
         with reading(path, _WHAT, also=(MdfException,)):
             file = MDF(path)
         try:

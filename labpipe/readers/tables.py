@@ -70,38 +70,40 @@ def read_numbers(
 def _without_cut_line(body: Body) -> tuple[bytes, list[QualityNote]]:
     """Leave out a last line that stops in the middle.
 
-    A last line without line end is whole only if it has all its cells and the header promises no
-    further row: a last number may have lost digits.
+    A last line without line end is whole only if it has all its cells, the header promises no
+    further row, and its last number has as many decimals as the one above it.
     """
     text = body.text
     end = text.rfind(b"\n") + 1
     last = text[end:]
     if not last.strip(b"\r\0 "):
         return text, []
-    short = last.count(b",") < body.width - 1
     rows = text.count(b"\n") + 1
-    if not short and rows >= (body.stated_rows or 0):
+    above = text[text.rfind(b"\n", 0, end - 1) + 1 : max(end - 1, 0)]
+    is_whole = last.count(b",") >= body.width - 1 and _decimals(last) >= _decimals(above)
+    if is_whole and rows >= (body.stated_rows or 0):
         return text, []
     message = f"the last line ({body.first_line + rows - 1}) is incomplete and was left out"
     return text[:end], [QualityNote("truncated", Severity.WARNING, "file", message)]
 
 
+def _decimals(line: bytes) -> int:
+    """Number of digits that the last cell of a line has after its decimal point."""
+    cell = line.rstrip(b"\r").rpartition(b",")[2]
+    return len(cell.partition(b".")[2])
+
+
 def _ragged(text: bytes, body: Body, path: Path) -> list[QualityNote]:
-    """Find lines with too few cells (noted) or too many (refused)."""
+    """Find lines with too few cells (noted) or too many (refused); blank ones more are padding."""
     commas = body.width - 1
-    if text.count(b",") == commas * text.count(b"\n"):
-        return []
-    lines = [line.rstrip(b"\r") for line in text.split(b"\n")]
-    counts = [line.count(b",") if line else commas for line in lines]
-    long = [
-        i for i, n in enumerate(counts) if n > commas and lines[i].rstrip(b",").count(b",") > commas
-    ]
-    if long:
-        expected, found = f"{body.width} cells as in the header", f"{counts[long[0]] + 1}"
-        place = f"line {body.first_line + long[0]}"
-        text_ = complaint(path, place, expected=expected, found=found, remedy=_AGAIN)
-        raise ReadError(text_)
-    short = [i for i, n in enumerate(counts) if n < commas]
+    lines = text.split(b"\n")
+    counts = [line.count(b",") for line in lines]
+    for i, count in enumerate(counts):
+        if count > commas and lines[i].rstrip(b",\r").count(b",") > commas:
+            place, found = f"line {body.first_line + i}", f"{count + 1}"
+            expected = f"{body.width} cells as in the header"
+            raise ReadError(complaint(path, place, expected=expected, found=found, remedy=_AGAIN))
+    short = [i for i, count in enumerate(counts) if count < commas and lines[i].strip(b"\r")]
     if not short:
         return []
     message = f"{len(short)} lines have too few cells, first line {body.first_line + short[0]}:"
@@ -114,13 +116,15 @@ def _parsed(text: bytes, body: Body, columns: Sequence[int], path: Path) -> Floa
 
     if not text.strip():
         return np.empty((0, len(columns)))
+    padded = text[: text.find(b"\n") + 1 or None].count(b",") + 1
     try:
         table = pd.read_csv(
             io.BytesIO(text),
             header=None,
-            names=list(range(body.width)),
+            names=list(range(max(body.width, padded))),
             usecols=list(columns),
             dtype=np.float64,
+            na_values=["NAN"],
             skip_blank_lines=False,
             encoding_errors="replace",
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,9 @@ from labpipe.records.recording import MarkerTracks
 
 FROZEN = 10
 """Unchanged steps in a row from which on a pose counts as frozen, not as standing still."""
+
+
+_UNLABELLED = re.compile(r"Unlabeled[ :].*|Marker-\d+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +86,11 @@ def longest(stretches: list[Run]) -> int:
 
 
 def is_unlabelled(name: str) -> bool:
-    """Tell whether a marker has no label of its own (``Unlabeled 2379``, ``Unlabeled:108``)."""
-    return name.startswith("Unlabeled")
+    """Tell whether a marker has no label of its own.
+
+    Such are called ``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (row 1.1).
+    """
+    return _UNLABELLED.fullmatch(name) is not None
 
 
 def track_notes(tracks: MarkerTracks) -> list[QualityNote]:
