@@ -1,0 +1,75 @@
+"""The figures of one test by the names that protocols use, and the one function that saves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from labpipe.errors import StoreError, complaint
+from labpipe.records.result import TestResult
+from labpipe.report import force_displacement, marker_quality, timeline, wire_shapes
+from labpipe.report.page import style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FIGURES: dict[str, Callable[[TestResult], Figure]] = {
+    "force-displacement": force_displacement.draw,
+    "wire-shapes": wire_shapes.draw,
+    "timeline": timeline.draw,
+    "marker-quality": marker_quality.draw,
+}
+
+_NO_DATE = {"svg": {"Date": None}, "png": {"Software": None}}
+
+
+def save_figures(result: TestResult, folder: Path) -> list[Path]:
+    """Draw the figures that the protocol asks for, each as SVG and as PNG.
+
+    Parameters
+    ----------
+    result : a processed test; a figure whose data is missing is made all the same and says in a
+        sentence why it is empty
+    folder : made if it is not there
+
+    Returns
+    -------
+    The files, in the order of the protocol.
+
+    Raises
+    ------
+    ValueError
+        If the protocol asks for a figure that does not exist.
+    StoreError
+        If a file cannot be written.
+
+    Notes
+    -----
+    The same result gives the same bytes with the same version of matplotlib.
+    """
+    unknown = [name for name in result.figures if name not in FIGURES]
+    if unknown:
+        message = f"figures={unknown}: expected some of {list(FIGURES)}"
+        raise ValueError(message)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return [path for name in result.figures for path in _save(result, name, folder)]
+    except OSError as error:
+        message = complaint(
+            folder,
+            "",
+            expected="a folder that figures can be written to",
+            found=str(error),
+            remedy="Make room, or change the permissions, and process the test again.",
+        )
+        raise StoreError(message) from error
+
+
+def _save(result: TestResult, name: str, folder: Path) -> list[Path]:
+    paths = [folder / f"{name}.{kind}" for kind in _NO_DATE]
+    with style():
+        page = FIGURES[name](result)
+        for path, metadata in zip(paths, _NO_DATE.values(), strict=True):
+            page.savefig(path, metadata=metadata)
+    return paths

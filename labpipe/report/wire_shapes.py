@@ -1,0 +1,201 @@
+"""The specimen's shape at equal steps of its tip: markers, and the curve fitted to them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import Direction, PointFlag, Shape
+from labpipe.records.result import TestResult
+from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, panel_letter, say
+from labpipe.report.wording import scale, why_missing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_STEPS = 5
+_LOOKS = {
+    PointFlag.MEASURED: ("o", True),
+    PointFlag.RELABELLED: ("s", True),
+    PointFlag.FILLED: ("o", False),
+    PointFlag.CONSTRUCTED: ("D", False),
+}
+"""Sign of a point, and whether it is filled with colour, by where its position comes from."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Frames to draw, the tip's way at each of them (m), and the word for that way."""
+
+    frames: Ints
+    levels: Floats
+    word: str
+
+
+def draw(result: TestResult) -> Figure:
+    """Draw shapes in the plane of bending; without branches in two planes."""
+    shape = result.shape
+    if shape is None or not len(shape.time):
+        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
+        say(page.subplots(), why_missing(result, "shape"))
+        return page
+    steps = choose_frames(result, shape)
+    planes = [1] if _first_loading(result) is not None else [1, 2]
+    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=_height(shape, steps, planes))
+    panels = page.subplots(len(planes), 1, sharex=True, squeeze=False)[:, 0]
+    for letter, axes, plane in zip("ab", panels, planes, strict=False):
+        plot_shapes(result, axes, plane=plane)
+        if len(planes) > 1:
+            panel_letter(axes, letter, f"x-{'xyz'[plane]} view")
+    _explain(result, page, shape, steps)
+    return page
+
+
+def choose_frames(result: TestResult, shape: Shape) -> Steps:
+    """Choose frames at equal, round steps of the tip.
+
+    Parameters
+    ----------
+    result : its first loading branch is used where it has one: steps of tip deflection; else steps
+        of the tip's distance from where it was at first
+    shape : at least one frame
+
+    Returns
+    -------
+    About six frames, the first at rest.
+    """
+    way, word = _way(result, shape)
+    if np.isnan(way).all():
+        return Steps(np.zeros(1, dtype=np.int64), np.zeros(1), word)
+    factor = scale(result, "displacement", "m").factor
+    step = _round_step(float(np.nanmax(way)) * factor / _STEPS) / factor
+    levels = np.arange(0.0, np.nanmax(way) * (1 + 1e-9), step)
+    # the first frame at a level, not the nearest of all: later ones may belong to another motion
+    reached = [np.flatnonzero(way >= level - 1e-12) for level in levels]
+    frames = np.array([hits[0] for hits in reached if len(hits)], dtype=np.int64)
+    return Steps(frames, levels[: len(frames)], word)
+
+
+def _first_loading(result: TestResult) -> tuple[float, float] | None:
+    branches = result.curve.branches if result.curve is not None else ()
+    times = ((one.start_time, one.stop_time) for one in branches if one.direction is _LOADING)
+    return next(times, None)
+
+
+_LOADING = Direction.LOADING
+
+
+def _way(result: TestResult, shape: Shape) -> tuple[Floats, str]:
+    """The tip's way in every frame, m; NaN outside the first loading."""
+    loading = _first_loading(result)
+    if loading is None or result.curve is None:
+        tip = shape.positions[:, _last_seen(shape)]
+        seen = np.flatnonzero(~np.isnan(tip).any(axis=1))
+        start = tip[seen[0]] if len(seen) else np.full(3, np.nan)
+        far: Floats = np.linalg.norm(tip - start, axis=1)
+        return far, "tip excursion"
+    curve = result.curve
+    way: Floats = np.interp(shape.time, curve.time, curve.displacement)
+    way[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
+    return way, "tip deflection"
+
+
+def _last_seen(shape: Shape) -> int:
+    """The point nearest the free end that has a position at all."""
+    seen = np.flatnonzero(~np.isnan(shape.positions).any(axis=2).all(axis=0))
+    return int(seen[-1]) if len(seen) else len(shape.names) - 1
+
+
+def _round_step(step: float) -> float:
+    """The number 1, 2 or 5 times a power of ten nearest to a step, by ratio."""
+    if step <= 0:
+        return 1.0
+    power = 10.0 ** np.floor(np.log10(step))
+    candidates = power * np.array([1.0, 2.0, 5.0, 10.0])
+    return float(candidates[np.argmin(np.abs(np.log(candidates / step)))])
+
+
+def _height(shape: Shape, steps: Steps, planes: list[int]) -> float:
+    """Height of the page in mm on which the panels are filled at equal axis scale."""
+    drawn = shape.positions[steps.frames]
+    spans = np.nan_to_num(np.ptp(np.nan_to_num(drawn), axis=(0, 1)))
+    wide = max(float(spans[0]), 1e-6)
+    each = [150.0 * float(spans[plane]) / wide * 1.15 for plane in planes]
+    return float(sum(np.clip(each, 28.0, 120.0 / len(planes)))) + 22.0 + 6.0 * len(planes)
+
+
+def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
+    """Draw markers and fitted curves at equal steps of the tip, at equal axis scale.
+
+    Parameters
+    ----------
+    result : its shape is drawn
+    axes : to draw on; an explaining sentence if there is no shape
+    plane : axis that is drawn upwards: 1 for y, in the plane of bending; 2 for z, out of it
+    """
+    shape = result.shape
+    if shape is None or not len(shape.time):
+        say(axes, why_missing(result, "shape"))
+        return
+    steps = choose_frames(result, shape)
+    way = scale(result, "displacement", "m")
+    for frame, colour in zip(steps.frames, _colours(len(steps.frames)), strict=True):
+        x, up = _fitted(shape, int(frame))[[0, plane]] * way.factor
+        axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
+        for flag in _LOOKS:
+            mine = shape.flags[frame] == flag
+            x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
+            axes.plot(x, up, color=colour, **_look(flag, colour))
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlabel(way.label("x"))
+    axes.set_ylabel(way.label("xyz"[plane]))
+
+
+def _fitted(shape: Shape, frame: int) -> Floats:
+    """Points on the fitted curve, shape (3, points), m; none where no curve was fitted."""
+    terms = shape.coefficients.shape[2]
+    along = np.linspace(0, 1, 81 if terms else 0)
+    curve: Floats = shape.coefficients[frame] @ along[None, :] ** np.arange(terms)[:, None]
+    return curve
+
+
+def _look(flag: PointFlag, colour: str) -> dict[str, Any]:
+    sign, full = _LOOKS[flag]
+    return {
+        "marker": sign,
+        "linestyle": "",
+        "markersize": 3.4,
+        "markerfacecolor": colour if full else "white",
+        "label": flag.name.lower(),
+    }
+
+
+def _colours(count: int) -> list[str]:
+    import matplotlib as mpl
+    from matplotlib.colors import to_hex
+
+    colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
+    return [to_hex(colour_map(0.9 * place)) for place in np.linspace(0, 1, count)]
+
+
+def _explain(result: TestResult, page: Figure, shape: Shape, steps: Steps) -> None:
+    """Name the signs above the panels and the steps beside them, where no data can be."""
+    from matplotlib.lines import Line2D
+
+    present = set(np.unique(shape.flags[steps.frames]))
+    handles = [
+        Line2D([], [], color=GREY, **_look(flag, GREY)) for flag in _LOOKS if flag in present
+    ]
+    if shape.coefficients.shape[2]:
+        handles.append(Line2D([], [], color=GREY, linewidth=0.9, label="fitted curve"))
+    page.legend(handles=handles, loc="outside upper center", ncols=len(handles) or 1)
+    way = scale(result, "displacement", "m")
+    levels = [
+        Line2D([], [], color=colour, linewidth=1.6, label=f"{level * way.factor:g} {way.unit}")
+        for level, colour in zip(steps.levels, _colours(len(steps.levels)), strict=True)
+    ]
+    page.legend(handles=levels, loc="outside right center", title=steps.word, title_fontsize=8)
