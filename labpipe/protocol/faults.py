@@ -25,6 +25,7 @@ _EXPECTED = {
     "list_type": "a list",
     "tuple_type": "a list",
     "string_type": "text",
+    "too_short": "at least one entry",
 }
 
 
@@ -72,9 +73,9 @@ def shown(value: object) -> str:
     if value is None:
         return "nothing"
     if isinstance(value, Mapping):
-        return "a block of keys"
+        return "a block of keys" if value else "an empty block"
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return "a list"
+        return "a list" if value else "an empty list"
     return repr(str(value))
 
 

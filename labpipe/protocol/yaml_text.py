@@ -19,6 +19,7 @@ from labpipe.protocol.faults import Fault, KeyPath, shown
 Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
+_DEEPEST = 16
 _NOTHING = ("", "~", "null")
 
 
@@ -172,18 +173,25 @@ def parse_yaml(text: str, file: str) -> Document:
 
 def _compose(text: str, file: str) -> yaml.Node | None:
     try:
-        for event in yaml.parse(text, Loader=yaml.BaseLoader):
-            if isinstance(event, yaml.AliasEvent):
-                mark = _mark(event)
-                fault = Fault((), "a value", f"the alias '*{event.anchor}'", "Write it out.")
-                raise ProtocolError(tell(file, mark, fault).text)
+        _refuse_riddles(text, file)
         return yaml.compose(text, Loader=yaml.BaseLoader)
-    except RecursionError as error:
-        remedy = "Write the file in fewer levels."
-        message = complaint(file, "", expected="YAML", found="endless nesting", remedy=remedy)
-        raise ProtocolError(message) from error
     except yaml.YAMLError as error:
         raise ProtocolError(_syntax(error, text, file)) from error
+
+
+def _refuse_riddles(text: str, file: str) -> None:
+    """Stop at an alias or endless nesting, before the YAML library is lost in it."""
+    depth = 0
+    for event in yaml.parse(text, Loader=yaml.BaseLoader):
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        fault = None
+        if isinstance(event, yaml.AliasEvent):
+            fault = Fault((), "a value", f"the alias '*{event.anchor}'", "Write it out.")
+        elif depth > _DEEPEST:
+            fault = Fault((), f"at most {_DEEPEST} levels", "more", "Write it in fewer levels.")
+        if fault is not None:
+            raise ProtocolError(tell(file, _mark(event), fault).text)
 
 
 def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
@@ -196,7 +204,7 @@ def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
         place = f"line {before.count(chr(10)) + 1}, column {len(before) - before.rfind(chr(10))}"
     problem = getattr(error, "problem", None) or getattr(error, "reason", "") or "something else"
     context = getattr(error, "context", None)
-    found = f"{problem} {context}" if context else str(problem)
+    found = f"text that is none ({problem}{f' {context}' if context else ''})"
     remedy = "Look at this line and the one before it: indentation, ':' and brackets."
     return complaint(file, place, expected="YAML", found=found, remedy=remedy)
 

@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import pytest
+
+from tests.protocol.conftest import Told
+
+GAIN = "gain: 0.5 N/V"
+CASES = {
+    "gain in another unit": (
+        (GAIN, "gain: 0.5 mm/V"),
+        "p.yaml, line 8, column 25 (sources.force.calibration.gain): expected a quantity with a"
+        " unit such as N/V, found '0.5 mm/V'. Write it with its unit, such as '0.5 N/V'.",
+    ),
+    "gain without unit": (
+        (GAIN, "gain: 0.5"),
+        "p.yaml, line 8, column 25 (sources.force.calibration.gain): expected a quantity with a"
+        " unit such as N/V, found '0.5'. Write it with its unit, such as '0.5 N/V'.",
+    ),
+    "gain of zero": (
+        (GAIN, "gain: 0 N/V"),
+        "p.yaml, line 8, column 25 (sources.force.calibration.gain): expected a gain other than"
+        " zero, found '0 N/V'. Correct it.",
+    ),
+    "offset in another unit": (
+        ("offset: 0 N", "offset: 0 V"),
+        "p.yaml, line 8, column 42 (sources.force.calibration.offset): expected a quantity with a"
+        " unit such as N, found '0 V'. Write it with its unit, such as '0.5 N'.",
+    ),
+    "no unit of the channel": (
+        ("    unit: V\n", ""),
+        "p.yaml, line 5, column 5 (sources.force): expected the unit that the calibration starts"
+        " from, found none. Add the key 'unit', such as V.",
+    ),
+    "unknown unit": (
+        ("    unit: V\n", "    unit: Volts per N\n"),
+        "p.yaml, line 7, column 11 (sources.force.unit): expected a unit such as V, found"
+        " 'Volts per N'. Write the unit alone.",
+    ),
+    "unit of another dimension": (
+        ("    calibration: {gain: 0.5 N/V, offset: 0 N, gain_uncertainty: 0.2 %}\n", ""),
+        "p.yaml, line 7, column 11 (sources.force.unit): expected a unit of force such as N, found"
+        " 'V'. Correct it, or add a 'calibration'.",
+    ),
+    "two ways at once": (
+        ("    unit: V\n", "    unit: V\n    channels: {load: {channel: x, quantity: force}}\n"),
+        "p.yaml, line 6, column 14 (sources.force.channel): expected 'channels' alone, found"
+        " 'channel' beside it. Move it into 'channels'.",
+    ),
+    "no channel": (
+        ("    channel: Model Root/Load/Out1\n", ""),
+        "p.yaml, line 5, column 5 (sources.force): expected the name of a channel, found none."
+        " Add the key 'channel', or 'channels' for several.",
+    ),
+    "markers with a channel": (
+        ("    reader: motive-csv\n", "    reader: motive-csv\n    channel: x\n"),
+        "p.yaml, line 11, column 14 (sources.markers.channel): expected no channels beside marker"
+        " tracks, found the key 'channel'. Remove it.",
+    ),
+    "markers from a signal reader": (
+        ("    reader: motive-csv\n", "    reader: dspace-mat\n"),
+        "p.yaml, line 10, column 13 (sources.markers.reader): expected a reader of marker tracks,"
+        " found 'dspace-mat'. Use one of 'motive-csv', 'motive-xlsx'.",
+    ),
+    "force from a marker reader": (
+        ("[dspace-mat, dspace-csv]", "motive-csv"),
+        "p.yaml, line 5, column 13 (sources.force.reader): expected a reader of channels, found"
+        " 'motive-csv'. Use one of 'dspace-csv', 'dspace-mat', 'dspace-mf4'.",
+    ),
+    "quantity unknown": (
+        ("    unit: V\n", "    unit: V\n    quantity: forse\n"),
+        "p.yaml, line 8, column 15 (sources.force.quantity): expected one of the quantities"
+        " 'force', 'pressure', 'frequency', 'speed', 'moment', 'travel', ..., found 'forse'."
+        " Did you mean 'force'?",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_a_wrong_source_is_told(case: tuple[tuple[str, str], str], told: Told) -> None:
+    change, message = case
+
+    assert message in told(change)
+
+
+SECOND = "  frame: {reader: dspace-mat, channels: {%s: {channel: x}}}\n"
+
+
+def test_a_name_that_says_no_quantity(told: Told) -> None:
+    lines = told(("  markers:\n", SECOND % "load" + "  markers:\n"))
+
+    assert len(lines) == 1
+    assert lines[0].startswith(
+        "p.yaml, line 9, column 48 (sources.frame.channels.load): expected to know what the channel"
+        " measures, found no 'quantity'. Add 'quantity', one of "
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "taken"), [("force", "the source 'force'"), ("travel", "a step")]
+)
+def test_a_name_taken_twice(name: str, taken: str, told: Told) -> None:
+    lines = told(("  markers:\n", SECOND % name + "  markers:\n"))
+
+    assert lines == [
+        f"p.yaml, line 9, column 42 (sources.frame.channels.{name}): expected a name that {taken}"
+        f" has not taken, found '{name}'. Rename it."
+    ]

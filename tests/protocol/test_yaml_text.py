@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.errors import ProtocolError
+from labpipe.protocol.faults import Fault
+from labpipe.protocol.yaml_text import parse_yaml, read_text
+
+
+def test_unquoted_words_stay_text() -> None:
+    text = "a: 0103_3_3\nb: no\nc: 12:30\nd: 1e3\ne: 2026-03-04\nf: ~\ng: null\nh:\ni: 'null'\n"
+
+    assert parse_yaml(text, "x").data == {
+        "a": "0103_3_3",
+        "b": "no",
+        "c": "12:30",
+        "d": "1e3",
+        "e": "2026-03-04",
+        "f": None,
+        "g": None,
+        "h": None,
+        "i": "null",
+    }
+
+
+def test_every_value_has_its_place() -> None:
+    document = parse_yaml("a:\n  - b\n  - {c: d}\n", "x.yaml")
+
+    spot = document.spots["a", 1, "c"]
+    assert (spot.file, spot.key, spot.value) == ("x.yaml", (3, 6), (3, 9))
+    assert document.at(("a", 1, "c")) == "d"
+
+
+def test_a_fault_at_a_path_that_is_not_there_stands_at_the_block_around_it() -> None:
+    document = parse_yaml("a:\n  b: c\n", "x.yaml")
+
+    told = document.place(Fault(("a", "z"), "this", "that"), "(Remark.)")
+
+    assert told.text == "x.yaml, line 2, column 3 (a.z): expected this, found that. (Remark.)"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "a: 1\nb: 2\na: 3\n",
+            "x, line 3, column 1 (a): expected each key once, found 'a' again (first in line 1).",
+        ),
+        (
+            "a: !!python/object/new:os.system [ls]\n",
+            "x, line 1, column 4 (a): expected a plain value, found the tag"
+            " 'tag:yaml.org,2002:python/object/new:os.system'. Leave the tag out.",
+        ),
+        (
+            "? [a, b]\n: c\n",
+            "x, line 1, column 3: expected a word as key, found a list. Write 'key: value'.",
+        ),
+    ],
+)
+def test_what_is_yaml_but_not_for_protocols_is_told(text: str, message: str) -> None:
+    assert [told.text for told in parse_yaml(text, "x").told] == [message]
+
+
+LOOK = "Look at this line and the one before it: indentation, ':' and brackets."
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "a: [1, 2\nb: 3\n",
+            "x, line 2, column 2: expected YAML, found text that is none (expected ',' or ']',"
+            f" but got ':' while parsing a flow sequence). {LOOK}",
+        ),
+        (
+            "a: 1\n  b: 2\n",
+            f"x, line 2, column 4: expected YAML, found text that is none (mapping values are"
+            f" not allowed here). {LOOK}",
+        ),
+        (
+            "a: 1\n\tb: 2\n",
+            "x, line 2, column 1: expected YAML, found text that is none (found character '\\t'"
+            f" that cannot start any token while scanning for the next token). {LOOK}",
+        ),
+        (
+            "a: &x 1\nb: *x\n",
+            "x, line 2, column 4: expected a value, found the alias '*x'. Write it out.",
+        ),
+        (
+            "a: 1\n---\nb: 2\n",
+            "x, line 2, column 1: expected YAML, found text that is none (but found another"
+            f" document expected a single document in the stream). {LOOK}",
+        ),
+        (
+            "a: 1\nb: \x00\n",
+            f"x, line 2, column 4: expected YAML, found text that is none (special"
+            f" characters are not allowed). {LOOK}",
+        ),
+        (
+            "[" * 5000,
+            "x, line 1, column 17: expected at most 16 levels, found more. Write it in fewer levels.",
+        ),
+    ],
+)
+def test_what_is_no_yaml_is_told_with_its_place(text: str, message: str) -> None:
+    with pytest.raises(ProtocolError) as info:
+        parse_yaml(text, "x")
+
+    assert str(info.value) == message
+
+
+def test_an_empty_file_holds_nothing() -> None:
+    assert parse_yaml("# a comment\n", "x").data is None
+
+
+def test_a_file_that_is_no_text(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_bytes(b"a: 1\nb: \xff\n")
+
+    with pytest.raises(ProtocolError) as info:
+        read_text(path)
+    assert str(info.value) == (
+        f"{path}, byte 8: expected UTF-8 text, found the byte 0xff. Save it as UTF-8."
+    )
+
+
+def test_a_file_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ProtocolError) as info:
+        read_text(tmp_path / "x.yaml")
+    assert str(info.value) == (
+        f"{tmp_path / 'x.yaml'}: expected a YAML file, found no such file or directory."
+        " Check the name and the folder."
+    )
+
+
+def test_a_byte_order_mark_is_no_content(tmp_path: Path) -> None:
+    path = tmp_path / "x.yaml"
+    path.write_text("a: b\n", encoding="utf-8-sig")
+
+    assert parse_yaml(read_text(path), "x").data == {"a": "b"}
+
+
+@given(st.text(alphabet="ab:-[]{}'\"#&*!|>?,\n\t \x00%@`", max_size=40))
+def test_any_text_is_parsed_or_refused(text: str) -> None:
+    try:
+        document = parse_yaml(text, "x")
+    except ProtocolError as error:
+        assert str(error).startswith("x")
+    else:
+        assert () in document.spots
