@@ -1,0 +1,102 @@
+"""Put a virtual test on disk: the vendors' exports, the test sheet, and the truth beside them.
+
+``truth.json`` (frames and signs of `virtual_lab.scenario`, SI, marker clock; arrays at the camera
+frames) is for checking; the processing never reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.control_desk import write_control_desk
+from labpipe.virtual_lab.instruments import Observation
+from labpipe.virtual_lab.motive import write_motive
+from labpipe.virtual_lab.sheet import FORCE_FILE, MARKER_FILE, write_sheet
+
+SHEET_FILE, TRUTH_FILE = "test.yaml", "truth.json"
+_DIGITS = 12
+
+
+def write_exports(observation: Observation, folder: Path) -> Path:
+    """Write all files of a virtual test.
+
+    Parameters
+    ----------
+    observation : the test
+    folder : made if it is not there; files of the same names are replaced
+
+    Returns
+    -------
+    The folder.
+    """
+    scenario, seed = observation.scenario, observation.seed
+    folder.mkdir(parents=True, exist_ok=True)
+    started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
+    saved = started + timedelta(seconds=round(float(observation.force_record.clock[-1])))
+    record = observation.force_record
+    write_control_desk(folder / FORCE_FILE, record, saved=saved, seed=seed)
+    write_motive(
+        folder / MARKER_FILE,
+        observation.take,
+        unit=scenario.length_unit,
+        started=started,
+        take_name=scenario.name,
+        seed=seed,
+    )
+    (folder / SHEET_FILE).write_text(write_sheet(scenario), encoding="utf-8")
+    text = json.dumps(truth_as_json(observation), indent=None)
+    (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
+    return folder
+
+
+def truth_as_json(observation: Observation) -> dict[str, object]:
+    """Everything true of a virtual test, as ``truth.json`` holds it.
+
+    Parameters
+    ----------
+    observation : the test
+
+    Returns
+    -------
+    Numbers, lists and text only.
+    """
+    scenario, take, truth = observation.scenario, observation.take, observation.truth
+    return {
+        "synthetic": True,
+        "seed": observation.seed,
+        "scenario": asdict(scenario),
+        "clock": {"offset": scenario.clocks.offset, "drift": scenario.clocks.drift},
+        "true_gain": observation.force_record.true_gain,
+        "rotation_specimen_to_lab": _rounded(scenario.pose.rotation()),
+        "law": asdict(scenario.mechanics.wire),
+        "markers": [
+            {"label": label, "arc_length": _rounded(arc_length)}
+            for label, arc_length in zip(take.labels, take.arc_lengths, strict=True)
+        ],
+        "mishaps": [asdict(event) for event in take.log],
+        "cycles": [asdict(cycle) for cycle in truth.cycles],
+        "time": _rounded(truth.time),
+        "travel": _rounded(truth.travel),
+        "deflection": _rounded(truth.deflection),
+        "force": _rounded(truth.force),
+        "shapes": [
+            {
+                "frame": shape.frame,
+                "arc_length": _rounded(shape.arc_length),
+                "x": _rounded(shape.x),
+                "y": _rounded(shape.y),
+            }
+            for shape in truth.shapes
+        ],
+    }
+
+
+def _rounded(values: Floats | float) -> object:
+    """As lists, to a millionth of a micrometre or of a micronewton."""
+    return np.round(values, _DIGITS).tolist()
