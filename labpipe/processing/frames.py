@@ -1,0 +1,247 @@
+"""Rotations, and the specimen frame: x along the wire, y towards the pull, z out of the plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.quality import QualityNote, Severity
+
+Selection: TypeAlias = slice | Flags
+"""Some frames: a slice, or a mask of shape (frames,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpecimenFrame:
+    """Where the specimen lies in the frame of the motion-capture system.
+
+    Parameters
+    ----------
+    rotation_lab_to_specimen : shape (3, 3), proper
+    origin_lab : shape (3,), m, pivot of the clamp at rest, or first marker at rest
+    order : columns of the markers in order along the specimen
+    out_of_plane : m, root mean square distance of the markers from their common plane
+    travel_residual : m, root mean square distance of the clamp from its straight path (without a
+        clamp: 0)
+    notes : what is doubtful
+    """
+
+    rotation_lab_to_specimen: Floats
+    origin_lab: Floats
+    order: tuple[int, ...]
+    out_of_plane: float
+    travel_residual: float
+    notes: tuple[QualityNote, ...] = ()
+
+    def __post_init__(self) -> None:
+        rotation = frozen(self.rotation_lab_to_specimen, shape=(3, 3))
+        object.__setattr__(self, "rotation_lab_to_specimen", rotation)
+        object.__setattr__(self, "origin_lab", frozen(self.origin_lab, shape=(3,)))
+
+    def to_specimen(self, positions_lab: Floats) -> Floats:
+        """Turn positions of shape (..., 3) from the lab into the specimen frame; NaN stays NaN."""
+        moved = (positions_lab - self.origin_lab) @ self.rotation_lab_to_specimen.T
+        return np.asarray(moved, dtype=np.float64)
+
+    def to_lab(self, positions_specimen: Floats) -> Floats:
+        """Turn positions of shape (..., 3) from the specimen frame back into the lab."""
+        moved = positions_specimen @ self.rotation_lab_to_specimen + self.origin_lab
+        return np.asarray(moved, dtype=np.float64)
+
+
+def rotation_between(v1: Floats, v2: Floats, *, half_turn_axis: Floats) -> Floats:
+    """Rotation that takes the direction of one vector to that of another.
+
+    Parameters
+    ----------
+    v1, v2 : shape (3,), of any length but zero
+    half_turn_axis : shape (3,), the axis to turn about when the two are opposed; only its part
+        perpendicular to `v1` is used
+
+    Returns
+    -------
+    shape (3, 3), R with R v1 / abs(v1) = v2 / abs(v2), det R = +1. Parallel vectors give the
+    identity.
+
+    Raises
+    ------
+    ValueError
+        If a vector is zero or not finite, or the axis is needed and lies along `v1`.
+
+    Notes
+    -----
+    Rodrigues: R = I + K + K^2 / (1 + c), with K the cross-product matrix of v1 x v2 and c their
+    cosine; opposed: R = 2 a a^T - I.
+    """
+    one, two = _direction(v1, "v1"), _direction(v2, "v2")
+    cosine = float(one @ two)
+    cross = np.cross(one, two)
+    if cosine < 0 and np.linalg.norm(cross) < 1e-12:
+        axis = np.asarray(half_turn_axis, dtype=np.float64)
+        across = _direction(axis - (axis @ one) * one, "half_turn_axis across v1")
+        return np.asarray(2 * np.outer(across, across) - np.eye(3), dtype=np.float64)
+    x, y, z = cross
+    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.asarray(np.eye(3) + skew + skew @ skew / (1 + cosine), dtype=np.float64)
+
+
+def _direction(vector: Floats, name: str) -> Floats:
+    values = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(values))
+    if not (np.isfinite(length) and length > 1e-12):
+        message = f"{name}={values.tolist()}: expected a vector of a length above 0"
+        raise ValueError(message)
+    return np.asarray(values / length, dtype=np.float64)
+
+
+def specimen_frame(
+    clamp_lab: Floats | None,
+    markers_lab: Floats,
+    *,
+    rest: Selection,
+    moving: Selection | None,
+    out_of_plane_limit: float,
+) -> SpecimenFrame:
+    """Find the frame of the specimen, and the order of its markers.
+
+    Parameters
+    ----------
+    clamp_lab : shape (frames, 3), m, pivot of the clamp; None for a take without a clamp
+    markers_lab : shape (frames, markers, 3), m; NaN is left out
+    rest : frames in which the specimen is at rest, before the first loading
+    moving : frames of the first loading; None takes all
+    out_of_plane_limit : m, the frame is doubtful when the markers leave their plane by more
+
+    Returns
+    -------
+    The frame.
+
+    Raises
+    ------
+    ValueError
+        If nothing moves, nothing is seen at rest, or there are fewer than two markers.
+
+    Notes
+    -----
+    With a clamp: y is opposite to the clamp's travel (its total-least-squares line); x is the
+    direction across y in which the markers, relative to the clamp, spread most, away from the
+    clamp; z = x cross y is what is left. So the plane of the wire, seen over the whole take, fixes
+    the turn about y that one pair of vectors leaves open. Without a clamp: the end that moves less
+    is the origin, x points along the chain at rest, y is the direction across x in which the other
+    end travels most.
+    """
+    if markers_lab.ndim != 3 or markers_lab.shape[1] < 2:
+        message = f"markers_lab of shape {markers_lab.shape}: expected at least 2 markers"
+        raise ValueError(message)
+    if clamp_lab is None:
+        return _frame_of_chain(markers_lab, rest, out_of_plane_limit)
+    relative = markers_lab - clamp_lab[:, None]
+    origin = _mean(clamp_lab[rest], "clamp at rest")
+    path = clamp_lab if moving is None else clamp_lab[moving]
+    travel, travel_residual = _travel(path, origin)
+    across = relative - (relative @ travel)[..., None] * travel
+    x, out_of_plane = _spread(across.reshape(-1, 3), travel)
+    rotation = np.stack([x, -travel, np.cross(x, -travel)])
+    order = _order(_distances(relative, rest), _reach(relative, rest))
+    notes = _notes(out_of_plane, out_of_plane_limit)
+    return SpecimenFrame(rotation, origin, order, out_of_plane, travel_residual, notes)
+
+
+def _frame_of_chain(markers_lab: Floats, rest: Selection, limit: float) -> SpecimenFrame:
+    distances = _distances(markers_lab, rest)
+    ends = np.unravel_index(np.nanargmax(distances), distances.shape)
+    extents = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
+    first = int(ends[int(np.argmin(extents))])
+    order = _order(distances, distances[first])
+    origin = _mean(markers_lab[rest, order[0]], "first marker at rest")
+    tip = _mean(markers_lab[rest, order[-1]], "last marker at rest")
+    x = _direction(tip - origin, "chain at rest")
+    swing = markers_lab[:, order[-1]] - tip
+    y, _ = _spread(swing - (swing @ x)[:, None] * x, x)
+    rotation = np.stack([x, y, np.cross(x, y)])
+    height = (markers_lab - origin) @ rotation[2]
+    out_of_plane = float(np.sqrt(np.nanmean((height - np.nanmean(height)) ** 2)))
+    return SpecimenFrame(rotation, origin, order, out_of_plane, 0.0, _notes(out_of_plane, limit))
+
+
+def _travel(path: Floats, rest: Floats) -> tuple[Floats, float]:
+    """Direction in which the clamp leaves its place at rest, and what its path has beside it."""
+    seen = path[np.isfinite(path).all(axis=1)]
+    centred = seen - seen.mean(axis=0) if len(seen) > 1 else np.zeros((2, 3))
+    spread, axes = np.linalg.svd(centred, full_matrices=False)[1:]
+    if spread[0] <= 1e-9 * np.sqrt(len(centred)):
+        message = "clamp_lab: expected a clamp that moves, found one that stands still"
+        raise ValueError(message)
+    along = (seen - rest) @ axes[0]
+    sign = np.sign(along[np.abs(along).argmax()])
+    return sign * axes[0], float(np.sqrt((spread[1:] ** 2).sum() / len(centred)))
+
+
+def _spread(points: Floats, normal: Floats) -> tuple[Floats, float]:
+    """Direction of greatest spread across `normal`, towards the points; the spread beside it."""
+    seen = points[np.isfinite(points).all(axis=1)]
+    if not len(seen):
+        message = "markers_lab: expected markers in some frame in which the clamp is seen"
+        raise ValueError(message)
+    centred = seen - seen.mean(axis=0)
+    _, axes = np.linalg.eigh(centred.T @ centred / len(seen))
+    main = axes[:, 2] - (axes[:, 2] @ normal) * normal
+    main = _direction(main, "spread of the markers across the travel")
+    side = np.cross(normal, main)
+    along = seen @ main
+    sign = np.sign(along[np.abs(along).argmax()])
+    return sign * main, float(np.sqrt(np.mean((centred @ side) ** 2)))
+
+
+def _distances(positions: Floats, rest: Selection) -> Floats:
+    """Distances between markers, m: at rest, or over all frames for pairs not seen at rest."""
+    count = positions.shape[1]
+    distances = np.zeros((count, count))
+    for one in range(count):
+        apart = np.linalg.norm(positions - positions[:, one : one + 1], axis=2)
+        for two in range(count):
+            distances[one, two] = _typical(apart[:, two], rest)
+    return distances
+
+
+def _reach(relative: Floats, rest: Selection) -> Floats:
+    """Distance of every marker from the clamp, m."""
+    apart = np.linalg.norm(relative, axis=2)
+    return np.array([_typical(column, rest) for column in apart.T])
+
+
+def _typical(values: Floats, rest: Selection) -> float:
+    for stretch in (values[rest], values):
+        seen = stretch[np.isfinite(stretch)]
+        if len(seen):
+            return float(np.median(seen))
+    return np.inf
+
+
+def _order(distances: Floats, reach: Floats) -> tuple[int, ...]:
+    """Order of markers along the wire: next to the clamp first, then always the nearest left."""
+    order = [int(np.argmin(reach))]
+    while len(order) < len(distances):
+        left = [marker for marker in range(len(distances)) if marker not in order]
+        order.append(min(left, key=lambda marker: distances[order[-1], marker]))
+    return tuple(order)
+
+
+def _mean(points: Floats, name: str) -> Floats:
+    seen = points[np.isfinite(points).all(axis=-1)]
+    if not len(seen):
+        message = f"{name}: expected a position in some frame, found none"
+        raise ValueError(message)
+    return np.asarray(seen.mean(axis=0), dtype=np.float64)
+
+
+def _notes(out_of_plane: float, limit: float) -> tuple[QualityNote, ...]:
+    if out_of_plane <= limit:
+        return ()
+    message = (
+        f"markers leave their plane by {out_of_plane * 1e3:.3f} mm (rms), limit {limit * 1e3:g} mm"
+    )
+    return (QualityNote("out_of_plane", Severity.WARNING, "markers", message),)

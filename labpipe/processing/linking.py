@@ -1,0 +1,203 @@
+"""Join tracklets into chains, each the path of one point, by where it was heading."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.processing.tracklets import Tracklets, frame_period
+from labpipe.records.arrays import Floats, Ints
+
+_VELOCITY_FRAMES = 5
+"""Frames over which the velocity at the end of a tracklet is taken."""
+_SAME_LABEL = 0.25
+"""How much further away, in max_jump, a point of the same label may be and still win."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Which tracklet goes on as which.
+
+    Parameters
+    ----------
+    chain : shape (tracklets,), number of the chain that each tracklet belongs to
+    successor : shape (tracklets,), the next tracklet of the chain, -1 at its end
+    ambiguous : pairs of tracklets that position alone would join differently, left to the labels
+    """
+
+    chain: Ints
+    successor: Ints
+    ambiguous: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Candidate links: end of tracklet `end`, start of tracklet `start`, distance, cost."""
+
+    end: Ints
+    start: Ints
+    distance: Floats
+    cost: Floats
+
+
+def link_tracklets(
+    tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
+) -> Links:
+    """Join the end of one tracklet to the start of another that goes on where it would be.
+
+    Parameters
+    ----------
+    tracklets : sorted by their first frame
+    relative : shape (frames, tracks, 3), m, positions relative to the clamp
+    time : shape (frames,), s
+    max_gap : s, longest time without a sample that is bridged
+    max_jump : m, furthest that the start may lie from where the point is expected; under the same
+        label this much per frame of the gap, but then any nearer partner is preferred
+
+    Returns
+    -------
+    The links.
+
+    Notes
+    -----
+    Expected is either where the point stood or where the mean of both velocities takes it,
+    whichever is nearer. Within each group of competing ends and starts the assignment of least
+    total distance is taken; crossing to another label costs a quarter of `max_jump` on top.
+    A crossing whose rival (a simultaneous tracklet) lies as near within that margin is not made.
+    """
+    pairs = _candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
+    successor = np.full(len(tracklets), -1, dtype=np.int64)
+    chosen = _assign(pairs, len(tracklets), unlinked=max_jump * (1 + _SAME_LABEL))
+    margin = _SAME_LABEL * max_jump
+    doubts = dict(_rivals(pairs, chosen, tracklets, margin))
+    crossing = tracklets.column[pairs.end] != tracklets.column[pairs.start]
+    for index in chosen:
+        if not (crossing[index] and index in doubts):
+            successor[pairs.end[index]] = pairs.start[index]
+    ambiguous = tuple(
+        (int(pairs.end[index]), int(pairs.start[index] if crossing[index] else pairs.start[rival]))
+        for index, rival in doubts.items()
+    )
+    return Links(_chains(successor), successor, ambiguous)
+
+
+def _candidates(
+    tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
+) -> _Pairs:
+    period = frame_period(time)
+    starts, ends = time[tracklets.start], time[tracklets.stop - 1]
+    first = np.searchsorted(starts, ends, side="right")
+    last = np.searchsorted(starts, ends + max_gap + 1.1 * period, side="right")
+    many = np.maximum(last - first, 0)
+    end = np.repeat(np.arange(len(tracklets)), many)
+    start = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many) + first[end]
+    pause = starts[start] - ends[end]
+    distance = _distances(tracklets, relative, time, end, start)
+    crossing = tracklets.column[end] != tracklets.column[start]
+    gate = np.where(crossing, max_jump, max_jump * np.maximum(1.0, pause / period))
+    cost = np.minimum(distance, 0.999 * max_jump) + _SAME_LABEL * max_jump * crossing
+    keep = distance <= gate
+    return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
+
+
+def _distances(
+    tracklets: Tracklets, relative: Floats, time: Floats, end: Ints, start: Ints
+) -> Floats:
+    """How far each start lies from where the end would be."""
+    column, begin, final = tracklets.column, tracklets.start, tracklets.stop - 1
+    inside_end = np.maximum(begin, final - _VELOCITY_FRAMES)
+    inside_start = np.minimum(final, begin + _VELOCITY_FRAMES)
+
+    def velocity(a: Ints, b: Ints) -> Floats:
+        pause = np.where(b > a, time[b] - time[a], 1.0)
+        return np.asarray((relative[b, column] - relative[a, column]) / pause[:, None])
+
+    leaving, arriving = velocity(inside_end, final), velocity(begin, inside_start)
+    gap = relative[begin[start], column[start]] - relative[final[end], column[end]]
+    pause = (time[begin[start]] - time[final[end]])[:, None]
+    heading = gap - pause * (leaving[end] + arriving[start]) / 2
+    nearest = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(heading, axis=1))
+    return np.asarray(nearest, dtype=np.float64)
+
+
+def _assign(pairs: _Pairs, count: int, *, unlinked: float) -> list[int]:
+    """Indices of the pairs that make the cheapest assignment."""
+    from scipy.optimize import linear_sum_assignment
+
+    chosen: list[int] = []
+    for group in _groups(pairs, count):
+        if len(group) == 1:
+            chosen.append(int(group[0]))
+            continue
+        ends, row = np.unique(pairs.end[group], return_inverse=True)
+        starts, column = np.unique(pairs.start[group], return_inverse=True)
+        saving = np.zeros((len(ends), len(starts)))
+        saving[row, column] = unlinked - pairs.cost[group]
+        index = np.full(saving.shape, -1)
+        index[row, column] = group
+        best = index[linear_sum_assignment(saving, maximize=True)]
+        chosen.extend(int(pair) for pair in best if pair >= 0)
+    return chosen
+
+
+def _groups(pairs: _Pairs, count: int) -> list[Ints]:
+    """Pairs that compete with each other, directly or through others."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(pairs.end):
+        return []
+    size = 2 * count
+    graph = coo_array((np.ones(len(pairs.end)), (pairs.end, pairs.start + count)), (size, size))
+    component = connected_components(graph, directed=False)[1][pairs.end]
+    order = np.argsort(component, kind="stable")
+    borders = np.flatnonzero(np.diff(component[order])) + 1
+    return np.split(order.astype(np.int64), borders)
+
+
+def _rivals(
+    pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
+) -> Iterable[tuple[int, int]]:
+    """Chosen pairs with a rival too near to tell, and the rival."""
+    column = tracklets.column
+    by_end, by_start = _index(pairs.end), _index(pairs.start)
+    for index in chosen:
+        end, start = int(pairs.end[index]), int(pairs.start[index])
+        crossing = column[end] != column[start]
+        allowed = pairs.distance[index] + (margin if crossing else 0.0)
+        for other in by_end[end] + by_start[start]:
+            rival_end, rival_start = int(pairs.end[other]), int(pairs.start[other])
+            competes = _overlap(tracklets, start, rival_start) or _overlap(
+                tracklets, end, rival_end
+            )
+            tempting = crossing or column[rival_end] != column[rival_start]
+            if other != index and competes and tempting and pairs.distance[other] < allowed:
+                yield index, other
+                break
+
+
+def _index(keys: Ints) -> dict[int, list[int]]:
+    table: dict[int, list[int]] = {}
+    for place, key in enumerate(keys.tolist()):
+        table.setdefault(key, []).append(place)
+    return table
+
+
+def _overlap(tracklets: Tracklets, one: int, two: int) -> bool:
+    """Whether two different tracklets share a frame, so that they are different points."""
+    begin = max(tracklets.start[one], tracklets.start[two])
+    return one != two and bool(begin < min(tracklets.stop[one], tracklets.stop[two]))
+
+
+def _chains(successor: Ints) -> Ints:
+    chain = np.full(len(successor), -1, dtype=np.int64)
+    fresh = 0
+    for tracklet, after in enumerate(successor.tolist()):
+        if chain[tracklet] < 0:
+            chain[tracklet] = fresh
+            fresh += 1
+        if after >= 0:
+            chain[after] = chain[tracklet]
+    return chain
