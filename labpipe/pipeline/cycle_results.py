@@ -22,6 +22,7 @@ from labpipe.fitting.loops import (
     smooth_peak,
 )
 from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.marker_steps import tip_travel
 from labpipe.processing.filtering import moving_average
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Interval
@@ -96,6 +97,12 @@ def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> li
     if first:
         outcome = _with_shape_error(bench, first[0], number)
     return [_result(bench, asked, outcome)]
+
+
+def tip_travel_result(bench: Bench) -> list[Result]:
+    """``tip_travel`` (m): the largest distance of the last point from where it began."""
+    method = "largest distance of the last point of the shape from its mean over five frames"
+    return [_result(bench, _Asked("tip_travel", "m", ("displacement",), method), tip_travel(bench))]
 
 
 def unloading_stiffness(bench: Bench, *, over: float) -> list[Result]:

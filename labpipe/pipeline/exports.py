@@ -38,7 +38,8 @@ def read_inputs(
     ReadError
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
-    recordings, inputs = {}, []
+    recordings: dict[str, Recording] = {}
+    inputs: list[InputFile] = []
     for role, source in protocol.sources.items():
         for name in sheet.files[role]:
             inputs.append(_fingerprint(folder / name, role, name))

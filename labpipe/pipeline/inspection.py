@@ -18,6 +18,9 @@ from labpipe.units import si_factor
 _SI = ("s", "m", "N", "Pa", "V", "rad", "N m", "m/s", "Hz", "K", "kg")
 """Units that a channel's own unit is turned into when the export states one."""
 
+_IN_TABLE = frozenset({"marker_gaps", "body_gaps"})
+"""Notes that only repeat, in words, the table of objects."""
+
 _MOST_RANGES = 100
 """Gaps listed with their rows, per object; the count is of all."""
 
@@ -214,9 +217,10 @@ def as_text(inspection: Inspection) -> str:
         lines += ["", *_stream_lines(clock, recording)]
     if recording.markers is not None:
         lines += ["", *_marker_lines(recording.markers)]
-    if recording.notes:
+    notes = [note for note in recording.notes if note.code not in _IN_TABLE]
+    if notes:
         lines += ["", "Notes"]
-        lines += [f"  {n.severity.value:7}  {n.where}: {n.message}" for n in recording.notes]
+        lines += [f"  {n.severity.value:7}  {n.where}: {n.message}" for n in notes]
     return "\n".join(lines)
 
 

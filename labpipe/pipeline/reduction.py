@@ -17,10 +17,11 @@ from labpipe.pipeline.cycle_results import (
     peak_displacement,
     peak_force,
     residual_displacement,
+    tip_travel_result,
     unloading_stiffness,
 )
 from labpipe.pipeline.layout import lay_out
-from labpipe.pipeline.marker_steps import MarkerBench, tip_travel
+from labpipe.pipeline.marker_steps import MarkerBench
 from labpipe.pipeline.steps import take_step
 from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
 from labpipe.protocol.results import (
@@ -67,7 +68,7 @@ def reduce_recordings(
     _take_steps(bench, markers, protocol)
     if protocol.curve is not None:
         _make_curve(bench, protocol)
-    results = [result for entry in protocol.results for result in _results(bench, markers, entry)]
+    results = [result for entry in protocol.results for result in _results(bench, entry)]
     return bench, tuple(results)
 
 
@@ -167,7 +168,7 @@ def _check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -
 
 
 def _results(  # noqa: C901, PLR0911  one case per entry of the union
-    bench: Bench, markers: MarkerBench, entry: ResultEntry
+    bench: Bench, entry: ResultEntry
 ) -> list[Result]:
     match entry:
         case ClockResult():
@@ -188,6 +189,6 @@ def _results(  # noqa: C901, PLR0911  one case per entry of the union
         case ResidualDisplacement():
             return residual_displacement(bench, force_below=entry.force_below)
         case TipTravel():
-            return tip_travel(bench, markers)
+            return tip_travel_result(bench)
         case _ as never:
             assert_never(never)

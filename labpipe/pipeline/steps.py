@@ -29,6 +29,7 @@ from labpipe.protocol.steps import (
     Step,
     Zero,
 )
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
 
 
@@ -87,12 +88,11 @@ def _zero(bench: Bench, step: Zero) -> None:
     bench.note("zeroed", Severity.INFO, step.channel, said)
 
 
-def _blocks(
-    values: np.ndarray[tuple[int], np.dtype[np.float64]],
-) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+def _blocks(values: Floats) -> Floats:
     """Averages over at most 1000 blocks: as good for a mean, and quick to correlate."""
     size = max(1, len(values) // 1000)
-    return values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+    means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+    return means
 
 
 def _smooth(bench: Bench, step: Smooth, protocol: Protocol) -> None:

@@ -64,7 +64,11 @@ def frozen_samples(
     stale = np.zeros(positions.shape[:2], dtype=np.bool_)
     if len(positions) < 2:
         return stale
-    everything = positions if reference is None else np.c_[positions, reference[:, None]]
+    everything = (
+        positions
+        if reference is None
+        else np.concatenate([positions, reference[:, None]], axis=1)
+    )
     steps = np.diff(everything, axis=0)
     same = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)
     movers = (np.abs(steps) > 0).any(axis=2).sum(axis=1)

@@ -31,6 +31,9 @@ class SpecimenFrame(Block):
 
     step: Literal["specimen-frame"]
     over: Duration = Field(description="Stretch at the start that defines the straight specimen")
+    max_out_of_plane: Length = Field(
+        0.001, description="Doubtful when the markers leave a plane by more, rms"
+    )
 
 
 class FitShape(Block):

@@ -1,0 +1,101 @@
+"""Run every benchmark and print its ratio beside its bound.
+
+A ratio compares two commands, or two functions, that ran in turn in this one run, so that it holds
+on a noisy machine. The median of the paired ratios is printed. Nothing here fails: benchmarks are
+not tests.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.processing.filtering import moving_average
+
+LABPIPE = str(Path(sys.executable).with_name("labpipe"))
+RUNS = 5
+
+
+def timed(command: list[str]) -> tuple[float, float]:
+    """Wall seconds and peak memory (MB) of one process."""
+    start = time.perf_counter()
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, usage = os.wait4(process.pid, 0)
+    if os.waitstatus_to_exitcode(status) not in {0, 1}:
+        message = f"{command} ended with {os.waitstatus_to_exitcode(status)}"
+        raise RuntimeError(message)
+    return time.perf_counter() - start, usage.ru_maxrss / 1024.0
+
+
+def paired(one: list[str], other: list[str], *, runs: int = RUNS) -> tuple[float, float, float]:
+    """Median ratio of two commands run in turn, median seconds of the first, its peak memory."""
+    timed(one), timed(other)
+    pairs = [(timed(one), timed(other)) for _ in range(runs)]
+    ratio = statistics.median(a[0] / b[0] for a, b in pairs)
+    return ratio, statistics.median(a[0] for a, _ in pairs), max(a[1] for a, _ in pairs)
+
+
+def clocked(work: Callable[[], object]) -> float:
+    """Seconds of one call."""
+    start = time.perf_counter()
+    work()
+    return time.perf_counter() - start
+
+
+def full_size_test(folder: Path) -> None:
+    """Process of a 10 kHz test against its floor, and what the figures add."""
+    subprocess.run(
+        [LABPIPE, "simulate", "--out", str(folder), "--name", "full"],
+        check=True,
+        capture_output=True,
+    )
+    test, out = folder / "full", str(folder / "out")
+    exports = [str(test / "force.mat"), str(test / "take.csv")]
+    process = [LABPIPE, "process", str(test), "--out", out]
+    floor = [sys.executable, "-m", "benchmarks.floor", *exports, str(folder / "floor.h5")]
+    ratio, seconds, memory = paired([*process, "--no-figures"], floor)
+    show("process --no-figures / floor", ratio, "at most 1.5", f"{seconds:.2f} s")
+    show("  peak memory, MB", memory, "under 600")
+    timed(process)
+    extra = [timed(process)[0] - timed([*process, "--no-figures"])[0] for _ in range(RUNS)]
+    show("  figures, seconds more", statistics.median(extra), "at most 3")
+
+
+def start_up() -> None:
+    """Help against an empty interpreter."""
+    ratio, seconds, _ = paired([LABPIPE, "--help"], [sys.executable, "-c", "pass"], runs=15)
+    show("labpipe --help / python -c pass", ratio, "at most 4", f"{1e3 * seconds:.0f} ms")
+
+
+def filters() -> None:
+    """Moving average against a plain cumulative sum."""
+    values = np.random.default_rng(0).normal(size=3_180_000)
+    moving_average(values, window=1001)
+    ratios = [
+        clocked(lambda: moving_average(values, window=1001)) / clocked(lambda: np.cumsum(values))
+        for _ in range(21)
+    ]
+    show("moving average / cumulative sum, 3.18 M", statistics.median(ratios), "at most 3")
+
+
+def show(what: str, value: float, bound: str, remark: str = "") -> None:
+    print(f"{what:<44}{value:>8.2f}   ({bound})  {remark}", flush=True)
+
+
+def main() -> None:
+    start_up()
+    filters()
+    with tempfile.TemporaryDirectory() as folder:
+        full_size_test(Path(folder))
+
+
+if __name__ == "__main__":
+    main()

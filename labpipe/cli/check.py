@@ -1,0 +1,19 @@
+"""``labpipe check``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+from labpipe.pipeline.check import check_paths
+
+
+def run(options: argparse.Namespace) -> int:
+    """Find everything that is wrong with protocols and tests, without processing."""
+    checked = check_paths(options.paths)
+    for finding in checked.findings:
+        print(finding.message, file=sys.stderr)
+    faults = len(checked.findings)
+    said = f"{faults} fault{'' if faults == 1 else 's'}" if faults else "all well"
+    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests: {said}")
+    return 2 if faults else 0

@@ -1,0 +1,221 @@
+"""The steps that take marker tracks to the shape of the specimen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, complaint, nearest
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.noise import long_run_variance
+from labpipe.pipeline.bench import Bench, Signal, rms
+from labpipe.processing.frames import SpecimenFrame, specimen_frame
+from labpipe.processing.rings import ring_centres, rings_by_body
+from labpipe.processing.shape import ShapeFit, deflection, fit_shape
+from labpipe.processing.strokes import noise_level
+from labpipe.processing.tracks import RepairedTracks, repair_tracks
+from labpipe.protocol.rig import Markers
+from labpipe.protocol.steps import FitShape, RepairMarkers
+from labpipe.protocol.steps import SpecimenFrame as SpecimenFrameStep
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import MarkerTracks
+
+UNLABELLED = ("Unlabeled", "Unlabelled")
+
+
+@dataclass(slots=True)
+class MarkerBench:
+    """The stages of one take, filled in from left to right.
+
+    Parameters
+    ----------
+    tracks, role : the take and its role; None for a test without one
+    clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
+    repaired : tracks of the markers along the specimen
+    frame : of the specimen
+    rest : shape (frames,), the frames that the frame was found in
+    """
+
+    tracks: MarkerTracks | None = None
+    role: str = "markers"
+    clamp: Floats | None = None
+    repaired: RepairedTracks | None = None
+    frame: SpecimenFrame | None = None
+    rest: Flags | None = None
+
+
+def repair(bench: Bench, markers: MarkerBench, step: RepairMarkers, words: Markers | None) -> None:
+    """Carry out ``repair-markers``: labels, stale poses, gaps; then rings."""
+    tracks, words = _needed(markers, words)
+    markers.clamp = _clamp(tracks, words, markers.role)
+    repaired = repair_tracks(
+        tracks,
+        along=_along(tracks, words, markers.role),
+        max_gap=step.max_gap,
+        max_jump=step.max_jump,
+        frozen=step.frozen,
+        reference=markers.clamp,
+    )
+    if words.rings == "by-body":
+        repaired = ring_centres(repaired, rings_by_body(repaired.names))
+    markers.repaired = repaired
+    _take_notes(bench, repaired.notes)
+
+
+def turn_into_specimen(
+    bench: Bench, markers: MarkerBench, step: SpecimenFrameStep, words: Markers | None
+) -> None:
+    """Carry out ``specimen-frame``: the frame, and with a clamp the signal ``travel``."""
+    tracks, words = _needed(markers, words)
+    if markers.repaired is None:
+        message = "expected repair-markers before it"
+        raise ValueError(message)
+    markers.rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
+    markers.frame = specimen_frame(
+        markers.clamp,
+        markers.repaired.positions,
+        rest=markers.rest,
+        moving=None,
+        out_of_plane_limit=step.max_out_of_plane,
+    )
+    _take_notes(bench, markers.frame.notes)
+    said = (
+        f"markers lie {1e3 * markers.frame.out_of_plane:.3g} mm rms off their plane, the clamp "
+        f"{1e3 * markers.frame.travel_residual:.3g} mm rms off its line"
+    )
+    bench.note("specimen_frame", Severity.INFO, markers.role, said)
+    if markers.clamp is not None:
+        travel = -markers.frame.to_specimen(markers.clamp)[:, 1]
+        travel = travel - np.nanmean(travel[markers.rest])
+        signal = Signal(tracks.time, travel, "m", markers.role)
+        bench.raw["travel"] = bench.signals["travel"] = signal
+
+
+def fit_shapes(bench: Bench, markers: MarkerBench, step: FitShape, words: Markers | None) -> None:
+    """Carry out ``fit-shape``: the shape and the signal ``deflection``."""
+    tracks, words = _needed(markers, words)
+    frame, repaired, rest = markers.frame, markers.repaired, markers.rest
+    if frame is None or repaired is None or rest is None:
+        message = "expected repair-markers and specimen-frame before it"
+        raise ValueError(message)
+    order = list(frame.order)
+    fit = fit_shape(
+        frame.to_specimen(repaired.positions[:, order]),
+        repaired.flags[:, order],
+        [repaired.names[column] for column in order],
+        tracks.time,
+        clamp_specimen=None if markers.clamp is None else frame.to_specimen(markers.clamp),
+        rotation_lab_to_specimen=frame.rotation_lab_to_specimen,
+        grip_offset=words.grip_offset,
+        pull_offset=words.pull_offset,
+        centre_offset=words.centre_offset,
+        terms=step.terms,
+        tip=step.tip,
+        rest=rest,
+    )
+    bench.shape = fit.shape
+    _take_notes(bench, fit.notes)
+    said = (
+        f"markers lie {1e3 * rms(fit.residual):.3g} mm rms off the fitted curve, the clamped end "
+        f"points {np.degrees(fit.clamp_angle):.2f} deg off x"
+    )
+    bench.note("shape_fit", Severity.INFO, markers.role, said)
+    if markers.clamp is not None:
+        signal = _deflection(fit, rest, markers.role)
+        bench.raw["deflection"] = bench.signals["deflection"] = signal
+
+
+def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
+    """Deflection of the pull point, with what one more term of the shape would make of it."""
+    values = deflection(fit.shape, rest=rest)
+    known = values[rest & ~np.isnan(values)]
+    error = float(np.sqrt(long_run_variance(known, parameters=1) / len(known)))
+    change = fit.tip_systematic[:, 1]
+    usable = not np.isnan(change[rest]).all()
+    other = values + change - np.nanmean(change[rest]) if usable else None
+    return Signal(fit.shape.time, values, "m", role, zero_error=error, alternative=other)
+
+
+def tip_travel(bench: Bench) -> Estimate | Failure:
+    """How far the last point of the shape gets from where it began, m."""
+    if bench.shape is None:
+        return Failure("no_shape", "the protocol fits no shape")
+    tip = bench.shape.positions[:, -1]
+    known = np.isfinite(tip).all(axis=1)
+    if known.sum() < 16:
+        return Failure("too_few_samples", f"the tip is seen in {int(known.sum())} frames")
+    begin = tip[known][:5].mean(axis=0)
+    away = np.linalg.norm(tip[known] - begin, axis=1)
+    error = np.sqrt(2.0) * noise_level(away)
+    return Estimate(float(away.max()), float(error), int(known.sum()))
+
+
+def _take_notes(bench: Bench, notes: Iterable[QualityNote]) -> None:
+    """Keep notes; a warning makes what rests on the displacement doubtful."""
+    for note in notes:
+        if note.severity is Severity.WARNING:
+            bench.doubt("displacement", note.code, note.message, where=note.where)
+        else:
+            bench.note(note.code, note.severity, note.where, note.message)
+
+
+def _needed(markers: MarkerBench, words: Markers | None) -> tuple[MarkerTracks, Markers]:
+    if markers.tracks is None or words is None:
+        message = "expected a role with marker tracks and a block markers:"
+        raise ValueError(message)
+    return markers.tracks, words
+
+
+def _clamp(tracks: MarkerTracks, words: Markers, role: str) -> Floats | None:
+    if words.clamp is None:
+        return None
+    body = tracks.body(words.clamp)
+    if body is None:
+        known = nearest(words.clamp, [body.name for body in tracks.bodies])
+        message = complaint(
+            role,
+            "rigid bodies",
+            expected=f"the clamp {words.clamp!r}",
+            found=", ".join(map(repr, known)) if known else "no rigid body in the take",
+            remedy="Name the body of the take in markers.clamp, or export the take with it.",
+        )
+        raise ProcessingError(message)
+    if np.isnan(body.position).all():
+        message = complaint(
+            role,
+            f"rigid body {words.clamp!r}",
+            expected="positions",
+            found="blanks in every frame",
+            remedy="Solve the body in Motive and export the take again.",
+        )
+        raise ProcessingError(message)
+    return body.position
+
+
+def _along(tracks: MarkerTracks, words: Markers, role: str) -> list[str]:
+    """Names of the tracks along the specimen, unlabelled ones included."""
+    own = tuple(f"{words.clamp}{mark}" for mark in ":-_")  # Motive 1.2x, 1.1, fitted points of 1.21
+    candidates = [name for name in tracks.names if words.clamp is None or not name.startswith(own)]
+    if words.along != "all":
+        patterns = words.along
+        candidates = [
+            name
+            for name in candidates
+            if name.startswith(UNLABELLED)
+            or any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
+        ]
+    seen = [name for name in candidates if tracks.missing[name] < len(tracks.time)]
+    if len(seen) < 3:
+        message = complaint(
+            role,
+            "markers",
+            expected="at least 3 markers along the specimen",
+            found=f"{len(seen)}: {', '.join(seen) or 'none'}",
+            remedy="Look at the take with `labpipe inspect`, and at markers.along.",
+        )
+        raise ProcessingError(message)
+    return candidates
