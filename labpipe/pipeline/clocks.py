@@ -7,13 +7,17 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.fitting.corners import Corner, fit_corner
+from labpipe.fitting.estimates import Failure
+from labpipe.fitting.repeats import fit_lag
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.alignment import fit_clocks, match_peaks, rough_peaks
+from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
 from labpipe.processing.strokes import Stroke
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
 
+_TRIM = 1.0
+"""s at both ends of a cycle that are left out of a comparison of cycles."""
 _WORST_CORNER = 0.1
 """s; a corner of the force known no better than this says nothing about a clock."""
 
@@ -86,7 +90,9 @@ def align_clocks(
     if is_ambiguous:
         message = "another pairing of the peaks fits as well; the smaller offset was taken"
         bench.doubt("clock", "alignment_ambiguous", message, where="align")
-    fit = _fitted(events)
+    fit = _fitted(events, None)
+    if len(events) > 2:
+        fit = _fitted(events, _repeat(bench, strokes, force, fit))
     _judge(bench, fit, align)
     return fit
 
@@ -102,15 +108,58 @@ def _force_corner(force: Signal, near: float, window: float) -> Corner | None:
     return corner
 
 
-def _fitted(events: list[tuple[Corner, Corner]]) -> ClockFit:
+def _repeat(
+    bench: Bench, strokes: tuple[Stroke, ...], force: Signal, fit: ClockFit
+) -> Repeat | None:
+    """Lag from the second cycle to the last, seen on both clocks.
+
+    The first cycle is left out: it is the one that deforms the specimen for the first time.
+    """
+    motion = bench.raw["travel"]
+    cycles = [
+        tuple(float(motion.time[index]) for index in (up.start, up.stop, down.stop))
+        for up, down in pairwise(strokes)
+        if up.sign > 0 and up.stop == down.start
+    ]
+    if len(cycles) < 3:
+        return None
+    (start, turn, stop), last = cycles[1], cycles[-1]
+    start, stop, guess = start + _TRIM, stop - _TRIM, last[1] - turn
+    moved = fit_lag(
+        motion.time,
+        motion.values,
+        start=start,
+        turn=turn,
+        stop=stop,
+        guess=guess,
+        hysteresis=False,
+    )
+    begin, top, end = (fit.to_force_seconds(at) for at in (start, turn, stop))
+    pulled = fit_lag(
+        force.time,
+        force.values,
+        start=begin,
+        turn=top,
+        stop=end,
+        guess=guess * (1.0 + fit.drift),
+        hysteresis=True,
+    )
+    if isinstance(moved, Failure) or isinstance(pulled, Failure):
+        return None
+    return Repeat(moved.value, pulled.value, float(np.hypot(moved.error, pulled.error)))
+
+
+def _fitted(events: list[tuple[Corner, Corner]], repeat: Repeat | None) -> ClockFit:
     def column(values: list[float]) -> Floats:
         return np.array(values, dtype=np.float64)
 
+    method = "turning points: lines through the travel, parabolas through the force"
     return fit_clocks(
         column([motion.time for motion, _ in events]),
         column([force.time for _, force in events]),
         column([float(np.hypot(a.time_error, b.time_error)) for a, b in events]),
-        method="turning points: lines through the travel, parabolas through the force",
+        method=method if repeat is None else f"{method}; lag of the repeated cycle",
+        repeat=repeat,
     )
 
 

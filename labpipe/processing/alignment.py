@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -77,18 +78,36 @@ def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:
     return np.column_stack([first, first + best[3]]), bool(rivals)
 
 
-def fit_clocks(motion: Floats, force: Floats, errors: Floats, *, method: str) -> ClockFit:
-    """Fit force time = offset + (1 + drift) x marker time to events seen on both clocks.
+@dataclass(frozen=True, slots=True)
+class Repeat:
+    """The time after which the test repeats itself, on both clocks.
+
+    Parameters
+    ----------
+    motion, force : s, the same lag on the marker clock and on the force clock
+    error : s, standard error of their difference
+    """
+
+    motion: float
+    force: float
+    error: float
+
+
+def fit_clocks(
+    motion: Floats, force: Floats, errors: Floats, *, method: str, repeat: Repeat | None = None
+) -> ClockFit:
+    """Fit force time = offset + (1 + drift) x marker time to what was seen on both clocks.
 
     Parameters
     ----------
     motion, force : shape (events,), s, at least one event
     errors : shape (events,), s, standard error of the difference at each event, positive
     method : in words, how the events were found
+    repeat : a lag seen on both clocks, which says nothing on the offset and much on the drift
 
     Returns
     -------
-    The fit. With one event the drift is taken as zero and its interval is NaN.
+    The fit. With one event and no repeat the drift is taken as zero and its interval is NaN.
 
     Raises
     ------
@@ -104,24 +123,31 @@ def fit_clocks(motion: Floats, force: Floats, errors: Floats, *, method: str) ->
     if len(motion) == 0 or not (errors > 0).all():
         message = f"events={len(motion)}: expected at least one event and positive errors"
         raise ValueError(message)
-    single = len(motion) == 1
     centre = float(np.average(motion, weights=errors**-2.0))
-    design = np.column_stack([np.ones_like(motion), motion - centre])[:, : 1 if single else 2]
-    weighted = design / errors[:, None]
+    design = np.column_stack([np.ones_like(motion), motion - centre])
+    seen, weights = force - motion, 1.0 / errors
+    if repeat is not None:
+        design = np.vstack([design, [0.0, repeat.motion]])
+        seen = np.append(seen, repeat.force - repeat.motion)
+        weights = np.append(weights, 1.0 / repeat.error)
+    is_single = len(seen) == 1
+    design = design[:, : 1 if is_single else 2]
+    weighted = design * weights[:, None]
     covariance = np.linalg.inv(weighted.T @ weighted)
-    solution = covariance @ weighted.T @ ((force - motion) / errors)
-    misfit = force - motion - design @ solution
-    covariance = covariance * _excess(misfit / errors, freedom=len(motion) - design.shape[1])
-    drift = 0.0 if single else float(solution[1])
+    solution = covariance @ weighted.T @ (seen * weights)
+    misfit = seen - design @ solution
+    covariance = covariance * _excess(misfit * weights, freedom=len(seen) - design.shape[1])
+    drift = 0.0 if is_single else float(solution[1])
     to_zero = np.array([1.0, -centre])[: len(solution)]
+    offset = float(to_zero @ solution)
     offset_error = float(np.sqrt(to_zero @ covariance @ to_zero))
-    drift_error = float("nan") if single else float(np.sqrt(covariance[1, 1]))
+    drift_error = float("nan") if is_single else float(np.sqrt(covariance[1, 1]))
     return ClockFit(
-        offset=float(to_zero @ solution),
+        offset=offset,
         drift=drift,
-        offset_interval=Interval.normal_95(float(to_zero @ solution), offset_error),
+        offset_interval=Interval.normal_95(offset, offset_error),
         drift_interval=Interval.normal_95(drift, drift_error),
-        residual=float(np.sqrt(np.mean(misfit**2))),
+        residual=float(np.sqrt(np.mean(misfit[: len(motion)] ** 2))),
         event_times_motion=motion,
         event_times_force=force,
         event_errors=errors,

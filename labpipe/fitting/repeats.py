@@ -1,0 +1,106 @@
+"""How long a signal takes to repeat itself: the lag between two cycles of a test."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.noise import long_run_variance
+from labpipe.records.arrays import Floats
+
+_BINS = 2000
+
+
+def fit_lag(
+    time: Floats,
+    values: Floats,
+    *,
+    start: float,
+    turn: float,
+    stop: float,
+    guess: float,
+    hysteresis: bool,
+) -> Estimate | Failure:
+    """Time after which a cycle of a signal comes again.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit; increasing time
+    start, turn, stop : s, the earlier cycle: its beginning, its peak, its end
+    guess : s, the lag to within a second
+    hysteresis : whether the loop may have moved along the displacement between the two cycles; a
+        motion, which has no other displacement, may not
+
+    Returns
+    -------
+    The lag in s, or a failure ``too_few_samples``.
+
+    Notes
+    -----
+    y(t + lag) - y(t) = tau y'(t) + a + b y(t) + c y'(t) sign(turn - t): what is left of a wrong lag
+    (tau), a shift and a scale of the later cycle (a, b), and a loop that has moved along the
+    displacement (c), which shifts loading and unloading in opposite senses. Least squares on at
+    most 2000 bins, repeated until tau vanishes. y' is taken from the mean of both cycles; the
+    standard error from the long-run variance of what is left, so that a cycle that repeats badly
+    counts for little.
+    """
+    edges = np.linspace(start, stop, _bin_count(time, start, stop) + 1)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    earlier = _binned(time, values, edges)
+    lag, found = guess, None
+    for _ in range(5):
+        later = _binned(time, values, edges + lag)
+        found = _compare(middle, earlier, later, turn, hysteresis=hysteresis)
+        if isinstance(found, Failure):
+            return found
+        lag += found.value
+    if found is None or isinstance(found, Failure):
+        return Failure("too_few_samples", "no bins to compare")
+    return Estimate(lag, found.error, found.n)
+
+
+def _compare(
+    time: Floats, earlier: Floats, later: Floats, turn: float, *, hysteresis: bool
+) -> Estimate | Failure:
+    """What the lag has to grow by for the later cycle to lie on the earlier one."""
+    mean = 0.5 * (earlier + later)
+    slope = np.gradient(mean, time)
+    known = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
+    if known.sum() < 50:
+        return Failure("too_few_samples", f"{int(known.sum())} bins in common, 50 are needed")
+    columns = [slope, np.ones_like(mean), mean]
+    if hysteresis:
+        columns.append(slope * np.sign(turn - time))
+    design = np.column_stack(columns)[known]
+    difference = (later - earlier)[known]
+    solution = np.linalg.lstsq(design, difference, rcond=None)[0]
+    left = difference - design @ solution
+    variance = long_run_variance(left, parameters=len(columns))
+    covariance = np.linalg.pinv(design.T @ design)
+    # y(t + lag) runs late by tau' when lag is too great: the lag shrinks where the slope is met.
+    error = float(np.sqrt(variance * covariance[0, 0]))
+    return Estimate(-float(solution[0]), error, int(known.sum()))
+
+
+def _bin_count(time: Floats, start: float, stop: float) -> int:
+    samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
+    return max(1, min(_BINS, samples // 2))
+
+
+def _binned(time: Floats, values: Floats, edges: Floats) -> Floats:
+    """Means of the samples in each bin; NaN where there is none."""
+    ends = np.searchsorted(time, edges)
+    inside = slice(int(ends[0]), int(ends[-1]))
+    y, t = values[inside], time[inside]
+    known = ~np.isnan(y)
+    sums = np.concatenate([[0.0], np.cumsum(np.where(known, y, 0.0))])
+    times = np.concatenate([[0.0], np.cumsum(np.where(known, t - edges[0], 0.0))])
+    counts = np.concatenate([[0.0], np.cumsum(known)])
+    low, high = ends[:-1] - ends[0], ends[1:] - ends[0]
+    count = counts[high] - counts[low]
+    count[count == 0] = np.nan
+    means = (sums[high] - sums[low]) / count
+    # The samples of a bin lie a little off its middle: carry the mean there along the slope.
+    off = (times[high] - times[low]) / count - (0.5 * (edges[1:] + edges[:-1]) - edges[0])
+    carried: Floats = means - off * np.gradient(means, edges[1] - edges[0])
+    return carried
