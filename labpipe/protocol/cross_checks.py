@@ -98,7 +98,9 @@ def _span_faults(outline: Outline, step: Values, path: KeyPath) -> Faults:
     span = step.get("span")
     if isinstance(span, str) and span.strip().endswith("%") and not outline.block("branches"):
         remedy = "Add the block 'branches', or give the span in s."
-        yield Fault(path, "a span of time or samples where there are no branches", repr(span), remedy)
+        yield Fault(
+            path, "a span of time or samples where there are no branches", repr(span), remedy
+        )
 
 
 def _all_channels(outline: Outline) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import Field, PlainValidator, WithJsonSchema
+from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import error_of
@@ -70,6 +70,7 @@ def _all_or_names(value: object) -> object:
 Along: TypeAlias = Annotated[
     Literal["all"] | tuple[str, ...],
     PlainValidator(_all_or_names),
+    PlainSerializer(lambda names: names if isinstance(names, str) else list(names)),
     WithJsonSchema({"anyOf": [{"type": "string"}, {"type": "array", "items": {"type": "string"}}]}),
 ]
 

@@ -171,27 +171,37 @@ def parse_yaml(text: str, file: str) -> Document:
     return document
 
 
+class _Loader(yaml.BaseLoader):
+    """Stops at an alias or endless nesting, before the YAML library is lost in it."""
+
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event: yaml.Event = self.peek_event()  # type: ignore[no-untyped-call]
+        if isinstance(event, yaml.AliasEvent):
+            found = f"the alias '*{event.anchor}'"
+            raise _RiddleError(event, Fault((), "a value", found, "Write it out."))
+        if self.depth >= _DEEPEST:
+            remedy = "Write it in fewer levels."
+            raise _RiddleError(event, Fault((), f"at most {_DEEPEST} levels", "more", remedy))
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
+
+
+class _RiddleError(Exception):
+    """YAML that is right but that people should not have to read."""
+
+
 def _compose(text: str, file: str) -> yaml.Node | None:
     try:
-        _refuse_riddles(text, file)
-        return yaml.compose(text, Loader=yaml.BaseLoader)
+        return yaml.compose(text, Loader=_Loader)
+    except _RiddleError as error:
+        event, fault = error.args
+        raise ProtocolError(tell(file, _mark(event), fault).text) from error
     except yaml.YAMLError as error:
         raise ProtocolError(_syntax(error, text, file)) from error
-
-
-def _refuse_riddles(text: str, file: str) -> None:
-    """Stop at an alias or endless nesting, before the YAML library is lost in it."""
-    depth = 0
-    for event in yaml.parse(text, Loader=yaml.BaseLoader):
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        fault = None
-        if isinstance(event, yaml.AliasEvent):
-            fault = Fault((), "a value", f"the alias '*{event.anchor}'", "Write it out.")
-        elif depth > _DEEPEST:
-            fault = Fault((), f"at most {_DEEPEST} levels", "more", "Write it in fewer levels.")
-        if fault is not None:
-            raise ProtocolError(tell(file, _mark(event), fault).text)
 
 
 def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:

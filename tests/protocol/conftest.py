@@ -24,7 +24,8 @@ sources:
 specimen: {length: 85 mm}
 rig: {crosshead_speed: 1 mm/s, cycles: 3, string: {length: 760 mm, counterweight: 2.7 g}}
 markers: {clamp: Clamp, along: all, grip_offset: 6 mm}
-align: {method: turning-points, channel: force, motion_window: 25 s, force_window: 2 s, max_residual: 5 ms, max_drift: 500 ppm}
+align: {method: turning-points, channel: force, motion_window: 25 s, force_window: 2 s,
+  max_residual: 5 ms, max_drift: 500 ppm}
 steps:
   - {step: repair-markers, max_gap: 0.5 s, max_jump: 4 mm, frozen: 0.2 s}
   - {step: specimen-frame, over: 2 s}

@@ -10,13 +10,13 @@ CASES = {
     "channel of a step": (
         "zero, channel: force",
         "zero, channel: forse",
-        "p.yaml, line 19, column 27 (steps.3.channel): expected one of the channels 'force',"
+        "p.yaml, line 20, column 27 (steps.3.channel): expected one of the channels 'force',"
         " 'travel', 'deflection', found 'forse'. Did you mean 'force'?",
     ),
     "channel not made yet": (
         "steps:\n",
         "steps:\n  - {step: zero, channel: travel, over: 1 s}\n",
-        "p.yaml, line 16, column 27 (steps.0.channel): expected a channel that exists at this step,"
+        "p.yaml, line 17, column 27 (steps.0.channel): expected a channel that exists at this step,"
         " found 'travel'. Move it behind the step that makes this channel.",
     ),
     "channel of align": (
@@ -28,24 +28,24 @@ CASES = {
     "channel of the curve": (
         "displacement: deflection",
         "displacement: deflexion",
-        "p.yaml, line 21, column 37 (curve.displacement): expected one of the channels"
+        "p.yaml, line 22, column 37 (curve.displacement): expected one of the channels"
         " 'deflection', 'travel', 'force', found 'deflexion'. Did you mean 'deflection'?",
     ),
     "channel of the branches": (
         "branches: {channel: travel",
         "branches: {channel: trawel",
-        "p.yaml, line 22, column 21 (branches.channel): expected one of the channels 'travel',"
+        "p.yaml, line 23, column 21 (branches.channel): expected one of the channels 'travel',"
         " 'force', 'deflection', found 'trawel'. Did you mean 'travel'?",
     ),
     "unit of the curve": (
         "curve: {force: force",
         "curve: {force: travel",
-        "p.yaml, line 21, column 16 (curve.force): expected a channel in N, found 'travel' in m."
+        "p.yaml, line 22, column 16 (curve.force): expected a channel in N, found 'travel' in m."
         " Name another channel.",
     ),
     "curve over two clocks": (
-        "{method: turning-points, channel: force, motion_window: 25 s, force_window: 2 s,"
-        " max_residual: 5 ms, max_drift: 500 ppm}",
+        "{method: turning-points, channel: force, motion_window: 25 s, force_window: 2 s,\n"
+        "  max_residual: 5 ms, max_drift: 500 ppm}",
         "{method: none}",
         "p.yaml, line 14, column 17 (align.method): expected a method that joins the two clocks of"
         " the curve, found none. Set 'align.method' to 'turning-points'.",
@@ -59,13 +59,13 @@ CASES = {
     "markers block": (
         "markers: {clamp: Clamp, along: all, grip_offset: 6 mm}\n",
         "",
-        "p.yaml, line 15, column 12 (steps.0.step): expected a block 'markers' for"
+        "p.yaml, line 16, column 12 (steps.0.step): expected a block 'markers' for"
         " 'repair-markers', found none. Add the block 'markers'.",
     ),
     "marker source": (
         MARKERS,
         "",
-        "p.yaml, line 14, column 12 (steps.0.step): expected a source of marker tracks for"
+        "p.yaml, line 15, column 12 (steps.0.step): expected a source of marker tracks for"
         " 'repair-markers', found none. Add the source 'markers'.",
     ),
     "align without marker source": (
@@ -77,68 +77,68 @@ CASES = {
     "second of a step": (
         "  - {step: specimen-frame, over: 2 s}\n",
         "  - {step: specimen-frame, over: 2 s}\n" * 2,
-        "p.yaml, line 18, column 12 (steps.2.step): expected 'specimen-frame' once, found a second"
+        "p.yaml, line 19, column 12 (steps.2.step): expected 'specimen-frame' once, found a second"
         " one. Remove one of them.",
     ),
     "order of steps": (
         "  - {step: specimen-frame, over: 2 s}\n",
         "",
-        "p.yaml, line 17, column 12 (steps.1.step): expected 'specimen-frame' before 'fit-shape',"
+        "p.yaml, line 18, column 12 (steps.1.step): expected 'specimen-frame' before 'fit-shape',"
         " found no such step before. Put the step 'specimen-frame' before it.",
     ),
     "span of a branch": (
         "branches: {channel: travel, min_stroke: 5 mm}\n",
         "",
-        "p.yaml, line 24, column 14 (results.1.result): expected a block 'branches' for"
+        "p.yaml, line 25, column 14 (results.1.result): expected a block 'branches' for"
         " 'peak-force', found none. Add the block 'branches'.",
     ),
     "branches without curve": (
         "curve: {force: force, displacement: deflection}\n",
         "",
-        "p.yaml, line 21, column 11 (branches): expected a block 'curve' for 'branches',"
+        "p.yaml, line 22, column 11 (branches): expected a block 'curve' for 'branches',"
         " found none. Add the block 'curve'.",
     ),
     "figure without curve": (
         "curve: {force: force, displacement: deflection}\n",
         "",
-        "p.yaml, line 28, column 13 (report.figures.0): expected a block 'curve' for"
+        "p.yaml, line 29, column 13 (report.figures.0): expected a block 'curve' for"
         " 'force-displacement', found none. Add the block 'curve'.",
     ),
     "figure without shape": (
         "  - {step: fit-shape, terms: 7, tip: free}\n",
         "",
-        "p.yaml, line 28, column 33 (report.figures.1): expected the step 'fit-shape' for"
+        "p.yaml, line 29, column 33 (report.figures.1): expected the step 'fit-shape' for"
         " 'wire-shapes', found no such step. Add the step 'fit-shape'.",
     ),
     "figure without markers": (
         "figures: [force-displacement, wire-shapes]",
         "figures: [force-displacement, wire-shapes, wire-shapes]",
-        "p.yaml, line 29, column 46 (report.figures.2): expected each figure once, found"
+        "p.yaml, line 30, column 46 (report.figures.2): expected each figure once, found"
         " 'wire-shapes' again. Remove one of them.",
     ),
     "second of a result": (
         "  - {result: clock}\n",
         "  - {result: clock}\n  - {result: clock}\n",
-        "p.yaml, line 25, column 14 (results.1.result): expected each result once, found a second"
+        "p.yaml, line 26, column 14 (results.1.result): expected each result once, found a second"
         " 'clock'. Remove one of them.",
     ),
     "second window": (
         "  - {result: clock}\n",
         "  - {result: stiffness, from: 0 mm, to: 1 mm}\n" * 2,
-        "p.yaml, line 25, column 14 (results.1.result): expected each result once, found a second"
+        "p.yaml, line 26, column 14 (results.1.result): expected each result once, found a second"
         " 'stiffness'. Give it another 'name'.",
     ),
     "displayed quantity": (
         "{displacement: mm,",
         "{displacment: mm,",
-        "p.yaml, line 28, column 13 (report.display.displacment): expected one of the quantities"
+        "p.yaml, line 29, column 13 (report.display.displacment): expected one of the quantities"
         " 'displacement', 'length', 'moment', 'time', 'speed', 'voltage', ..., found 'displacment'."
         " Did you mean 'displacement'?",
     ),
     "display unit": (
         "{displacement: mm,",
         "{displacement: mN,",
-        "p.yaml, line 28, column 27 (report.display.displacement): expected a unit of displacement"
+        "p.yaml, line 29, column 27 (report.display.displacement): expected a unit of displacement"
         " such as m, found 'mN'. Write the unit alone, without a number.",
     ),
 }
@@ -152,10 +152,12 @@ def test_what_does_not_fit_together_is_told(case: tuple[str, str, str], told: To
 
 
 def test_a_share_of_a_branch_needs_branches(told: Told) -> None:
-    lines = told(("span: 0.1 s", "span: 5 %"), ("branches: {channel: travel, min_stroke: 5 mm}", ""))
+    lines = told(
+        ("span: 0.1 s", "span: 5 %"), ("branches: {channel: travel, min_stroke: 5 mm}", "")
+    )
 
     assert (
-        "p.yaml, line 20, column 66 (steps.4.span): expected a span of time or samples where there"
+        "p.yaml, line 21, column 66 (steps.4.span): expected a span of time or samples where there"
         " are no branches, found '5 %'. Add the block 'branches', or give the span in s."
     ) in lines
 
@@ -170,15 +172,15 @@ def test_results_of_what_is_not_there(told: Told) -> None:
     )
 
     assert (
-        "p.yaml, line 22, column 14 (results.1.result): expected the step 'fit-shape' for"
+        "p.yaml, line 23, column 14 (results.1.result): expected the step 'fit-shape' for"
         " 'tip-travel', found no such step. Add the step 'fit-shape'."
     ) in lines
     assert (
-        "p.yaml, line 21, column 14 (results.0.result): expected 'align.method' to be"
+        "p.yaml, line 22, column 14 (results.0.result): expected 'align.method' to be"
         " 'turning-points' for 'clock', found another. Set 'align.method' to 'turning-points'."
     ) in lines
     assert (
-        "p.yaml, line 26, column 33 (report.figures.1): expected a source of marker tracks for"
+        "p.yaml, line 27, column 33 (report.figures.1): expected a source of marker tracks for"
         " 'marker-quality', found none. Add the source 'markers'."
     ) in lines
 
@@ -193,7 +195,9 @@ sources:
 curve: {force: force, displacement: displacement}
 """
 
-    with pytest.raises(Exception, match=r"line 6, column 8 \(curve\): expected a method that joins"):
+    with pytest.raises(
+        Exception, match=r"line 6, column 8 \(curve\): expected a method that joins"
+    ):
         parse_protocol(text, "p.yaml")
 
 
@@ -205,7 +209,9 @@ sources: {markers: {reader: motive-csv}}
 curve: {force: f, displacement: d}
 """
 
-    with pytest.raises(Exception, match=r"expected a channel, found 'f'. No source gives a channel."):
+    with pytest.raises(
+        Exception, match=r"expected a channel, found 'f'. No source gives a channel."
+    ):
         parse_protocol(text, "p.yaml")
 
 

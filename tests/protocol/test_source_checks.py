@@ -95,9 +95,7 @@ def test_a_name_that_says_no_quantity(told: Told) -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("name", "taken"), [("force", "the source 'force'"), ("travel", "a step")]
-)
+@pytest.mark.parametrize(("name", "taken"), [("force", "the source 'force'"), ("travel", "a step")])
 def test_a_name_taken_twice(name: str, taken: str, told: Told) -> None:
     lines = told(("  markers:\n", SECOND % name + "  markers:\n"))
 

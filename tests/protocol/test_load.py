@@ -1,0 +1,402 @@
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labpipe.errors import ProtocolError
+from labpipe.protocol.load import (
+    dump_protocol,
+    load_protocol,
+    load_test_sheet,
+    parse_protocol,
+    parse_test_sheet,
+    resolve,
+)
+from labpipe.protocol.rig import AlignNone
+from tests.protocol.conftest import WIRE
+
+Tell = Callable[[str], list[str]]
+
+SHEET = """\
+test: A2-085-1
+protocol: wire
+specimen: {type: A2, spool: A2-s1, sample: 01, length: 80 mm}
+date: 2026-03-04
+files: {force: force.mat, markers: [take.csv]}
+"""
+
+
+def _blocks(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """Give the paths of all blocks of keys that are closed to unknown keys."""
+    if isinstance(node, dict):
+        if path not in {("report", "display"), ("sources",)}:
+            yield path
+        for key, value in node.items():
+            yield from _blocks(value, (*path, key))
+    if isinstance(node, list):
+        for number, value in enumerate(node):
+            yield from _blocks(value, (*path, number))
+
+
+BLOCKS = list(_blocks(yaml.safe_load(WIRE)))
+
+
+@given(path=st.sampled_from(BLOCKS), key=st.from_regex(r"[a-z]{1,12}x{3}", fullmatch=True))
+def test_an_unknown_key_anywhere_is_refused_by_name(path: tuple[Any, ...], key: str) -> None:
+    data = yaml.safe_load(WIRE)
+    node = data
+    for part in path:
+        node = node[part]
+    node[key] = "1"
+
+    with pytest.raises(ProtocolError) as info:
+        parse_protocol(yaml.safe_dump(data), "p.yaml")
+
+    dotted = ".".join(map(str, (*path, key)))
+    assert f"({dotted}): expected one of the keys " in str(info.value)
+    assert f"found '{key}'. Did you mean '" in str(info.value)
+
+
+@given(path=st.sampled_from([path for path in BLOCKS if path]))
+def test_a_block_that_is_a_word_is_refused(path: tuple[Any, ...]) -> None:
+    data = yaml.safe_load(WIRE)
+    node = data
+    for part in path[:-1]:
+        node = node[part]
+    node[path[-1]] = "word"
+
+    with pytest.raises(ProtocolError) as info:
+        parse_protocol(yaml.safe_dump(data), "p.yaml")
+
+    dotted = ".".join(map(str, path))
+    assert f"({dotted}): expected a block of keys with values, found 'word'" in str(info.value)
+
+
+def test_all_faults_come_at_once_in_the_order_of_the_file() -> None:
+    text = """\
+version: 1
+nmae: p
+sources:
+  force: {reader: dspace-mat, channel: a, unit: mm, unit: N}
+steps:
+  - {step: smooth, channel: forse, method: moving-average, span: 3}
+curve: {force: force, displacement: d}
+report: {figures: [timelin]}
+"""
+
+    with pytest.raises(ProtocolError) as info:
+        parse_protocol(text, "p.yaml")
+
+    places = [line.split(": expected")[0] for line in str(info.value).splitlines()]
+    assert places == [
+        "p.yaml, line 1, column 1",
+        "p.yaml, line 2, column 1 (nmae)",
+        "p.yaml, line 4, column 49 (sources.force.unit)",
+        "p.yaml, line 4, column 53 (sources.force.unit)",
+        "p.yaml, line 6, column 29 (steps.0.channel)",
+        "p.yaml, line 6, column 66 (steps.0.span)",
+        "p.yaml, line 7, column 37 (curve.displacement)",
+        "p.yaml, line 8, column 20 (report.figures.0)",
+    ]
+
+
+def test_a_repeated_key_alone_is_refused() -> None:
+    with pytest.raises(ProtocolError, match="found 'name' again"):
+        parse_protocol(WIRE + "name: wire\n", "p.yaml")
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "- a\n", "word\n"])
+def test_a_file_that_is_no_block_of_keys(text: str) -> None:
+    with pytest.raises(ProtocolError, match=r"p\.yaml, line 1, column 1: expected a block of keys"):
+        parse_protocol(text, "p.yaml")
+
+
+def _length(unit: str = "mm") -> st.SearchStrategy[str]:
+    return st.floats(1e-6, 1e6, allow_subnormal=False).map(lambda number: f"{number!r} {unit}")
+
+
+@st.composite
+def _protocols(draw: st.DrawFn) -> dict[str, Any]:
+    data: dict[str, Any] = yaml.safe_load(WIRE)
+    data["about"] = draw(st.text(max_size=30))
+    data["specimen"] = {
+        "length": draw(_length()),
+        "section": {"wall": draw(_length("m")), "area": draw(_length("mm^2"))},
+    }
+    data["rig"] = {"string": {"length": draw(_length("m"))}, "cycles": draw(st.integers(1, 99))}
+    data["markers"] |= {
+        "clamp": draw(st.text(min_size=1, max_size=9)),
+        "along": draw(st.one_of(st.just("all"), st.lists(st.text(min_size=1), min_size=1))),
+        "centre_offset": draw(st.floats(-1e6, 1e6).map(lambda number: f"{number!r} mm")),
+    }
+    data["align"]["max_drift"] = draw(st.floats(0, 1e6).map(lambda number: f"{number!r} ppm"))
+    span = st.one_of(
+        _length("s"),
+        _length(),
+        st.floats(0.01, 100.0).map(lambda number: f"{number!r} %"),
+        st.integers(1, 10**6).map(lambda number: f"{number} samples"),
+    )
+    data["steps"][-1]["span"] = draw(span)
+    data["sources"]["force"]["channel"] = draw(st.text(min_size=1))
+    return data
+
+
+@settings(max_examples=15)
+@given(_protocols())
+def test_a_protocol_written_reads_back_equal(data: dict[str, Any]) -> None:
+    text = yaml.safe_dump(data, allow_unicode=True)
+
+    protocol = parse_protocol(text, "p.yaml")
+
+    dumped = dump_protocol(protocol)
+    assert parse_protocol(dumped, "result.h5") == protocol
+    assert dump_protocol(parse_protocol(dumped, "result.h5")) == dumped
+
+
+def test_a_written_protocol_reads_as_a_person_writes(wire: str) -> None:
+    text = dump_protocol(parse_protocol(wire, "p.yaml"))
+
+    for line in ("length: 85 mm", "counterweight: 2.7 g", "max_drift: 0.05 %", "- step: smooth"):
+        assert line in text
+    assert "null" not in text
+    assert text.index("- result: initial-stiffness") < text.index("from: 0.5 mm")
+
+
+def test_no_clamp_is_said_again(wire: str) -> None:
+    text = """\
+version: 1
+name: p
+sources: {markers: {reader: motive-csv}}
+markers: {clamp: null}
+"""
+
+    assert "clamp: null" in dump_protocol(parse_protocol(text, "p.yaml"))
+
+
+def test_a_protocol_from_a_file(tmp_path: Path, wire: str) -> None:
+    path = tmp_path / "wire.yaml"
+    path.write_text(wire, encoding="utf-8")
+
+    assert load_protocol(path) == parse_protocol(wire, "x")
+
+
+@pytest.fixture
+def lab(tmp_path: Path, wire: str) -> Path:
+    """A folder with a protocol and a test."""
+    (tmp_path / "protocols").mkdir()
+    (tmp_path / "protocols" / "wire.yaml").write_text(wire, encoding="utf-8")
+    (tmp_path / "test").mkdir()
+    return tmp_path
+
+
+@pytest.fixture
+def write(lab: Path) -> Callable[[str], Path]:
+    """Write the test sheet of the lab's test."""
+
+    def write(text: str) -> Path:
+        path = lab / "test" / "test.yaml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def tell(lab: Path, write: Callable[[str], Path]) -> Tell:
+    """Give the lines of the error of resolving a test sheet, without the folder."""
+
+    def tell(text: str) -> list[str]:
+        path = write(text)
+        sheet = load_test_sheet(path)
+        with pytest.raises(ProtocolError) as info:
+            resolve(sheet, path, lab / "protocols")
+        return str(info.value).replace(f"{lab}{os.sep}", "").splitlines()
+
+    return tell
+
+
+def test_a_test_puts_its_own_values_into_its_protocol(
+    lab: Path, write: Callable[[str], Path]
+) -> None:
+    path = write(
+        SHEET
+        + """\
+overrides:
+  sources.force.calibration.gain: {value: 0.0411 N/V, because: "another cell"}
+  markers.centre_offset: {value: 1 mm, because: "flat markers"}
+  steps.smooth.span: {value: 51 samples, because: "slow recorder"}
+  steps.0.max_jump: {value: 9 mm, because: "fast"}
+  rig.stroke: {value: 20 mm, because: "short"}
+"""
+    )
+
+    protocol = resolve(load_test_sheet(path), path, lab / "protocols")
+
+    assert protocol.specimen.length == 0.080
+    assert protocol.channels["force"].gain == 0.0411
+    assert protocol.rig.stroke == 0.020
+    dumped = dump_protocol(protocol)
+    for line in ("centre_offset: 1 mm", "span: 51 samples", "max_jump: 9 mm", "clamp: Clamp"):
+        assert line in dumped
+
+
+def test_a_whole_block_can_be_overridden(lab: Path, write: Callable[[str], Path]) -> None:
+    path = write(
+        SHEET.replace(", markers: [take.csv]", "")
+        + """\
+overrides:
+  sources: {value: {force: {reader: dspace-mat, channel: a, unit: N}}, because: "no cameras"}
+  align: {value: {method: none}, because: "one clock"}
+  steps: {value: [], because: "raw"}
+  curve: {value: null, because: "no displacement"}
+  branches: {value: null, because: "no displacement"}
+  results: {value: [], because: "no displacement"}
+  report.figures: {value: [], because: "no displacement"}
+"""
+    )
+
+    protocol = resolve(load_test_sheet(path), path, lab / "protocols")
+
+    assert protocol.align == AlignNone()
+    assert (protocol.curve, protocol.results) == (None, ())
+
+
+OVERRIDES = {
+    "wrong unit": (
+        "sources.force.calibration.gain: {value: 0.0411 N, because: x}",
+        "test/test.yaml, line 7, column 43 (sources.force.calibration.gain): expected a quantity"
+        " with a unit such as N/V, found '0.0411 N'. Write it with its unit, such as '0.5 N/V'.",
+    ),
+    "unknown key": (
+        "rig.strok: {value: 3 mm, because: x}",
+        "test/test.yaml, line 7, column 3 (rig.strok): expected one of the keys 'stroke', 'string',"
+        " 'crosshead_speed', 'cycles', found 'strok'. Did you mean 'stroke'?",
+    ),
+    "unknown block": (
+        "rigg.stroke: {value: 3 mm, because: x}",
+        "test/test.yaml, line 7, column 3 (rigg): expected one of the keys 'rig', 'align',"
+        " 'version', 'curve', 'report', 'markers', ..., found 'rigg'. Did you mean 'rig'?",
+    ),
+    "below a value": (
+        "rig.cycles.x: {value: 3, because: x}",
+        "test/test.yaml, line 7, column 3 (overrides.rig.cycles.x): expected a key of the protocol,"
+        " found 'x' below a plain value.",
+    ),
+    "unknown step": (
+        "steps.smoth.span: {value: 1 s, because: x}",
+        "test/test.yaml, line 7, column 3 (overrides.steps.smoth.span): expected a number from 0 to"
+        " 4, or a name that one item of the list has, found 'smoth'. Did you mean 'smooth'?",
+    ),
+    "step beyond the last": (
+        "steps.9.span: {value: 1 s, because: x}",
+        "test/test.yaml, line 7, column 3 (overrides.steps.9.span): expected a number from 0 to 4,"
+        " or a name that one item of the list has, found '9'. Did you mean 'fit-shape'?",
+    ),
+    "within a block": (
+        "results: {value: [{result: clock}, {result: enrgy}], because: x}",
+        "test/test.yaml, line 7, column 47 (results.1.result): expected one of 'energy',"
+        " 'peak-force', 'peak-displacement', 'residual-displacement', 'stiffness',"
+        " 'tip-travel', ..., found 'enrgy'. Did you mean 'energy'?",
+    ),
+    "elsewhere": (
+        "markers.clamp: {value: null, because: x}",
+        "protocols/wire.yaml, line 14, column 17 (align.method): expected a clamp whose motion has"
+        " the turning points, found none. Name the rigid body at the clamp in 'markers.clamp'."
+        " (With what test/test.yaml changes.)",
+    ),
+    "length twice": (
+        "specimen.length: {value: 3 mm, because: x}",
+        "test/test.yaml, line 7, column 28 (overrides.specimen.length.value): expected"
+        " 'specimen.length' once, found '3 mm' beside '80 mm' in 'specimen'."
+        " Keep the one in 'specimen'.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OVERRIDES.values(), ids=OVERRIDES)
+def test_a_wrong_override_is_told_where_the_test_sheet_has_it(
+    case: tuple[str, str], tell: Tell
+) -> None:
+    override, message = case
+
+    assert message.replace("/", os.sep, message.split(":")[0].count("/")) in tell(
+        f"{SHEET}overrides:\n  {override}\n"
+    )
+
+
+def test_a_step_that_is_there_twice_needs_its_number(lab: Path, tell: Tell, wire: str) -> None:
+    step = "  - {step: zero, channel: force, over: 2 s}\n"
+    (lab / "protocols" / "wire.yaml").write_text(wire.replace(step, step * 2), encoding="utf-8")
+
+    lines = tell(f"{SHEET}overrides:\n  steps.zero.over: {{value: 1 s, because: x}}\n")
+
+    assert lines[0].endswith("that one item of the list has, found 'zero'. Use its number.")
+
+
+def test_all_faults_of_a_test_come_at_once(tell: Tell) -> None:
+    lines = tell(
+        SHEET.replace("markers: [take.csv]", "frame: a.csv")
+        + "overrides:\n  rig.cycles: {value: no, because: x}\n  steps.x: {value: 1, because: x}\n"
+    )
+
+    assert [line.split(": expected")[0] for line in lines] == [
+        f"test{os.sep}test.yaml, line 5, column 8 (files)",
+        f"test{os.sep}test.yaml, line 5, column 27 (files.frame)",
+        f"test{os.sep}test.yaml, line 7, column 23 (rig.cycles)",
+        f"test{os.sep}test.yaml, line 8, column 3 (overrides.steps.x)",
+    ]
+    assert "expected a file in the role 'markers', found none. Add it to 'files'." in lines[0]
+    assert (
+        "expected a role of the protocol: 'force', 'markers', found 'frame'. Did you mean 'force'?"
+        in lines[1]
+    )
+
+
+def test_a_protocol_that_is_wrong_itself_is_not_blamed_on_the_test(
+    lab: Path, tell: Tell, wire: str
+) -> None:
+    wrong = wire.replace("cycles: 3", "cycles: x")
+    (lab / "protocols" / "wire.yaml").write_text(wrong, encoding="utf-8")
+
+    lines = tell(SHEET)
+
+    assert len(lines) == 1
+    assert lines[0].endswith("(rig.cycles): expected a whole number from 1 to 1000000, found 'x'.")
+
+
+def test_a_protocol_that_is_not_there(tell: Tell) -> None:
+    (line,) = tell(SHEET.replace("protocol: wire", "protocol: wirre"))
+
+    assert line.startswith(
+        f"test{os.sep}test.yaml, line 2, column 11 (protocol): expected one of the protocols"
+        " 'wire',"
+    )
+    assert line.endswith("found 'wirre'. Did you mean 'wire'?")
+
+
+def test_a_link_out_of_the_folder_is_refused(lab: Path, write: Callable[[str], Path]) -> None:
+    path = write(SHEET)
+    (lab / "secret.mat").write_bytes(b"x")
+    (lab / "test" / "force.mat").symlink_to(lab / "secret.mat")
+
+    with pytest.raises(ProtocolError) as info:
+        load_test_sheet(path)
+    assert str(info.value) == (
+        f"{path}, line 5, column 16 (files.force): expected a file inside the folder of the test,"
+        " found 'force.mat', a link out of it. Copy the export into the folder of the test and name"
+        " it from there."
+    )
+
+
+def test_a_test_sheet_from_a_result_file() -> None:
+    sheet = parse_test_sheet(SHEET, "result.h5")
+
+    assert sheet.specimen.sample == "01"
+    assert sheet.files == {"force": ("force.mat",), "markers": ("take.csv",)}

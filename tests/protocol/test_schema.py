@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+import pytest
+
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.quantities import Span
+from labpipe.protocol.rig import AlignNone, AlignTurningPoints
+from labpipe.protocol.steps import Smooth
+from tests.protocol.conftest import Told
+
+
+def test_a_protocol_holds_si(wire: str) -> None:
+    protocol = parse_protocol(wire, "p.yaml")
+
+    assert protocol.specimen.length == 0.085
+    assert protocol.rig.string is not None
+    assert protocol.rig.string.counterweight == 0.0027
+    assert isinstance(protocol.align, AlignTurningPoints)
+    assert protocol.align.max_drift == 500e-6
+    smooth = protocol.steps[-1]
+    assert isinstance(smooth, Smooth)
+    assert smooth.span == Span("time", 0.1)
+
+
+def test_defaults_are_filled_in() -> None:
+    text = "version: 1\nname: p\nsources: {force: {reader: dspace-mat, channel: a, unit: N}}\n"
+
+    protocol = parse_protocol(text, "p.yaml")
+
+    assert protocol.align == AlignNone()
+    assert (protocol.steps, protocol.curve, protocol.results) == ((), None, ())
+    assert protocol.sources["force"].reader == ("dspace-mat",)
+
+
+CASES = {
+    "version": (
+        ("version: 1", "version: 2"),
+        "p.yaml, line 1, column 10 (version): expected version 1, the only one that this labpipe"
+        " knows, found '2'. A newer labpipe may know this version.",
+    ),
+    "unknown key": (
+        ("results:\n", "resluts:\n"),
+        "p.yaml, line 24, column 1 (resluts): expected one of the keys 'results', 'report',"
+        " 'markers', 'sources', 'branches', 'about', ..., found 'resluts'. Did you mean 'results'?",
+    ),
+    "missing key": (
+        ("name: wire\n", ""),
+        "p.yaml, line 1, column 1: expected the key 'name', found no such key. Add the key 'name'.",
+    ),
+    "role": (
+        ("  markers:\n", "  marker:\n"),
+        "p.yaml, line 9, column 3 (sources.marker): expected one of 'markers', 'force', 'frame',"
+        " found 'marker'. Did you mean 'markers'?",
+    ),
+    "reader": (
+        ("[dspace-mat,", "[dspace-mta,"),
+        "p.yaml, line 5, column 14 (sources.force.reader.0): expected one of 'dspace-mat',"
+        " 'dspace-mf4', 'dspace-csv', 'motive-csv', 'motive-xlsx', found 'dspace-mta'."
+        " Did you mean 'dspace-mat'?",
+    ),
+    "no reader": (
+        ("[dspace-mat, dspace-csv]", "[]"),
+        "p.yaml, line 5, column 13 (sources.force.reader): expected at least one entry,"
+        " found an empty list.",
+    ),
+    "step": (
+        ("step: smooth", "step: smoth"),
+        "p.yaml, line 21, column 12 (steps.4.step): expected one of 'smooth', 'decimate',"
+        " 'fit-shape', 'zero', 'specimen-frame', 'low-pass', ..., found 'smoth'."
+        " Did you mean 'smooth'?",
+    ),
+    "no step": (
+        ("{step: zero,", "{"),
+        "p.yaml, line 20, column 5 (steps.3): expected the key 'step', found no such key."
+        " Add the key 'step'.",
+    ),
+    "window": (
+        ("to: 4 mm", "to: 0.5 mm"),
+        "p.yaml, line 27, column 51 (results.2.to): expected more than 'from' (0.5 mm),"
+        " found '0.5 mm'.",
+    ),
+    "figure": (
+        ("wire-shapes", "wire-shape"),
+        "p.yaml, line 30, column 33 (report.figures.1): expected one of 'wire-shapes',"
+        " 'force-displacement', 'timeline', 'marker-quality', found 'wire-shape'."
+        " Did you mean 'wire-shapes'?",
+    ),
+    "speed": (
+        ("crosshead_speed: 1 mm/s", "crosshead_speed: 0 mm/s"),
+        "p.yaml, line 12, column 24 (rig.crosshead_speed): expected a quantity with a unit such as"
+        " mm/s above 0 mm/s, found '0 mm/s'.",
+    ),
+    "unit": (
+        ("max_gap: 0.5 s", "max_gap: 0.5"),
+        "p.yaml, line 17, column 37 (steps.0.max_gap): expected a quantity with a unit such as s,"
+        " found '0.5'. Write it with its unit, such as '0.5 s'.",
+    ),
+    "cycles": (
+        ("cycles: 3", "cycles: three"),
+        "p.yaml, line 12, column 40 (rig.cycles): expected a whole number from 1 to 1000000,"
+        " found 'three'.",
+    ),
+    "markers": (
+        ("along: all", "along: []"),
+        "p.yaml, line 13, column 32 (markers.along): expected the word 'all', or a list of marker"
+        " names, found an empty list.",
+    ),
+    "clamp not said": (
+        ("clamp: Clamp, ", ""),
+        "p.yaml, line 13, column 10 (markers): expected the key 'clamp', found no such key."
+        " Add the key 'clamp'.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_what_is_wrong_is_told(case: tuple[tuple[str, str], str], told: Told) -> None:
+    change, message = case
+
+    assert message in told(change)
+
+
+@pytest.mark.parametrize(
+    ("said", "meant"), [("all", "all"), ("A", ("A",)), ("[A, B*]", ("A", "B*"))]
+)
+def test_the_markers_along_the_specimen(wire: str, said: str, meant: object) -> None:
+    protocol = parse_protocol(wire.replace("along: all", f"along: {said}"), "p.yaml")
+
+    assert protocol.markers is not None
+    assert protocol.markers.along == meant

@@ -1,0 +1,126 @@
+from __future__ import annotations
+
+from datetime import date
+
+import pytest
+from pydantic import ValidationError
+
+from labpipe.errors import ProtocolError
+from labpipe.protocol.load import parse_test_sheet
+from labpipe.protocol.sheet import TestSheet
+
+SHEET = """\
+test: A2-085-1
+protocol: wire
+specimen: {type: A2, spool: A2-s1, sample: 01, length: 80 mm, width: 2 mm}
+files: {force: force.mat}
+"""
+
+
+def test_a_sheet_holds_what_was_written() -> None:
+    sheet = parse_test_sheet(SHEET + "date: 2026-03-04\n", "x")
+
+    assert (sheet.test, sheet.specimen.sample, sheet.date) == ("A2-085-1", "01", date(2026, 3, 4))
+    assert sheet.specimen.dimensions == {"length": 0.080, "width": 0.002}
+    assert (sheet.operator, sheet.overrides) == ("", {})
+
+
+def test_no_length_is_no_dimension() -> None:
+    sheet = parse_test_sheet(SHEET.replace("length: 80 mm, width: 2 mm", ""), "x")
+
+    assert sheet.specimen.dimensions == {}
+
+
+INSIDE = (
+    "expected a file inside the folder of the test, found {}."
+    " Copy the export into the folder of the test and name it from there."
+)
+
+
+@pytest.mark.parametrize(
+    "name", ["../a.mat", "/etc/a.mat", "b/../../a.mat", "C:\\a.mat", "..\\a.mat", "\\\\host\\a"]
+)
+def test_a_path_that_leaves_the_folder_is_refused(name: str) -> None:
+    with pytest.raises(ProtocolError) as info:
+        parse_test_sheet(SHEET.replace("force.mat", name), "x")
+    assert str(info.value) == f"x, line 4, column 16 (files.force): {INSIDE.format(repr(name))}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "force.mat",
+            "[a.mat, ../b.mat]",
+            f"x, line 4, column 24 (files.force.1): {INSIDE.format(repr('../b.mat'))}",
+        ),
+        (
+            "force.mat",
+            "' '",
+            "x, line 4, column 16 (files.force): expected the name of a file, found ' '.",
+        ),
+        (
+            "{force: force.mat}",
+            "{}",
+            "x, line 4, column 8 (files): expected at least one entry, found an empty block.",
+        ),
+        (
+            "{force: ",
+            "{forse: ",
+            "x, line 4, column 9 (files.forse): expected one of 'force', 'frame', 'markers',"
+            " found 'forse'. Did you mean 'force'?",
+        ),
+        (
+            "length: 80",
+            "lenght: 80",
+            "x, line 3, column 48 (specimen.lenght): expected a known key, or the name of a"
+            " dimension in small letters, found 'lenght'. Did you mean 'length'?",
+        ),
+        (
+            "width:",
+            "Width:",
+            "x, line 3, column 63 (specimen.Width): expected a known key, or the name of a"
+            " dimension in small letters, found 'Width'. Did you mean 'length'?",
+        ),
+        (
+            "width: 2 mm",
+            "width: 2",
+            "x, line 3, column 70 (specimen.width): expected a quantity with a unit such as mm,"
+            " found '2'. Write it with its unit, such as '53 mm'.",
+        ),
+        (
+            "protocol: wire\n",
+            "protocol: wire\ndate: 4.3.2026\n",
+            "x, line 3, column 7 (date): expected a date such as 2026-03-04, found '4.3.2026'.",
+        ),
+        (
+            "protocol: wire\n",
+            "protocol: wire\noverrides: {a.b: {value: 1}}\n",
+            "x, line 3, column 18 (overrides.a.b): expected the key 'because', found no such key."
+            " Add the key 'because'.",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told(old: str, new: str, message: str) -> None:
+    with pytest.raises(ProtocolError) as info:
+        parse_test_sheet(SHEET.replace(old, new), "x")
+    assert message in str(info.value).splitlines()
+
+
+def test_a_specimen_that_is_no_block() -> None:
+    with pytest.raises(ValidationError, match="expected a block of keys with values, found 'A2'"):
+        TestSheet.model_validate(
+            {"test": "a", "protocol": "b", "specimen": "A2", "files": {"force": "a"}}
+        )
+
+
+def test_a_date_may_be_one_already_or_none() -> None:
+    data = {
+        "test": "a",
+        "protocol": "b",
+        "specimen": {"type": "A", "spool": "s", "sample": 1},
+        "files": {"force": "a"},
+    }
+
+    assert TestSheet.model_validate(data | {"date": date(2026, 3, 4)}).date == date(2026, 3, 4)
+    assert TestSheet.model_validate(data | {"date": None}).date is None

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import pytest
+
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.source import MARKER_READERS, READERS, si_unit_like
+
+
+def _protocol(sources: str) -> Protocol:
+    return parse_protocol(f"version: 1\nname: p\nsources: {sources}\n", "p.yaml")
+
+
+def test_the_short_way_names_the_channel_like_the_role() -> None:
+    short = _protocol("{force: {reader: dspace-mat, channel: a, unit: mN}}").channels["force"]
+    long = _protocol(
+        "{force: {reader: dspace-mat, channels: {force: {channel: a, unit: mN}}}}"
+    ).channels["force"]
+
+    for channel in (short, long):
+        assert (channel.channel, channel.target_unit, channel.channel_unit) == ("a", "N", "N")
+        assert (channel.gain, channel.offset, channel.gain_uncertainty) == (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("unit", ["V", "mV"])
+def test_a_gain_is_si_per_si_whatever_the_unit_of_the_channel(unit: str) -> None:
+    channel = _protocol(
+        f"{{force: {{reader: dspace-mat, channel: a, unit: {unit},"
+        " calibration: {gain: -210.82 mN/V, offset: 2.846 mN, gain_uncertainty: 1 %}}}"
+    ).channels["force"]
+
+    assert channel.channel_unit == "V"
+    assert (channel.gain, channel.offset) == (-0.21082, 0.002846)
+    assert channel.gain_uncertainty == 0.01
+
+
+def test_a_quantity_that_is_said_goes_before_the_name() -> None:
+    channel = _protocol(
+        "{frame: {reader: dspace-mat, channels: {laser: {channel: a, quantity: displacement,"
+        " unit: V, calibration: {gain: 25 mm/V}}}}}"
+    ).channels["laser"]
+
+    assert (channel.target_unit, channel.gain, channel.offset) == ("m", 0.025, 0.0)
+
+
+def test_a_channel_whose_unit_the_export_must_say() -> None:
+    channel = _protocol("{force: {reader: dspace-mf4, channel: a}}").channels["force"]
+
+    assert channel.channel_unit is None
+
+
+def test_marker_tracks_are_no_channels() -> None:
+    source = _protocol("{markers: {reader: [motive-csv, motive-xlsx]}}").sources["markers"]
+
+    assert source.reader == ("motive-csv", "motive-xlsx")
+    assert source.all_channels == {}
+
+
+def test_the_si_unit_of_a_dimension() -> None:
+    assert si_unit_like("mV") == "V"
+    assert si_unit_like("fortnight") is None
+    assert set(READERS) > MARKER_READERS
