@@ -64,7 +64,7 @@ def _entry(key: str, value: object) -> str:
     text = yaml.safe_dump(
         {key: value}, sort_keys=False, allow_unicode=True, width=float("inf"), indent=2
     )
-    if key not in _COMMENTS:
-        return text
     first, _, rest = text.partition("\n")
+    if key not in _COMMENTS or (isinstance(value, str) and rest):
+        return text  # a comment in the middle of a text would become part of it
     return f"{first:<27} # {_COMMENTS[key]}\n{rest}"

@@ -193,6 +193,10 @@ def test_a_quantity_is_written_as_a_person_would() -> None:
     assert Quantity("m", "mm", "1 mm").written(0.053) == "53 mm"
 
 
+def test_a_value_too_large_for_the_unit_of_people_is_written_in_si() -> None:
+    assert Quantity("m", "mm", "1 mm").written(1e308) == "1e+308 m"
+
+
 @given(st.sampled_from(["5 mm", "-.5e3 s", "+2. N/V", "3 %", "1e-3ppm"]))
 def test_the_json_schema_takes_a_number_with_unit(text: str) -> None:
     jsonschema.validate(text, TypeAdapter(Length).json_schema())

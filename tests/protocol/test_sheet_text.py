@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from labpipe.protocol.load import parse_test_sheet
@@ -45,6 +45,7 @@ files:                      # role: file in this folder, or a list of the parts 
 TEXTS = st.text(min_size=1, max_size=30)
 
 
+@example("a\nb", "0", "0")
 @given(TEXTS, TEXTS, TEXTS)
 def test_a_sheet_written_reads_back(protocol: str, sample: str, value: str) -> None:
     specimen = {"type": "A2", "spool": "s", "sample": sample}
