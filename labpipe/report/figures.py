@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.result import TestResult
 from labpipe.report import force_displacement, marker_quality, timeline, wire_shapes
-from labpipe.report.page import style
+from labpipe.report.page import finish_layout, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "marker-quality": marker_quality.draw,
 }
 
-_NO_DATE = {"svg": {"Date": None}, "png": {"Software": None}}
+PNG_DPI = 300
 
 
 def save_figures(result: TestResult, folder: Path) -> list[Path]:
@@ -67,9 +67,17 @@ def save_figures(result: TestResult, folder: Path) -> list[Path]:
 
 
 def _save(result: TestResult, name: str, folder: Path) -> list[Path]:
-    paths = [folder / f"{name}.{kind}" for kind in _NO_DATE]
+    """Draw once, lay out once, write twice: savefig would do all of it four times."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     with style():
         page = FIGURES[name](result)
-        for path, metadata in zip(paths, _NO_DATE.values(), strict=True):
-            page.savefig(path, metadata=metadata)
-    return paths
+        page.set_dpi(PNG_DPI)
+        finish_layout(page)
+        vector: Any = FigureCanvasSVG(page)
+        vector.print_svg(str(svg), metadata={"Date": None})
+        pixels: Any = FigureCanvasAgg(page)
+        pixels.print_png(str(png), metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+    return [svg, png]

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import TestResult
-from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, panel_letter, say
+from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, panel_letter, put_key, say
 from labpipe.report.thinning import extremes
 from labpipe.report.wording import scale, why_missing
 
@@ -29,10 +29,11 @@ _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
 
 def draw(result: TestResult) -> Figure:
     """Draw (a) the calibrated samples as recorded and (b) the filtered, zeroed curve."""
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=80)
+    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=82, has_key=True)
     raw, filtered = page.subplots(1, 2, sharex=True, sharey=True)
     plot_raw(result, raw)
     plot_filtered(result, filtered)
+    filtered.set_ylabel("")
     panel_letter(raw, "a", "Raw")
     panel_letter(filtered, "b", "Filtered")
     if result.curve is not None and result.curve.branches:
@@ -117,7 +118,7 @@ def cycle_colours(count: int) -> list[str]:
 
     if count <= MOST_COLOURS:
         own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
-        return [str(own[number % len(own)]) for number in range(count)]
+        return [to_hex(own[number % len(own)]) for number in range(count)]
     colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
     return [to_hex(colour_map(0.92 * place)) for place in np.linspace(0, 1, count)]
 
@@ -145,7 +146,7 @@ def _explain(page: Figure, panels: list[Axes], curve: Curve) -> None:
         [], [], color=GREY, marker="v", markerfacecolor="white", linestyle="", label="peak"
     )
     handles = [*cycles, *others, peak]
-    page.legend(handles=handles, loc="outside upper center", ncols=len(handles))
+    put_key(page, handles)
     if not few:
         _colour_bar(page, panels, count)
 

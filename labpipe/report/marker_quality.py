@@ -11,7 +11,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.recording import RigidBody
 from labpipe.records.result import TestResult
-from labpipe.report.page import DOUBLE_COLUMN, new_page, say
+from labpipe.report.page import DOUBLE_COLUMN, new_page, say, side_key
 from labpipe.report.thinning import extremes, worst
 from labpipe.report.wording import scale, why_missing
 
@@ -67,6 +67,7 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
+    axes.margins(x=0.01)
     _explain(axes, set(np.unique(flags)))
 
 
@@ -78,14 +79,7 @@ def _explain(axes: Axes, present: set[int]) -> None:
         for flag, colour in FLAG_COLOURS.items()
         if flag in present
     ]
-    axes.legend(
-        handles=handles,
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=len(handles) or 1,
-        borderaxespad=0.1,
-        handlelength=1.2,
-    )
+    side_key(axes, handles)
 
 
 def plot_tracking(result: TestResult, axes: Axes) -> None:
@@ -122,7 +116,7 @@ def _plot_errors(result: TestResult, axes: Axes, time: Floats, bodies: list[Rigi
         axes.plot(time[kept], error[kept], linewidth=0.7, label=body.name)
     axes.set_ylabel(up.label("Body error"))
     axes.set_ylim(bottom=0.0)
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=len(bodies), borderaxespad=0.1)
+    side_key(axes, axes.lines)
 
 
 def _is_marker(shape: Shape) -> NDArray[np.bool_]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,14 +12,18 @@ from labpipe.records.result import TestResult
 from labpipe.report.wording import footnote, title
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
 SINGLE_COLUMN = 90.0
 DOUBLE_COLUMN = 180.0
 GREY = "#666666"
 _MM_PER_INCH = 25.4
+_LINE_MM = 4.2
+_EDGE = 0.012
 
 
 @contextmanager
@@ -31,13 +35,16 @@ def style() -> Iterator[None]:
         yield
 
 
-def new_page(result: TestResult, *, width_mm: float, height_mm: float) -> Figure:
+def new_page(
+    result: TestResult, *, width_mm: float, height_mm: float, has_key: bool = False
+) -> Figure:
     """Make an empty figure with title and footnote.
 
     Parameters
     ----------
     result : names the test, its specimen and protocol; its doubtful results go to the footnote
     width_mm, height_mm : mm on paper
+    has_key : keep a line free below the title, for `put_key`
 
     Returns
     -------
@@ -46,17 +53,49 @@ def new_page(result: TestResult, *, width_mm: float, height_mm: float) -> Figure
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
-    line = 4.2 / height_mm
-    figure.text(0.012, 1 - 0.35 * line, title(result), va="top", size=8, color=GREY)
+    line = _LINE_MM / height_mm
+    figure.text(_EDGE, 1 - 0.3 * line, title(result), va="top", size=8, color=GREY)
     note = footnote(result)
     if note:
-        figure.text(0.012, 0.3 * line, note, va="bottom", size=7, color=GREY)
+        figure.text(_EDGE, 0.3 * line, note, va="bottom", size=7, color=GREY)
     low = line if note else 0.0
+    high = 1 - (2.4 if has_key else 1.3) * line
     pad = 1.2 / _MM_PER_INCH
-    figure.set_layout_engine(
-        "constrained", rect=(0.0, low, 1.0, 1 - 1.3 * line - low), w_pad=pad, h_pad=pad
-    )
+    figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
     return figure
+
+
+def finish_layout(page: Figure) -> None:
+    """Give every panel its place now, for good."""
+    engine = page.get_layout_engine()
+    if engine is not None:
+        engine.execute(page)
+    page.set_layout_engine("none")
+
+
+def put_key(page: Figure, handles: list[Line2D]) -> None:
+    """Name lines and signs in the line below the title, where no data can be."""
+    line = _LINE_MM / (page.get_figheight() * _MM_PER_INCH)
+    page.legend(
+        handles=handles,
+        loc="upper left",
+        bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
+        ncols=max(len(handles), 1),
+        borderpad=0,
+        borderaxespad=0,
+    )
+
+
+def side_key(axes: Axes, handles: Sequence[Artist]) -> None:
+    """Name what a panel shows on top of its right end, above the data."""
+    axes.legend(
+        handles=list(handles),
+        loc="lower right",
+        bbox_to_anchor=(1.0, 1.0),
+        ncols=max(len(handles), 1),
+        borderpad=0,
+        borderaxespad=0.3,
+    )
 
 
 def panel_letter(axes: Axes, letter: str, words: str) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
 from labpipe.records.result import TestResult
-from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, say
+from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, say, side_key
 from labpipe.report.thinning import extremes
 from labpipe.report.wording import scale, why_missing
 
@@ -34,6 +34,8 @@ def draw(result: TestResult) -> Figure:
     if fit is not None:
         plot_residuals(result, panels[2])
     panels[-1].set_xlabel(scale(result, "time", "s").label("Time"))
+    for axes in panels:
+        axes.locator_params(axis="y", nbins=5)
     page.align_ylabels(list(panels))
     return page
 
@@ -50,16 +52,24 @@ def plot_force(result: TestResult, axes: Axes) -> None:
             aligned.time,
             values * up.factor,
             color="#9a9a9a",
-            linewidth=0.5,
+            linewidth=0.6,
             label="raw",
         )
     if curve is not None:
-        _line(result, axes, curve.time, curve.force * up.factor, color="C0", label="filtered")
+        _line(
+            result,
+            axes,
+            curve.time,
+            curve.force * up.factor,
+            color="C0",
+            linewidth=0.8,
+            label="filtered",
+        )
     if not axes.lines:
         say(axes, why_missing(result, "force"))
         return
     axes.set_ylabel(up.label("Force"))
-    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=2, borderaxespad=0.1)
+    side_key(axes, axes.lines)
 
 
 def plot_motion(result: TestResult, axes: Axes) -> None:
@@ -77,12 +87,7 @@ def plot_motion(result: TestResult, axes: Axes) -> None:
         axes.plot(
             turns * along.factor, heights, "o", color="C1", mfc="white", label="turning point"
         )
-        axes.legend(
-            handles=axes.lines[-1:],
-            loc="lower right",
-            bbox_to_anchor=(1.0, 1.0),
-            borderaxespad=0.1,
-        )
+        side_key(axes, axes.lines[-1:])
     axes.set_ylabel(up.label(word))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Direction, PointFlag, Shape
 from labpipe.records.result import TestResult
-from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, panel_letter, say
+from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, panel_letter, put_key, say
 from labpipe.report.wording import scale, why_missing
 
 if TYPE_CHECKING:
@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _STEPS = 5
+_WIDTH_MM = 144.0
+_MARGIN = 0.04
+_FLATTEST = 0.1
+"""Width of a panel on paper; margin and least height of a panel over the specimen's length."""
 _LOOKS = {
     PointFlag.MEASURED: ("o", True),
     PointFlag.RELABELLED: ("s", True),
@@ -45,13 +49,16 @@ def draw(result: TestResult) -> Figure:
         return page
     steps = choose_frames(result, shape)
     planes = [1] if _first_loading(result) is not None else [1, 2]
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=_height(shape, steps, planes))
-    panels = page.subplots(len(planes), 1, sharex=True, squeeze=False)[:, 0]
+    heights = [_WIDTH_MM * _proportion(shape, steps, plane) for plane in planes]
+    total = sum(heights) + 24.0 + 14.0 * (len(planes) - 1)
+    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=total, has_key=True)
+    panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for letter, axes, plane in zip("ab", panels, planes, strict=False):
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             panel_letter(axes, letter, f"x-{'xyz'[plane]} view")
-    _explain(result, page, shape, steps)
+    _explain(page, shape, steps)
+    _name_steps(result, panels[0], steps)
     return page
 
 
@@ -119,13 +126,20 @@ def _round_step(step: float) -> float:
     return float(candidates[np.argmin(np.abs(np.log(candidates / step)))])
 
 
-def _height(shape: Shape, steps: Steps, planes: list[int]) -> float:
-    """Height of the page in mm on which the panels are filled at equal axis scale."""
-    drawn = shape.positions[steps.frames]
-    spans = np.nan_to_num(np.ptp(np.nan_to_num(drawn), axis=(0, 1)))
-    wide = max(float(spans[0]), 1e-6)
-    each = [150.0 * float(spans[plane]) / wide * 1.15 for plane in planes]
-    return float(sum(np.clip(each, 28.0, 120.0 / len(planes)))) + 22.0 + 6.0 * len(planes)
+def _limits(shape: Shape, steps: Steps, axis: int) -> tuple[float, float]:
+    """Ends of an axis, m: all that is drawn with a margin, and never less than a flat strip."""
+    curves = [_fitted(shape, int(frame))[axis] for frame in steps.frames]
+    drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves])
+    drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
+    middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
+    half = max(half, _FLATTEST * shape.length / 2) + _MARGIN * shape.length
+    return float(middle - half), float(middle + half)
+
+
+def _proportion(shape: Shape, steps: Steps, plane: int) -> float:
+    """Height of a panel over its width, at equal axis scale."""
+    (left, right), (low, high) = _limits(shape, steps, 0), _limits(shape, steps, plane)
+    return (high - low) / (right - left)
 
 
 def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
@@ -150,7 +164,9 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
             mine = shape.flags[frame] == flag
             x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
             axes.plot(x, up, color=colour, **_look(flag, colour))
-    axes.set_aspect("equal", adjustable="datalim")
+    axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0)))
+    axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane)))
+    axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set_xlabel(way.label("x"))
     axes.set_ylabel(way.label("xyz"[plane]))
 
@@ -179,11 +195,11 @@ def _colours(count: int) -> list[str]:
     from matplotlib.colors import to_hex
 
     colour_map = mpl.colormaps[mpl.rcParams["image.cmap"]]
-    return [to_hex(colour_map(0.9 * place)) for place in np.linspace(0, 1, count)]
+    return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, count)]
 
 
-def _explain(result: TestResult, page: Figure, shape: Shape, steps: Steps) -> None:
-    """Name the signs above the panels and the steps beside them, where no data can be."""
+def _explain(page: Figure, shape: Shape, steps: Steps) -> None:
+    """Name the signs that are drawn, above the panels."""
     from matplotlib.lines import Line2D
 
     present = set(np.unique(shape.flags[steps.frames]))
@@ -192,10 +208,23 @@ def _explain(result: TestResult, page: Figure, shape: Shape, steps: Steps) -> No
     ]
     if shape.coefficients.shape[2]:
         handles.append(Line2D([], [], color=GREY, linewidth=0.9, label="fitted curve"))
-    page.legend(handles=handles, loc="outside upper center", ncols=len(handles) or 1)
+    put_key(page, handles)
+
+
+def _name_steps(result: TestResult, axes: Axes, steps: Steps) -> None:
+    """Say beside the panel how far the tip had come at each shape."""
+    from matplotlib.lines import Line2D
+
     way = scale(result, "displacement", "m")
     levels = [
         Line2D([], [], color=colour, linewidth=1.6, label=f"{level * way.factor:g} {way.unit}")
         for level, colour in zip(steps.levels, _colours(len(steps.levels)), strict=True)
     ]
-    page.legend(handles=levels, loc="outside right center", title=steps.word, title_fontsize=8)
+    axes.legend(
+        handles=levels,
+        loc="upper left",
+        bbox_to_anchor=(1.01, 1.0),
+        title=steps.word,
+        title_fontsize=8,
+        alignment="left",
+    )

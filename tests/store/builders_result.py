@@ -98,14 +98,17 @@ def _travel(time: Floats, turns: Floats, cycles: int) -> Floats:
 
 
 def _force(displacement: Floats, time: Floats, turns: Floats) -> Floats:
-    """A bundle of sliders over the displacement: loops, softening and a set after each cycle."""
-    force = np.zeros_like(displacement)
-    for limit, stiffness in ((0.002, 9.0), (0.008, 5.0), (0.020, 3.5), (0.060, 3.0)):
-        slider = 0.0
-        for number, here in enumerate(displacement):
-            slider = min(max(slider, here - limit), here + limit)
-            force[number] += stiffness * (here - slider)
-    return force * (1.0 + 6.0 * displacement)
+    """Many sliders in parallel: loops, softening, a set after each cycle, and some fatigue."""
+    limits = np.geomspace(4e-4, 0.06, 24)
+    stiffness = np.full(24, 0.5)
+    slider = np.zeros(24)
+    force = np.empty_like(displacement)
+    for number, here in enumerate(displacement):
+        slider = np.clip(slider, here - limits, here + limits)
+        force[number] = stiffness @ (here - slider)
+    cycle = np.clip((time - turns[0]) / (turns[2] - turns[0]), 0, None)
+    total: Floats = (force + 3.0 * displacement) * (1.0 - 0.03 * np.minimum(cycle, 6))
+    return total
 
 
 def _branches(time: Floats, turns: Floats) -> tuple[Branch, ...]:

@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import StoreError
+from labpipe.records.result import TestResult
+from labpipe.report.figures import FIGURES, save_figures
+from tests.store.builders_result import build_result
+
+
+@pytest.fixture(scope="module")
+def result() -> TestResult:
+    return build_result(half_cycle=1.0)
+
+
+def test_all_figures_in_both_formats_with_the_same_bytes(
+    result: TestResult, tmp_path: Path
+) -> None:
+    one, other = (save_figures(result, tmp_path / name) for name in "ab")
+    assert [path.name for path in one] == [
+        f"{name}.{kind}" for name in FIGURES for kind in ("svg", "png")
+    ]
+    for first, second in zip(one, other, strict=True):
+        assert first.read_bytes() == second.read_bytes()
+    assert b"<dc:date>" not in one[0].read_bytes()
+    assert one[1].read_bytes().startswith(b"\x89PNG")
+
+
+def test_only_what_the_protocol_asks_for(result: TestResult, tmp_path: Path) -> None:
+    paths = save_figures(replace(result, figures=("timeline",)), tmp_path)
+    assert sorted(tmp_path.iterdir()) == sorted(paths)
+
+
+def test_unknown_figure(result: TestResult, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"figures=\['pie'\]: expected some of \['force-disp"):
+        save_figures(replace(result, figures=("pie", "timeline")), tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folder_that_cannot_be_made(result: TestResult, tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("")
+    with pytest.raises(StoreError, match=r"expected a folder that figures can be written to, foun"):
+        save_figures(result, tmp_path / "x")
+
+
+def test_drawing_program_is_loaded_only_when_a_figure_is_drawn() -> None:
+    code = (
+        "import sys, labpipe.report.figures; "
+        "sys.exit(any(name.split('.')[0] in {'matplotlib', 'pint'} for name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import matplotlib as mpl
+import pytest
+from matplotlib.lines import Line2D
+
+from labpipe.report.page import finish_layout, new_page, panel_letter, put_key, say, side_key, style
+from tests.store.builders_result import build_result
+
+RESULT = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)
+
+
+def test_style_is_given_back() -> None:
+    before = dict(mpl.rcParams)
+    with style():
+        assert mpl.rcParams["svg.hashsalt"] == "labpipe"
+        assert mpl.rcParams["font.size"] == 9
+    assert dict(mpl.rcParams) == before
+
+
+def test_page_has_title_footnote_and_room_for_them() -> None:
+    with style():
+        page = new_page(RESULT, width_mm=180, height_mm=60, has_key=True)
+        axes = page.subplots()
+        put_key(page, [Line2D([], [], label="cycle 1")])
+        panel_letter(axes, "a", "Raw")
+        finish_layout(page)
+    assert page.get_size_inches() == pytest.approx([180 / 25.4, 60 / 25.4])
+    texts = [text.get_text() for text in page.texts]
+    assert texts[0].startswith("A2-085-1")
+    assert texts[1] == "Of 3 results: 1 doubtful, 1 failed."
+    assert axes.get_title(loc="left") == "(a) Raw"
+    height = page.bbox.height
+    drawn = axes.get_tightbbox()
+    assert drawn is not None
+    key_low = page.legends[0].get_window_extent().y0
+    assert drawn.y1 < key_low
+    assert key_low < page.texts[0].get_window_extent().y0 < height
+    assert drawn.y0 > page.texts[1].get_window_extent().y1
+
+
+def test_side_key_stays_above_the_panel() -> None:
+    with style():
+        page = new_page(RESULT, width_mm=90, height_mm=60)
+        axes = page.subplots()
+        side_key(axes, axes.plot([0, 1], label="raw"))
+        finish_layout(page)
+    legend = axes.get_legend()
+    assert legend is not None
+    assert legend.get_window_extent().y0 >= axes.get_window_extent().y1
+
+
+def test_empty_panel_says_why() -> None:
+    page = new_page(RESULT, width_mm=90, height_mm=60)
+    axes = page.subplots()
+    say(axes, "There is no curve to draw.")
+    assert [text.get_text() for text in axes.texts] == ["There is no curve to draw."]
+    assert not axes.axison
