@@ -25,6 +25,16 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks
 
 UNLABELLED = ("Unlabeled", "Unlabelled")
+_DOUBTFUL = {
+    "label_ambiguous",
+    "marker_missing",
+    "marker_not_at_rest",
+    "out_of_plane",
+    "shape_missing",
+    "track_dropped",
+}
+"""Notes after which a number that rests on the shape may be wrong. A repair that the rule settles
+is noted and flagged, and leaves the numbers as good as they were."""
 
 
 @dataclass(slots=True)
@@ -155,9 +165,9 @@ def tip_travel(bench: Bench) -> Estimate | Failure:
 
 
 def _take_notes(bench: Bench, notes: Iterable[QualityNote]) -> None:
-    """Keep notes; a warning makes what rests on the displacement doubtful."""
+    """Keep notes; one that leaves the shape in doubt marks what rests on the displacement."""
     for note in notes:
-        if note.severity is Severity.WARNING:
+        if note.code in _DOUBTFUL:
             bench.doubt("displacement", note.code, note.message, where=note.where)
         else:
             bench.note(note.code, note.severity, note.where, note.message)

@@ -106,10 +106,12 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
 
 
 def _aligned(bench: Bench) -> Aligned:
-    """All raw signals at the times of the displacement."""
+    """All raw signals at the times of the displacement; the curve's own under the words for it."""
     time = bench.signals[bench.displacement].time
+    words = {bench.force: "force", bench.displacement: "displacement"}
     series = {
-        name: Series(_at(bench, signal, time), signal.unit) for name, signal in bench.raw.items()
+        words.get(name, name): Series(_at(bench, signal, time), signal.unit)
+        for name, signal in bench.raw.items()
     }
     return Aligned(time, series, bench.clock_fit)
 
