@@ -211,7 +211,7 @@ def _value_notes(traces: Sequence[Trace], channels: Sequence[Channel]) -> list[Q
         blank = np.isnan(channel.values)
         if blank.any():
             notes.append(_blank_note(trace, blank, channel.path))
-        elif len(blank) and channel.values.min() == channel.values.max():
+        elif _is_constant(channel.values):
             constant.append(channel.path)
     if constant:
         listed = ", ".join(f"'{path}'" for path in constant[:3])
@@ -219,6 +219,12 @@ def _value_notes(traces: Sequence[Trace], channels: Sequence[Channel]) -> list[Q
         message += " ..." if len(constant) > 3 else ""
         notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
     return notes
+
+
+def _is_constant(values: Floats) -> bool:
+    if not len(values) or values[0] != values[-1]:
+        return False
+    return bool(values.min() == values.max())
 
 
 def _blank_note(trace: Trace, blank: Flags, where: str) -> QualityNote:

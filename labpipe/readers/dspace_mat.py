@@ -19,7 +19,6 @@ in an HDF5 file with a 512-byte user block (v7.3). The content decides, not the 
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,15 +30,13 @@ from labpipe.errors import ReadError, complaint
 from labpipe.readers.controldesk import Export, Trace, load_export, plain
 from labpipe.readers.dates import day_of_saving, written_date
 from labpipe.readers.files import read_head, reading
+from labpipe.readers.mat5 import Node, parse_mat5
 from labpipe.records.quality import QualityNote, Severity
 
 if TYPE_CHECKING:
     import h5py
 
     from labpipe.records.recording import Recording
-
-Node = Any
-"""A struct array as a list of mappings, text, or an array: what both containers are turned into."""
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
@@ -99,25 +96,8 @@ def _variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
 
 
 def _read_v5(path: Path) -> dict[str, Node]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    what = "a whole MAT v5 file"
-    with reading(path, what, also=(MatReadError,)), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # duplicate or odd variables: not the ones we look for
-        found = loadmat(path, struct_as_record=False, verify_compressed_data_integrity=True)
-        return {key: _from_v5(item) for key, item in found.items() if not key.startswith("__")}
-
-
-def _from_v5(value: Any) -> Node:
-    if not isinstance(value, np.ndarray):
-        return value
-    if value.dtype == object:
-        items = value.ravel()
-        if value.size and hasattr(items[0], "_fieldnames"):
-            return [{key: _from_v5(getattr(s, key)) for key in s._fieldnames} for s in items]
-        return [_from_v5(item) for item in items]
-    return "\n".join(str(row) for row in value.ravel()) if value.dtype.kind == "U" else value
+    with reading(path, "a whole MAT v5 file"):
+        return parse_mat5(path.read_bytes())
 
 
 def _from_hdf5(node: Any, file: h5py.File, size: int) -> Node:

@@ -17,12 +17,14 @@
 
 from __future__ import annotations
 
+import logging
 import re
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from html import unescape
 from pathlib import Path
+from traceback import walk_tb
 from typing import Any
 
 import numpy as np
@@ -73,19 +75,41 @@ def _opened(path: Path) -> Iterator[Any]:
         warnings.simplefilter("ignore")  # asammdf on its own optional parts
         try:
             from asammdf import MDF
-            from asammdf.blocks.mdf_v4 import MDF4
             from asammdf.blocks.utils import MdfException
         except ImportError as error:
             raise ReadError(_not_installed(path)) from error
-        # 8.8: what a damaged file leaves half made complains on stderr when it is deleted. Files
-        # are closed below, so nothing needs its __del__.
-        MDF4.__del__ = lambda _: None
+        logging.getLogger("asammdf").disabled = True  # it prints what we raise
         with reading(path, _WHAT, also=(MdfException,)):
-            file = MDF(path)
+            file = _open(MDF, path)
         try:
             yield file
         finally:
-            file.close()
+            with reading(path, _WHAT):
+                file.close()
+
+
+def _open(mdf: Any, path: Path) -> Any:
+    """Open a file; what asammdf (8.8) leaves half made of a damaged one is closed at once.
+
+    It keeps no other hand on it than the traceback, and its deletion would complain on stderr.
+    """
+    try:
+        return mdf(path)
+    except Exception as error:
+        for frame, _ in walk_tb(error.__traceback__):
+            half_made = frame.f_locals.get("self")
+            if hasattr(half_made, "_mapped_file"):
+                _close_streams(half_made)
+        raise
+
+
+def _close_streams(half_made: Any) -> None:
+    for name in ("_file", "_mapped_file", "_tempfile"):
+        stream = getattr(half_made, name, None)
+        if stream is not None:
+            with suppress(BufferError):  # a memory map that the traceback still looks into
+                stream.close()
+    half_made._closed = True
 
 
 def _not_installed(path: Path) -> str:

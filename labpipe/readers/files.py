@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from xml.parsers.expat import ExpatError
 
 from labpipe.errors import ReadError, complaint
 
@@ -23,7 +24,7 @@ BROKEN: tuple[type[Exception], ...] = (
     AssertionError,
     MemoryError,  # a damaged length asks for more than there is
     RuntimeError,  # h5py; NotImplementedError and RecursionError too
-    SyntaxError,  # damaged XML inside an MF4 or xlsx
+    ExpatError,  # damaged XML inside an MF4
     struct.error,
     zlib.error,
     zipfile.BadZipFile,

@@ -28,7 +28,7 @@ import numpy as np
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.clocks import clock_notes
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.files import BROKEN, read_head, reading
 from labpipe.readers.motive_header import Header, parse_header
 from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
@@ -61,7 +61,7 @@ def recognise_xlsx(path: Path) -> bool:
         with zipfile.ZipFile(path) as parts:
             inside = [name for name in _SHEETS if name in parts.namelist()]
             return any(b"Format Version" in _part_head(parts, name) for name in inside)
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, RuntimeError):
+    except BROKEN:
         return False
 
 

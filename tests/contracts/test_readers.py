@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
+from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
 from tests.builders.controldesk import (
     Axis,
@@ -35,7 +36,7 @@ from tests.builders.motive import (
 )
 
 N = 60
-TIME = np.arange(N) * 0.001
+TIME: Floats = np.arange(float(N)) * 0.001
 SIGNALS = [
     Signal("Model Root/Load Cell", "Out1", np.sin(40.0 * TIME)),
     Signal("Model Root/Laser", "Out1", np.cos(40.0 * TIME)),
