@@ -141,7 +141,8 @@ def fit_frames(
             unknowns, misfit, gain = _solve(
                 data[np.ix_(chosen, places)], basis, arc_length[pattern], centre_offset
             )
-            fits.coefficients[chosen] = fixed + unknowns @ basis.matrix.T
+            series = unknowns.reshape(-1, basis.unknowns) @ basis.matrix.T
+            fits.coefficients[chosen] = fixed + series.reshape(-1, 3, terms)
             fits.misfit[np.ix_(chosen, np.arange(2), places)] = misfit
             fits.gain[chosen] = gain
             fits.freedom[chosen] = len(places) - basis.unknowns
@@ -160,7 +161,7 @@ def _solve(
     solve, solve_across = np.linalg.pinv(design), np.linalg.pinv(value)
     flat = np.concatenate([data[..., 0], data[..., 1]], axis=1)
     plane = flat @ solve.T
-    across = data[..., 2] @ solve_across.T
+    across = np.ascontiguousarray(data[..., 2]) @ solve_across.T
     unknowns = np.stack([plane[:, :count], plane[:, count:], across], axis=1)
     misfit = (flat - plane @ design.T).reshape(len(data), 2, -1)
     end = basis.value(np.array([basis.length]))[0]
@@ -179,6 +180,6 @@ def _known_part(direction: Floats | None, arc_length: Floats, centre_offset: flo
 
 def _patterns(seen: Flags) -> list[tuple[Flags, Ints]]:
     """Sets of markers in sight, and the frames that show just these."""
-    patterns, which = np.unique(seen, axis=0, return_inverse=True)
-    frames = [np.flatnonzero(which.ravel() == number) for number in range(len(patterns))]
-    return list(zip(patterns, frames, strict=True))
+    codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows themselves is far slower
+    first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]
+    return [(seen[row], np.flatnonzero(which == number)) for number, row in enumerate(first)]

@@ -54,7 +54,8 @@ def link_tracklets(
     time : shape (frames,), s
     max_gap : s, longest time without a sample that is bridged
     max_jump : m, furthest that the start may lie from where the point is expected; under the same
-        label this much per frame of the gap, but then any nearer partner is preferred
+        label this much times the root of the frames of the gap, but then any nearer partner is
+        preferred
 
     Returns
     -------
@@ -96,7 +97,7 @@ def _candidates(
     pause = starts[start] - ends[end]
     distance = _distances(tracklets, relative, time, end, start)
     crossing = tracklets.column[end] != tracklets.column[start]
-    gate = np.where(crossing, max_jump, max_jump * np.maximum(1.0, pause / period))
+    gate = np.where(crossing, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period)))
     cost = np.minimum(distance, 0.999 * max_jump) + _SAME_LABEL * max_jump * crossing
     keep = distance <= gate
     return _Pairs(end[keep], start[keep], distance[keep], cost[keep])

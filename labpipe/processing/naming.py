@@ -6,6 +6,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from labpipe.processing.linking import Links
 from labpipe.processing.tracklets import Tracklets
 from labpipe.records.arrays import Floats
@@ -60,7 +62,14 @@ def is_unlabelled(name: str) -> bool:
 
 
 def name_chains(
-    names: Sequence[str], tracklets: Tracklets, links: Links, time: Floats, *, settled: float
+    names: Sequence[str],
+    tracklets: Tracklets,
+    links: Links,
+    *,
+    relative: Floats,
+    time: Floats,
+    settled: float,
+    apart: float,
 ) -> Naming:
     """Decide which marker each chain is.
 
@@ -68,8 +77,10 @@ def name_chains(
     ----------
     names : of the columns
     tracklets, links : the chains
+    relative : shape (frames, columns, 3), m, positions relative to the clamp
     time : shape (frames,), s
     settled : s, how long a label must hold to be believed; shorter stretches are glitches
+    apart : m, least distance between two markers; a track nearer to another one is its double
 
     Returns
     -------
@@ -80,15 +91,21 @@ def name_chains(
     A chain is the marker whose label it bore first for at least `settled` (labels are given at the
     start of a take and go wrong later), else the one it bore longest. Of two simultaneous chains
     with one name the longer keeps it; the other is given to the marker that is missing all that
-    time, if there is exactly one. In a take without any named track the long-lived chains (half the
-    longest or more) are the markers.
+    time, if there is exactly one and the track is no double. In a take without any named track the
+    long-lived chains (half the longest or more) are the markers.
     """
     named = [not is_unlabelled(name) for name in names]
     anonymous = not any(named)
     chains = _collect(tracklets, links, time, [anonymous or known for known in named], settled)
     markers, rejected = _claim(chains)
-    short = [chain for chain in rejected if time[chain.stop - 1] - time[chain.start] < settled]
-    eliminated, doubtful = _eliminate(markers, [c for c in rejected if c not in short])
+    single = [
+        chain
+        for chain in rejected
+        if time[chain.stop - 1] - time[chain.start] >= settled
+        and not _is_double(chain, tracklets, relative, apart)
+    ]
+    short = [chain for chain in rejected if chain not in single]
+    eliminated, doubtful = _eliminate(markers, single)
     leftover = short + [chain for chain in chains if chain.label < 0]
     if anonymous:
         leftover += _short_lived(markers)
@@ -137,6 +154,14 @@ def _claim(chains: list[Chain]) -> tuple[dict[int, list[Chain]], list[Chain]]:
         held = markers.setdefault(chain.label, [])
         (rejected if any(chain.overlaps(other) for other in held) else held).append(chain)
     return markers, rejected
+
+
+def _is_double(chain: Chain, tracklets: Tracklets, relative: Floats, apart: float) -> bool:
+    """Whether the chain begins where some other track is."""
+    own = tracklets.column[chain.tracklets[0]]
+    distance = np.linalg.norm(relative[chain.start] - relative[chain.start, own], axis=1)
+    distance[own] = np.nan
+    return bool((distance < apart).any())
 
 
 def _eliminate(

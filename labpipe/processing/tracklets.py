@@ -65,9 +65,7 @@ def frozen_samples(
     if len(positions) < 2:
         return stale
     everything = (
-        positions
-        if reference is None
-        else np.concatenate([positions, reference[:, None]], axis=1)
+        positions if reference is None else np.concatenate([positions, reference[:, None]], axis=1)
     )
     steps = np.diff(everything, axis=0)
     same = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)

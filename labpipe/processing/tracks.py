@@ -96,7 +96,15 @@ def repair_tracks(
     relative = measured - base[:, None]
     pieces = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
     links = link_tracklets(pieces, relative, tracks.time, max_gap=max_gap, max_jump=max_jump)
-    naming = name_chains(names, pieces, links, tracks.time, settled=max_gap)
+    naming = name_chains(
+        names,
+        pieces,
+        links,
+        relative=relative,
+        time=tracks.time,
+        settled=max_gap,
+        apart=max_jump,
+    )
     _require_markers(names, naming)
     take = repair_notes.Take(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
