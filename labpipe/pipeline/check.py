@@ -9,6 +9,7 @@ from pathlib import Path
 
 from labpipe.errors import ProtocolError, ReadError, complaint, nearest
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
+from labpipe.protocol.rig import Markers
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
@@ -135,7 +136,7 @@ def _export_faults(path: Path, source: Source | None, protocol: Protocol | None)
     for name, channel in source.all_channels.items():
         yield from _channel_faults(recording, name, channel, path)
     if recording.markers is not None and protocol.markers is not None:
-        yield from _marker_faults(recording.markers, protocol, path)
+        yield from _marker_faults(recording.markers, protocol.markers, path)
 
 
 def _channel_faults(
@@ -167,11 +168,8 @@ def _unit_faults(channel: Channel, name: str, source: ChannelSource, path: Path)
             yield complaint(path, place, expected=expected, found=repr(unit), remedy=remedy)
 
 
-def _marker_faults(tracks: MarkerTracks, protocol: Protocol, path: Path) -> Iterator[str]:
+def _marker_faults(tracks: MarkerTracks, markers: Markers, path: Path) -> Iterator[str]:
     """Find a clamp or markers that the take does not have."""
-    markers = protocol.markers
-    if markers is None:
-        return
     bodies = [body.name for body in tracks.bodies]
     if markers.clamp is not None and markers.clamp not in bodies:
         near = nearest(markers.clamp, bodies)

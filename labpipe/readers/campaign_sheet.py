@@ -8,7 +8,6 @@ columns mean is not known here.
 from __future__ import annotations
 
 import csv
-import datetime
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,9 +109,7 @@ def _csv_row(row: Iterable[str], line: int) -> list[Cell]:
 
 
 def _shown(value: object) -> str:
-    """Write the value of a cell as a person sees it: 1 for 1.0, a date without its midnight."""
-    if isinstance(value, datetime.datetime) and value.time() == datetime.time():
-        return value.date().isoformat()
+    """Write the value of a cell as a person sees it: 1 for 1.0."""
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value).strip()

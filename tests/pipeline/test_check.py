@@ -184,7 +184,6 @@ def test_a_take_of_a_protocol_that_says_nothing_of_markers(say: Say) -> None:
 
 
 def test_files_are_looked_at_even_where_the_protocol_is_wrong(lab: Path, say: Say) -> None:
-    (lab / FOLDER / "take.csv").unlink()
     (lab / FOLDER / "force.mat").write_text("no recording", encoding="utf-8")
 
     messages = say((WIRE, "name: wire", "name: wire\nabuot: x"))
@@ -192,8 +191,15 @@ def test_files_are_looked_at_even_where_the_protocol_is_wrong(lab: Path, say: Sa
     assert [message.split(":")[0] for message in messages] == [
         f"{Path(WIRE)}, line 3, column 1 (abuot)",
         str(FOLDER / "force.mat"),
-        str(FOLDER / "take.csv"),
     ]
+
+
+def test_a_file_that_is_not_there(lab: Path, say: Say) -> None:
+    (lab / FOLDER / "take.csv").unlink()
+
+    (message,) = say()
+
+    assert message.startswith(f"{FOLDER / 'take.csv'}: expected a file, found none of that name")
 
 
 def test_a_file_of_another_format_than_the_protocol_says(lab: Path, say: Say) -> None:

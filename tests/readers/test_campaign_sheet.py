@@ -53,7 +53,7 @@ def test_a_workbook_as_a_person_sees_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig"])
 def test_a_csv_however_it_is_parted(tmp_path: Path, separator: str, encoding: str) -> None:
     path = tmp_path / "a.csv"
-    text = '\ntest|sample|because\nÄ1|01|"two\nlines"\n||\nA2|1\n'.replace("|", separator)
+    text = '\ntest|sample|because\nÄ1|01|"two\nlines"\n||\nA2|1||\n'.replace("|", separator)
     path.write_text(text, encoding=encoding)
 
     sheet = read_campaign_sheet(path)
