@@ -31,7 +31,7 @@ import numpy as np
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.controldesk import Export, Trace, load_export
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.files import BROKEN, read_head, reading
 from labpipe.records.recording import Recording
 
 _PROPERTY = re.compile(r'<e name="([^"]*)"[^>]*>(.*?)</e>', re.DOTALL)
@@ -80,7 +80,7 @@ def _opened(path: Path) -> Iterator[Any]:
             raise ReadError(_not_installed(path)) from error
         logging.getLogger("asammdf").disabled = True  # it prints what we raise
         with reading(path, _WHAT, also=(MdfException,)):
-            file = _open(MDF, path)
+            file = _open(MDF, path, (*BROKEN, MdfException))
         try:
             yield file
         finally:
@@ -88,14 +88,14 @@ def _opened(path: Path) -> Iterator[Any]:
                 file.close()
 
 
-def _open(mdf: Any, path: Path) -> Any:
+def _open(mdf: Any, path: Path, broken: tuple[type[Exception], ...]) -> Any:
     """Open a file; what asammdf (8.8) leaves half made of a damaged one is closed at once.
 
     It keeps no other hand on it than the traceback, and its deletion would complain on stderr.
     """
     try:
         return mdf(path)
-    except Exception as error:
+    except broken as error:
         for frame, _ in walk_tb(error.__traceback__):
             half_made = frame.f_locals.get("self")
             if hasattr(half_made, "_mapped_file"):

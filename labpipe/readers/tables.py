@@ -12,7 +12,7 @@ import numpy as np
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.files import reading
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.quality import QualityNote, Severity
 
 _AGAIN = "Export the recording again; the file may have been cut off or edited."
@@ -96,19 +96,29 @@ def _decimals(line: bytes) -> int:
 def _ragged(text: bytes, body: Body, path: Path) -> list[QualityNote]:
     """Find lines with too few cells (noted) or too many (refused); blank ones more are padding."""
     commas = body.width - 1
-    lines = text.split(b"\n")
-    counts = [line.count(b",") for line in lines]
-    for i, count in enumerate(counts):
-        if count > commas and lines[i].rstrip(b",\r").count(b",") > commas:
-            place, found = f"line {body.first_line + i}", f"{count + 1}"
+    starts, counts = _commas(text)
+    short: list[int] = []
+    for i in np.flatnonzero(counts != commas):
+        line = text[starts[i] : starts[i + 1]].rstrip(b"\r\n")
+        if line and counts[i] < commas:
+            short.append(body.first_line + int(i))
+        elif line.rstrip(b",").count(b",") > commas:
+            place, found = f"line {body.first_line + i}", f"{counts[i] + 1}"
             expected = f"{body.width} cells as in the header"
             raise ReadError(complaint(path, place, expected=expected, found=found, remedy=_AGAIN))
-    short = [i for i, count in enumerate(counts) if count < commas and lines[i].strip(b"\r")]
     if not short:
         return []
-    message = f"{len(short)} lines have too few cells, first line {body.first_line + short[0]}:"
+    message = f"{len(short)} lines have too few cells, first line {short[0]}:"
     message += " what they lack counts as blank"
     return [QualityNote("lines_short", Severity.WARNING, "file", message)]
+
+
+def _commas(text: bytes) -> tuple[Ints, Ints]:
+    """Where each line starts (and the last one ends), and how many commas each line has."""
+    letters = np.frombuffer(text, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(letters == ord("\n")) + 1, len(letters)).astype(np.int64)
+    before = np.searchsorted(np.flatnonzero(letters == ord(",")), ends)
+    return np.concatenate(([0], ends)), np.diff(before, prepend=0)
 
 
 def _parsed(text: bytes, body: Body, columns: Sequence[int], path: Path) -> Floats:
