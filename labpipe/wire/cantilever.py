@@ -28,8 +28,9 @@ from labpipe.wire.laws import MomentLaw, respond, virgin_plays
 from labpipe.wire.newton import Condition, DeadLoad, EndLoad, Pull, Unknowns, solve
 from labpipe.wire.spectral import chebyshev_stations
 
-DEFAULT_STATIONS = 64
+DEFAULT_STATIONS = 64  # beyond about 100, BLAS starts threads, which costs more than it gives
 _SMALLEST_STEP = 2.0**-12
+_GRAZING = 1e-12  # m: a string that just spans counts as slack
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,14 +196,23 @@ def bend_to_travel(
         If no equilibrium is found on the way.
     """
 
-    def step(present: WireState, travel: float) -> WireState | None:
-        hanging = _advance(law, present, length, DeadLoad(np.array([0.0, -rig.weight])), travel)
-        if hanging is not None and rig.taut_travel(*_tip(law, hanging, length)) >= travel:
-            return hanging
+    def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
         condition = Pull(anchor, rig.string_length, rig.weight)
-        taut = _advance(law, present, length, condition, travel)
-        return None if taut is None or taut.load < -1e-9 else taut
+        found = _advance(law, present, length, condition, travel)
+        return found if found is not None and found.load >= 0.0 else None
+
+    def slack(present: WireState, travel: float) -> WireState | None:
+        weight = DeadLoad(np.array([0.0, -rig.weight]))
+        found = _advance(law, present, length, weight, travel)
+        if found is None or rig.taut_travel(*_tip(law, found, length)) < travel - _GRAZING:
+            return None
+        return found
+
+    def step(present: WireState, travel: float) -> WireState | None:
+        first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
+        found = first(present, travel)
+        return second(present, travel) if found is None else found
 
     reached = _walk(step, state, travel, f"travel={travel!r}")
     return shape_of(law, reached, length)

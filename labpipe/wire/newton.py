@@ -111,6 +111,15 @@ class Equilibrium:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Problem:
+    law: MomentLaw
+    plays: Floats
+    length: float
+    condition: Condition
+    stations: Stations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Linearised:
     residual: Floats
     jacobian: Floats
@@ -131,18 +140,19 @@ def solve(
     condition : what fixes the end force
     start : first guess
     """
-    stations = chebyshev_stations(len(start.moment))
+    problem = _Problem(law, plays, length, condition, chebyshev_stations(len(start.moment)))
     moment, load = start.moment, start.load
     for _ in range(_ITERATIONS):
-        system = _linearise(law, plays, length, condition, Unknowns(moment, load), stations)
+        system = _linearise(problem, moment, load)
         if not np.all(np.isfinite(system.residual)):
             return None
-        change = -np.linalg.solve(system.jacobian, system.residual)
+        change: Floats = -np.linalg.solve(system.jacobian, system.residual).astype(np.float64)
         change *= _damping(change[:-1], system.response.compliance, length)
         moment, load = moment + change[:-1], load + change[-1]
         largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
         if np.max(np.abs(change[:-1])) <= _TOLERANCE * largest:
-            return _equilibrium(law, plays, length, condition, Unknowns(moment, load), stations)
+            last = _linearise(problem, moment, load)
+            return Equilibrium(moment, last.response.plays, last.force, float(load))
     return None
 
 
@@ -152,42 +162,25 @@ def _damping(change: Floats, compliance: Floats, length: float) -> float:
     return min(1.0, _LARGEST_TURN / turn) if turn > 0.0 else 1.0
 
 
-def _linearise(
-    law: MomentLaw,
-    plays: Floats,
-    length: float,
-    condition: Condition,
-    at: Unknowns,
-    stations: Stations,
-) -> _Linearised:
-    response = respond(law, at.moment, plays)
+def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
+    """Residual and exact Jacobian by moments (first n columns) and load (last column)."""
+    stations, length = problem.stations, problem.length
+    response = respond(problem.law, moment, problem.plays)
     from_clamp, to_tip = length * stations.from_clamp, length * stations.to_tip
     angle = from_clamp @ response.curvature
     cos, sin = np.cos(angle), np.sin(angle)
     weights = length * stations.weights
-    wanted = condition.demand(np.array([weights @ cos, weights @ sin]), at.load)
+    wanted = problem.condition.demand(np.array([weights @ cos, weights @ sin]), load)
     angle_by_moment = from_clamp * response.compliance
     tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
     levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
     lateral = -wanted.force[1] * sin - wanted.force[0] * cos
-    n = len(at.moment)
+    n = len(moment)
     jacobian = np.empty((n + 1, n + 1))
     jacobian[:n, :n] = np.eye(n) - (to_tip * lateral) @ angle_by_moment
     jacobian[:n, :n] -= levers @ (wanted.force_by_tip @ tip_by_moment)
     jacobian[:n, n] = -levers @ wanted.force_by_load
     jacobian[n, :n] = wanted.gap_by_tip @ tip_by_moment
     jacobian[n, n] = wanted.gap_by_load
-    residual = np.append(at.moment - levers @ wanted.force, wanted.gap)
+    residual = np.append(moment - levers @ wanted.force, wanted.gap)
     return _Linearised(residual, jacobian, response, wanted.force)
-
-
-def _equilibrium(
-    law: MomentLaw,
-    plays: Floats,
-    length: float,
-    condition: Condition,
-    at: Unknowns,
-    stations: Stations,
-) -> Equilibrium:
-    last = _linearise(law, plays, length, condition, at, stations)
-    return Equilibrium(at.moment, last.response.plays, last.force, float(at.load))

@@ -29,7 +29,8 @@ class Stations:
     @property
     def weights(self) -> Floats:
         """Quadrature weights over the whole interval, shape (n,)."""
-        return self.from_clamp[-1]
+        weights: Floats = self.from_clamp[-1]
+        return weights
 
 
 @lru_cache(maxsize=16)
@@ -49,8 +50,8 @@ def chebyshev_stations(count: int) -> Stations:
     integrals = np.column_stack(
         [chebyshev.chebval(nodes, chebyshev.chebint(unit, lbnd=-1)) for unit in np.eye(count)]
     )
-    from_clamp = 0.5 * np.linalg.solve(basis.T, integrals.T).T
-    to_tip = from_clamp[-1] - from_clamp
+    from_clamp: Floats = 0.5 * np.linalg.solve(basis.T, integrals.T).T.astype(np.float64)
+    to_tip: Floats = from_clamp[-1] - from_clamp
     for matrix in (nodes, from_clamp, to_tip):
         matrix.flags.writeable = False
     return Stations(0.5 * (nodes + 1.0), from_clamp, to_tip)
@@ -79,5 +80,5 @@ def interpolation_matrix(count: int, positions: Floats) -> Floats:
     nodes = 2.0 * chebyshev_stations(count).position - 1.0
     basis = chebyshev.chebvander(nodes, count - 1)
     wanted = chebyshev.chebvander(2.0 * positions - 1.0, count - 1)
-    matrix: Floats = np.linalg.solve(basis.T, wanted.T).T
+    matrix: Floats = np.linalg.solve(basis.T, wanted.T).T.astype(np.float64)
     return matrix

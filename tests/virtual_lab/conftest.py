@@ -1,0 +1,26 @@
+"""One scenario for most tests: small enough to be quick, solved once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from labpipe.virtual_lab.instruments import Observation, observe
+from labpipe.virtual_lab.scenario import CantileverScenario
+
+
+@pytest.fixture(scope="session")
+def scenario() -> CantileverScenario:
+    """Two cycles at 1 kHz, solved at fewer positions; everything else by default."""
+    usual = CantileverScenario()
+    return replace(
+        usual,
+        mechanics=replace(usual.mechanics, cycles=2, steps_per_branch=80),
+        clocks=replace(usual.clocks, rate=1000.0),
+    )
+
+
+@pytest.fixture(scope="session")
+def observation(scenario: CantileverScenario) -> Observation:
+    return observe(scenario, 11)
