@@ -76,8 +76,8 @@ def _save(result: TestResult, name: str, folder: Path) -> list[Path]:
         page = FIGURES[name](result)
         page.set_dpi(PNG_DPI)
         finish_layout(page)
-        vector: Any = FigureCanvasSVG(page)
-        vector.print_svg(str(svg), metadata={"Date": None})
         pixels: Any = FigureCanvasAgg(page)
         pixels.print_png(str(png), metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+        vector: Any = FigureCanvasSVG(page)  # last: it sets the figure to 72 dots per inch
+        vector.print_svg(str(svg), metadata={"Date": None})
     return [svg, png]

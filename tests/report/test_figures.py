@@ -28,7 +28,11 @@ def test_all_figures_in_both_formats_with_the_same_bytes(
     for first, second in zip(one, other, strict=True):
         assert first.read_bytes() == second.read_bytes()
     assert b"<dc:date>" not in one[0].read_bytes()
-    assert one[1].read_bytes().startswith(b"\x89PNG")
+    for path in one[1::2]:
+        content = path.read_bytes()
+        assert content.startswith(b"\x89PNG")
+        # 180 mm at 300 dots per inch
+        assert int.from_bytes(content[16:20]) == int(180 / 25.4 * 300)
 
 
 def test_only_what_the_protocol_asks_for(result: TestResult, tmp_path: Path) -> None:
