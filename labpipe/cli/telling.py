@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from labpipe.pipeline.process import Processed
@@ -13,6 +13,7 @@ from labpipe.units import si_factor
 
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
+_MOST_CYCLES = 8
 _QUANTITY = {"m": "displacement", "N": "force", "N/m": "stiffness", "J": "energy", "s": "time"}
 
 
@@ -61,7 +62,8 @@ def table(processed: Processed) -> str:
     counts = Counter(each.status for each in result.results)
     said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
     lines = [f"{result.test}  ({result.protocol}): {said}  ->  {processed.folder}"]
-    lines += [_line(each, dict(result.display)) for each in result.results]
+    for several in _by_quantity(result.results):
+        lines += _lines(several, dict(result.display))
     reasons: dict[str, list[str]] = {}
     for each in result.results:
         if each.reason:
@@ -72,12 +74,38 @@ def table(processed: Processed) -> str:
     return "\n".join(lines)
 
 
-def _line(result: Result, display: dict[str, str]) -> str:
-    unit, factor = result.unit, 1.0
+def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:
+    """Results of one quantity together: ``energy.1``, ``energy.2``, ..."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.name.partition(".")[0], []).append(result)
+    return list(groups.values())
+
+
+def _lines(results: list[Result], display: dict[str, str]) -> list[str]:
+    """One line each; of many cycles only the first ones and the range of the rest."""
+    if len(results) <= _MOST_CYCLES:
+        return [_line(result, display) for result in results]
+    rest = results[_MOST_CYCLES // 2 :]
+    values = [result.value for result in rest if result.value is not None]
+    lines = [_line(result, display) for result in results[: _MOST_CYCLES // 2]]
+    if values:
+        unit, factor = _shown_in(results[0], display)
+        span = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
+        lines.append(f"  {'... to ' + rest[-1].name:<26}{span} ({len(rest)} more in summary.json)")
+    return lines
+
+
+def _shown_in(result: Result, display: dict[str, str]) -> tuple[str, float]:
+    """Unit that people see a result in, and the factor from SI."""
     if result.name == "clock_drift":
-        unit, factor = "ppm", 1e6
-    elif (wanted := display.get(_QUANTITY.get(result.unit, ""))) is not None:
-        unit, factor = wanted, si_factor(result.unit, wanted)
+        return "ppm", 1e6
+    wanted = display.get(_QUANTITY.get(result.unit, ""))
+    return (result.unit, 1.0) if wanted is None else (wanted, si_factor(result.unit, wanted))
+
+
+def _line(result: Result, display: dict[str, str]) -> str:
+    unit, factor = _shown_in(result, display)
     mark = _MARK[result.status]
     if result.value is None:
         return f"{mark} {result.name:<26}{'-':>12}"

@@ -8,6 +8,9 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.noise import long_run_variance
 from labpipe.records.arrays import Flags, Floats
 
+_LEAST = 8
+"""Samples on each side of a smooth peak that are fitted at least."""
+
 
 def secant_stiffness(
     time: Floats, displacement: Floats, force: Floats, chosen: Flags
@@ -195,13 +198,13 @@ def smooth_peak(time: Floats, values: Floats, *, share: float) -> Estimate | Fai
     """
     known = ~np.isnan(values)
     time, values = time[known], values[known]
-    if len(values) < 8:
-        return Failure("too_few_samples", f"{len(values)} samples, 8 are needed")
+    if len(values) < 2 * _LEAST:
+        return Failure("too_few_samples", f"{len(values)} samples, {2 * _LEAST} are needed")
     top = int(np.argmax(values))
     low = np.flatnonzero(values < values[top] - share * float(np.ptp(values)))
     first = int(low[low < top][-1]) + 1 if (low < top).any() else 0
     last = int(low[low > top][0]) if (low > top).any() else len(values)
-    first, last = max(0, min(first, top - 3)), min(len(values), max(last, top + 4))
+    first, last = max(0, min(first, top - _LEAST)), min(len(values), max(last, top + _LEAST + 1))
     t, y = time[first:last] - time[top], values[first:last]
     design = np.vander(t, 3)
     curvature, slope, level = np.linalg.lstsq(design, y, rcond=None)[0]

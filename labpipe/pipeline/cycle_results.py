@@ -162,7 +162,7 @@ def _peak_force(bench: Bench, branches: list[Branch], displacement: Floats) -> E
         estimate = Estimate(corner.value, corner.value_error, corner.n)
     else:
         curve, stretch = _curve(bench), _cycle(branches)
-        found = smooth_peak(curve.time[stretch], curve.force[stretch], share=0.02)
+        found = smooth_peak(curve.time[stretch], curve.force[stretch], share=0.05)
         if isinstance(found, Failure):
             return found
         estimate = found
@@ -183,7 +183,7 @@ def _peak_displacement(
         )
     else:
         stretch = _cycle(branches)
-        found = smooth_peak(signal.time[stretch], displacement[stretch], share=0.02)
+        found = smooth_peak(signal.time[stretch], displacement[stretch], share=0.05)
     return found if isinstance(found, Failure) else _scaled(found, signal)
 
 

@@ -139,4 +139,4 @@ def test_smooth_peak_is_the_vertex() -> None:
 
 def test_smooth_peak_needs_samples() -> None:
     found = smooth_peak(np.arange(3.0), np.arange(3.0), share=0.1)
-    assert found == Failure("too_few_samples", "3 samples, 8 are needed")
+    assert found == Failure("too_few_samples", "3 samples, 16 are needed")
