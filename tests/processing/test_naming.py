@@ -68,5 +68,6 @@ def test_with_two_free_markers_nothing_is_decided() -> None:
 def test_a_glitch_is_no_marker() -> None:
     pieces = [(0, 0, 0, 20), (1, 1, 0, 30), (0, 1, 30, 100), (2, 0, 40, 45)]
     found = name(pieces, ("A", "B"))
-    assert found.eliminated == found.doubtful == ()
+    assert found.eliminated == ()
+    assert found.doubtful == ()
     assert [chain.start for chain in found.leftover] == [40]

@@ -1,0 +1,39 @@
+"""What the notes on a repair say; their texts are tested with the repairs in test_tracks."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.processing.repair_notes import Take
+from labpipe.processing.tracklets import Tracklets
+from labpipe.processing.tracks import repair_tracks
+from labpipe.records.quality import Severity
+from tests.builders.marker_takes import blank_columns, wire_take, with_positions
+
+NONE = Tracklets(*(np.zeros(0, dtype=np.int64) for _ in range(3)))
+
+
+def test_stretches_are_named_by_the_frames_of_the_export() -> None:
+    take = Take(("A",), np.arange(10.0) + 500, np.arange(10) / 50 + 10, NONE)
+    assert take.span(2, 5) == "frames 502 to 504 (10.040 s to 10.080 s)"
+    assert take.span(3, 4) == "frame 503 (10.060 s to 10.060 s)"
+
+
+def test_many_dropped_tracks_are_summed_up() -> None:
+    take = wire_take()
+    ghosts = blank_columns(take.tracks.positions, 15)
+    for ghost in range(15):
+        stretch = slice(40 * ghost, 40 * ghost + 5)
+        ghosts[stretch, 6 + ghost] = np.linspace(1, 1.001, 5)[:, None]
+    broken = with_positions(take, ghosts, *(f"Unlabeled {number}" for number in range(15)))
+    repaired = repair_tracks(
+        broken.tracks,
+        along=broken.tracks.names,
+        max_gap=0.5,
+        max_jump=0.004,
+        frozen=0.2,
+        reference=take.clamp,
+    )
+    assert len(repaired.notes) == 11
+    assert all(note.severity is Severity.WARNING for note in repaired.notes)
+    assert repaired.notes[-1].message == "5 more tracks of no marker dropped, 25 samples in all"
