@@ -11,7 +11,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
@@ -160,6 +160,7 @@ _NAMES = st.text(st.characters(exclude_categories=["Cs"], exclude_characters="\0
 _SMALL = build_result(half_cycle=0.1, cycles=1, force_rate=50.0)
 
 
+@settings(max_examples=15)
 @given(
     names=st.lists(_NAMES, max_size=5),
     values=st.lists(st.floats(width=64), max_size=30),
