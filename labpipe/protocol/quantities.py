@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Annotated, Final, Literal
 
-from pydantic import BeforeValidator, GetJsonSchemaHandler, StringConstraints, WithJsonSchema
+from pydantic import GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
@@ -100,9 +100,7 @@ class Quantity:
         value : in SI
         """
         if math.isfinite(shown := value / si_factor(self.shown, self.unit)):
-            text = _with_unit(shown, self.shown)
-            if parse_quantity(text, self.unit) == value:
-                return text
+            return _with_unit(shown, self.shown)
         return _with_unit(value, self.unit)
 
     @property
@@ -269,36 +267,3 @@ class SpanText:
 
 
 SpanOf = Annotated[Span, SpanText]
-
-
-def _text(value: object) -> str:
-    """Take text, and the numbers that other YAML readers make of unquoted text such as 1."""
-    if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
-        raise error_of(expected="text", found=value)
-    return str(value)
-
-
-def _word(pattern: str, meaning: str) -> BeforeValidator:
-    def check(value: object) -> str:
-        if re.fullmatch(pattern, _text(value)) is None:
-            raise error_of(expected=meaning, found=value)
-        return str(value)
-
-    return BeforeValidator(check)
-
-
-Text = Annotated[
-    str, BeforeValidator(_text), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
-]
-Remark = Annotated[str, StringConstraints(strip_whitespace=False)]
-"""Text that may be empty."""
-FileStem = Annotated[
-    str,
-    _word(r"\w[\w.+-]*", "a name of letters, digits, '-', '_', '.' and '+'"),
-    WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
-]
-Snake = Annotated[
-    str,
-    _word(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first"),
-    WithJsonSchema({"type": "string", "pattern": r"^[a-z][a-z0-9_]*$"}),
-]

@@ -8,7 +8,12 @@ from pydantic import Field, ValidationInfo, field_validator
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import error_of
-from labpipe.protocol.quantities import Distance, Force, Length, Snake
+from labpipe.protocol.quantities import (
+    Distance,
+    Force,
+    Length,
+)
+from labpipe.protocol.words import Snake
 
 
 class ClockResult(Block):

@@ -16,11 +16,10 @@ from labpipe.protocol.quantities import (
     Mass,
     Offset,
     Ratio,
-    Snake,
     Speed,
-    Text,
     Whole,
 )
+from labpipe.protocol.words import Snake, Text
 
 
 class Section(Block):

@@ -15,7 +15,6 @@ from pydantic import (
 from labpipe.protocol.block import Block
 from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.faults import Fault, error_of
-from labpipe.protocol.quantities import FileStem, Remark
 from labpipe.protocol.results import ResultEntry
 from labpipe.protocol.rig import (
     Align,
@@ -29,6 +28,7 @@ from labpipe.protocol.rig import (
 )
 from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.steps import Step
+from labpipe.protocol.words import FileStem, Remark
 
 
 def _version(value: object) -> int:

@@ -13,8 +13,11 @@ from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import Fault, did_you_mean, error_of
-from labpipe.protocol.quantities import FileStem, Length, Remark, Text
+from labpipe.protocol.quantities import (
+    Length,
+)
 from labpipe.protocol.source import Role
+from labpipe.protocol.words import FileStem, Remark, Text
 
 SHEET_NAME = "test.yaml"
 
@@ -127,4 +130,6 @@ class TestSheet(Block):
     files: dict[Role, FileNames] = Field(
         min_length=1, description="By role: a file, or the parts of one recording in order"
     )
-    overrides: dict[str, Override] = Field({}, description="By dotted key of the protocol")
+    overrides: Annotated[
+        dict[str, Override], BeforeValidator(lambda value: {} if value is None else value)
+    ] = Field({}, description="By dotted key of the protocol")

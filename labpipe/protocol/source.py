@@ -7,7 +7,11 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
 
 from labpipe.protocol.block import Block
-from labpipe.protocol.quantities import SI_UNITS, Ratio, Snake, Text
+from labpipe.protocol.quantities import (
+    SI_UNITS,
+    Ratio,
+)
+from labpipe.protocol.words import Snake, Text
 from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]

@@ -11,10 +11,10 @@ from labpipe.protocol.quantities import (
     Duration,
     Frequency,
     Length,
-    Snake,
     SpanOf,
     Whole,
 )
+from labpipe.protocol.words import Snake
 
 
 class RepairMarkers(Block):

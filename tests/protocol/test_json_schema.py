@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import json
-import subprocess
+import runpy
 import sys
 from pathlib import Path
 from typing import Any
@@ -69,9 +69,16 @@ def test_the_schemas_are_written(tmp_path: Path) -> None:
     assert sorted(path.name for path in (tmp_path / "reference").iterdir()) == sorted(SCHEMAS)
 
 
-def test_the_command_writes_them(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "labpipe.protocol.json_schema", str(tmp_path)]
+@pytest.mark.parametrize(
+    ("arguments", "folder"), [(["own"], "own"), ([], "docs/reference")], ids=["named", "default"]
+)
+def test_the_command_writes_them(
+    arguments: list[str], folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["json_schema", *arguments])
+    monkeypatch.delitem(sys.modules, "labpipe.protocol.json_schema")
 
-    subprocess.run(command, check=True)
+    runpy.run_module("labpipe.protocol.json_schema", run_name="__main__")
 
-    assert (tmp_path / "protocol.schema.json").is_file()
+    assert (tmp_path / folder / "protocol.schema.json").is_file()

@@ -15,7 +15,6 @@ from labpipe.protocol.quantities import (
     Area,
     Distance,
     Duration,
-    FileStem,
     Force,
     Frequency,
     Length,
@@ -23,11 +22,9 @@ from labpipe.protocol.quantities import (
     Offset,
     Quantity,
     Ratio,
-    Snake,
     Span,
     SpanOf,
     Speed,
-    Text,
     Whole,
 )
 from labpipe.units import si_factor
@@ -121,18 +118,6 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
             " found '120 %'.",
         ),
         (SpanOf, "0 s", "expected a quantity with a unit such as s above 0 s, found '0 s'."),
-        (Text, True, "expected text, found 'True'."),
-        (Text, "", "expected text, found ''."),
-        (
-            FileStem,
-            "a/b",
-            "expected a name of letters, digits, '-', '_', '.' and '+', found 'a/b'.",
-        ),
-        (
-            Snake,
-            "Force",
-            "expected a name of small letters, digits and '_', a letter first, found 'Force'.",
-        ),
     ],
 )
 def test_what_is_refused_is_told(kind: object, text: object, message: str) -> None:

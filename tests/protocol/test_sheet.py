@@ -124,3 +124,9 @@ def test_a_date_may_be_one_already_or_none() -> None:
 
     assert TestSheet.model_validate(data | {"date": date(2026, 3, 4)}).date == date(2026, 3, 4)
     assert TestSheet.model_validate(data | {"date": None}).date is None
+
+
+def test_keys_left_blank_say_nothing() -> None:
+    sheet = parse_test_sheet(SHEET + "date:\noperator:\noverrides:\n", "x")
+
+    assert (sheet.date, sheet.operator, sheet.overrides) == (None, "", {})

@@ -1,0 +1,47 @@
+"""Types of the words in YAML: text, names of files, names of channels."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated
+
+from pydantic import BeforeValidator, WithJsonSchema
+
+from labpipe.protocol.faults import error_of
+
+
+def _text(value: object) -> str:
+    """Take text, and the numbers that other YAML readers make of unquoted text such as 1."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
+        raise error_of(expected="text", found=value)
+    return str(value)
+
+
+def _word(pattern: str, meaning: str) -> BeforeValidator:
+    def check(value: object) -> str:
+        if re.fullmatch(pattern, _text(value)) is None:
+            raise error_of(expected=meaning, found=value)
+        return str(value)
+
+    return BeforeValidator(check)
+
+
+Text = Annotated[
+    str, BeforeValidator(_text), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
+]
+Remark = Annotated[
+    str,
+    BeforeValidator(lambda value: "" if value is None else value),
+    WithJsonSchema({"type": ["string", "null"]}),
+]
+"""Text that may be empty or left out."""
+FileStem = Annotated[
+    str,
+    _word(r"\w[\w.+-]*", "a name of letters, digits, '-', '_', '.' and '+'"),
+    WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
+]
+Snake = Annotated[
+    str,
+    _word(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first"),
+    WithJsonSchema({"type": "string", "pattern": r"^[a-z][a-z0-9_]*$"}),
+]
