@@ -109,7 +109,11 @@ def test_other_units(
 
 
 def test_120_frames_per_second(scenario: CantileverScenario, tmp_path: Path) -> None:
-    fast = replace(scenario, clocks=replace(scenario.clocks, fps=120.0, rate=50.0))
+    fast = replace(
+        scenario,
+        mechanics=replace(scenario.mechanics, cycles=1, steps_per_branch=40),
+        clocks=replace(scenario.clocks, fps=120.0, rate=50.0),
+    )
     rows = write(observe(fast, 1), tmp_path / "take.csv")
     assert rows[0][7] == "120.000000"
     assert [row[1] for row in rows[7:10]] == ["0.000000", "0.008333", "0.016667"]
