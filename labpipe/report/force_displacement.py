@@ -21,6 +21,8 @@ MOST_COLOURS = 6
 """Cycles that a legend tells apart; more of them get a colour bar."""
 
 _BINS = 350
+_BINS_WHOLE = 4000
+"""Stretches that a branch is thinned to, and a curve that was not split into branches."""
 _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
     Direction.LOADING: "-",
     Direction.UNLOADING: (0, (4, 1.6)),
@@ -57,7 +59,7 @@ def plot_raw(result: TestResult, axes: Axes) -> None:
     pair = series["displacement"].values, series["force"].values
     branches = result.curve.branches if result.curve is not None else ()
     if not branches:
-        _line(result, axes, *pair, color=GREY, linewidth=0.5)
+        _line(result, axes, *pair, bins=_BINS_WHOLE, color=GREY, linewidth=0.5)
     for branch, colour in zip(branches, _branch_colours(branches), strict=True):
         ends = np.searchsorted(result.aligned.time, [branch.start_time, branch.stop_time])
         part = slice(ends[0], ends[1] + 1)
@@ -78,7 +80,7 @@ def plot_filtered(result: TestResult, axes: Axes) -> None:
         say(axes, why_missing(result, "curve"))
         return
     if not curve.branches:
-        _line(result, axes, curve.displacement, curve.force, color=GREY)
+        _line(result, axes, curve.displacement, curve.force, bins=_BINS_WHOLE, color=GREY)
     for branch, colour in zip(curve.branches, _branch_colours(curve.branches), strict=True):
         # one sample more: the line of a branch reaches the line of the next
         part = slice(branch.start, branch.stop + 1)
@@ -88,8 +90,10 @@ def plot_filtered(result: TestResult, axes: Axes) -> None:
     _label(result, axes)
 
 
-def _line(result: TestResult, axes: Axes, x: Floats, y: Floats, **look: Any) -> None:
-    kept = extremes(y, bins=_BINS)
+def _line(
+    result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = _BINS, **look: Any
+) -> None:
+    kept = extremes(y, bins=bins)
     across, up = scale(result, "displacement", "m"), scale(result, "force", "N")
     axes.plot(x[kept] * across.factor, y[kept] * up.factor, **look)
 
