@@ -167,6 +167,7 @@ class RowBody:
     rotation: Array
     measured: Array
     tracked: NDArray[np.bool_]
+    keeps_pose: bool = False
 
 
 def write_row_style(
@@ -197,7 +198,7 @@ def write_row_style(
 def _frame_line(
     i: int, time: float, bodies: Sequence[RowBody], version: str, stray: Array | None
 ) -> str:
-    present = [body for body in bodies if body.tracked[i]]
+    present = [body for body in bodies if body.tracked[i] or body.keeps_pose]
     cells = ["frame", str(i), f"{time:.8f}", str(len(present))]
     for body in present:
         cells += [str(body.id), *_eight([*body.position[i], *body.rotation[i], 0.0, 0.0, 0.0])]
@@ -205,7 +206,7 @@ def _frame_line(
     count = 0
     for body in present:
         for k, place in enumerate(body.measured[i]):
-            if not np.isnan(place[0]):
+            if body.tracked[i] and not np.isnan(place[0]):
                 count += 1
                 name = ["7", f"{body.name}-Marker {k + 1}"] if version == "1.1" else ["0"]
                 points += [*_eight(place), *name]

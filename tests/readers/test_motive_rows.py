@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +61,13 @@ def test_what_was_written_is_read(
     measured = np.where(clamp.tracked[:, None, None], clamp.measured, np.nan)
     np.testing.assert_array_equal(export.tracks.positions[:, :3], measured)
     np.testing.assert_array_equal(export.tracks.time, TIMES.round(8))
+
+
+def test_a_lost_body_that_keeps_its_last_pose_has_none(tmp_path: Path) -> None:
+    clamp = replace(body(lost=(5, 6)), keeps_pose=True)
+    export = parse(write_row_style(tmp_path / "take.csv", TIMES, [clamp]))
+    assert np.flatnonzero(np.isnan(export.tracks.bodies[0].position[:, 0])).tolist() == [5, 6]
+    assert export.about["frames_without_body"] == 0
 
 
 def test_a_point_of_another_name_is_a_marker_in_1_1(tmp_path: Path) -> None:
