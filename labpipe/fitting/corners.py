@@ -60,8 +60,8 @@ def fit_corner(
     t, y = _binned(time[chosen] - near, values[chosen])
     if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
         return None
-    grid = np.linspace(-0.5 * window, 0.5 * window, 81)
-    thin = max(1, len(t) // 400)
+    grid = np.linspace(-0.5 * window, 0.5 * window, 41)
+    thin = max(1, len(t) // 200)
     costs = [_joint_fit(t[::thin], y[::thin], at, degree)[1] for at in grid]
     at = float(grid[int(np.argmin(costs))])
     parameters = np.append(_joint_fit(t, y, at, degree)[0], at)

@@ -125,7 +125,9 @@ def _distances(
 
 def _assign(pairs: _Pairs, count: int, *, unlinked: float) -> list[int]:
     """Indices of the pairs that make the cheapest assignment."""
-    from scipy.optimize import linear_sum_assignment
+    # scipy.optimize has this too, but takes ten times as long to import as the whole repair.
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
     chosen: list[int] = []
     for group in _groups(pairs, count):
@@ -138,7 +140,8 @@ def _assign(pairs: _Pairs, count: int, *, unlinked: float) -> list[int]:
         saving[row, column] = unlinked - pairs.cost[group]
         index = np.full(saving.shape, -1)
         index[row, column] = group
-        best = index[linear_sum_assignment(saving, maximize=True)]
+        weight = csr_array(saving - saving.min() + 1.0)  # a stored zero would be no edge at all
+        best = index[min_weight_full_bipartite_matching(weight, maximize=True)]
         chosen.extend(int(pair) for pair in best if pair >= 0)
     return chosen
 

@@ -91,18 +91,19 @@ def name_chains(
     A chain is the marker whose label it bore first for at least `settled` (labels are given at the
     start of a take and go wrong later), else the one it bore longest. Of two simultaneous chains
     with one name the longer keeps it; the other is given to the marker that is missing all that
-    time, if there is exactly one and the track is no double. In a take without any named track the
+    time, if there is exactly one. A track that begins where another one is, is a double and only
+    believed if it is all that its label has. In a take without any named track the
     long-lived chains (half the longest or more) are the markers.
     """
     named = [not is_unlabelled(name) for name in names]
     anonymous = not any(named)
     chains = _collect(tracklets, links, time, [anonymous or known for known in named], settled)
-    markers, rejected = _claim(chains)
+    doubles = [chain for chain in chains if _is_double(chain, tracklets, relative, apart)]
+    markers, rejected = _claim(chains, doubles)
     single = [
         chain
         for chain in rejected
-        if time[chain.stop - 1] - time[chain.start] >= settled
-        and not _is_double(chain, tracklets, relative, apart)
+        if time[chain.stop - 1] - time[chain.start] >= settled and chain not in doubles
     ]
     short = [chain for chain in rejected if chain not in single]
     eliminated, doubtful = _eliminate(markers, single)
@@ -144,15 +145,16 @@ def _collect(
     ]
 
 
-def _claim(chains: list[Chain]) -> tuple[dict[int, list[Chain]], list[Chain]]:
-    """Chains by the marker they say they are, and those that find it taken."""
+def _claim(chains: list[Chain], doubles: list[Chain]) -> tuple[dict[int, list[Chain]], list[Chain]]:
+    """Chains by the marker they say they are, and those that find it taken or are doubles."""
     markers: dict[int, list[Chain]] = {}
     rejected: list[Chain] = []
     for chain in sorted(chains, key=lambda chain: (-chain.frames, chain.start)):
         if chain.label < 0:
             continue
         held = markers.setdefault(chain.label, [])
-        (rejected if any(chain.overlaps(other) for other in held) else held).append(chain)
+        taken = any(chain.overlaps(other) for other in held)
+        (rejected if taken or (held and chain in doubles) else held).append(chain)
     return markers, rejected
 
 

@@ -12,13 +12,17 @@ from labpipe.processing import repair_notes
 from labpipe.processing.linking import Links, link_tracklets
 from labpipe.processing.naming import Chain, Naming, name_chains
 from labpipe.processing.tracklets import Tracklets, cut_tracklets, frozen_samples
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.arrays import frozen as read_only
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks
 
 LEAST_MARKERS = 3
+_DOUBLE = 0.25
+"""A track that begins this near to another, in max_jump, is a second image of the same marker."""
+_SPEED_FRAMES = 5
+"""Frames over which the speed at the ends of a gap is taken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +88,9 @@ def repair_tracks(
     Notes
     -----
     Tracks are cut into tracklets (`cut_tracklets`), joined across blanks and jumps by expected
-    position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled by
-    a monotone piecewise cubic (PCHIP) through the positions relative to `reference`, which keeps
-    between the two ends of the gap.
+    position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled
+    by cubics (Hermite) in the positions relative to `reference`, with the speed of the frames
+    around the gap at its ends.
     """
     _check(max_gap=max_gap, max_jump=max_jump, frozen=frozen)
     measured, names = _selected(tracks, along), tuple(along)
@@ -103,7 +107,7 @@ def repair_tracks(
         relative=relative,
         time=tracks.time,
         settled=max_gap,
-        apart=max_jump,
+        apart=_DOUBLE * max_jump,
     )
     _require_markers(names, naming)
     take = repair_notes.Take(names, tracks.frames, tracks.time, pieces)
@@ -187,11 +191,33 @@ def _holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flag
 def _fill(
     positions: Floats, flags: NDArray[np.uint8], base: Floats, time: Floats, holes: Flags
 ) -> None:
-    from scipy.interpolate import PchipInterpolator
-
     for marker in np.flatnonzero(holes.any(axis=0)):
-        hole = holes[:, marker]
-        known = flags[:, marker] != PointFlag.MISSING
-        relative = positions[known, marker] - base[known]
-        positions[hole, marker] = base[hole] + PchipInterpolator(time[known], relative)(time[hole])
+        known = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
+        path = positions[known, marker] - base[known]
+        hole = np.flatnonzero(holes[:, marker])
+        positions[hole, marker] = base[hole] + _bridged_path(time[known], path, time[hole])
         flags[hole, marker] = PointFlag.FILLED
+
+
+def _bridged_path(time: Floats, path: Floats, at: Floats) -> Floats:
+    """Cubics across the gaps of a path that leave and arrive at its speed of a few frames."""
+    after = np.searchsorted(time, at)
+    before = after - 1
+    span = (time[after] - time[before])[:, None]
+    part = (at - time[before])[:, None] / span
+    leaving = _speed(time, path, np.maximum(before - _SPEED_FRAMES, 0), before) * span
+    arriving = _speed(time, path, after, np.minimum(after + _SPEED_FRAMES, len(time) - 1)) * span
+    start, stop = path[before], path[after]
+    rest = 1.0 - part
+    bridge: Floats = (
+        start * rest**2 * (1.0 + 2.0 * part)
+        + stop * part**2 * (1.0 + 2.0 * rest)
+        + part * rest * (leaving * rest - arriving * part)
+    )
+    return bridge
+
+
+def _speed(time: Floats, path: Floats, first: Ints, last: Ints) -> Floats:
+    pause = np.where(last > first, time[last] - time[first], 1.0)
+    speed: Floats = (path[last] - path[first]) / pause[:, None]
+    return speed
