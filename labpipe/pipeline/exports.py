@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
+
+import numpy as np
 
 from labpipe.errors import ReadError, complaint
 from labpipe.protocol.schema import Protocol
@@ -12,7 +16,7 @@ from labpipe.protocol.sheet import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import select_channel
-from labpipe.records.recording import Channel, Recording
+from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import si_factor
 
@@ -43,7 +47,8 @@ def read_inputs(
     for role, source in protocol.sources.items():
         for name in sheet.files[role]:
             inputs.append(_fingerprint(folder / name, role, name))
-        recordings[role] = read_role(folder / sheet.files[role][0], source)
+        parts = [read_role(folder / name, source) for name in sheet.files[role]]
+        recordings[role] = parts[0] if len(parts) == 1 else join_parts(parts, sheet.files[role])
     return recordings, tuple(inputs)
 
 
@@ -75,6 +80,65 @@ def read_role(path: Path, source: Source) -> Recording:
     clocks = {channel.clock for channel in channels}
     kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
     return replace(recording, channels=channels, clocks=kept)
+
+
+def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
+    """Join the parts of one recording, one after the other in time.
+
+    Parameters
+    ----------
+    parts : recordings with the same channels, in any order
+    names : of their files, for messages
+
+    Returns
+    -------
+    One recording; what the export says of itself is that of the first part, notes are of all.
+
+    Raises
+    ------
+    ReadError
+        If a part holds marker tracks, several clocks, or no sample, or if two parts overlap.
+    """
+    for part, name in zip(parts, names, strict=True):
+        if part.markers is not None or len(part.clocks) != 1 or not len(part.clocks[0].time):
+            message = complaint(
+                name,
+                "",
+                expected="a part of a recording: channels on one clock",
+                found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
+                remedy="Name one export for this role.",
+            )
+            raise ReadError(message)
+    order = sorted(range(len(parts)), key=lambda index: float(parts[index].clocks[0].time[0]))
+    for first, second in pairwise(order):
+        _refuse_overlap(parts[first], parts[second], names[first], names[second])
+    ordered = [parts[index] for index in order]
+    clock = ordered[0].clocks[0].name
+    time = np.concatenate([part.clocks[0].time for part in ordered])
+    channels = tuple(
+        replace(
+            channel,
+            clock=clock,
+            values=np.concatenate([part.channels[place].values for part in ordered]),
+        )
+        for place, channel in enumerate(ordered[0].channels)
+    )
+    notes = tuple(note for part in ordered for note in part.notes)
+    return replace(ordered[0], clocks=(Clock(clock, time),), channels=channels, notes=notes)
+
+
+def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -> None:
+    ends, begins = float(first.clocks[0].time[-1]), float(second.clocks[0].time[0])
+    if begins > ends:
+        return
+    message = complaint(
+        other,
+        "time",
+        expected=f"a start after {ends:.6f} s, where {one} ends",
+        found=f"{begins:.6f} s",
+        remedy="Parts of one recording share one clock: name only one of these files.",
+    )
+    raise ReadError(message)
 
 
 def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Channel:
