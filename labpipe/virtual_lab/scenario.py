@@ -14,14 +14,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.wire.laws import PlayLaw, stick_slip_law
+from labpipe.wire.laws import PlayLaw
+from labpipe.wire.play_fit import stick_slip_law
 
 GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """Moment-curvature law of the wire by its parameters (`wire.laws.stick_slip_law`).
+    """Moment-curvature law of the wire by its parameters (`wire.play_fit.stick_slip_law`).
 
     Parameters
     ----------

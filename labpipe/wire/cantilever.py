@@ -18,7 +18,7 @@ is slack; the counterweight always hangs at the tip.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -143,7 +143,7 @@ def bend_under_force(
         condition = DeadLoad(start + share * (goal - start))
         return _advance(law, present, length, condition, travel=share)
 
-    reached = _walk(step, _restart(state, 0.0), 1.0, f"force={goal.tolist()}")
+    reached = _walk(step, replace(state, travel=0.0), 1.0, f"force={goal.tolist()}")
     return shape_of(law, reached, length)
 
 
@@ -267,10 +267,6 @@ def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape
 def _tip(law: MomentLaw, state: WireState, length: float) -> tuple[float, float]:
     shape = shape_of(law, state, length)
     return float(shape.x[-1]), float(shape.y[-1])
-
-
-def _restart(state: WireState, travel: float) -> WireState:
-    return WireState(state.moment, state.plays, state.force, state.load, travel)
 
 
 def _advance(

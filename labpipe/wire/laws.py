@@ -13,7 +13,6 @@ moment is gone. It does not depend on rate. Moments are in N m, curvatures in 1/
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -67,7 +66,7 @@ class LinearLaw:
     stiffness: float
 
     def __post_init__(self) -> None:
-        _require_positive("stiffness", self.stiffness)
+        require_positive("stiffness", self.stiffness)
 
     @property
     def half_widths(self) -> Floats:
@@ -96,8 +95,8 @@ class BilinearLaw:
     break_moment: float
 
     def __post_init__(self) -> None:
-        _require_positive("stiffness", self.stiffness)
-        _require_positive("break_moment", self.break_moment)
+        require_positive("stiffness", self.stiffness)
+        require_positive("break_moment", self.break_moment)
         _require_hardening("second_stiffness", self.second_stiffness, self.stiffness)
 
     @property
@@ -132,7 +131,7 @@ class PlayLaw:
     compliances: Floats = field(repr=False)
 
     def __post_init__(self) -> None:
-        _require_positive("stiffness", self.stiffness)
+        require_positive("stiffness", self.stiffness)
         widths = frozen(self.half_widths, shape=(None,))
         compliances = frozen(self.compliances, shape=widths.shape)
         if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
@@ -193,112 +192,14 @@ def complementary_energy(law: MomentLaw, moment: Floats) -> Floats:
     return 0.5 * moment**2 / law.stiffness + slipped
 
 
-def fit_plays(
-    curvature: Callable[[Floats], Floats],
-    *,
-    stiffness: float,
-    first_moment: float,
-    last_moment: float,
-    n_plays: int,
-) -> PlayLaw:
-    """Fit plays to a smooth law so that the polygon meets it at every corner.
-
-    Parameters
-    ----------
-    curvature : first-loading curvature, 1/m, as a function of moments, N m
-    stiffness : EI0 of the elastic start and of unloading, N m^2
-    first_moment, last_moment : N m, where the first play gives way and where the fit ends; the
-        corners lie between them, closer near the first; beyond the last the law goes on straight
-    n_plays : number of plays, 30 to 60 for a law without visible corners
-
-    Returns
-    -------
-    The law. Up to `first_moment` it has `stiffness`, whatever `curvature` says there.
+def require_positive(name: str, value: float) -> None:
+    """Refuse a number that is not finite and positive.
 
     Raises
     ------
     ValueError
-        If a number is out of its range, or `curvature` softens (stops growing with the moment) or
-        stiffens (its slope falls), which plays cannot do.
+        With the name, the value and what is allowed.
     """
-    _require_positive("first_moment", first_moment)
-    if not (last_moment > first_moment and n_plays >= 1):
-        message = (
-            f"last_moment={last_moment!r}, n_plays={n_plays!r}: allowed are numbers > "
-            f"first_moment={first_moment!r} and >= 1"
-        )
-        raise ValueError(message)
-    share = np.linspace(0.0, 1.0, n_plays + 1) ** 2
-    knots = first_moment + share * (last_moment - first_moment)
-    values = np.concatenate([[first_moment / stiffness], curvature(knots[1:])])
-    slopes = np.diff(values) / np.diff(knots)
-    steps = np.diff(np.concatenate([[1.0 / stiffness], slopes]))
-    if not np.all(np.isfinite(slopes)) or np.any(slopes <= 0.0):
-        message = "curvature softens: allowed is a law whose curvature grows with the moment"
-        raise ValueError(message)
-    if np.any(steps < -1e-9 * slopes):
-        message = (
-            f"curvature stiffens at moment={knots[int(np.argmin(steps))]:.4g}: allowed is a law "
-            f"whose slope d(curvature)/d(moment) never falls, from 1/stiffness on"
-        )
-        raise ValueError(message)
-    return PlayLaw(stiffness, knots[:-1], np.maximum(steps, 0.0))
-
-
-def stick_slip_law(
-    *,
-    stick_stiffness: float,
-    stick_moment: float,
-    slip_stiffness: float,
-    reference_moment: float,
-    hardening: float,
-    last_moment: float,
-    n_plays: int = 40,
-) -> PlayLaw:
-    """Stick, then a power law of slip and yield (Ramberg-Osgood beyond the stick moment).
-
-    kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), cut into plays.
-
-    Parameters
-    ----------
-    stick_stiffness : EI0, N m^2
-    stick_moment : Ms, N m, up to which everything sticks
-    slip_stiffness : EI1, N m^2: secant stiffness of the power law alone at Ms + `reference_moment`
-    reference_moment : M0, N m
-    hardening : n between 0 (perfectly plastic) and 1 (two straight lines)
-    last_moment : N m, up to which the law is followed
-    n_plays : number of plays
-
-    Returns
-    -------
-    The law.
-
-    Raises
-    ------
-    ValueError
-        If a number is out of its range.
-    """
-    for name, value in (("slip_stiffness", slip_stiffness), ("reference_moment", reference_moment)):
-        _require_positive(name, value)
-    if not 0.0 < hardening < 1.0:
-        message = f"hardening={hardening!r}: allowed are numbers between 0 and 1"
-        raise ValueError(message)
-
-    def curvature(moment: Floats) -> Floats:
-        beyond = np.maximum(moment - stick_moment, 0.0) / reference_moment
-        flow: Floats = reference_moment / slip_stiffness * beyond ** (1.0 / hardening)
-        return moment / stick_stiffness + flow
-
-    return fit_plays(
-        curvature,
-        stiffness=stick_stiffness,
-        first_moment=stick_moment,
-        last_moment=last_moment,
-        n_plays=n_plays,
-    )
-
-
-def _require_positive(name: str, value: float) -> None:
     if not (np.isfinite(value) and value > 0.0):
         message = f"{name}={value!r}: allowed are finite numbers > 0"
         raise ValueError(message)

@@ -23,8 +23,8 @@ from labpipe.wire.laws import (
     LinearLaw,
     MomentLaw,
     complementary_energy,
-    stick_slip_law,
 )
+from labpipe.wire.play_fit import stick_slip_law
 
 LENGTH = 0.085
 STRING = 0.760

@@ -17,7 +17,8 @@ from labpipe.wire.cantilever import (
     end_load_curve,
     straight,
 )
-from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw, stick_slip_law
+from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
+from labpipe.wire.play_fit import stick_slip_law
 
 LENGTH = 0.085
 RIG = StringRig(string_length=0.76, weight=0.0265, anchor_x=LENGTH, anchor_height=0.76)
