@@ -68,3 +68,13 @@ def test_least_total_distance_decides_between_competitors() -> None:
     # the crossing is nearer by 3.5 mm, more than the quarter of max_jump that a label weighs
     assert found.successor.tolist()[:2] == [3, 2]
     assert found.ambiguous == ()
+
+
+def test_of_two_images_equally_near_neither_is_taken() -> None:
+    positions = np.full((60, 3, 3), np.nan)
+    positions[:20, 0] = 0.0
+    positions[25:, 1] = [0.0, 0.0003, 0.0]
+    positions[25:, 2] = [0.0, -0.0004, 0.0]
+    found = links(positions)
+    assert found.successor.tolist() == [-1, -1, -1]
+    assert found.ambiguous == ((0, 1),)

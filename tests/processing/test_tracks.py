@@ -187,6 +187,7 @@ def test_a_switch_that_cannot_be_told_is_left_and_noted() -> None:
     mixed[310:, [2, 3]] = mixed[310:, [3, 2]]
     repaired = repair(with_positions(take, mixed))
     np.testing.assert_array_equal(repaired.positions[310:], mixed[310:])
+    assert (repaired.flags[300:310, [2, 3]] == PointFlag.FILLED).all()  # joined as labelled
     assert not (repaired.flags == PointFlag.RELABELLED).any()
     told = message(repaired, "label_ambiguous")
     assert "may have exchanged labels, frames 299 to 310" in told
@@ -225,13 +226,15 @@ def test_a_reflection_is_dropped_and_told() -> None:
     np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=2e-4)
 
 
-def test_a_double_of_a_marker_is_not_given_to_a_hidden_one() -> None:
+def test_a_double_of_a_marker_is_not_taken_for_the_hidden_one() -> None:
     take = wire_take()
     doubled = take.tracks.positions.copy()
     doubled[300:500, 4] = doubled[300:500, 1] + 1e-4
+    doubled[300:500, 4] += 1e-6 * np.random.default_rng(3).standard_normal((200, 3))
     repaired = repair(with_positions(take, doubled))
-    assert (repaired.flags[:300] == PointFlag.MEASURED).all()
     np.testing.assert_array_equal(repaired.positions[:, 1], take.tracks.positions[:, 1])
+    assert (repaired.flags[300:500, 4] == PointFlag.MISSING).all()
+    assert message(repaired, "track_dropped").startswith("M5: track of no marker dropped")
 
 
 def test_a_jump_that_stays_is_believed_and_told() -> None:
