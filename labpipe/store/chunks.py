@@ -2,12 +2,11 @@
 
 HDF5's own filters run on one processor. The chunks are made here instead, on all of them, byte for
 byte in the format of those filters (shuffle, gzip, fletcher32), so that any HDF5 library reads
-them. For the two large arrays of a full-size test that halves the time of writing.
+them. ISA-L deflates six to nine times as fast as zlib at the same size, into the same format.
 """
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from math import prod
@@ -15,6 +14,7 @@ from typing import Any
 
 import h5py
 import numpy as np
+from isal import isal_zlib
 from numpy.typing import NDArray
 
 CHUNK_BYTES = 1 << 18
@@ -102,7 +102,7 @@ def _blocks(array: NDArray[Any], chunk: tuple[int, ...]) -> Iterator[NDArray[Any
 def _packed(block: NDArray[Any]) -> bytes:
     """Run one chunk through HDF5's shuffle, gzip and fletcher32 filters."""
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
-    deflated = zlib.compress(np.ascontiguousarray(planes).data, _LEVEL)
+    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, _LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
 
 
