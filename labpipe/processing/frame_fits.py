@@ -141,7 +141,7 @@ def fit_frames(
             unknowns, misfit, gain = _solve(
                 data[np.ix_(chosen, places)], basis, arc_length[pattern], centre_offset
             )
-            series = unknowns.reshape(-1, basis.unknowns) @ basis.matrix.T
+            series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
             fits.coefficients[chosen] = fixed + series.reshape(-1, 3, terms)
             fits.misfit[np.ix_(chosen, np.arange(2), places)] = misfit
             fits.gain[chosen] = gain

@@ -29,7 +29,8 @@ class Tracklets:
 
 def in_sight(positions: Floats) -> Flags:
     """Which points have a position; shape (..., 3) of floats to shape (...) of flags."""
-    return np.asarray(np.isfinite(positions).all(axis=-1), dtype=np.bool_)
+    x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 x slower
+    return np.asarray(x & y & z, dtype=np.bool_)
 
 
 def frame_period(time: Floats) -> float:

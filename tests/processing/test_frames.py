@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from labpipe.processing.frames import SpecimenFrame, rotation_between, specimen_frame
 from labpipe.records.arrays import Floats
-from tests.builders.marker_takes import WireTake, wire_take
+from tests.builders.marker_takes import NAMES, WireTake, marker_tracks, wire_take
 
 X, Y, Z = np.eye(3)
 REST = slice(0, 100)
@@ -166,3 +166,12 @@ def test_a_single_marker_is_refused() -> None:
             moving=None,
             out_of_plane_limit=1e-4,
         )
+
+
+def test_markers_never_seen_together_do_not_break_the_order() -> None:
+    take = wire_take()
+    positions = take.tracks.positions.copy()
+    positions[300:, 1] = np.nan
+    positions[:300, 4] = np.nan
+    frame = frame_of(WireTake(marker_tracks(NAMES, positions), take.clamp))
+    assert frame.order == (0, 1, 2, 3, 4, 5)

@@ -37,3 +37,25 @@ def test_many_dropped_tracks_are_summed_up() -> None:
     assert len(repaired.notes) == 11
     assert all(note.severity is Severity.WARNING for note in repaired.notes)
     assert repaired.notes[-1].message == "5 more tracks of no marker dropped, 25 samples in all"
+
+
+def test_a_marker_with_two_stand_ins_gets_a_note_for_each() -> None:
+    take = wire_take()
+    truth = take.tracks.positions
+    mixed = blank_columns(truth, 2)
+    mixed[200:300, 6], mixed[300:380, 7] = truth[200:300, 1], truth[300:380, 1]
+    mixed[200:380, 1] = np.nan
+    broken = with_positions(take, mixed, "Unlabeled 1", "Unlabeled 2")
+    repaired = repair_tracks(
+        broken.tracks,
+        along=broken.tracks.names,
+        max_gap=0.5,
+        max_jump=0.004,
+        frozen=0.2,
+        reference=take.clamp,
+    )
+    assert [note.message for note in repaired.notes] == [
+        "M2 stood under Unlabeled 1, frames 200 to 299 (4.000 s to 5.980 s); merged",
+        "M2 stood under Unlabeled 2, frames 300 to 379 (6.000 s to 7.580 s); merged",
+    ]
+    np.testing.assert_array_equal(repaired.positions, truth)
