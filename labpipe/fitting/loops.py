@@ -79,12 +79,14 @@ def loop_energy(
     work = _work(displacement, force)
     steps, rises = np.gradient(displacement), np.gradient(force)
     force_noise, displacement_noise = _noise_power(force), _noise_power(displacement)
+    # Noise makes the steps look longer; the noise of both is counted once, with the rises.
+    squares = float(steps @ steps) - 0.5 * len(time) * displacement_noise
+    squares = max(squares, float(np.ptp(displacement)) ** 2 / len(time))
     later, earlier = _work(displacement[:-2], force[2:]), _work(displacement[2:], force[:-2])
     per_second = (later - earlier) / (4.0 * float(np.median(np.diff(time))))
     variance = (
-        force_noise * float(steps @ steps)
+        force_noise * squares
         + displacement_noise * float(rises @ rises)
-        - 0.5 * len(time) * force_noise * displacement_noise  # in both of the above
         + (per_second * clock_error) ** 2
     )
     return Estimate(work, float(np.sqrt(variance)), len(time))
@@ -97,10 +99,11 @@ def _work(displacement: Floats, force: Floats) -> float:
 def _noise_power(values: Floats) -> float:
     """Long-run variance of the fast noise on a slow signal.
 
-    Cubics are taken out of pieces of 100 samples; pieces with a corner are left out; correlation is
-    followed over eight samples, which a piece still holds.
+    Cubics are taken out of pieces of 100 samples, or of a twentieth of a short signal; pieces with
+    a corner are left out; correlation is followed over a twelfth of a piece, which it still holds.
     """
-    piece, terms, lags = (100, 4, 8) if len(values) >= 400 else (16, 4, 1)
+    piece, terms = min(100, max(16, len(values) // 20)), 4
+    lags = piece // 12
     rows = values[: len(values) // piece * piece].reshape(-1, piece)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, piece), terms))[0]
     left = rows - rows @ basis @ basis.T

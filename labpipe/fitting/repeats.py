@@ -54,6 +54,8 @@ def fit_lag(
         if isinstance(found, Failure):
             return found
         lag += found.value
+        if abs(found.value) < 0.01 * found.error:
+            break
     if found is None or isinstance(found, Failure):
         return Failure("too_few_samples", "no bins to compare")
     return Estimate(lag, found.error, found.n)
@@ -90,17 +92,17 @@ def _bin_count(time: Floats, start: float, stop: float) -> int:
 def _binned(time: Floats, values: Floats, edges: Floats) -> Floats:
     """Means of the samples in each bin; NaN where there is none."""
     ends = np.searchsorted(time, edges)
-    inside = slice(int(ends[0]), int(ends[-1]))
-    y, t = values[inside], time[inside]
-    known = ~np.isnan(y)
-    sums = np.concatenate([[0.0], np.cumsum(np.where(known, y, 0.0))])
-    times = np.concatenate([[0.0], np.cumsum(np.where(known, t - edges[0], 0.0))])
-    counts = np.concatenate([[0.0], np.cumsum(known)])
-    low, high = ends[:-1] - ends[0], ends[1:] - ends[0]
-    count = counts[high] - counts[low]
-    count[count == 0] = np.nan
-    means = (sums[high] - sums[low]) / count
+    low, high = ends[:-1], ends[1:]
+    filled = np.flatnonzero(high > low)
+    means: Floats = np.full(len(low), np.nan)
+    if len(filled) == 0:
+        return means
+    inside = slice(int(low[filled[0]]), int(high[filled[-1]]))
+    sums = np.add.reduceat(values[inside], low[filled] - inside.start)
+    means[filled] = sums / (high - low)[filled]
     # The samples of a bin lie a little off its middle: carry the mean there along the slope.
-    off = (times[high] - times[low]) / count - (0.5 * (edges[1:] + edges[:-1]) - edges[0])
+    off = np.zeros(len(low))
+    off[filled] = 0.5 * (time[low[filled]] + time[high[filled] - 1])
+    off[filled] -= 0.5 * (edges[1:] + edges[:-1])[filled]
     carried: Floats = means - off * np.gradient(means, edges[1] - edges[0])
     return carried

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -42,14 +43,21 @@ def read_inputs(
     ReadError
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
+    files = [(role, name) for role in protocol.sources for name in sheet.files[role]]
+    # Hashing runs beside reading: it takes as long and lets go of the interpreter.
+    with ThreadPoolExecutor(max_workers=1) as beside:
+        waiting = [beside.submit(_fingerprint, folder / name, role, name) for role, name in files]
+        recordings = _read_roles(folder, sheet, protocol)
+        inputs = tuple(each.result() for each in waiting)
+    return recordings, inputs
+
+
+def _read_roles(folder: Path, sheet: TestSheet, protocol: Protocol) -> dict[str, Recording]:
     recordings: dict[str, Recording] = {}
-    inputs: list[InputFile] = []
     for role, source in protocol.sources.items():
-        for name in sheet.files[role]:
-            inputs.append(_fingerprint(folder / name, role, name))
         parts = [read_role(folder / name, source) for name in sheet.files[role]]
         recordings[role] = parts[0] if len(parts) == 1 else join_parts(parts, sheet.files[role])
-    return recordings, tuple(inputs)
+    return recordings
 
 
 def read_role(path: Path, source: Source) -> Recording:

@@ -72,18 +72,22 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
 
 def _zero(bench: Bench, step: Zero) -> None:
     signal = bench.signals[step.channel]
-    edge = signal.time[0] + step.over if step.at == "start" else signal.time[-1] - step.over
-    stretch = signal.time <= edge if step.at == "start" else signal.time >= edge
-    rest = signal.values[stretch]
+    if step.at == "start":
+        rest = signal.values[: np.searchsorted(signal.time, signal.time[0] + step.over)]
+    else:
+        rest = signal.values[np.searchsorted(signal.time, signal.time[-1] - step.over) :]
     known = rest[~np.isnan(rest)]
     if len(known) < 8:
         message = f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, not 8"
         raise ValueError(message)
     level = float(known.mean())
     error = float(np.sqrt(long_run_variance(_blocks(known), parameters=1) / len(_blocks(known))))
-    for signals in (bench.raw, bench.signals):
-        before = signals[step.channel]
-        signals[step.channel] = replace(before, values=before.values - level, zero_error=error)
+    zeroed = replace(signal, values=signal.values - level, zero_error=error)
+    raw = bench.raw[step.channel]
+    bench.raw[step.channel] = (
+        zeroed if raw is signal else replace(raw, values=raw.values - level, zero_error=error)
+    )
+    bench.signals[step.channel] = zeroed
     said = f"zero at {level:.6g} {signal.unit}, the mean over {step.over:g} s at the {step.at}"
     bench.note("zeroed", Severity.INFO, step.channel, said)
 

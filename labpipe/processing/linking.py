@@ -70,7 +70,7 @@ def link_tracklets(
     """
     pairs = _candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
     successor = np.full(len(tracklets), -1, dtype=np.int64)
-    chosen = _assign(pairs, len(tracklets), unlinked=max_jump * (1 + _SAME_LABEL))
+    chosen = _assign(pairs, unlinked=max_jump * (1 + _SAME_LABEL))
     margin = _SAME_LABEL * max_jump
     doubts = dict(_rivals(pairs, chosen, tracklets, margin))
     crossing = tracklets.column[pairs.end] != tracklets.column[pairs.start]
@@ -123,16 +123,12 @@ def _distances(
     return np.asarray(nearest, dtype=np.float64)
 
 
-def _assign(pairs: _Pairs, count: int, *, unlinked: float) -> list[int]:
+def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
     """Indices of the pairs that make the cheapest assignment."""
-    # scipy.optimize has this too, but takes ten times as long to import as the whole repair.
-    from scipy.sparse import csr_array
-    from scipy.sparse.csgraph import min_weight_full_bipartite_matching
-
     chosen: list[int] = []
-    for group in _groups(pairs, count):
+    for group in _groups(pairs):
         if len(group) == 1:
-            chosen.append(int(group[0]))
+            chosen.append(group[0])
             continue
         ends, row = np.unique(pairs.end[group], return_inverse=True)
         starts, column = np.unique(pairs.start[group], return_inverse=True)
@@ -140,25 +136,39 @@ def _assign(pairs: _Pairs, count: int, *, unlinked: float) -> list[int]:
         saving[row, column] = unlinked - pairs.cost[group]
         index = np.full(saving.shape, -1)
         index[row, column] = group
-        weight = csr_array(saving - saving.min() + 1.0)  # a stored zero would be no edge at all
-        best = index[min_weight_full_bipartite_matching(weight, maximize=True)]
+        best = index[_best_matching(saving)]
         chosen.extend(int(pair) for pair in best if pair >= 0)
     return chosen
 
 
-def _groups(pairs: _Pairs, count: int) -> list[Ints]:
-    """Pairs that compete with each other, directly or through others."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
+def _best_matching(saving: Floats) -> tuple[Ints, Ints]:
+    """Rows and columns, each used once, of the largest sum."""
+    if saving.shape == (2, 2):  # two labels that switch: the one case that nearly every take has
+        straight = saving[0, 0] + saving[1, 1] >= saving[0, 1] + saving[1, 0]
+        return np.array([0, 1]), np.array([0, 1] if straight else [1, 0])
+    from scipy.optimize import linear_sum_assignment
 
-    if not len(pairs.end):
-        return []
-    size = 2 * count
-    graph = coo_array((np.ones(len(pairs.end)), (pairs.end, pairs.start + count)), (size, size))
-    component = connected_components(graph, directed=False)[1][pairs.end]
-    order = np.argsort(component, kind="stable")
-    borders = np.flatnonzero(np.diff(component[order])) + 1
-    return np.split(order.astype(np.int64), borders)
+    rows, columns = linear_sum_assignment(saving, maximize=True)
+    return np.asarray(rows), np.asarray(columns)
+
+
+def _groups(pairs: _Pairs) -> list[list[int]]:
+    """Pairs that compete with each other, directly or through others."""
+    leader: dict[tuple[str, int], tuple[str, int]] = {}
+
+    def find(key: tuple[str, int]) -> tuple[str, int]:
+        while leader.setdefault(key, key) != key:
+            key = leader[key]
+        return key
+
+    ends = [("end", end) for end in pairs.end.tolist()]
+    starts = [("start", start) for start in pairs.start.tolist()]
+    for end, start in zip(ends, starts, strict=True):
+        leader[find(start)] = find(end)
+    groups: dict[tuple[str, int], list[int]] = {}
+    for number, end in enumerate(ends):
+        groups.setdefault(find(end), []).append(number)
+    return list(groups.values())
 
 
 def _rivals(
