@@ -135,8 +135,9 @@ def residual_after_unloading(
     Notes
     -----
     The force between five limits and one limit is followed to zero in time by a straight line. If
-    it then stays within the limit (the string is slack), the displacement is its mean over that
-    rest; else it is read off a line through the displacement around the crossing.
+    it then stays within two limits where that line would have fallen by three (the string is
+    slack), the displacement is its mean over that rest; else it is followed to the crossing along
+    a line through the second before it, since the motion may have a kink there.
     """
     known = ~np.isnan(displacement) & ~np.isnan(force)
     time, displacement, force = time[known], displacement[known], force[known]
@@ -155,19 +156,20 @@ def residual_after_unloading(
             f"the force ends at {force[-3:].mean():.4g} N, above the limit of {force_below:.4g} N"
         )
         return Failure("force_not_zero", found)
-    zero = _crossing(time[foot], force[foot], after=float(time[last]))
+    zero, slope = _crossing(time[foot], force[foot], after=float(time[last]))
     rest = time > zero + 0.2
-    if rest.sum() >= 25 and np.abs(force[rest]).max() <= 2.0 * force_below:
+    has_stopped = slope * (time[-1] - zero) < -3.0 * force_below
+    if has_stopped and rest.sum() >= 8 and np.abs(force[rest]).max() <= 2.0 * force_below:
         return _rest_mean(displacement[rest])
-    return _line_at(time, displacement, zero)
+    return _line_to(time, displacement, zero)
 
 
-def _crossing(time: Floats, force: Floats, *, after: float) -> float:
-    """Time at which a falling force reaches zero, on a straight line through its foot."""
+def _crossing(time: Floats, force: Floats, *, after: float) -> tuple[float, float]:
+    """When a falling force reaches zero and how fast, on a straight line through its foot."""
     if len(time) < 4:
-        return after
+        return after, 0.0
     slope, level = np.polynomial.polynomial.polyfit(time - after, force, 1)[::-1]
-    return after - float(level / slope) if slope < 0 else after
+    return (after - float(level / slope), float(slope)) if slope < 0 else (after, 0.0)
 
 
 def _rest_mean(values: Floats) -> Estimate:
@@ -175,11 +177,11 @@ def _rest_mean(values: Floats) -> Estimate:
     return Estimate(float(values.mean()), float(np.sqrt(variance / len(values))), len(values))
 
 
-def _line_at(time: Floats, values: Floats, at: float) -> Estimate | Failure:
-    """Value at a time, from a straight line through the second around it."""
-    near = np.abs(time - at) <= 0.5
+def _line_to(time: Floats, values: Floats, at: float) -> Estimate | Failure:
+    """Value at a time, from a straight line through the second before it."""
+    near = (time >= at - 1.0) & (time <= at)
     if near.sum() < 8:
-        return Failure("too_few_samples", f"{int(near.sum())} samples within 0.5 s of {at:.3f} s")
+        return Failure("too_few_samples", f"{int(near.sum())} samples in the 1 s to {at:.3f} s")
     design = np.column_stack([np.ones(int(near.sum())), time[near] - at])
     coefficients = np.linalg.lstsq(design, values[near], rcond=None)[0]
     variance = long_run_variance(values[near] - design @ coefficients, parameters=2)

@@ -118,6 +118,30 @@ def test_residual_is_where_the_force_is_back_at_zero(slack: bool) -> None:
     assert np.std(pulls) < 1.3
 
 
+def test_residual_holds_when_the_string_is_slack_only_for_a_moment() -> None:
+    """A quick test: half a second of slack after a fall at 4 mm/s."""
+    time = np.arange(0.0, 3.0, 0.02)
+    path = np.maximum(0.0107 - 4e-3 * time, 0.0007)
+    force = 20.0 * (path - 0.0007)
+    found = value(residual_after_unloading(time, path, force, force_below=5e-3))
+    assert found.value == pytest.approx(0.0007, abs=1e-5)
+    brief = time < 2.7
+    found = value(
+        residual_after_unloading(time[brief], path[brief], force[brief], force_below=5e-3)
+    )
+    assert found.value == pytest.approx(0.0007, abs=5e-5)
+
+
+def test_energy_of_a_short_record_has_a_finite_error() -> None:
+    """Noise estimated too high must not turn a variance negative."""
+    time = np.linspace(0.0, 5.0, 501)
+    phase = 2 * np.pi * time / 5.0
+    noise = np.random.default_rng(3).normal(0, 1e-4, len(time))
+    path, force = -1e-2 * np.cos(phase) + noise, 0.5 * np.sin(phase)
+    found = value(loop_energy(time, path, force, clock_error=0.0))
+    assert 0.0 < found.error < 1e-3
+
+
 def test_residual_is_not_extrapolated() -> None:
     time, path, force = unloading(slack=False, noise=0.0)
     found = residual_after_unloading(time[:1500], path[:1500], force[:1500], force_below=5e-3)
