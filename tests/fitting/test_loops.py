@@ -134,10 +134,10 @@ def test_residual_holds_when_the_string_is_slack_only_for_a_moment() -> None:
 
 def test_energy_of_a_short_record_has_a_finite_error() -> None:
     """Noise estimated too high must not turn a variance negative."""
-    time = np.linspace(0.0, 5.0, 501)
-    phase = 2 * np.pi * time / 5.0
-    noise = np.random.default_rng(3).normal(0, 1e-4, len(time))
-    path, force = -1e-2 * np.cos(phase) + noise, 0.5 * np.sin(phase)
+    time = np.linspace(0.0, 10.0, 501)
+    turn = np.abs(time % 2.0 - 1.0)
+    noise = np.random.default_rng(3).normal(0, 1e-4, (2, len(time)))
+    path, force = 4e-3 * turn + noise[0], 0.2 * turn + 10.0 * noise[1]
     found = value(loop_energy(time, path, force, clock_error=0.0))
     assert 0.0 < found.error < 1e-3
 
