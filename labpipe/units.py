@@ -42,6 +42,51 @@ pound_force = 4.4482216152605 * newton = lbf
 frame = [] = frame
 """
 
+# What nearly every file, protocol and figure asks for: known without loading pint, which costs more
+# than reading the file. A test holds this table against pint.
+_PLAIN = {
+    ("mm", "m"): 1e-3,
+    ("cm", "m"): 1e-2,
+    ("m", "mm"): 1e3,
+    ("ms", "s"): 1e-3,
+    ("mN", "N"): 1e-3,
+    ("N", "mN"): 1e3,
+    ("mm/s", "m/s"): 1e-3,
+    ("g", "kg"): 1e-3,
+    ("J", "mJ"): 1e3,
+    ("mJ", "J"): 1e-3,
+    ("%", "1"): 1e-2,
+    ("ppm", "1"): 1e-6,
+    ("kHz", "1/s"): 1e3,
+    ("Hz", "1/s"): 1.0,
+    ("1/s", "Hz"): 1.0,
+    ("rad", "1"): 1.0,
+    ("1", "rad"): 1.0,
+    ("N/V", "N/V"): 1.0,
+    ("N/V", "N/(V)"): 1.0,
+}
+# Coherent units; but for those above, no two of them convert.
+_SI = {
+    "1",
+    "m",
+    "s",
+    "N",
+    "V",
+    "kg",
+    "J",
+    "Pa",
+    "N/m",
+    "m/s",
+    "1/s",
+    "Hz",
+    "rad",
+    "m^2",
+    "1/m",
+    "N*m",
+    "K",
+    "N*m^2",
+}
+
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
@@ -79,6 +124,12 @@ def si_factor(unit: str, si_unit: str) -> float:
     >>> si_factor("mm", "m")
     0.001
     """
+    if unit == si_unit and unit in _SI:
+        return 1.0
+    if (unit, si_unit) in _PLAIN:
+        return _PLAIN[unit, si_unit]
+    if unit in _SI and si_unit in _SI:
+        raise ValueError(_other_dimension(unit, si_unit))
     import pint
 
     registry = _registry()
@@ -86,11 +137,14 @@ def si_factor(unit: str, si_unit: str) -> float:
         factor = registry.Quantity(1.0, registry.parse_units(_spelt(unit)))
         return float(factor.to(registry.parse_units(_spelt(si_unit))).magnitude)
     except pint.DimensionalityError as error:
-        message = f"expected a unit of the dimension of {si_unit}, found {unit!r}"
-        raise ValueError(message) from error
+        raise ValueError(_other_dimension(unit, si_unit)) from error
     except Exception as error:  # pint's parser raises a dozen kinds of error for bad text
         message = f"expected a unit such as {si_unit}, found {unit!r}"
         raise ValueError(message) from error
+
+
+def _other_dimension(unit: str, si_unit: str) -> str:
+    return f"expected a unit of the dimension of {si_unit}, found {unit!r}"
 
 
 def _spelt(unit: str) -> str:

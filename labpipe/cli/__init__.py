@@ -42,6 +42,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
     """
     options = _parser().parse_args(arguments)
+    # The matrices of a test are small: more than one thread of BLAS only waits for the others.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         return int(import_module(f"labpipe.cli.{options.command}").run(options))
     except LabpipeError as error:

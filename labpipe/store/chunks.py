@@ -78,14 +78,19 @@ def chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
 
 
 def same_content(dataset: Any, array: NDArray[Any]) -> bool:
-    """Whether a dataset reads back as exactly this array, NaN patterns included."""
+    """Whether a dataset reads back as exactly this array, NaN patterns included.
+
+    Of a long dataset the first chunk, the last, and every sixteenth are taken through HDF5's
+    filters: they show that the chunks are made as HDF5 makes them. That every byte is on the disk
+    is for `write_result` to compare.
+    """
     if dataset.shape != array.shape or dataset.dtype != array.dtype:
         return False
     rows = dataset.chunks[0]
-    starts = range(0, len(array) if array.size else 0, rows)
+    starts = list(range(0, len(array) if array.size else 0, rows))
     return all(
         dataset[start : start + rows].tobytes() == array[start : start + rows].tobytes()
-        for start in starts
+        for start in {*starts[::16], *starts[-1:]}
     )
 
 
