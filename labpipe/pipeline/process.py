@@ -16,6 +16,7 @@ from labpipe.protocol.sheet import SHEET_NAME
 from labpipe.records.result import Specimen, Status, TestResult
 from labpipe.store.lock import locked
 from labpipe.store.read import RawTest, read_raw
+from labpipe.store.replace import replacing_together
 from labpipe.store.summary import write_summary
 from labpipe.store.write import write_result
 
@@ -107,12 +108,12 @@ def process_test(
     say("process")
     result = reduce_test(raw, protocol)
     folder = source.parent if again and out is None else _folder(source, out, result.test)
-    with locked(folder):
+    with locked(folder), replacing_together(folder) as stage:
         say("write")
-        write_result(result, folder / RESULT_FILE)
-        write_summary(result, folder / SUMMARY_FILE)
-        drawn = _draw(result, folder / FIGURES, say) if figures else ()
-    return Processed(folder, result, drawn)
+        write_result(result, stage / RESULT_FILE)
+        write_summary(result, stage / SUMMARY_FILE)
+        drawn = _draw(result, stage / FIGURES, say) if figures else ()
+    return Processed(folder, result, tuple(folder / path.relative_to(stage) for path in drawn))
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -49,6 +50,51 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+_STAGE = ".labpipe.new"
+
+
+@contextmanager
+def replacing_together(folder: Path) -> Iterator[Path]:
+    """Hand out an empty folder, and move its files into `folder` once all went well.
+
+    Parameters
+    ----------
+    folder : holds files that belong together, such as a result and its figures; files of other
+        names stay. Nobody else may write in it meanwhile (`store.lock.locked`)
+
+    Yields
+    ------
+    A folder inside it, on the same disk, for the new files and folders of files.
+
+    Raises
+    ------
+    StoreError
+        If the system refuses. As with any other way out of the block, what stood in `folder`
+        before still stands there, and nothing else does.
+    """
+    stage = folder / _STAGE
+    with storing(folder):
+        if stage.exists():  # left by a process that was killed
+            shutil.rmtree(stage)
+        stage.mkdir()
+    try:
+        yield stage
+        with storing(folder):
+            _move_in(stage, folder)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+
+
+def _move_in(stage: Path, folder: Path) -> None:
+    files = [path for path in sorted(stage.rglob("*")) if path.is_file()]
+    goals = [folder / path.relative_to(stage) for path in files]
+    for goal in goals:
+        goal.parent.mkdir(exist_ok=True)
+    for path, goal in zip(files, goals, strict=True):
+        path.replace(goal)
+    _flush_folder(folder)
 
 
 @contextmanager
