@@ -98,10 +98,12 @@ def align_clocks(
 
 
 def _force_corner(force: Signal, near: float, window: float) -> Corner | None:
-    """Corner of the force, first roughly in a wide window, then in the protocol's own."""
-    for reach in (window, 0.5 * window, window):
-        span = slice(*np.searchsorted(force.time, [near - reach, near + reach]))
-        corner = fit_corner(force.time[span], force.values[span], near=near, window=reach, degree=2)
+    """Corner of the force near a rough guess, then again in a window that lies around it."""
+    corner = None
+    for _ in range(2):
+        span = slice(*np.searchsorted(force.time, [near - window, near + window]))
+        time, values = force.time[span], force.values[span]
+        corner = fit_corner(time, values, near=near, window=window, degree=2)
         if corner is None or not corner.time_error < _WORST_CORNER:
             return None
         near = corner.time

@@ -201,21 +201,22 @@ def _distances(positions: Floats, rest: Selection) -> Floats:
     count = positions.shape[1]
     distances = np.zeros((count, count))
     for one in range(count):
-        apart = np.linalg.norm(positions - positions[:, one : one + 1], axis=2)
-        for two in range(count):
-            distances[one, two] = _typical(apart[:, two], rest)
+        for two in range(one):
+            apart = _typical(positions[:, one] - positions[:, two], rest)
+            distances[one, two] = distances[two, one] = apart
     return distances
 
 
 def _reach(relative: Floats, rest: Selection) -> Floats:
     """Distance of every marker from the clamp, m."""
-    apart = np.linalg.norm(relative, axis=2)
-    return np.array([_typical(column, rest) for column in apart.T])
+    return np.array([_typical(relative[:, marker], rest) for marker in range(relative.shape[1])])
 
 
-def _typical(values: Floats, rest: Selection) -> float:
-    for stretch in (values[rest], values):
-        seen = stretch[np.isfinite(stretch)]
+def _typical(offsets: Floats, rest: Selection) -> float:
+    """Median length of offsets of shape (frames, 3), m; infinite when there is none."""
+    for stretch in (offsets[rest], offsets):
+        apart = np.linalg.norm(stretch, axis=1)
+        seen = apart[np.isfinite(apart)]
         if len(seen):
             return float(np.median(seen))
     return np.inf
