@@ -78,12 +78,16 @@ def test_files_are_replaced_together(earlier: Path) -> None:
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
 
 
+def write_and_leave(path: Path, way_out: type[BaseException]) -> None:
+    path.write_text("new")
+    raise way_out
+
+
 @pytest.mark.parametrize("way_out", [KeyboardInterrupt, StoreError, OSError])
 def test_all_files_stay_on_any_way_out(earlier: Path, way_out: type[BaseException]) -> None:
     before = contents(earlier)
     with pytest.raises(way_out), replacing_together(earlier) as stage:
-        (stage / "a").write_text("new")
-        raise way_out
+        write_and_leave(stage / "a", way_out)
     assert contents(earlier) == before
     assert {path.name for path in earlier.iterdir()} == {"a", "figures"}
 
