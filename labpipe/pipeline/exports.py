@@ -77,13 +77,31 @@ def read_role(path: Path, source: Source) -> Recording:
     ReadError
         As `read_inputs`; also when neither file nor protocol says a unit, or they contradict.
     """
-    wanted = source.all_channels
-    recording = read_export(
-        path, source.reader, channels=[channel.channel for channel in wanted.values()]
-    )
+    wanted = [channel.channel for channel in source.all_channels.values()]
+    return name_channels(read_export(path, source.reader, channels=wanted), source, path)
+
+
+def name_channels(recording: Recording, source: Source, path: Path) -> Recording:
+    """Reduce a recording to the channels of a protocol, under its names, in SI units.
+
+    Parameters
+    ----------
+    recording : as a reader gives it
+    source : of the protocol
+    path : of the export, for messages
+
+    Returns
+    -------
+    The recording without the channels, and the clocks, that nobody asked for.
+
+    Raises
+    ------
+    ReadError
+        If a channel is missing, or its unit is unknown or of another dimension.
+    """
     channels = tuple(
         _in_si(select_channel(recording, channel.channel, path), name, channel, path)
-        for name, channel in wanted.items()
+        for name, channel in source.all_channels.items()
     )
     clocks = {channel.clock for channel in channels}
     kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
