@@ -40,6 +40,8 @@ class _Asked:
     unit: str
     quantities: tuple[str, ...]
     method: str
+    needs: int = 0
+    """Branches of a cycle that must have been recorded to their end."""
 
 
 _ALL = ("force", "displacement", "clock")
@@ -66,19 +68,20 @@ def clock_results(bench: Bench) -> list[Result]:
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
     method = "parabolas on both sides of the corner, unsmoothed force; else vertex of a parabola"
-    return _per_cycle(bench, _Asked("peak_force", "N", ("force",), method), _peak_force)
+    return _per_cycle(bench, _Asked("peak_force", "N", ("force",), method, needs=1), _peak_force)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
     method = "parabolas on both sides of the turning point; else vertex of a parabola"
-    asked = _Asked("peak_displacement", "m", ("displacement",), method)
+    asked = _Asked("peak_displacement", "m", ("displacement",), method, needs=1)
     return _per_cycle(bench, asked, _peak_displacement)
 
 
 def energy(bench: Bench) -> list[Result]:
     """``energy.<cycle>`` (J): work dissipated over one cycle."""
-    return _per_cycle(bench, _Asked("energy", "J", _ALL, "integral of force, trapezoids"), _energy)
+    asked = _Asked("energy", "J", _ALL, "integral of force, trapezoids", needs=2)
+    return _per_cycle(bench, asked, _energy)
 
 
 def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
@@ -127,9 +130,18 @@ def _per_cycle(bench: Bench, asked: _Asked, of_cycle: _Numbers) -> list[Result]:
             asked,
             _with_shape_error(bench, branches, of_cycle),
             part=f".{branches[0].cycle}",
+            doubt=_broken_off(bench, branches[: asked.needs]),
         )
         for branches in cycles
     ]
+
+
+def _broken_off(bench: Bench, branches: list[Branch]) -> str:
+    """Why a number is doubtful whose branches the record does not hold to their end."""
+    if not branches or branches[-1].stop < len(_curve(bench).time):
+        return ""
+    part = branches[-1]
+    return f"partial_cycle: the record ends at {part.stop_time:.3f} s, while still {part.direction}"
 
 
 def _with_shape_error(
@@ -317,7 +329,9 @@ def _blocked(bench: Bench, otherwise: Failure) -> Failure:
     return Failure(code, message)
 
 
-def _result(bench: Bench, asked: _Asked, outcome: Estimate | Failure, *, part: str = "") -> Result:
+def _result(
+    bench: Bench, asked: _Asked, outcome: Estimate | Failure, *, part: str = "", doubt: str = ""
+) -> Result:
     name = asked.name + part
     if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
         outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
@@ -325,6 +339,7 @@ def _result(bench: Bench, asked: _Asked, outcome: Estimate | Failure, *, part: s
         reason = f"{outcome.code}: {outcome.message}"
         return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
     doubts = [bench.doubts[quantity] for quantity in asked.quantities if quantity in bench.doubts]
+    doubts += [doubt] if doubt else []
     return Result(
         name=name,
         value=outcome.value,

@@ -77,7 +77,8 @@ def _take_steps(bench: Bench, markers: MarkerBench, protocol: Protocol) -> None:
         try:
             take_step(bench, markers, step, protocol)
         except ValueError as error:
-            message = f"steps.{number} ({step.step}): {error}"
+            remedy = "Look at the exports with `labpipe inspect`, and at this step of the protocol."
+            message = f"steps.{number} ({step.step}): {error}. {remedy}"
             raise ProcessingError(message) from error
 
 

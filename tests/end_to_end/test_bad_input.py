@@ -1,0 +1,549 @@
+"""Every kind of bad input that a bench can make: told in one message, and nothing is touched."""
+
+from __future__ import annotations
+
+import csv
+import errno
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.store.lock import locked
+from tests.builders.controldesk import Axis, Signal, write_mat_v5
+from tests.builders.small_tests import Lab, Run, make_lab, small_scenario, state
+
+LOAD_CELL = "Model Root/Load Cell"
+Rows = list[list[str]]
+Change = Callable[[Lab], object]
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """A test with earlier results."""
+    from labpipe.pipeline.process import process_test
+
+    lab = make_lab(tmp_path_factory.mktemp("done"), small_scenario())
+    process_test(lab.raw / "test.yaml")
+    return lab
+
+
+@pytest.fixture
+def lab(done: Lab, tmp_path: Path) -> Lab:
+    return done.copy(tmp_path)
+
+
+@pytest.fixture
+def refused(lab: Lab, run: Run) -> Callable[[Change], str]:
+    """Process a test after a change that makes it unusable; give the message."""
+
+    def refused(change: Change) -> str:
+        change(lab)
+        raw, earlier = state(lab.home / "raw"), state(lab.home / "processed")
+        assert len(earlier) == 10
+        ran = run("process", lab.raw)
+        assert ran.status == 2, ran
+        assert "Traceback" not in ran.err
+        assert ran.out.strip() == ""
+        assert state(lab.home / "raw") == raw
+        assert state(lab.home / "processed") == earlier
+        _, _, message = ran.err.partition("labpipe process: ")
+        assert ": expected " in message
+        assert ", found " in message
+        return message
+
+    return refused
+
+
+@pytest.fixture
+def reduced(lab: Lab, run: Run) -> Callable[[Change], Lab]:
+    """Process a test after a change that costs results, not the test; raw files stay."""
+
+    def reduced(change: Change) -> Lab:
+        change(lab)
+        raw = state(lab.home / "raw")
+        ran = run("process", lab.raw, "--no-figures")
+        failed = any(each["status"] == "failed" for each in lab.results.values())
+        assert ran.status == (1 if failed else 0), ran
+        assert "Traceback" not in ran.err
+        assert state(lab.home / "raw") == raw
+        for each in lab.results.values():
+            assert each["status"] == "ok" or each["reason"], each
+        return lab
+
+    return reduced
+
+
+def change_take(lab: Lab, change: Callable[[Rows], Rows]) -> None:
+    path = lab.raw / "take.csv"
+    rows = list(csv.reader(io.StringIO(path.read_text("utf-8"))))
+    stream = io.StringIO()
+    csv.writer(stream, lineterminator="\r\n").writerows(change(rows))
+    path.write_text(stream.getvalue(), encoding="utf-8", newline="")
+
+
+def names_of(rows: Rows) -> list[str]:
+    return next(row for row in rows if len(row) > 1 and row[1] == "Name")
+
+
+def without(*prefixes: str) -> Callable[[Rows], Rows]:
+    """Leave out the columns of some names."""
+
+    def change(rows: Rows) -> Rows:
+        names = names_of(rows)
+        kept = [not name.startswith(prefixes) for name in names]
+        return [
+            row if len(row) != len(names) else [c for c, k in zip(row, kept, strict=True) if k]
+            for row in rows
+        ]
+
+    return change
+
+
+def blank(*names: str) -> Callable[[Rows], Rows]:
+    """Empty the columns of some names in every frame."""
+
+    def change(rows: Rows) -> Rows:
+        known = names_of(rows)
+        return [
+            ["" if name in names else cell for cell, name in zip(row, known, strict=True)]
+            if row and row[0].isdecimal()
+            else row
+            for row in rows
+        ]
+
+    return change
+
+
+def force(lab: Lab) -> tuple[np.ndarray, np.ndarray]:
+    from scipy.io import loadmat
+
+    found = loadmat(lab.raw / "force.mat", simplify_cells=True)["force"]
+    y = found["Y"]
+    signals = [y] if isinstance(y, dict) else y
+    volts = next(each["Data"] for each in signals if each["Path"] == LOAD_CELL)
+    return np.array(found["X"]["Data"]), np.array(volts)
+
+
+def write_force(lab: Lab, clock: np.ndarray, volts: np.ndarray, name: str = "Out1") -> None:
+    write_mat_v5(lab.raw / "force.mat", [Axis(clock)], [Signal(LOAD_CELL, name, volts)])
+
+
+def change_force(lab: Lab, change: Callable[[np.ndarray, np.ndarray], None]) -> None:
+    clock, volts = force(lab)
+    change(clock, volts)
+    write_force(lab, clock, volts)
+
+
+def cut(name: str, share: float) -> Change:
+    def change(lab: Lab) -> None:
+        content = (lab.raw / name).read_bytes()
+        (lab.raw / name).write_bytes(content[: int(share * len(content))])
+
+    return change
+
+
+Refused = Callable[[Change], str]
+Reduced = Callable[[Change], Lab]
+
+
+# Exports that cannot be read
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.6, 0.999])
+def test_truncated_mat(refused: Refused, share: float) -> None:
+    message = refused(cut("force.mat", share))
+    assert "force.mat" in message
+
+
+@pytest.mark.parametrize("share", [0.0, 0.0005, 0.002])
+def test_take_cut_in_its_header(refused: Refused, share: float) -> None:
+    assert "take.csv" in refused(cut("take.csv", share))
+
+
+def test_take_without_the_rigid_body(refused: Refused) -> None:
+    message = refused(lambda lab: change_take(lab, without("Clamp")))
+    assert "markers, rigid bodies: expected the clamp 'Clamp', found no rigid body" in message
+    assert "markers.clamp" in message
+
+
+def test_body_without_a_pose(refused: Refused) -> None:
+    message = refused(lambda lab: change_take(lab, blank("Clamp")))
+    assert "rigid body 'Clamp': expected positions, found blanks in every frame" in message
+
+
+def test_fewer_than_three_markers(refused: Refused) -> None:
+    gone = [f"Wire:Marker{number}" for number in range(3, 9)]
+    message = refused(lambda lab: change_take(lab, without(*gone)))
+    assert "expected at least 3 markers along the specimen, found 2: Wire:Marker1" in message
+
+
+def test_all_samples_blank(refused: Refused) -> None:
+    def nothing(clock: np.ndarray, volts: np.ndarray) -> None:
+        volts[:] = np.nan
+
+    message = refused(lambda lab: change_force(lab, nothing))
+    assert f"channel '{LOAD_CELL}/Out1': expected numbers, found none" in message
+
+
+def test_force_time_runs_backwards(refused: Refused) -> None:
+    def swap(clock: np.ndarray, volts: np.ndarray) -> None:
+        clock[[700, 701]] = clock[[701, 700]]
+
+    message = refused(lambda lab: change_force(lab, swap))
+    assert "force.mat" in message
+    assert "expected time that increases from sample to sample" in message
+
+
+def test_frames_run_backwards(refused: Refused) -> None:
+    def swap(rows: Rows) -> Rows:
+        rows[300], rows[301] = rows[301], rows[300]
+        return rows
+
+    message = refused(lambda lab: change_take(lab, swap))
+    assert "take.csv" in message
+
+
+def test_wrong_channel_name_says_the_nearest(refused: Refused) -> None:
+    message = refused(
+        lambda lab: lab.override(
+            "sources.force.channel", f"{LOAD_CELL.replace('Load', 'Laod')}/Out1"
+        )
+    )
+    assert "Model Root/Laod Cell/Out1" in message
+    assert "'Model Root/Load Cell/Out1'" in message
+
+
+@pytest.mark.parametrize("gain", ["0.5 N", "0.5 mm/V", "0.5"])
+def test_unit_of_the_wrong_dimension(refused: Refused, gain: str) -> None:
+    message = refused(lambda lab: lab.override("sources.force.calibration.gain", gain))
+    assert "test.yaml, line " in message
+    assert f"found '{gain}'" in message or f"found {gain}" in message or gain in message
+
+
+def test_channel_of_the_wrong_dimension(refused: Refused) -> None:
+    message = refused(lambda lab: lab.override("sources.force.unit", "mm"))
+    assert "(sources.force.calibration.gain): expected " in message
+    assert "test.yaml changes.)" in message
+
+
+@pytest.mark.parametrize("name", ["../../other/force.mat", "/etc/hostname", "C:\\lab\\force.mat"])
+def test_path_that_leaves_the_folder(refused: Refused, name: str) -> None:
+    message = refused(lambda lab: lab.edit("test.yaml", "force: force.mat", f"force: '{name}'"))
+    assert "expected a file inside the folder of the test" in message
+    assert "Copy the export into the folder" in message
+
+
+def test_link_that_leaves_the_folder(
+    refused: Refused, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    outside = tmp_path_factory.mktemp("outside") / "force.mat"
+
+    def link(lab: Lab) -> None:
+        shutil.move(lab.raw / "force.mat", outside)
+        (lab.raw / "force.mat").symlink_to(outside)
+
+    assert "a link out of it" in refused(link)
+
+
+def test_file_that_is_not_there(refused: Refused) -> None:
+    message = refused(lambda lab: (lab.raw / "force.mat").unlink())
+    assert "force.mat" in message
+
+
+def test_files_in_each_others_role(refused: Refused) -> None:
+    message = refused(
+        lambda lab: lab.edit(
+            "test.yaml",
+            "{force: force.mat, markers: take.csv}",
+            "{force: take.csv, markers: force.mat}",
+        )
+    )
+    assert "take.csv: expected a file of the format dspace-mat" in message
+    assert "found one of the format motive-csv" in message
+
+
+def test_role_that_has_no_file(refused: Refused) -> None:
+    message = refused(lambda lab: lab.edit("test.yaml", ", markers: take.csv}", "}"))
+    assert "expected a file in the role 'markers', found none" in message
+
+
+def test_role_that_the_protocol_does_not_know(refused: Refused) -> None:
+    message = refused(lambda lab: lab.edit("test.yaml", "markers: take.csv", "frame: take.csv"))
+    assert "'frame'" in message
+    assert "'markers'" in message
+
+
+def test_three_parts_that_are_one_file_thrice(refused: Refused) -> None:
+    message = refused(
+        lambda lab: lab.edit(
+            "test.yaml", "force: force.mat", "force: [force.mat, force.mat, force.mat]"
+        )
+    )
+    assert "force.mat, time: expected a start after" in message
+
+
+def test_takes_have_no_parts(refused: Refused) -> None:
+    message = refused(
+        lambda lab: lab.edit("test.yaml", "markers: take.csv", "markers: [take.csv, take.csv]")
+    )
+    assert "take.csv: expected a part of a recording: channels on one clock" in message
+
+
+def test_sheet_that_is_no_yaml(refused: Refused) -> None:
+    assert "test.yaml" in refused(lambda lab: lab.edit("test.yaml", "files: {", "files: [{"))
+
+
+def test_protocol_that_does_not_exist(refused: Refused) -> None:
+    message = refused(lambda lab: lab.edit("test.yaml", "wire-cantilever", "wire-cantilver"))
+    assert "wire-cantilever" in message
+
+
+# Recordings that can be read, but do not hold what was asked for
+
+
+@pytest.mark.parametrize("cells", [0, 1])
+def test_take_cut_in_mid_line(reduced: Reduced, cells: int) -> None:
+    """Within the first number of a line, and within its last, which still reads as a number."""
+
+    def cut_off(lab: Lab) -> None:
+        path = lab.raw / "take.csv"
+        content = path.read_bytes()
+        line = content.rindex(b"\n", 0, int(0.66 * len(content)))
+        end = content.index(b"\r\n", line + 1) - 2 if cells else line + 3
+        path.write_bytes(content[:end])
+
+    lab = reduced(cut_off)
+    notes = {note["code"]: note["message"] for note in lab.summary["quality"]}
+    assert "is incomplete and was left out" in notes["truncated"]
+    assert notes["rows_differ"].startswith("the header states 851 rows, the file holds ")
+    assert lab.results["peak_force.1"]["status"] == "ok"
+    for name in ("peak_force.2", "peak_displacement.2"):
+        assert lab.results[name]["status"] == "doubtful"
+        assert "partial_cycle: the record ends at " in lab.results[name]["reason"]
+        assert lab.results[name]["reason"].endswith("while still loading")
+    for name in ("unloading_stiffness.2", "energy.2", "residual_displacement.2"):
+        assert lab.results[name]["reason"].startswith("partial_cycle: ")
+        assert lab.results[name]["status"] == "failed"
+
+
+def test_take_cut_while_unloading(reduced: Reduced) -> None:
+    lab = reduced(lambda lab: change_take(lab, lambda rows: rows[:660]))
+    assert lab.results["energy.2"]["status"] == "doubtful"
+    assert lab.results["energy.2"]["reason"].endswith("while still unloading")
+    assert lab.results["peak_force.2"]["status"] == "ok"
+
+
+def test_take_with_a_marker_missing_throughout(reduced: Reduced) -> None:
+    lab = reduced(lambda lab: change_take(lab, blank("Wire:Marker3")))
+    assert "marker_missing" in {note["code"] for note in lab.summary["quality"]}
+    peak = lab.results["peak_displacement.1"]
+    assert peak["status"] == "doubtful"
+    assert peak["reason"].startswith("marker_missing: ")
+    assert peak["value"] == pytest.approx(lab.truth["cycles"][0]["peak_deflection"], abs=1e-3)
+    assert lab.results["peak_force.1"]["status"] == "ok"
+
+
+def test_constant_force(reduced: Reduced) -> None:
+    def constant(clock: np.ndarray, volts: np.ndarray) -> None:
+        volts[:] = 0.25
+
+    lab = reduced(lambda lab: change_force(lab, constant))
+    for name in ("clock_offset", "clock_drift", "peak_force.1", "energy.1"):
+        assert lab.results[name]["value"] is None
+        assert lab.results[name]["status"] == "failed"
+        assert lab.results[name]["reason"].startswith("constant_channel: the force is constant at")
+
+
+def test_force_and_motion_that_do_not_overlap(reduced: Reduced) -> None:
+    def only_rest(lab: Lab) -> None:
+        clock, volts = force(lab)
+        write_force(lab, clock[:400], volts[:400])
+
+    lab = reduced(only_rest)
+    assert lab.results["clock_offset"]["reason"].startswith("no_common_peak: ")
+    assert lab.results["energy.1"]["status"] == "failed"
+
+
+def test_some_samples_missing(reduced: Reduced) -> None:
+    def holes(clock: np.ndarray, volts: np.ndarray) -> None:
+        volts[1500:1510] = np.nan
+        volts[2000] = np.inf
+
+    lab = reduced(lambda lab: change_force(lab, holes))
+    assert lab.results["peak_force.1"]["status"] == "doubtful"
+    assert lab.results["peak_force.1"]["reason"].startswith("missing_samples: 11 of ")
+    assert lab.results["peak_displacement.1"]["status"] == "ok"
+    assert "Infinity" not in (lab.processed / "summary.json").read_text("utf-8")
+
+
+def test_marker_at_infinity(lab: Lab, run: Run) -> None:
+    def far(rows: Rows) -> Rows:
+        column = names_of(rows).index("Wire:Marker2")
+        for row in rows[300:320]:
+            row[column] = "inf"
+        return rows
+
+    change_take(lab, far)
+    ran = run("process", lab.raw, "--no-figures")
+    assert ran.status in (0, 1, 2)
+    assert "Traceback" not in ran.err
+    if ran.status == 0:
+        truth = lab.truth["cycles"][0]["peak_deflection"]
+        assert lab.results["peak_displacement.1"]["value"] == pytest.approx(truth, abs=2e-4)
+        assert lab.summary["quality"]
+    else:
+        assert "take.csv" in ran.err
+
+
+def test_one_cycle(tmp_path: Path, run: Run) -> None:
+    lab = make_lab(tmp_path, small_scenario(cycles=1))
+    assert run("process", lab.raw, "--no-figures").status == 1
+    assert lab.results["clock_drift"]["reason"].startswith("one_event: ")
+    assert lab.results["clock_offset"]["status"] == "doubtful"
+    assert lab.results["clock_offset"]["reason"].startswith("alignment_one_event: ")
+    assert lab.results["peak_force.1"]["status"] == "ok"
+    assert "peak_force.2" not in lab.results
+    truth = lab.truth["cycles"][0]
+    assert lab.results["peak_force.1"]["value"] == pytest.approx(truth["peak_force"], abs=3e-3)
+
+
+def only_rest(rows: Rows) -> Rows:
+    return rows[:100]
+
+
+def test_nothing_moves(reduced: Reduced) -> None:
+    lab = reduced(lambda lab: change_take(lab, only_rest))
+    for name in ("clock_offset", "peak_force.1", "energy.1", "initial_stiffness"):
+        assert lab.results[name]["status"] == "failed"
+        assert lab.results[name]["reason"].startswith("no_motion: the motion spans")
+
+
+def test_nothing_moves_at_all(refused: Refused) -> None:
+    """A clamp that stands still to the last digit."""
+
+    def still(rows: Rows) -> Rows:
+        return rows[:7] + [[*row[:2], *rows[7][2:]] for row in rows[7:]]
+
+    message = refused(lambda lab: change_take(lab, still))
+    assert "steps.1 (specimen-frame): " in message
+    assert "expected a clamp that moves, found one that stands still. Look at the" in message
+
+
+def test_two_parts_of_one_recording(lab: Lab, run: Run) -> None:
+    assert run("process", lab.raw, "--no-figures").status == 0
+    whole = lab.results
+    clock, volts = force(lab)
+    for number, part in enumerate((slice(0, 1500), slice(1500, None))):
+        signal = Signal(LOAD_CELL, "Out1", volts[part])
+        write_mat_v5(lab.raw / f"part{number}.mat", [Axis(clock[part])], [signal])
+    lab.edit("test.yaml", "force: force.mat", "force: [part0.mat, part1.mat]")
+    assert run("process", lab.raw, "--no-figures").status == 0
+    assert lab.results == whole
+
+
+# Trouble while writing
+
+
+def test_second_process_on_the_same_test(lab: Lab, run: Run) -> None:
+    earlier = state(lab.processed)
+    with locked(lab.processed):
+        ran = run("process", lab.raw, "--no-figures")
+    assert ran.status == 2
+    assert "found another labpipe process at work in it. Wait until it is done" in ran.err
+    assert state(lab.processed) == earlier
+
+
+STAGES = (
+    "labpipe.pipeline.process.read_inputs",
+    "labpipe.pipeline.process.reduce_recordings",
+    "labpipe.pipeline.process.write_result",
+    "labpipe.pipeline.process.write_summary",
+    "labpipe.report.figures.save_figures",
+)
+
+
+@pytest.mark.parametrize("place", ["result.h5", "summary.json", "wire-shapes.svg"])
+def test_full_disk(lab: Lab, refused: Refused, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
+    """Wherever room runs out, no file of the earlier results is replaced."""
+    import labpipe.store.replace as store
+
+    flush = store._flush_to_disk
+
+    def full_flush(path: Path) -> None:
+        if place in path.name:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        flush(path)
+
+    def full_figures(*arguments: object) -> list[Path]:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(store, "_flush_to_disk", full_flush)
+    if place == "wire-shapes.svg":
+        monkeypatch.setattr("labpipe.report.figures._save", full_figures)
+    message = refused(lambda _: None)
+    assert "full disk" in message or "No space left" in message
+    assert not list(lab.home.rglob("*.tmp"))
+    assert {path.name for path in lab.processed.iterdir()} == {
+        "result.h5",
+        "summary.json",
+        "figures",
+    }
+
+
+@pytest.mark.parametrize("stage", STAGES)
+def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+    def interrupted(*arguments: object, **more: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stage, interrupted)
+    raw, earlier = state(lab.home / "raw"), state(lab.processed)
+    ran = run("process", lab.raw)
+    assert ran.status == 130
+    assert "labpipe: interrupted; earlier results are as they were" in ran.err
+    assert state(lab.home / "raw") == raw
+    assert state(lab.processed) == earlier
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
+def test_real_interrupt(lab: Lab) -> None:
+    raw, earlier = state(lab.home / "raw"), state(lab.processed)
+    stopped = (
+        "import sys, time\n"
+        "import labpipe.pipeline.process as process\n"
+        "def wait(*arguments):\n"
+        "    print('here', flush=True)\n"
+        "    time.sleep(60)\n"
+        "process.write_summary = wait\n"
+        "from labpipe.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    command = [sys.executable, "-c", stopped, "process", str(lab.raw)]
+    with subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "here\n"
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert "interrupted; earlier results are as they were" in said
+    assert "Traceback" not in said
+    assert state(lab.home / "raw") == raw
+    assert state(lab.processed) == earlier
+
+
+def test_a_bad_test_does_not_stop_the_others(lab: Lab, run: Run) -> None:
+    shutil.copytree(lab.raw, lab.raw.parent / "T0")
+    (lab.raw.parent / "T0" / "force.mat").write_bytes(b"")
+    ran = run("process", lab.raw.parent, "--no-figures")
+    assert ran.status == 2
+    assert "T0" in ran.err
+    assert "T1  (wire-cantilever): 13 ok" in ran.out
