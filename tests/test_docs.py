@@ -1,0 +1,257 @@
+"""The documentation keeps up with the code: commands, links, pictures, YAML, names and codes."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labpipe.cli import main
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.protocol.load import load_protocol, load_test_sheet, parse_protocol, resolve
+from labpipe.readers import READERS
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *ROOT.glob("*/README.md")])
+IMAGES = sorted((DOCS / "images").iterdir())
+PLANNED = {"report", "model", "calibrate"}
+"""Commands that the documentation says are not there yet."""
+MOST_BYTES = 200_000
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def page(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    with pytest.raises(SystemExit) as left:
+        main(arguments)
+    assert left.value.code == 0
+    return capsys.readouterr().out
+
+
+def commands(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    found = re.findall(r"^    ([a-z]+) ", said(capsys, "--help"), flags=re.MULTILINE)
+    assert "process" in found
+    return found
+
+
+def options(text: str) -> set[str]:
+    return set(re.findall(r"(?<![\w-])--[a-z][a-z-]*", text))
+
+
+def sections(text: str) -> dict[str, str]:
+    """Text below each heading of the second level, by the heading's first code span."""
+    parts = re.split(r"^## ", text, flags=re.MULTILINE)[1:]
+    return {
+        code[1]: part for part in parts if (code := re.match(r"`([^`]+)`", part.splitlines()[0]))
+    }
+
+
+def fenced(text: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_every_command_is_documented(capsys: pytest.CaptureFixture[str]) -> None:
+    overview, reference = page("README.md"), page("docs/reference/command-line.md")
+    for command in commands(capsys):
+        assert f"| `labpipe {command}` |" in overview
+        assert f"\n## `labpipe {command}" in reference
+
+
+def test_every_option_is_documented_and_no_other(capsys: pytest.CaptureFixture[str]) -> None:
+    reference = {
+        heading.split()[1]: text
+        for heading, text in sections(page("docs/reference/command-line.md")).items()
+    }
+    for command in commands(capsys):
+        has = options(said(capsys, command, "--help")) - {"--help"}
+        assert options(reference[command]) == has, command
+
+
+def test_commands_that_are_planned_are_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert not PLANNED & set(commands(capsys))
+
+
+def calls(text: str) -> Iterator[tuple[str, str]]:
+    """Command and arguments of every ``labpipe ...`` in code, lines that go on joined."""
+    joined = text.replace("\\\n", " ")
+    spans = re.findall(r"`labpipe ([a-z]+)([^`]*)`", joined)
+    lines = re.findall(r"^\$ labpipe ([a-z]+)(.*)$", joined, flags=re.MULTILINE)
+    yield from spans + lines
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_commands_in_pages_exist(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = commands(capsys)
+    for command, arguments in calls(path.read_text(encoding="utf-8")):
+        assert command in {*known, *PLANNED}, command
+        if command in known:
+            assert options(arguments) <= options(said(capsys, command, "--help")), arguments
+
+
+def prose(text: str) -> str:
+    """A page without its fenced blocks."""
+    return re.sub(r"^\s*```.*?^\s*```$", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(text: str) -> set[str]:
+    """Names that the headings of a page can be linked by."""
+    headings = re.findall(r"^#+ (.+)$", prose(text), flags=re.MULTILINE)
+    plain = (re.sub(r"[^\w\- ]", "", heading.casefold()) for heading in headings)
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_links_lead_somewhere(path: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(path.read_text(encoding="utf-8"))):
+        if target.startswith("https://"):
+            continue
+        file, _, anchor = target.partition("#")
+        found = (path.parent / file).resolve() if file else path
+        assert found.exists(), target
+        assert found.is_relative_to(ROOT), target
+        if anchor:
+            assert anchor in anchors(found.read_text(encoding="utf-8")), target
+
+
+@pytest.mark.parametrize("path", [p for p in PAGES if p.is_relative_to(DOCS)], ids=name_of)
+def test_every_page_is_linked_from_another(path: Path) -> None:
+    others = [other for other in PAGES if other != path]
+    targets = {
+        (other.parent / target.partition("#")[0]).resolve()
+        for other in others
+        for target in re.findall(r"\]\(([^)\s]+)\)", other.read_text(encoding="utf-8"))
+    }
+    assert path in targets
+
+
+@pytest.mark.parametrize("path", IMAGES, ids=name_of)
+def test_pictures_are_small_and_shown_with_a_caption(path: Path) -> None:
+    assert path.stat().st_size < MOST_BYTES
+    shown = rf"!\[[^\]]+\]\({re.escape(name_of(path))}\)\n\n\*Synthetic data\. "
+    assert re.search(shown, page("README.md"))
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_no_place_of_one_machine_is_named(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"/(tmp|work|home|Users)/|[A-Z]:\\", text)
+
+
+@pytest.mark.parametrize("path", PAGES, ids=name_of)
+def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path) -> None:
+    for text in fenced(path.read_text(encoding="utf-8"), "yaml"):
+        if re.search(r"^version:", text, flags=re.MULTILINE):
+            assert parse_protocol(text, name_of(path)).results
+            continue
+        sheet = tmp_path / "test.yaml"
+        sheet.write_text(text, encoding="utf-8")
+        protocol = resolve(load_test_sheet(sheet), sheet, ROOT / "protocols")
+        assert protocol.name == "wire-cantilever"
+
+
+def result_names() -> set[str]:
+    """Names that the shipped protocols and a window without a name ask for, without the cycle."""
+    protocols = [load_protocol(path) for path in sorted((ROOT / "protocols").glob("*.yaml"))]
+    plain = protocols[0].model_copy(update={"steps": (), "curve": None})
+    names = {"stiffness"}  # the only result that no shipped protocol asks for
+    for protocol in protocols:
+        asked = plain.model_copy(update={"results": protocol.results})
+        names |= {result.name.partition(".")[0] for result in reduce_recordings({}, asked)[1]}
+    return names
+
+
+def test_every_result_is_documented_and_no_other() -> None:
+    documented = sections(page("docs/reference/results.md"))
+    assert {heading.partition(".")[0] for heading in documented} == result_names()
+    for heading, text in documented.items():
+        assert "**Unit**: " in text, heading
+        assert "**Example**: " in text, heading
+
+
+def trees() -> Iterator[ast.AST]:
+    for layer in ("readers", "processing", "fitting", "pipeline"):
+        for path in sorted((ROOT / "labpipe" / layer).glob("*.py")):
+            yield from ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+
+
+def text_of(node: ast.expr) -> str | None:
+    return node.value if isinstance(node, ast.Constant) and isinstance(node.value, str) else None
+
+
+def severity_of(node: ast.expr) -> str | None:
+    is_one = isinstance(node, ast.Attribute) and ast.unparse(node.value) == "Severity"
+    return ast.unparse(node).partition(".")[2].lower() if is_one else None
+
+
+def noted(node: ast.AST) -> Iterator[tuple[str | None, str | None]]:
+    """Code and severity of each note that an expression makes or names."""
+    if isinstance(node, ast.Tuple) and len(node.elts) > 1:
+        yield text_of(node.elts[0]), severity_of(node.elts[1])
+    if not isinstance(node, ast.Call) or not node.args:
+        return
+    name, given = ast.unparse(node.func).rpartition(".")[2], node.args
+    match name:
+        case "QualityNote" | "note":
+            yield text_of(given[0]), severity_of(given[1])
+        case "doubt":
+            yield text_of(given[1]), "warning"
+        case "block":
+            yield text_of(given[0]), "error"
+        case "_note":
+            yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else "warning"
+        case "_gap_notes":
+            yield text_of(given[1]), "info"
+
+
+def test_every_quality_note_is_documented_and_no_other() -> None:
+    row = r"^\| `(\w+)` \| (info|warning|error) \|"
+    table = re.findall(row, page("docs/reference/quality-notes.md"), flags=re.MULTILINE)
+    in_code = {pair for node in trees() for pair in noted(node) if None not in pair}
+    assert set(table) == in_code
+
+
+def test_every_reason_of_a_failure_is_documented_and_no_other() -> None:
+    reasons = page("docs/reference/results.md").partition("## Reason codes")[2]
+    table = re.findall(r"^\| `(\w+)` \|", reasons, flags=re.MULTILINE)
+    in_code = {
+        text_of(node.args[0])
+        for node in trees()
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "Failure"
+    }
+    assert set(table) == in_code - {None}
+
+
+def test_every_step_and_reader_is_named() -> None:
+    text = page("docs/reference/protocol.md")
+    steps = re.findall(
+        r'step: Literal\["([\w-]+)"\]', page("labpipe/protocol/steps.py"), flags=re.MULTILINE
+    )
+    assert len(steps) > 5
+    assert {*steps, *READERS} <= set(re.findall(r"`([\w-]+)`", text))
+
+
+def test_the_listing_of_the_result_file_holds_the_names_of_the_layout() -> None:
+    from labpipe.store import layout
+
+    listing = fenced(page("docs/reference/result-file.md"), "")[0]
+    fields = {
+        f"/{layout.CURVE}/": layout.CURVE_FIELDS,
+        f"/{layout.SHAPE}/": layout.SHAPE_FIELDS,
+        f"/{layout.ALIGNED}/{layout.EVENTS}/": layout.EVENT_FIELDS,
+        f"/{layout.RAW}/markers/{layout.MARKERS}/": layout.MARKER_FIELDS,
+        f"/{layout.RAW}/markers/{layout.BODIES}/Clamp/": layout.BODY_FIELDS,
+    }
+    for group, kinds in fields.items():
+        for name, kind in kinds.items():
+            line = rf"^{re.escape(group + name)} +\(.*\) +{re.escape(str(kind.unit))}$"
+            assert re.search(line, listing, flags=re.MULTILINE), group + name
