@@ -92,7 +92,7 @@ def _lines(results: list[Result], display: dict[str, str]) -> list[str]:
     if values:
         unit, factor = _shown_in(results[0], display)
         span = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
-        lines.append(f"  {'... to ' + rest[-1].name:<26}{span} ({len(rest)} more in summary.json)")
+        lines.append(f"  {'... to ' + rest[-1].name:<26} {span} ({len(rest)} more in summary.json)")
     return lines
 
 
