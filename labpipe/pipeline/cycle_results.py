@@ -174,10 +174,12 @@ def _peak_force(bench: Bench, branches: list[Branch], displacement: Floats) -> E
         estimate = Estimate(corner.value, corner.value_error, corner.n)
     else:
         curve, stretch = _curve(bench), _cycle(branches)
-        found = smooth_peak(curve.time[stretch], curve.force[stretch], share=0.05)
+        # One sense for all cycles: the force may run ahead of the motion by a quarter of a cycle.
+        sense = _sense(curve.force, slice(curve.branches[0].start, None))
+        found = smooth_peak(curve.time[stretch], sense * curve.force[stretch], share=0.05)
         if isinstance(found, Failure):
             return found
-        estimate = found
+        estimate = Estimate(sense * found.value, found.error, found.n)
     return _scaled(estimate, force)
 
 
@@ -194,8 +196,10 @@ def _peak_displacement(
             degree=2,
         )
     else:
-        stretch = _cycle(branches)
-        found = smooth_peak(signal.time[stretch], displacement[stretch], share=0.05)
+        stretch, sense = _cycle(branches), _sense(displacement, bench.within(branches[0]))
+        found = smooth_peak(signal.time[stretch], sense * displacement[stretch], share=0.05)
+        if isinstance(found, Estimate):
+            found = Estimate(sense * found.value, found.error, found.n)
     return found if isinstance(found, Failure) else _scaled(found, signal)
 
 
@@ -296,6 +300,15 @@ def _is_sharp(bench: Bench, branches: list[Branch]) -> bool:
     """Whether the motion turns at once at the end of loading: no dwell, and clocks from corners."""
     turns = len(branches) > 1 and branches[0].stop == branches[1].start
     return turns and bench.clock_fit is not None
+
+
+def _sense(values: Floats, stretch: slice) -> float:
+    """-1.0 where a quantity goes further down than up from where it begins, else 1.0."""
+    known = values[stretch][~np.isnan(values[stretch])]
+    if not len(known):
+        return 1.0
+    start = known[: max(1, len(known) // 100)].mean()
+    return -1.0 if known.max() - start < start - known.min() else 1.0
 
 
 def _cycle(branches: list[Branch]) -> slice:
