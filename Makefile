@@ -28,7 +28,7 @@ bench: .venv/.ready  ## speed and memory as ratios, in one run
 	$(BIN)/python -m benchmarks
 
 schema: .venv/.ready  ## write the JSON Schema of protocols afresh
-	$(BIN)/python -m labpipe.protocol.json_schema docs/reference/protocol.schema.json
+	$(BIN)/python -m labpipe.protocol.json_schema docs/reference
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache build *.egg-info

@@ -63,7 +63,7 @@ def describe(
     return (
         *_absent(take, naming, measured),
         *_by_column(take, stale, list(take.names), _FROZEN),
-        *_relabelled(take, naming),
+        *_relabelled(take, naming, measured),
         *_eliminated(take, naming),
         *_jumps(take, links, naming),
         *_by_column(take, np.equal(flags, PointFlag.FILLED), markers, _FILLED),
@@ -117,7 +117,7 @@ def _stretches(mask: Flags) -> list[tuple[int, int]]:
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
-def _relabelled(take: Take, naming: Naming) -> Iterator[QualityNote]:
+def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     """One note per exchange of labels, and per stretch that had no label."""
     exchanges: dict[tuple[int, int], list[str]] = {}
     for label, chains in naming.markers.items():
@@ -125,7 +125,8 @@ def _relabelled(take: Take, naming: Naming) -> Iterator[QualityNote]:
             words = f"{take.names[label]} stood under {take.names[column]}"
             if is_unlabelled(take.names[column]):
                 span = take.span(start, stop)
-                message = f"{words}, {span}; merged"
+                apart = _apart(measured[:, label], measured[start:stop, column], start, stop)
+                message = f"{words}, {span}; merged{apart}"
                 where = f"{take.names[label]}, {span}"
                 yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
             else:
@@ -135,6 +136,17 @@ def _relabelled(take: Take, naming: Naming) -> Iterator[QualityNote]:
         message = f"{', '.join(who)}, {span}; label switch undone"
         names = ", ".join(words.partition(" stood under ")[0] for words in who)
         yield QualityNote("label_switch", Severity.WARNING, f"{names}, {span}", message)
+
+
+def _apart(own: Floats, other: Floats, start: int, stop: int) -> str:
+    """Say how far two tracks lie apart where one takes over from the other, if both are there."""
+    seams = [
+        float(np.linalg.norm(own[frame] - end))
+        for frame, end in ((start - 1, other[0]), (stop, other[-1]))
+        if 0 <= frame < len(own)
+    ]
+    known = [seam for seam in seams if np.isfinite(seam)]
+    return f", {1e3 * max(known):.2f} mm apart where they meet" if known else ""
 
 
 def _foreign(
