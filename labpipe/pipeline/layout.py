@@ -13,7 +13,10 @@ from labpipe.pipeline.marker_steps import MarkerBench
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import Channel, Recording
+from labpipe.records.recording import Channel, MarkerTracks, Recording
+
+_LARGEST = {"channel": 1e15, "marker": 1e6}
+"""SI; no transducer and no camera measures beyond this, damaged files do."""
 
 
 def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Bench, MarkerBench]:
@@ -31,13 +34,14 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
     Raises
     ------
     ProcessingError
-        If a clock runs backwards, or a channel has no finite sample.
+        If a clock runs backwards, a channel has no finite sample, or a number is impossibly large.
     """
     bench, markers = Bench(), MarkerBench()
     for role, recording in recordings.items():
         bench.notes.extend(replace(note, where=_at(role, note.where)) for note in recording.notes)
         if recording.markers is not None:
             _check_clock(recording.markers.time, role)
+            _check_markers(recording.markers, role)
             markers.tracks, markers.role = recording.markers, role
         for channel in recording.channels:
             time = recording.clock(channel.clock).time
@@ -65,6 +69,7 @@ def _signal(channel: Channel, source: ChannelSource, time: Floats, role: str) ->
             remedy="Look at the export with `labpipe inspect`.",
         )
         raise ProcessingError(message)
+    _check_size(values, "channel", role, f"channel {channel.path!r}")
     return Signal(
         time=time,
         values=values,
@@ -72,6 +77,29 @@ def _signal(channel: Channel, source: ChannelSource, time: Floats, role: str) ->
         clock=role,
         relative_error=source.gain_uncertainty,
     )
+
+
+def _check_markers(tracks: MarkerTracks, role: str) -> None:
+    for column, name in enumerate(tracks.names):
+        _check_size(tracks.positions[:, column], "marker", role, f"marker {name!r}")
+    for body in tracks.bodies:
+        _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
+
+
+def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
+    """Refuse numbers that cannot be measurements, before they overflow."""
+    largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
+    if not largest > _LARGEST[kind]:
+        return
+    at = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
+    message = complaint(
+        role,
+        f"{place}, sample {at + 1}",
+        expected=f"numbers up to {_LARGEST[kind]:g} in SI units",
+        found=f"{largest:.3g}",
+        remedy="The file is damaged, or a unit is wrong: export the recording again.",
+    )
+    raise ProcessingError(message)
 
 
 def _note_missing(bench: Bench, channel: Channel) -> None:
