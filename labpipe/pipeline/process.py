@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -110,9 +111,11 @@ def process_test(
     folder = source.parent if again and out is None else _folder(source, out, result.test)
     with locked(folder), replacing_together(folder) as stage:
         say("write")
-        write_result(result, stage / RESULT_FILE)
-        write_summary(result, stage / SUMMARY_FILE)
-        drawn = _draw(result, stage / FIGURES, say) if figures else ()
+        with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
+            writing = beside.submit(write_result, result, stage / RESULT_FILE)
+            write_summary(result, stage / SUMMARY_FILE)
+            drawn = _draw(result, stage / FIGURES, say) if figures else ()
+            writing.result()
     return Processed(folder, result, tuple(folder / path.relative_to(stage) for path in drawn))
 
 

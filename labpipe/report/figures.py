@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.result import TestResult
@@ -54,7 +57,9 @@ def save_figures(result: TestResult, folder: Path) -> list[Path]:
         raise ValueError(message)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        return [path for name in result.figures for path in _save(result, name, folder)]
+        with ThreadPoolExecutor(max_workers=1) as packer:
+            drawn = [_save(result, name, folder, packer) for name in result.figures]
+            return [path for paths, packing in drawn for path in paths if packing.result() is None]
     except OSError as error:
         message = complaint(
             folder,
@@ -66,10 +71,16 @@ def save_figures(result: TestResult, folder: Path) -> list[Path]:
         raise StoreError(message) from error
 
 
-def _save(result: TestResult, name: str, folder: Path) -> list[Path]:
-    """Draw once, lay out once, write twice: savefig would do all of it four times."""
+def _save(
+    result: TestResult, name: str, folder: Path, packer: Executor
+) -> tuple[list[Path], Future[None]]:
+    """Draw once, lay out once, write twice: savefig would do all of it four times.
+
+    The pixels are packed into a PNG beside the drawing of what comes next.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from PIL import Image
 
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     with style():
@@ -77,7 +88,9 @@ def _save(result: TestResult, name: str, folder: Path) -> list[Path]:
         page.set_dpi(PNG_DPI)
         finish_layout(page)
         pixels: Any = FigureCanvasAgg(page)
-        pixels.print_png(str(png), metadata={"Software": None}, pil_kwargs={"compress_level": 3})
+        pixels.draw()
+        image = Image.fromarray(np.array(pixels.buffer_rgba()))
+        packing = packer.submit(image.save, png, dpi=(PNG_DPI, PNG_DPI), compress_level=3)
         vector: Any = FigureCanvasSVG(page)  # last: it sets the figure to 72 dots per inch
         vector.print_svg(str(svg), metadata={"Date": None})
-    return [svg, png]
+    return [svg, png], packing
