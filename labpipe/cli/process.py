@@ -17,6 +17,8 @@ def run(options: argparse.Namespace) -> int:
     """Process tests one after the other; a bad one does not stop the others."""
     tests = find_tests(options.tests)
     processed, refused = process_all(tests, out=options.out, figures=not options.no_figures)
+    if not processed:
+        return 2  # each has been told
     if options.json:
         summaries = [summary(each.result) for each in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))

@@ -1,0 +1,123 @@
+"""The commands run in-process: what they print, where, and how they end."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from labpipe.cli import DONE, main
+from labpipe.errors import LabpipeError
+from tests.builders.small_tests import Lab, Run
+
+
+def test_any_other_exception_is_a_bug_and_shows(
+    run: Run, lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*arguments: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("labpipe.pipeline.process.reduce_recordings", broken)
+    with pytest.raises(ZeroDivisionError):
+        main(["process", str(lab.raw)])
+
+
+def test_message_names_the_command(
+    run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(path: Path) -> None:
+        message = "take.csv, line 3: expected this, found that. Do so."
+        raise LabpipeError(message)
+
+    monkeypatch.setattr("labpipe.cli.inspect.inspect_export", refused)
+    ran = run("inspect", tmp_path)
+    assert ran.err == ("labpipe inspect: take.csv, line 3: expected this, found that. Do so.\n")
+    assert (ran.status, ran.out) == (2, "")
+
+
+def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stopped(path: Path) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("labpipe.cli.inspect.inspect_export", stopped)
+    assert run("inspect", tmp_path).status == 130
+
+
+@pytest.mark.skipif(os.name == "nt", reason="pipes are another matter on Windows")
+def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
+    command = (
+        f'"{sys.executable}" -c "import sys; from labpipe.cli import main; sys.exit(main())" '
+        f'inspect "{pristine.raw / "take.csv"}" --json | head -c 1; exit ${{PIPESTATUS[0]}}'
+    )
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert ended.stdout == "{"
+    assert ended.stderr == ""
+    assert ended.returncode == DONE
+
+
+def test_check(run: Run, lab: Lab) -> None:
+    ran = run("check", lab.raw)
+    assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: all well\n")
+    lab.edit("test.yaml", "take.csv", "tale.csv")
+    ran = run("check", lab.raw)
+    assert ran.status == 2
+    assert ran.out == "0 protocols, 1 tests: 1 fault\n"
+    assert "tale.csv" in ran.err
+
+
+def test_inspect(run: Run, pristine: Lab) -> None:
+    ran = run("inspect", pristine.raw / "force.mat")
+    assert ran.status == DONE
+    assert "Model Root/Load Cell/Out1" in ran.out
+    ran = run("inspect", pristine.raw / "test.yaml")
+    assert ran.status == 2
+    assert "expected an export of a known format" in ran.err
+
+
+def test_new_then_check(run: Run, lab: Lab) -> None:
+    (lab.raw / "test.yaml").unlink()
+    said = {"type": "A2", "spool": "A2-s1", "sample": "1", "length": "85 mm"}
+    options = [part for key, value in said.items() for part in (f"--{key}", value)]
+    files = ["--force", "force.mat", "--markers", "take.csv"]
+    change = ["--set", "rig.stroke=12 mm", "--because", "a short stroke"]
+    ran = run("new", lab.raw, *options, *files, *change)
+    assert (ran.status, ran.out) == (DONE, f"wrote {lab.raw / 'test.yaml'}\n")
+    assert run("check", lab.raw).status == DONE
+    before = (lab.raw / "test.yaml").read_bytes()
+    ran = run("new", lab.raw, *options, *files)
+    assert ran.status == 2
+    assert (lab.raw / "test.yaml").read_bytes() == before
+    assert run("new", lab.raw, *options, *files, "--overwrite").status == DONE
+
+
+def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
+    sheet = tmp_path / "campaign.csv"
+    sheet.write_text(
+        "test,protocol,type,spool,sample,length,force,markers\n"
+        "A2-1,wire-cantilever,A2,s1,1,85 mm,force.mat,take.csv\n"
+        "A2-2,wire-cantilever,A2,s1,2,85 mm,force.mat,take.csv\n",
+        encoding="utf-8",
+    )
+    ran = run("new", tmp_path / "raw", "--from", sheet)
+    assert ran.status == DONE
+    assert ran.out.count("wrote ") == 2
+    ran = run("new", tmp_path / "raw", "--from", sheet)
+    assert ran.out.count("kept ") == 2
+
+
+def test_several_tests_as_json(run: Run, lab: Lab) -> None:
+    one = lab.raw / "test.yaml"
+    out = lab.home / "out"
+    run("process", one, "--out", out, "--no-figures")
+    ran = run("process", one, out / "T1" / "result.h5", "--out", out, "--no-figures", "--json")
+    assert [each["test"] for each in json.loads(ran.out)] == ["T1", "T1"]
+
+
+def test_nothing_is_printed_when_every_test_is_refused(run: Run, lab: Lab) -> None:
+    (lab.raw / "force.mat").unlink()
+    ran = run("process", lab.raw, "--json")
+    assert (ran.status, ran.out) == (2, "")
