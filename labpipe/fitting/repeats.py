@@ -8,7 +8,7 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.noise import long_run_variance
 from labpipe.records.arrays import Floats
 
-_BINS = 2000
+_BINS, _LEAST = 2000, 50
 
 
 def fit_lag(
@@ -42,9 +42,14 @@ def fit_lag(
     displacement (c), which shifts loading and unloading in opposite senses. Least squares on at
     most 2000 bins, repeated until tau vanishes. y' is taken from the mean of both cycles; the
     standard error from the long-run variance of what is left, so that a cycle that repeats badly
-    counts for little.
+    counts for little. Noise makes y' look larger than it is and tau smaller: tau and its error are
+    divided by the share of the sum of squares that is not noise (Fuller, Measurement Error Models,
+    1987, sec. 1.2).
     """
-    edges = np.linspace(start, stop, _bin_count(time, start, stop) + 1)
+    bins = _bin_count(time, start, stop)
+    if bins < _LEAST:
+        return Failure("too_few_samples", f"{bins} bins in the cycle, {_LEAST} are needed")
+    edges = np.linspace(start, stop, bins + 1)
     middle = 0.5 * (edges[1:] + edges[:-1])
     earlier = _binned(time, values, edges)
     lag, found = guess, None
@@ -68,8 +73,9 @@ def _compare(
     mean = 0.5 * (earlier + later)
     slope = np.gradient(mean, time)
     known = ~np.isnan(slope) & (np.abs(time - turn) > 2.0 * (time[1] - time[0]))
-    if known.sum() < 50:
-        return Failure("too_few_samples", f"{int(known.sum())} bins in common, 50 are needed")
+    if known.sum() < _LEAST:
+        found = f"{int(known.sum())} bins in common, {_LEAST} are needed"
+        return Failure("too_few_samples", found)
     columns = [slope, np.ones_like(mean), mean]
     if hysteresis:
         columns.append(slope * np.sign(turn - time))
@@ -80,13 +86,24 @@ def _compare(
     variance = long_run_variance(left, parameters=len(columns))
     covariance = np.linalg.pinv(design.T @ design)
     # y(t + lag) runs late by tau' when lag is too great: the lag shrinks where the slope is met.
-    error = float(np.sqrt(variance * covariance[0, 0]))
-    return Estimate(-float(solution[0]), error, int(known.sum()))
+    reliability = max(0.1, 1.0 - _slope_noise(time, left) * float(covariance[0, 0]))
+    error = float(np.sqrt(variance * covariance[0, 0])) / reliability
+    return Estimate(-float(solution[0]) / reliability, error, int(known.sum()))
+
+
+def _slope_noise(time: Floats, left: Floats) -> float:
+    """Sum of squares that noise adds to central differences of the mean of both cycles.
+
+    `left` is the noise of a difference, of four times the variance of the mean's; a central
+    difference over two steps h has 1 / (2 h^2) of the latter.
+    """
+    step = float(time[1] - time[0])
+    return float(left @ left) / (8.0 * step**2)
 
 
 def _bin_count(time: Floats, start: float, stop: float) -> int:
     samples = int(np.searchsorted(time, stop) - np.searchsorted(time, start))
-    return max(1, min(_BINS, samples // 2))
+    return max(0, min(_BINS, samples // 2))
 
 
 def _binned(time: Floats, values: Floats, edges: Floats) -> Floats:

@@ -1,0 +1,25 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import frozen
+
+
+def test_read_only_without_a_copy() -> None:
+    values = np.zeros((4, 3))
+    view = frozen(values, shape=(None, 3))
+    assert np.shares_memory(view, values)
+    assert values.flags.writeable
+    with pytest.raises(ValueError, match="read-only"):
+        view[0, 0] = 1.0
+
+
+def test_becomes_float64() -> None:
+    assert frozen([1, 2], shape=(2,)).dtype == np.float64
+
+
+@pytest.mark.parametrize("shape", [(None, 4), (5, None), (None,)])
+def test_other_shapes_are_refused(shape: tuple[int | None, ...]) -> None:
+    with pytest.raises(ValueError, match=r"expected an array of shape .*, found \(4, 3\)"):
+        frozen(np.zeros((4, 3)), shape=shape)

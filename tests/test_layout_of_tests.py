@@ -1,0 +1,49 @@
+"""The tests mirror the package: one file of tests for each module, in the folder of its layer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+ELSEWHERE = {
+    "cli/check.py": "cli/test_cli.py",
+    "cli/inspect.py": "cli/test_cli.py",
+    "cli/new.py": "cli/test_cli.py",
+}
+"""Modules of a dozen lines whose tests stand together."""
+
+
+def modules(repository: Path) -> list[str]:
+    package = repository / "labpipe"
+    return sorted(
+        path.relative_to(package).as_posix()
+        for path in package.rglob("*.py")
+        if path.name != "__init__.py"
+    )
+
+
+def test_every_module_has_its_tests(repository: Path) -> None:
+    missing = []
+    for module in modules(repository):
+        own = Path(module).with_name(f"test_{Path(module).name}").as_posix()
+        where = ELSEWHERE.get(module, own)
+        if not (repository / "tests" / where).is_file():
+            missing.append(f"{module} -> tests/{where}")
+    assert not missing, "\n".join(missing)
+
+
+def test_no_tests_of_modules_that_are_gone(repository: Path) -> None:
+    known = {Path(module).with_name(f"test_{Path(module).name}") for module in modules(repository)}
+    layers = {path.parts[0] for path in known if len(path.parts) > 1}
+    tests = repository / "tests"
+    found = [path.relative_to(tests) for layer in layers for path in (tests / layer).glob("test_*")]
+    strays = [path.as_posix() for path in found if path not in known]
+    assert set(strays) <= set(ELSEWHERE.values())
+
+
+@pytest.mark.parametrize("module", sorted(ELSEWHERE))
+def test_exceptions_are_still_needed(repository: Path, module: str) -> None:
+    assert (repository / "labpipe" / module).is_file()
+    own = Path(module).with_name(f"test_{Path(module).name}")
+    assert not (repository / "tests" / own).exists()
