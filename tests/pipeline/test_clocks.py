@@ -1,0 +1,144 @@
+"""Joining two clocks on triangles: a motion in m, a force in N on a clock of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.clocks import align_clocks, turning_corners
+from labpipe.processing.strokes import Stroke, find_strokes
+from labpipe.protocol.rig import AlignTurningPoints
+from labpipe.records.arrays import Floats
+
+OFFSET, DRIFT = 1.25, 80e-6
+ALIGN = AlignTurningPoints.model_validate(
+    {
+        "method": "turning-points",
+        "channel": "force",
+        "motion_window": "8 s",
+        "force_window": "1 s",
+        "max_residual": "5 ms",
+        "max_drift": "500 ppm",
+    }
+)
+
+
+def triangle(time: Floats, cycles: int) -> Floats:
+    """10 s up, 10 s down, from 5 s on; 0 before and after."""
+    phase = (time - 5.0) % 20.0
+    moving = (time > 5.0) & (time < 5.0 + 20.0 * cycles)
+    return np.where(moving, np.minimum(phase, 20.0 - phase) / 10.0, 0.0)
+
+
+def bench(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4, dwell: bool = False) -> Bench:
+    random = np.random.default_rng(cycles)
+    motion_time = np.arange(0.0, 12.0 + 20.0 * cycles, 0.02)
+    force_time = np.arange(0.0, 12.0 + 20.0 * cycles, 0.002)
+    marker_time = (force_time - OFFSET) / (1.0 + drift)
+    travel = 0.05 * triangle(motion_time, cycles)
+    force = triangle(marker_time, cycles) ** 0.8
+    if dwell:
+        travel = np.minimum(travel, 0.04)
+    made = Bench()
+    for name, clock, time, values in (
+        ("travel", "markers", motion_time, travel + random.normal(0, 1e-5, len(travel))),
+        ("force", "force", force_time, force + random.normal(0, noise, len(force))),
+    ):
+        unit = "m" if name == "travel" else "N"
+        made.raw[name] = made.signals[name] = Signal(time, values, unit, clock)
+    return made
+
+
+def strokes_of(made: Bench) -> tuple[Stroke, ...]:
+    travel = made.raw["travel"]
+    return find_strokes(travel.time, travel.values, min_stroke=0.01)
+
+
+def test_corners_of_the_motion() -> None:
+    made = bench(2)
+    corners = turning_corners(made.raw["travel"], strokes_of(made), window=8.0)
+    assert sorted(corners) == [0, 1, 2]
+    for number, corner in corners.items():
+        assert corner.time == pytest.approx(15.0 + 10.0 * number, abs=2e-3)
+
+
+def test_a_dwell_is_no_corner() -> None:
+    made = bench(2, dwell=True)
+    corners = turning_corners(made.raw["travel"], strokes_of(made), window=8.0)
+    assert sorted(corners) == [1]
+
+
+@pytest.mark.parametrize("cycles", [2, 3, 5])
+def test_offset_and_drift(cycles: int) -> None:
+    made = bench(cycles)
+    strokes = strokes_of(made)
+    corners = turning_corners(made.raw["travel"], strokes, window=8.0)
+    fit = align_clocks(made, ALIGN, strokes, corners)
+    assert fit is not None
+    assert fit.offset == pytest.approx(OFFSET, abs=3e-3)
+    assert fit.drift == pytest.approx(DRIFT, abs=6e-5)
+    assert len(fit.event_times_motion) == cycles
+    assert ("repeated cycle" in fit.method) == (cycles > 2)
+    assert not made.doubts
+
+
+def aligned(made: Bench, align: AlignTurningPoints = ALIGN) -> Bench:
+    strokes = strokes_of(made)
+    corners = turning_corners(made.raw["travel"], strokes, window=8.0)
+    made.clock_fit = align_clocks(made, align, strokes, corners)
+    return made
+
+
+def test_drift_that_is_too_large() -> None:
+    made = aligned(bench(3, drift=2e-3))
+    assert made.doubts["clock"].startswith("alignment_drift: the clocks drift by ")
+    assert made.doubts["clock"].endswith("the protocol allows 500 ppm")
+
+
+def test_drift_that_noise_explains_is_not_doubted() -> None:
+    made = aligned(bench(2, noise=0.05))
+    assert made.clock_fit is not None
+    assert "alignment_drift" not in str(made.doubts)
+
+
+def test_residual_that_is_too_large() -> None:
+    made = aligned(bench(3), ALIGN.model_copy(update={"max_residual": 1e-9}))
+    assert made.doubts["clock"].startswith("alignment_residual: the clocks agree to ")
+
+
+def test_one_event() -> None:
+    made = aligned(bench(1))
+    assert made.clock_fit is not None
+    assert made.clock_fit.drift == 0.0
+    assert made.doubts["clock"].startswith("alignment_one_event: ")
+
+
+def test_constant_force() -> None:
+    made = bench(2)
+    force = made.raw["force"]
+    made.raw["force"] = replace(force, values=np.full(len(force.time), 0.25))
+    assert aligned(made).clock_fit is None
+    assert made.blocked == "constant_channel: the force is constant at 0.25 N"
+
+
+def test_force_that_saw_no_peak() -> None:
+    made = bench(2)
+    force = made.raw["force"]
+    kept = slice(0, 1000)
+    made.raw["force"] = replace(force, time=force.time[kept], values=force.values[kept])
+    assert aligned(made).clock_fit is None
+    assert made.blocked.startswith("no_common_peak: 2 peaks of the motion, ")
+
+
+def test_force_that_saw_only_the_last_cycles() -> None:
+    """The recorder was started late: pairs that fit equally well are told as ambiguous."""
+    made = bench(3)
+    force = made.raw["force"]
+    late = force.time > 20.0
+    made.raw["force"] = replace(force, time=force.time[late], values=force.values[late])
+    fit = aligned(made).clock_fit
+    assert fit is not None
+    assert made.doubts["clock"].startswith("alignment_ambiguous: another pairing")

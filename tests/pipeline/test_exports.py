@@ -1,0 +1,106 @@
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ReadError
+from labpipe.pipeline.exports import join_parts, read_inputs, read_role
+from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.schema import Protocol
+from labpipe.records.recording import Channel, Clock, Recording
+from tests.builders.controldesk import Axis, Signal, write_mat_v5
+from tests.builders.small_tests import Lab
+
+TIME = np.arange(20) * 0.01
+VALUES = np.linspace(1.0, 2.0, 20)
+
+
+def protocol(source: str) -> Protocol:
+    return parse_protocol(f"version: 1\nname: p\nsources:\n  force: {source}\n", "p.yaml")
+
+
+def export(tmp_path: Path, unit: str = "") -> Path:
+    signals = [Signal("Model", "Out1", VALUES, unit=unit), Signal("Model", "Out2", VALUES)]
+    return write_mat_v5(tmp_path / "a.mat", [Axis(TIME)], signals)
+
+
+def test_only_named_channels_in_si(tmp_path: Path) -> None:
+    source = "{reader: dspace-mat, channels: {displacement: {channel: Model/Out1, unit: mm}}}"
+    recording = read_role(export(tmp_path), protocol(source).sources["force"])
+    (channel,) = recording.channels
+    assert (channel.name, channel.path, channel.unit) == ("displacement", "Model/Out1", "m")
+    np.testing.assert_allclose(channel.values, 1e-3 * VALUES, rtol=1e-15)
+    assert len(recording.clocks) == 1
+
+
+def test_unit_of_the_file_is_taken_when_the_protocol_says_none(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Out1}").sources["force"]
+    recording = read_role(export(tmp_path, unit="kN"), source)
+    np.testing.assert_allclose(recording.channels[0].values, 1e3 * VALUES)
+
+
+def test_no_unit_anywhere(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Out1}").sources["force"]
+    said = r"a.mat, channel 'Model/Out1': expected a unit, found none in the file and none in"
+    with pytest.raises(ReadError, match=said):
+        read_role(export(tmp_path), source)
+
+
+def test_unit_of_another_dimension(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Out1}").sources["force"]
+    path = export(tmp_path, unit="mm")
+    said = r"channel 'Model/Out1': expected a unit of the dimension of N, found 'mm'"
+    with pytest.raises(ReadError, match=said):
+        read_role(path, source)
+
+
+def test_missing_channel_names_the_nearest(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Otu2, unit: N}").sources["force"]
+    path = export(tmp_path)
+    with pytest.raises(ReadError, match=r"Model/Otu2.*'Model/Out2'"):
+        read_role(path, source)
+
+
+def test_fingerprints(pristine: Lab) -> None:
+    sheet_path = pristine.raw / "test.yaml"
+    sheet = load_test_sheet(sheet_path)
+    recordings, inputs = read_inputs(pristine.raw, sheet, resolve(sheet, sheet_path))
+    assert list(recordings) == ["force", "markers"]
+    assert [(each.role, each.file) for each in inputs] == [
+        ("force", "force.mat"),
+        ("markers", "take.csv"),
+    ]
+    for each in inputs:
+        content = (pristine.raw / each.file).read_bytes()
+        assert each.sha256 == hashlib.sha256(content).hexdigest()
+        assert each.bytes == len(content)
+
+
+def part(start: float, *, name: str = "time") -> Recording:
+    time = start + np.arange(5.0)
+    channel = Channel("force", "Model/Out1", time, name, "N")
+    return Recording("dspace-mat", clocks=(Clock(name, time),), channels=(channel,))
+
+
+def test_parts_are_joined_in_time() -> None:
+    whole = join_parts([part(10.0, name="b"), part(0.0, name="a")], ["b.mat", "a.mat"])
+    expected = np.concatenate([np.arange(5.0), 10.0 + np.arange(5.0)])
+    np.testing.assert_array_equal(whole.clocks[0].time, expected)
+    np.testing.assert_array_equal(whole.channels[0].values, expected)
+    assert whole.channels[0].clock == whole.clocks[0].name
+
+
+def test_parts_that_overlap() -> None:
+    said = r"b.mat, time: expected a start after 4.000000 s, where a.mat ends, found 3.0"
+    with pytest.raises(ReadError, match=said):
+        join_parts([part(0.0), part(3.0)], ["a.mat", "b.mat"])
+
+
+def test_a_part_without_samples() -> None:
+    nothing = Recording("dspace-mat")
+    said = r"b.mat: expected a part of a recording: channels on one clock, found 0 clocks"
+    with pytest.raises(ReadError, match=said):
+        join_parts([part(0.0), nothing], ["a.mat", "b.mat"])

@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProcessingError
+from labpipe.pipeline.layout import lay_out
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+
+PROTOCOL = parse_protocol(
+    "version: 1\nname: p\nsources:\n"
+    "  force: {reader: dspace-mat, channel: A, unit: V,"
+    " calibration: {gain: 0.5 N/V, offset: 2 N, gain_uncertainty: 1 %}}\n"
+    "  markers: {reader: motive-csv}\n"
+    "markers: {clamp: Clamp, along: all}\n",
+    "p.yaml",
+)
+TIME = np.arange(10) * 0.1
+
+
+def force(values: np.ndarray, time: np.ndarray = TIME) -> dict[str, Recording]:
+    channel = Channel("force", "Model/A", values, unit="V")
+    note = QualityNote("x", Severity.INFO, "file", "y")
+    clock = (Clock("time", time),)
+    return {"force": Recording("dspace-mat", clocks=clock, channels=(channel,), notes=(note,))}
+
+
+def take(positions: np.ndarray, body: np.ndarray) -> dict[str, Recording]:
+    frames = len(positions)
+    clamp = RigidBody("Clamp", body, np.zeros((frames, 4)), np.zeros(frames))
+    time = np.arange(frames) / 50.0
+    tracks = MarkerTracks(time, time, 50.0, ("a", "b"), positions, (clamp,))
+    return {"markers": Recording("motive-csv", markers=tracks)}
+
+
+def test_calibrated_signal_and_notes() -> None:
+    bench, markers = lay_out(force(np.arange(10.0)), PROTOCOL)
+    signal = bench.raw["force"]
+    np.testing.assert_allclose(signal.values, 0.5 * np.arange(10.0) + 2.0)
+    assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
+    assert bench.signals["force"] is signal
+    assert bench.notes == [QualityNote("x", Severity.INFO, "force: file", "y")]
+    assert markers.tracks is None
+
+
+def test_markers() -> None:
+    _, markers = lay_out(take(np.zeros((5, 2, 3)), np.zeros((5, 3))), PROTOCOL)
+    assert markers.tracks is not None
+    assert markers.role == "markers"
+
+
+def test_missing_samples_are_doubted() -> None:
+    values = np.arange(10.0)
+    values[3] = np.nan
+    bench, _ = lay_out(force(values), PROTOCOL)
+    assert bench.doubts == {
+        "force": "missing_samples: 1 of 10 samples are blank or not finite",
+    }
+
+
+def test_nothing_but_blanks() -> None:
+    recordings = force(np.full(10, np.nan))
+    with pytest.raises(ProcessingError, match=r"force, channel 'Model/A': expected numbers, found"):
+        lay_out(recordings, PROTOCOL)
+
+
+@pytest.mark.parametrize(("time", "said"), [(TIME[:1], "found 1 of them"), (TIME[:0], "found 0")])
+def test_no_samples(time: np.ndarray, said: str) -> None:
+    recordings = force(np.zeros(len(time)), time)
+    with pytest.raises(ProcessingError, match=rf"force, time: expected samples, {said}"):
+        lay_out(recordings, PROTOCOL)
+
+
+def test_time_that_runs_backwards() -> None:
+    time = TIME.copy()
+    time[4] = 0.05
+    recordings = force(np.arange(10.0), time)
+    said = r"force, sample 5: expected a time axis that grows, found 0.050000 s after 0.300000 s"
+    with pytest.raises(ProcessingError, match=said):
+        lay_out(recordings, PROTOCOL)
+
+
+def test_impossibly_large_samples() -> None:
+    values = np.arange(10.0)
+    values[7] = -1e200
+    recordings = force(values)
+    said = (
+        r"force, channel 'Model/A', sample 8: expected numbers up to 1e\+15 in SI units, found 5e"
+    )
+    with pytest.raises(ProcessingError, match=said):
+        lay_out(recordings, PROTOCOL)
+
+
+def test_impossibly_large_positions() -> None:
+    positions, body = np.zeros((5, 2, 3)), np.zeros((5, 3))
+    far = positions.copy()
+    far[3, 1, 2] = 1e9
+    with pytest.raises(
+        ProcessingError, match=r"markers, marker 'b', sample 4: expected numbers up"
+    ):
+        lay_out(take(far, body), PROTOCOL)
+    away = body.copy()
+    away[2] = [np.nan, 1e7, 0.0]
+    with pytest.raises(ProcessingError, match=r"markers, rigid body 'Clamp', sample 3: "):
+        lay_out(take(positions, away), PROTOCOL)
+
+
+def test_raw_arrays_are_not_changed() -> None:
+    values = np.arange(10.0)
+    recordings = force(values)
+    lay_out(recordings, PROTOCOL)
+    np.testing.assert_array_equal(values, np.arange(10.0))
+    assert replace(recordings["force"]).channels[0].values[3] == 3.0
