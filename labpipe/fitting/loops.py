@@ -136,8 +136,9 @@ def residual_after_unloading(
     -----
     The force between five limits and one limit is followed to zero in time by a straight line. If
     it then stays within two limits where that line would have fallen by three (the string is
-    slack), the displacement is its mean over that rest; else it is followed to the crossing along
-    a line through the second before it, since the motion may have a kink there.
+    slack) and the displacement rests too, it is the mean over that rest; else the displacement is
+    followed to the crossing along a line through the second before it, since it may have a kink
+    there.
     """
     known = ~np.isnan(displacement) & ~np.isnan(force)
     time, displacement, force = time[known], displacement[known], force[known]
@@ -159,7 +160,8 @@ def residual_after_unloading(
     zero, slope = _crossing(time[foot], force[foot], after=float(time[last]))
     rest = time > zero + 0.2
     has_stopped = slope * (time[-1] - zero) < -3.0 * force_below
-    if has_stopped and rest.sum() >= 8 and np.abs(force[rest]).max() <= 2.0 * force_below:
+    is_slack = rest.sum() >= 8 and np.abs(force[rest]).max() <= 2.0 * force_below
+    if has_stopped and is_slack and _is_still(time[rest], displacement[rest]):
         return _rest_mean(displacement[rest])
     return _line_to(time, displacement, zero)
 
@@ -170,6 +172,13 @@ def _crossing(time: Floats, force: Floats, *, after: float) -> tuple[float, floa
         return after, 0.0
     slope, level = np.polynomial.polynomial.polyfit(time - after, force, 1)[::-1]
     return (after - float(level / slope), float(slope)) if slope < 0 else (after, 0.0)
+
+
+def _is_still(time: Floats, values: Floats) -> bool:
+    """Whether a signal does not move by more than its noise."""
+    slope, level = np.polynomial.polynomial.polyfit(time - time.mean(), values, 1)[::-1]
+    noise = values - level - slope * (time - time.mean())
+    return bool(abs(slope) * float(np.ptp(time)) <= 3.0 * float(noise.std()))
 
 
 def _rest_mean(values: Floats) -> Estimate:

@@ -1,0 +1,88 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import ProcessingError, ProtocolError, StoreError, UsageError
+from labpipe.pipeline.process import find_tests, process_test
+from labpipe.records.result import Status
+from labpipe.store.read import read_result
+from tests.builders.small_tests import Lab
+
+
+def test_tests_below_folders(tmp_path: Path) -> None:
+    sheets = [tmp_path / "c" / name / "test.yaml" for name in ("b", "a")]
+    for sheet in sheets:
+        sheet.parent.mkdir(parents=True)
+        sheet.touch()
+    again = tmp_path / "result.h5"
+    again.touch()
+    found = find_tests([again, tmp_path / "c", sheets[0]])
+    assert found == [again, sheets[1], sheets[0]]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("none", "found nothing of that name"), ("empty", "found neither")]
+)
+def test_no_test_there(tmp_path: Path, name: str, found: str) -> None:
+    (tmp_path / "empty").mkdir()
+    said = f"expected a test.yaml, a folder that holds one, or a result.h5, {found}"
+    with pytest.raises(UsageError, match=said):
+        find_tests([tmp_path / name])
+
+
+def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
+    said: list[str] = []
+    made = process_test(lab.raw / "test.yaml", figures=False, say=said.append)
+    assert said == ["read", "process", "write"]
+    assert made.folder == lab.processed
+    assert (made.figures, made.n_failed) == ((), 0)
+    stored = read_result(lab.result)
+    assert stored.results == made.result.results
+    assert stored.quality == made.result.quality
+    assert stored.test_yaml == (lab.raw / "test.yaml").read_text(encoding="utf-8")
+    assert "name: wire-cantilever" in stored.protocol_yaml
+    assert stored.specimen.dimensions == {"length": 0.085}
+
+
+def test_failed_results_are_counted(lab: Lab) -> None:
+    lab.override("branches.min_stroke", "500 mm")
+    made = process_test(lab.raw / "test.yaml", figures=False)
+    assert made.n_failed == 8
+    assert {each.status for each in made.result.results} == {Status.FAILED}
+    assert made.result.curve is None
+    assert made.result.shape is not None
+
+
+def test_folder_beside_raw(lab: Lab, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    elsewhere = tmp_path / "bench"
+    elsewhere.mkdir()
+    for path in lab.raw.iterdir():
+        (elsewhere / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    made = process_test(elsewhere / "test.yaml", figures=False)
+    assert made.folder == Path("processed") / "T1"
+    made = process_test(lab.raw / "test.yaml", out=Path("x"), figures=False)
+    assert made.folder == Path("x") / "T1"
+
+
+def test_errors_name_the_test(lab: Lab) -> None:
+    lab.override("markers.clamp", "Clmp")
+    with pytest.raises(ProcessingError, match=r"T1, markers, rigid bodies: .*'Clamp'.*Name the"):
+        process_test(lab.raw / "test.yaml", figures=False)
+
+
+def test_a_file_that_is_no_result(tmp_path: Path) -> None:
+    path = tmp_path / "result.h5"
+    path.write_bytes(b"nothing")
+    with pytest.raises(StoreError, match=r"result.h5"):
+        process_test(path, figures=False)
+
+
+def test_a_sheet_that_is_none(tmp_path: Path) -> None:
+    path = tmp_path / "test.yaml"
+    path.write_text("test: T1\n", encoding="utf-8")
+    with pytest.raises(ProtocolError, match=r"test.yaml"):
+        process_test(path, figures=False)

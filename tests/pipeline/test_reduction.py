@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProcessingError
+from labpipe.records.curve import Direction
+from tests.builders.reduced import RESULTS, loop, reduced
+
+
+def test_stages_of_one_clock() -> None:
+    time, path, force = loop(cycles=3)
+    bench, _ = reduced(time, path, force)
+    assert bench.aligned is not None
+    assert bench.curve is not None
+    assert set(bench.aligned.series) == {"force", "displacement"}
+    np.testing.assert_array_equal(bench.curve.time, time)
+    np.testing.assert_array_equal(bench.curve.force, force)
+    np.testing.assert_array_equal(bench.aligned.series["displacement"].values, path)
+    assert [branch.direction for branch in bench.curve.branches[:2]] == list(Direction)
+    assert [branch.cycle for branch in bench.curve.branches] == [1, 1, 2, 2, 3, 3]
+    assert bench.curve.branches[0].stop_time == pytest.approx(12.0, abs=0.03)
+
+
+def test_results_are_in_the_order_of_the_protocol() -> None:
+    _, results = reduced(*loop())
+    assert [name.partition(".")[0] for name in results][::2] == [
+        "peak_force",
+        "peak_displacement",
+        "initial_stiffness",
+        "unloading_stiffness",
+        "energy",
+        "residual_displacement",
+    ]
+
+
+def test_smoothing_leaves_the_aligned_data_alone() -> None:
+    time, path, force = loop(noise=0.05)
+    step = "steps:\n  - {step: smooth, channel: force, method: moving-average, span: 1 s}\n"
+    bench, _ = reduced(time, path, force, more=step + RESULTS)
+    assert bench.aligned is not None
+    assert bench.curve is not None
+    np.testing.assert_array_equal(bench.aligned.series["force"].values, force)
+    assert np.std(np.diff(bench.curve.force)) < 0.1 * np.std(np.diff(force))
+
+
+def test_decimated_displacement_carries_the_branches() -> None:
+    step = "steps:\n  - {step: decimate, channel: displacement, factor: 5, method: stride}\n"
+    time, path, force = loop()
+    bench, results = reduced(time, path, force, more=step + RESULTS)
+    assert bench.curve is not None
+    np.testing.assert_array_equal(bench.curve.time, time[::5])
+    np.testing.assert_allclose(bench.curve.force, force[::5], atol=1e-12)
+    assert results["energy.1"].value == pytest.approx(0.001, rel=0.02)
+
+
+def test_a_step_that_cannot_be_done_is_named() -> None:
+    step = "steps:\n  - {step: zero, channel: force, over: 20 ms}\n"
+    said = r"steps.0 \(zero\): force: 1 samples in the 0.02 s to zero on, not 8. Look at the exp"
+    with pytest.raises(ProcessingError, match=said):
+        reduced(*loop(), more=step)
+
+
+def test_the_rig_is_a_check() -> None:
+    rig = "rig: {stroke: 12 mm, cycles: 3, crosshead_speed: 1 mm/s}\n"
+    bench, results = reduced(*loop(cycles=2), more=rig + RESULTS)
+    notes = {note.code: note.message for note in bench.notes}
+    assert notes["cycles_unexpected"] == "2 cycles measured, the protocol expects 3"
+    assert notes["stroke_unexpected"] == "a stroke of 10 mm measured, 12 mm expected"
+    assert results["peak_force.1"].value == pytest.approx(1.0, rel=0.02)
+
+
+def test_no_curve_is_asked_for() -> None:
+    bench, results = reduced(*loop(), more="")
+    assert results == {}
+    assert bench.curve is not None
