@@ -1,0 +1,168 @@
+"""Marker steps of the shipped protocols on takes seen by the virtual lab, in memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProcessingError
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.marker_steps import (
+    MarkerBench,
+    fit_shapes,
+    repair,
+    tip_travel,
+    turn_into_specimen,
+)
+from labpipe.protocol.load import load_protocol
+from labpipe.protocol.rig import Markers
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.steps import FitShape, RepairMarkers, SpecimenFrame
+from labpipe.records.recording import MarkerTracks
+from labpipe.virtual_lab import Observation, observe
+from tests.builders.small_tests import small_scenario
+
+
+@pytest.fixture(scope="module")
+def protocol(repository: Path) -> Protocol:
+    return load_protocol(repository / "protocols" / "wire-cantilever.yaml")
+
+
+@pytest.fixture(scope="module")
+def observation() -> Observation:
+    return observe(small_scenario(), 3)
+
+
+@pytest.fixture
+def tracks(observation: Observation) -> MarkerTracks:
+    found = observation.markers.markers
+    assert found is not None
+    return found
+
+
+def steps(protocol: Protocol) -> tuple[RepairMarkers, SpecimenFrame, FitShape]:
+    first, second, third = protocol.steps[:3]
+    assert isinstance(first, RepairMarkers)
+    assert isinstance(second, SpecimenFrame)
+    assert isinstance(third, FitShape)
+    return first, second, third
+
+
+def words(protocol: Protocol, **changes: object) -> Markers:
+    assert protocol.markers is not None
+    return protocol.markers.model_copy(update=changes)
+
+
+def done(tracks: MarkerTracks, protocol: Protocol, **changes: object) -> tuple[Bench, MarkerBench]:
+    bench, markers = Bench(), MarkerBench(tracks=tracks)
+    mend, turn, fit = steps(protocol)
+    said = words(protocol, **changes)
+    repair(bench, markers, mend, said)
+    turn_into_specimen(bench, markers, turn, said)
+    fit_shapes(bench, markers, fit, said)
+    return bench, markers
+
+
+def test_travel_and_deflection(
+    tracks: MarkerTracks, protocol: Protocol, observation: Observation
+) -> None:
+    bench, _ = done(tracks, protocol)
+    truth = observation.truth
+    for name, true in (("travel", truth.travel), ("deflection", truth.deflection)):
+        signal = bench.signals[name]
+        assert signal.unit == "m"
+        error = signal.values - true
+        assert np.sqrt(np.nanmean(error**2)) < 1e-4
+    deflection = bench.signals["deflection"]
+    assert 0.0 < deflection.zero_error < 5e-5
+    assert deflection.alternative is not None
+    assert np.nanmax(np.abs(deflection.alternative - deflection.values)) < 1e-3
+    assert {"specimen_frame", "shape_fit"} <= {note.code for note in bench.notes}
+    assert not bench.doubts
+
+
+def test_markers_of_the_clamp_are_not_along_the_wire(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    _, markers = done(tracks, protocol)
+    assert markers.repaired is not None
+    assert len(markers.repaired.names) == 8
+    assert all(name.startswith("Wire:") for name in markers.repaired.names)
+
+
+def test_markers_by_pattern(tracks: MarkerTracks, protocol: Protocol) -> None:
+    _, markers = done(tracks, protocol, along=("Wire:Marker[1-6]",))
+    assert markers.repaired is not None
+    assert len(markers.repaired.names) == 6
+
+
+def refused(tracks: MarkerTracks | None, protocol: Protocol, **changes: object) -> None:
+    mend, _, _ = steps(protocol)
+    repair(Bench(), MarkerBench(tracks=tracks), mend, words(protocol, **changes))
+
+
+def test_clamp_that_is_not_there(tracks: MarkerTracks, protocol: Protocol) -> None:
+    said = r"markers, rigid bodies: expected the clamp 'Clmp', found 'Clamp'. Name the body of"
+    with pytest.raises(ProcessingError, match=said):
+        refused(tracks, protocol, clamp="Clmp")
+    bodiless = replace(tracks, bodies=())
+    with pytest.raises(ProcessingError, match=r"found no rigid body in the take"):
+        refused(bodiless, protocol)
+
+
+def test_clamp_that_was_never_seen(tracks: MarkerTracks, protocol: Protocol) -> None:
+    (body,) = tracks.bodies
+    blank = replace(body, position=np.full_like(body.position, np.nan))
+    said = r"rigid body 'Clamp': expected positions, found blanks in every frame. Solve the body"
+    with pytest.raises(ProcessingError, match=said):
+        refused(replace(tracks, bodies=(blank,)), protocol)
+
+
+def test_too_few_markers(tracks: MarkerTracks, protocol: Protocol) -> None:
+    said = r"expected at least 3 markers along the specimen, found 2: Wire:Marker1, Wire:Marker2"
+    with pytest.raises(ProcessingError, match=said):
+        refused(tracks, protocol, along=("Wire:Marker[12]",))
+    with pytest.raises(ProcessingError, match=r"found 0: none"):
+        refused(tracks, protocol, along=("Tube*",))
+
+
+def test_no_take(protocol: Protocol) -> None:
+    with pytest.raises(ValueError, match="expected a role with marker tracks and a block markers"):
+        refused(None, protocol)
+
+
+def test_steps_out_of_order(tracks: MarkerTracks, protocol: Protocol) -> None:
+    _, turn, fit = steps(protocol)
+    with pytest.raises(ValueError, match="expected repair-markers before it"):
+        turn_into_specimen(Bench(), MarkerBench(tracks=tracks), turn, protocol.markers)
+    with pytest.raises(ValueError, match="expected repair-markers and specimen-frame before it"):
+        fit_shapes(Bench(), MarkerBench(tracks=tracks), fit, protocol.markers)
+
+
+def test_markers_off_their_plane_leave_the_deflection_in_doubt(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    mend, turn, _ = steps(protocol)
+    bench, markers = Bench(), MarkerBench(tracks=tracks)
+    repair(bench, markers, mend, protocol.markers)
+    strict = turn.model_copy(update={"max_out_of_plane": 1e-7})
+    turn_into_specimen(bench, markers, strict, protocol.markers)
+    assert bench.doubts["displacement"].startswith("out_of_plane: ")
+
+
+def test_travel_of_the_tip(tracks: MarkerTracks, protocol: Protocol) -> None:
+    bench, _ = done(tracks, protocol)
+    assert bench.shape is not None
+    found = tip_travel(bench)
+    assert isinstance(found, Estimate)
+    tip = bench.shape.positions[:, -1]
+    away = np.linalg.norm(tip - np.nanmean(tip[:5], axis=0), axis=1)
+    assert found.value == pytest.approx(np.nanmax(away), abs=1e-12)
+    few = np.full_like(bench.shape.positions, np.nan)
+    few[:4] = bench.shape.positions[:4]
+    bench.shape = replace(bench.shape, positions=few)
+    assert tip_travel(bench) == Failure("too_few_samples", "the tip is seen in 4 frames")
