@@ -9,7 +9,7 @@ from tests.builders.reduced import RESULTS, loop, reduced
 
 
 def test_stages_of_one_clock() -> None:
-    time, path, force = loop(cycles=3)
+    time, path, force = loop(cycles=3, noise=1e-3)
     bench, _ = reduced(time, path, force)
     assert bench.aligned is not None
     assert bench.curve is not None
@@ -55,8 +55,8 @@ def test_decimated_displacement_carries_the_branches() -> None:
 
 
 def test_a_step_that_cannot_be_done_is_named() -> None:
-    step = "steps:\n  - {step: zero, channel: force, over: 20 ms}\n"
-    said = r"steps.0 \(zero\): force: 1 samples in the 0.02 s to zero on, not 8. Look at the exp"
+    step = "steps:\n  - {step: zero, channel: force, over: 30 ms}\n"
+    said = r"steps.0 \(zero\): force: 2 samples in the 0.03 s to zero on, not 8. Look at the exp"
     with pytest.raises(ProcessingError, match=said):
         reduced(*loop(), more=step)
 

@@ -40,16 +40,17 @@ def after(step: str, values: Floats = VALUES, **more: Any) -> Bench:
 
 
 def test_zero_at_the_start() -> None:
-    bench = after("{step: zero, channel: force, over: 2 s}")
-    level = VALUES[TIME < 2.0].mean()
+    bench = after("{step: zero, channel: force, over: 1.995 s}")
+    level = VALUES[TIME < 1.995].mean()
     np.testing.assert_allclose(bench.signals["force"].values, VALUES - level, atol=1e-12)
     np.testing.assert_allclose(bench.raw["force"].values, VALUES - level, atol=1e-12)
-    assert bench.notes[0].message == f"zero at {level:.6g} N, the mean over 2 s at the start"
+    assert bench.notes[0].message == f"zero at {level:.6g} N, the mean over 1.995 s at the start"
 
 
 def test_zero_at_the_end() -> None:
-    bench = after("{step: zero, channel: force, over: 1 s, at: end}")
-    assert abs(bench.raw["force"].values[TIME[-1] - 1.0 <= TIME].mean()) < 1e-12
+    bench = after("{step: zero, channel: force, over: 0.995 s, at: end}")
+    rest = TIME[-1] - 0.995 < TIME
+    assert abs(bench.raw["force"].values[rest].mean()) < 1e-12
 
 
 def test_error_of_the_zero_holds() -> None:
@@ -63,8 +64,8 @@ def test_error_of_the_zero_holds() -> None:
 
 
 def test_zero_needs_samples() -> None:
-    with pytest.raises(ValueError, match=r"force: 5 samples in the 0.05 s to zero on, not 8"):
-        after("{step: zero, channel: force, over: 50 ms}")
+    with pytest.raises(ValueError, match=r"force: 5 samples in the 0.045 s to zero on, not 8"):
+        after("{step: zero, channel: force, over: 45 ms}")
 
 
 @pytest.mark.parametrize(
