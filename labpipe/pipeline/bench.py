@@ -49,6 +49,7 @@ class Bench:
     blocked : why the stages after the last one reached are missing: code and sentence
     doubts : why results that rest on a quantity (``clock``, ``force``, ``displacement``) are
         doubtful
+    zeroed : by signal, the stretch (s, on its own clock) that its zero was taken from
     notes : quality notes so far
     """
 
@@ -62,6 +63,7 @@ class Bench:
     curve: Curve | None = None
     blocked: str = ""
     doubts: dict[str, str] = field(default_factory=dict)
+    zeroed: dict[str, tuple[float, float]] = field(default_factory=dict)
     notes: list[QualityNote] = field(default_factory=list)
 
     def note(self, code: str, severity: Severity, where: str, message: str) -> None:

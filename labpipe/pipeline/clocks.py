@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -18,44 +19,83 @@ from labpipe.records.curve import ClockFit
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""
+_SEEN = 0.5
+"""s on each side of a turning point in which the motion must have been seen."""
 _WORST_CORNER = 0.1
 """s; a corner of the force known no better than this says nothing about a clock."""
 
 
-def turning_corners(
-    motion: Signal, strokes: tuple[Stroke, ...], *, window: float
-) -> dict[int, Corner]:
-    """Find when a motion turns, by straight lines on both sides.
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """Where a motion turns: at once, or after a dwell.
+
+    Parameters
+    ----------
+    stroke : number of the stroke that ends there
+    arrival, departure : corners of the motion; one and the same where there is no dwell
+    """
+
+    stroke: int
+    arrival: Corner
+    departure: Corner
+
+    @property
+    def middle(self) -> float:
+        """Time halfway between arrival and departure, s."""
+        return 0.5 * (self.arrival.time + self.departure.time)
+
+    @property
+    def corners(self) -> tuple[Corner, ...]:
+        """The corners, each once."""
+        return (self.arrival,) if self.arrival is self.departure else (self.arrival, self.departure)
+
+    def window(self, most: float) -> float:
+        """Seconds on each side of a corner that hold no other corner."""
+        dwell = self.departure.time - self.arrival.time
+        return min(most, 0.95 * dwell) if dwell > 0 else most
+
+
+def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float) -> list[Turn]:
+    """Find when a motion turns, by straight lines on both sides of each corner.
 
     Parameters
     ----------
     motion : the travel on its own clock
     strokes : of that motion
-    window : s on each side, cut to the length of the strokes
+    window : s on each side, cut to the length of strokes and dwells
 
     Returns
     -------
-    By the number of the stroke that ends there. Turns with a dwell, or without a clear corner, are
-    left out.
+    The turns in order. Those without a clear corner, or not seen themselves, are left out.
     """
-    corners = {}
+    turns = []
     for number, (before, after) in enumerate(pairwise(strokes)):
-        if before.stop != after.start:
-            continue
-        ends = motion.time[[before.start, before.stop, after.stop]]
-        reach = min(window, 0.95 * float(np.diff(ends).min()))
-        near = float(ends[1])
-        corner = fit_corner(motion.time, motion.values, near=near, window=reach, degree=1)
-        if corner is not None and np.isfinite(corner.time_error):
-            corners[number] = corner
-    return corners
+        ends = motion.time[[before.start, before.stop, after.start, after.stop]]
+        spans = np.diff(ends)
+        if spans[1] == 0.0:
+            arrival = departure = _line_corner(motion, ends[1], window, min(spans[0], spans[2]))
+        else:
+            arrival = _line_corner(motion, ends[1], window, min(spans[0], spans[1]))
+            departure = _line_corner(motion, ends[2], window, min(spans[1], spans[2]))
+        if arrival is not None and departure is not None:
+            turns.append(Turn(number, arrival, departure))
+    return turns
+
+
+def _line_corner(motion: Signal, near: float, window: float, room: float) -> Corner | None:
+    around = np.abs(motion.time - near) <= _SEEN
+    if np.isnan(motion.values[around]).mean() > 0.3:
+        return None
+    reach = min(window, 0.95 * float(room))
+    corner = fit_corner(motion.time, motion.values, near=float(near), window=reach, degree=1)
+    return corner if corner is not None and np.isfinite(corner.time_error) else None
 
 
 def align_clocks(
     bench: Bench,
     align: AlignTurningPoints,
     strokes: tuple[Stroke, ...],
-    corners: dict[int, Corner],
+    turns: list[Turn],
 ) -> ClockFit | None:
     """Fit the force's clock to the motion's, from the peaks that both have seen.
 
@@ -63,7 +103,7 @@ def align_clocks(
     ----------
     bench : its raw force is used; gets notes, doubts, and what blocks it
     align : windows and limits of the protocol
-    strokes, corners : of the motion
+    strokes, turns : of the motion
 
     Returns
     -------
@@ -75,17 +115,17 @@ def align_clocks(
         message = f"the {align.channel} is constant at {level:.6g} {force.unit}"
         bench.block("constant_channel", message, where=align.channel)
         return None
-    peaks = [corner for number, corner in corners.items() if strokes[number].sign > 0]
+    peaks = [turn for turn in turns if strokes[turn.stroke].sign > 0]
     seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
-    pairs, is_ambiguous = match_peaks(np.array([peak.time for peak in peaks]), seen)
+    pairs, is_ambiguous = match_peaks(np.array([peak.middle for peak in peaks]), seen)
     events = [
-        (peaks[first], corner)
+        (corner, pulled)
         for first, second in pairs.tolist()
-        if (corner := _force_corner(force, float(seen[second]), align.force_window)) is not None
+        for corner in peaks[first].corners
+        if (pulled := _force_corner(force, peaks[first], corner, seen[second], align)) is not None
     ]
     if not events:
-        message = f"{len(peaks)} peaks of the motion, {len(seen)} of the {align.channel}, no pair"
-        bench.block("no_common_peak", message, where="align")
+        bench.block("no_common_peak", _why_no_event(force, peaks, seen, len(pairs)), where="align")
         return None
     if is_ambiguous:
         message = "another pairing of the peaks fits as well; the smaller offset was taken"
@@ -97,17 +137,32 @@ def align_clocks(
     return fit
 
 
-def _force_corner(force: Signal, near: float, window: float) -> Corner | None:
-    """Corner of the force near a rough guess, then again in a window that lies around it."""
-    corner = None
-    for _ in range(2):
+def _force_corner(
+    force: Signal, turn: Turn, corner: Corner, seen: float, align: AlignTurningPoints
+) -> Corner | None:
+    """Corner of the force: roughly in a wide window, then in the protocol's own around it."""
+    near, pulled = float(seen) + corner.time - turn.middle, None
+    for window in (turn.window(4.0 * align.force_window), turn.window(align.force_window)):
         span = slice(*np.searchsorted(force.time, [near - window, near + window]))
         time, values = force.time[span], force.values[span]
-        corner = fit_corner(time, values, near=near, window=window, degree=2)
-        if corner is None or not corner.time_error < _WORST_CORNER:
+        pulled = fit_corner(time, values, near=near, window=window, degree=2)
+        if pulled is None or not pulled.time_error < _WORST_CORNER:
             return None
-        near = corner.time
-    return corner
+        near = pulled.time
+    return pulled
+
+
+def _why_no_event(force: Signal, peaks: list[Turn], seen: Floats, pairs: int) -> str:
+    """What to tell a person when no peak was found on both clocks."""
+    start = float(np.nanmean(force.values[: max(1, len(force.values) // 100)]))
+    if start - np.nanmin(force.values) > 2.0 * (np.nanmax(force.values) - start):
+        return "the force falls where the clamp loads: look at the sign of calibration.gain"
+    if pairs:
+        return (
+            f"{pairs} peaks of the motion lie at peaks of the force, but none of these is a "
+            f"corner known to {_WORST_CORNER:g} s: noise or mains hum on the force?"
+        )
+    return f"{len(peaks)} peaks of the motion, {len(seen)} of the force, no pair"
 
 
 def _repeat(
@@ -121,7 +176,7 @@ def _repeat(
     cycles = [
         tuple(float(motion.time[index]) for index in (up.start, up.stop, down.stop))
         for up, down in pairwise(strokes)
-        if up.sign > 0 and up.stop == down.start
+        if up.sign > 0 > down.sign
     ]
     if len(cycles) < 3:
         return None

@@ -297,9 +297,8 @@ def _curve(bench: Bench) -> Curve:
 
 
 def _is_sharp(bench: Bench, branches: list[Branch]) -> bool:
-    """Whether the motion turns at once at the end of loading: no dwell, and clocks from corners."""
-    turns = len(branches) > 1 and branches[0].stop == branches[1].start
-    return turns and bench.clock_fit is not None
+    """Whether loading ends in a corner, as it does where clocks are joined at corners."""
+    return len(branches) > 1 and bench.clock_fit is not None
 
 
 def _sense(values: Floats, stretch: slice) -> float:
@@ -316,8 +315,11 @@ def _cycle(branches: list[Branch]) -> slice:
 
 
 def _window(branches: list[Branch]) -> float:
+    """Seconds on each side of the end of loading that hold no other corner."""
     shortest = min(branch.stop_time - branch.start_time for branch in branches)
-    return min(_PEAK_WINDOW, 0.4 * shortest)
+    window = min(_PEAK_WINDOW, 0.4 * shortest)
+    dwell = branches[1].start_time - branches[0].stop_time if len(branches) > 1 else 0.0
+    return min(window, 0.9 * dwell) if dwell > 0 else window
 
 
 def _clock_error(bench: Bench) -> float:
@@ -359,7 +361,7 @@ def _result(
         unit=asked.unit,
         interval=Interval.normal_95(outcome.value, outcome.error),
         status=Status.DOUBTFUL if doubts else Status.OK,
-        reason="; ".join(doubts),
+        reason="; ".join(dict.fromkeys(doubts)),
         method=asked.method,
         n=outcome.n,
     )

@@ -18,6 +18,9 @@ from labpipe.records.recording import Channel, MarkerTracks, Recording
 _LARGEST = {"channel": 1e15, "marker": 1e6}
 """SI; no transducer and no camera measures beyond this, damaged files do."""
 
+_SATURATED = 100
+"""Equal samples in a row at the end of a channel that no noisy signal shows."""
+
 
 def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Bench, MarkerBench]:
     """Put calibrated signals and marker tracks on the bench.
@@ -49,6 +52,7 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
             signal = _signal(channel, protocol.channels[channel.name], time, role)
             bench.raw[channel.name] = bench.signals[channel.name] = signal
             _note_missing(bench, channel)
+            _note_saturation(bench, channel)
     return bench, markers
 
 
@@ -107,6 +111,28 @@ def _note_missing(bench: Bench, channel: Channel) -> None:
     if missing:
         message = f"{missing} of {len(channel.values)} samples are blank or not finite"
         bench.doubt(channel.name, "missing_samples", message, where=channel.name)
+
+
+def _note_saturation(bench: Bench, channel: Channel) -> None:
+    """A converter at its end repeats its largest or smallest number."""
+    values = channel.values
+    known = ~np.isnan(values)
+    if not known.any():
+        return
+    rest = float(np.median(values[known]))
+    for end in (float(np.nanmax(values)), float(np.nanmin(values))):
+        at_end = np.flatnonzero(values == end)
+        if end == rest or len(at_end) < _SATURATED:
+            continue
+        breaks = np.flatnonzero(np.diff(at_end) > 1)
+        runs = np.diff(np.concatenate([[-1], breaks, [len(at_end) - 1]]))
+        if runs.max() >= _SATURATED:
+            message = (
+                f"{int(runs.max())} samples in a row stand at {end:.6g} {channel.unit}, the end of "
+                "the channel: saturated?"
+            )
+            for quantity in (channel.name, "clock"):
+                bench.doubt(quantity, "saturation", message, where=channel.name)
 
 
 def _check_clock(time: Floats, role: str) -> None:

@@ -16,13 +16,14 @@ from labpipe.processing.frames import SpecimenFrame, specimen_frame
 from labpipe.processing.rings import ring_centres, rings_by_body
 from labpipe.processing.shape import ShapeFit, deflection, fit_shape
 from labpipe.processing.strokes import noise_level
+from labpipe.processing.tracklets import frozen_samples
 from labpipe.processing.tracks import RepairedTracks, repair_tracks
 from labpipe.protocol.rig import Markers
 from labpipe.protocol.steps import FitShape, RepairMarkers
 from labpipe.protocol.steps import SpecimenFrame as SpecimenFrameStep
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.recording import MarkerTracks
+from labpipe.records.recording import MarkerTracks, RigidBody
 
 UNLABELLED = ("Unlabeled", "Unlabelled")
 _DOUBTFUL = {
@@ -31,7 +32,6 @@ _DOUBTFUL = {
     "marker_not_at_rest",
     "out_of_plane",
     "shape_missing",
-    "track_dropped",
 }
 """Notes after which a number that rests on the shape may be wrong. A repair that the rule settles
 is noted and flagged, and leaves the numbers as good as they were."""
@@ -61,19 +61,30 @@ class MarkerBench:
 def repair(bench: Bench, markers: MarkerBench, step: RepairMarkers, words: Markers | None) -> None:
     """Carry out ``repair-markers``: labels, stale poses, gaps; then rings."""
     tracks, words = _needed(markers, words)
-    markers.clamp = _clamp(tracks, words, markers.role)
+    markers.clamp = _clamp(bench, tracks, words, step, markers.role)
     repaired = repair_tracks(
         tracks,
-        along=_along(tracks, words, markers.role),
+        along=_along(bench, tracks, words, markers.role),
         max_gap=step.max_gap,
         max_jump=step.max_jump,
         frozen=step.frozen,
         reference=markers.clamp,
     )
     if words.rings == "by-body":
-        repaired = ring_centres(repaired, rings_by_body(repaired.names))
+        repaired = _rings(repaired)
     markers.repaired = repaired
     _take_notes(bench, repaired.notes)
+
+
+def _rings(repaired: RepairedTracks) -> RepairedTracks:
+    rings = rings_by_body(repaired.names)
+    if len(rings) < 3:
+        message = (
+            f"rings by-body make {len(rings)} of {len(repaired.names)} markers ({', '.join(rings)})"
+            ": expected at least 3 rings along the specimen, or rings: none"
+        )
+        raise ValueError(message)
+    return ring_centres(repaired, rings)
 
 
 def turn_into_specimen(
@@ -129,6 +140,13 @@ def fit_shapes(bench: Bench, markers: MarkerBench, step: FitShape, words: Marker
     )
     bench.shape = fit.shape
     _take_notes(bench, fit.notes)
+    misfit, at_rest = rms(fit.residual), rms(fit.residual[rest])
+    if misfit > 3.0 * at_rest + 1e-5 and markers.clamp is not None:
+        message = (
+            f"markers lie {1e3 * misfit:.3g} mm rms off the fitted curve over the test, "
+            f"{1e3 * at_rest:.3g} mm at rest: look at grip_offset, centre_offset and terms"
+        )
+        bench.doubt("displacement", "shape_misfit", message, where=markers.role)
     said = (
         f"markers lie {1e3 * rms(fit.residual):.3g} mm rms off the fitted curve, the clamped end "
         f"points {np.degrees(fit.clamp_angle):.2f} deg off x"
@@ -137,6 +155,8 @@ def fit_shapes(bench: Bench, markers: MarkerBench, step: FitShape, words: Marker
     if markers.clamp is not None:
         signal = _deflection(fit, rest, markers.role)
         bench.raw["deflection"] = bench.signals["deflection"] = signal
+        stretch = tracks.time[rest]
+        bench.zeroed["deflection"] = (float(stretch[0]), float(stretch[-1]))
 
 
 def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
@@ -180,7 +200,9 @@ def _needed(markers: MarkerBench, words: Markers | None) -> tuple[MarkerTracks, 
     return markers.tracks, words
 
 
-def _clamp(tracks: MarkerTracks, words: Markers, role: str) -> Floats | None:
+def _clamp(
+    bench: Bench, tracks: MarkerTracks, words: Markers, step: RepairMarkers, role: str
+) -> Floats | None:
     if words.clamp is None:
         return None
     body = tracks.body(words.clamp)
@@ -203,13 +225,47 @@ def _clamp(tracks: MarkerTracks, words: Markers, role: str) -> Floats | None:
             remedy="Solve the body in Motive and export the take again.",
         )
         raise ProcessingError(message)
-    return body.position
+    return _steady(bench, tracks, body, step)
 
 
-def _along(tracks: MarkerTracks, words: Markers, role: str) -> list[str]:
+def _steady(bench: Bench, tracks: MarkerTracks, body: RigidBody, step: RepairMarkers) -> Floats:
+    """Path of the clamp without stale poses, its short gaps bridged by straight lines."""
+    together = np.concatenate([body.position[:, None], tracks.positions], axis=1)
+    stale = frozen_samples(together, tracks.time, frozen=step.frozen)[:, 0]
+    path: Floats = np.where(stale[:, None], np.nan, body.position)
+    if stale.any():
+        message = f"{body.name} holds its last pose in {int(stale.sum())} frames: taken as lost"
+        bench.doubt("displacement", "clamp_frozen", message, where=body.name)
+    lost = np.isnan(path).any(axis=1)
+    if not lost.any():
+        return path
+    known = np.flatnonzero(~lost)
+    before = np.searchsorted(known, np.flatnonzero(lost)) - 1
+    inside = (before >= 0) & (before < len(known) - 1)
+    gap = np.full(len(before), np.inf)
+    gap[inside] = np.diff(tracks.time[known])[before[inside]]
+    bridged = np.flatnonzero(lost)[gap <= step.max_gap]
+    for axis in range(3):
+        at, seen = tracks.time[bridged], path[known, axis]
+        path[bridged, axis] = np.interp(at, tracks.time[known], seen)
+    message = (
+        f"{body.name} is lost in {int(lost.sum())} frames, {len(bridged)} of them bridged by "
+        f"straight lines (gaps up to {step.max_gap:g} s)"
+    )
+    bench.note("clamp_lost", Severity.WARNING, body.name, message)
+    return path
+
+
+def _along(bench: Bench, tracks: MarkerTracks, words: Markers, role: str) -> list[str]:
     """Names of the tracks along the specimen, unlabelled ones included."""
-    own = tuple(f"{words.clamp}{mark}" for mark in ":-_")  # Motive 1.2x, 1.1, fitted points of 1.21
-    candidates = [name for name in tracks.names if words.clamp is None or not name.startswith(own)]
+    bodies = [body.name for body in tracks.bodies] if words.along == "all" else []
+    # Motive 1.2x parts body and marker by a colon, 1.1 by a hyphen.
+    own = tuple(f"{name}{mark}" for name in {*bodies, words.clamp} if name for mark in ":-")
+    candidates = [name for name in tracks.names if not name.startswith(own)]
+    others = sorted({name for name in bodies if name != words.clamp})
+    if others:
+        message = f"markers of {', '.join(others)} are not the specimen's: name them to use them"
+        bench.note("bodies_left_out", Severity.INFO, role, message)
     if words.along != "all":
         patterns = words.along
         candidates = [

@@ -64,6 +64,15 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
     """
     found: list[Path] = []
     for target in targets:
+        if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
+            message = complaint(
+                target,
+                "",
+                expected="a test.yaml, a folder that holds one, or a result.h5",
+                found=f"a {target.suffix or 'nameless'} file",
+                remedy="An export belongs to a test: `labpipe new` writes its test.yaml.",
+            )
+            raise UsageError(message)
         below = [target] if target.is_file() else sorted(target.rglob(SHEET_NAME))
         if not below:
             message = complaint(

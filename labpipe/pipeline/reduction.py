@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import align_clocks, turning_corners
+from labpipe.pipeline.clocks import align_clocks, turning_points
 from labpipe.pipeline.cycle_results import (
     clock_results,
     energy,
@@ -22,6 +22,7 @@ from labpipe.pipeline.cycle_results import (
 )
 from labpipe.pipeline.layout import lay_out
 from labpipe.pipeline.marker_steps import MarkerBench
+from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
 from labpipe.pipeline.steps import take_step
 from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
 from labpipe.protocol.results import (
@@ -40,7 +41,6 @@ from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Branch, Curve, Series
-from labpipe.records.quality import Severity
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 
@@ -93,14 +93,17 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
         message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
         bench.block("no_motion", message, where=protocol.branches.channel)
-    turns = np.full((len(strokes), 2), np.nan)
+    times = np.full((len(strokes), 2), np.nan)
     if isinstance(protocol.align, AlignTurningPoints) and strokes:
-        corners = turning_corners(motion, strokes, window=protocol.align.motion_window)
-        for number, corner in corners.items():
-            turns[number, 1] = turns[number + 1, 0] = corner.time
-        bench.clock_fit = align_clocks(bench, protocol.align, strokes, corners)
-    branches = split_branches(motion.time, strokes, turning_times=turns)
-    _check_rig(bench, protocol, branches)
+        turns = turning_points(motion, strokes, window=protocol.align.motion_window)
+        for turn in turns:
+            times[turn.stroke, 1] = turn.arrival.time
+            times[turn.stroke + 1, 0] = turn.departure.time
+        bench.clock_fit = align_clocks(bench, protocol.align, strokes, turns)
+        check_turns(bench, motion, strokes, turns)
+    branches = split_branches(motion.time, strokes, turning_times=times)
+    check_rig(bench, protocol, branches)
+    check_rest(bench, branches)
     if not bench.blocked:
         bench.aligned = _aligned(bench)
         bench.curve = _curve(bench, motion.time, branches)
@@ -153,21 +156,6 @@ def _at(bench: Bench, signal: Signal, time: Floats) -> Floats:
     if len(time) == len(signal.time) and np.array_equal(time, signal.time):
         return signal.values
     return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
-
-
-def _check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -> None:
-    """Compare what the rig was told to do with what was measured."""
-    rig, cycles = protocol.rig, len({branch.cycle for branch in branches})
-    if rig.cycles is not None and branches and cycles != rig.cycles:
-        message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
-        bench.note("cycles_unexpected", Severity.WARNING, "rig.cycles", message)
-    if rig.stroke is None or not branches or protocol.branches is None:
-        return
-    values = bench.raw[protocol.branches.channel].values
-    stroke = float(np.nanmax(values) - np.nanmin(values))
-    if abs(stroke - rig.stroke) > 0.02 * rig.stroke:
-        message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * rig.stroke:.4g} mm expected"
-        bench.note("stroke_unexpected", Severity.WARNING, "rig.stroke", message)
 
 
 def _results(  # noqa: C901, PLR0911  one case per entry of the union

@@ -72,10 +72,10 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
 
 def _zero(bench: Bench, step: Zero) -> None:
     signal = bench.signals[step.channel]
-    if step.at == "start":
-        rest = signal.values[: np.searchsorted(signal.time, signal.time[0] + step.over)]
-    else:
-        rest = signal.values[np.searchsorted(signal.time, signal.time[-1] - step.over) :]
+    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - step.over)
+    first = np.searchsorted(signal.time, start)
+    rest = signal.values[first : np.searchsorted(signal.time, start + step.over, side="right")]
+    bench.zeroed[step.channel] = (start, start + step.over)
     known = rest[~np.isnan(rest)]
     if len(known) < 8:
         message = f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, not 8"

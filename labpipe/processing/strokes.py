@@ -127,7 +127,7 @@ def _trimmed(
     first, last = extremes
     sign = 1 if motion[last] > motion[first] else -1
     backwards = slice(last, first - 1 if first else None, -1)
-    shortest = float(time[last] - time[first]) * max(0.02, 3.0 / (last - first))
+    shortest = float(time[last] - time[first]) * max(0.005, 5.0 / (last - first))
     start = _dwell(
         time[first : last + 1],
         motion[first : last + 1],

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import align_clocks, turning_corners
+from labpipe.pipeline.clocks import align_clocks, turning_points
 from labpipe.processing.strokes import Stroke, find_strokes
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
@@ -57,26 +57,42 @@ def strokes_of(made: Bench) -> tuple[Stroke, ...]:
     return find_strokes(travel.time, travel.values, min_stroke=0.01)
 
 
-def test_corners_of_the_motion() -> None:
+def test_turns_of_the_motion() -> None:
     made = bench(2)
-    corners = turning_corners(made.raw["travel"], strokes_of(made), window=8.0)
-    assert sorted(corners) == [0, 1, 2]
-    for number, corner in corners.items():
-        assert corner.time == pytest.approx(15.0 + 10.0 * number, abs=2e-3)
+    turns = turning_points(made.raw["travel"], strokes_of(made), window=8.0)
+    assert [turn.stroke for turn in turns] == [0, 1, 2]
+    for turn in turns:
+        assert turn.middle == pytest.approx(15.0 + 10.0 * turn.stroke, abs=2e-3)
+        assert len(turn.corners) == 1
+        assert turn.window(3.0) == 3.0
 
 
-def test_a_dwell_is_no_corner() -> None:
+def test_a_dwell_has_two_corners() -> None:
+    """Held at 40 of 50 mm: from 8 s to 12 s after the start of each cycle."""
     made = bench(2, dwell=True)
-    corners = turning_corners(made.raw["travel"], strokes_of(made), window=8.0)
-    assert sorted(corners) == [1]
+    turns = turning_points(made.raw["travel"], strokes_of(made), window=8.0)
+    assert [len(turn.corners) for turn in turns] == [2, 1, 2]
+    first = turns[0]
+    assert first.arrival.time == pytest.approx(13.0, abs=5e-3)
+    assert first.departure.time == pytest.approx(17.0, abs=5e-3)
+    assert first.window(25.0) == pytest.approx(0.95 * 4.0, abs=0.01)
+
+
+def test_a_turn_that_was_not_seen_is_left_out() -> None:
+    made = bench(2)
+    travel = made.raw["travel"]
+    hidden = np.where(np.abs(travel.time - 15.0) < 0.4, np.nan, travel.values)
+    made.raw["travel"] = replace(travel, values=hidden)
+    turns = turning_points(made.raw["travel"], strokes_of(made), window=8.0)
+    assert [turn.stroke for turn in turns] == [1, 2]
 
 
 @pytest.mark.parametrize("cycles", [2, 3, 5])
 def test_offset_and_drift(cycles: int) -> None:
     made = bench(cycles)
     strokes = strokes_of(made)
-    corners = turning_corners(made.raw["travel"], strokes, window=8.0)
-    fit = align_clocks(made, ALIGN, strokes, corners)
+    turns = turning_points(made.raw["travel"], strokes, window=8.0)
+    fit = align_clocks(made, ALIGN, strokes, turns)
     assert fit is not None
     assert fit.offset == pytest.approx(OFFSET, abs=3e-3)
     assert fit.drift == pytest.approx(DRIFT, abs=6e-5)
@@ -87,8 +103,8 @@ def test_offset_and_drift(cycles: int) -> None:
 
 def aligned(made: Bench, align: AlignTurningPoints = ALIGN) -> Bench:
     strokes = strokes_of(made)
-    corners = turning_corners(made.raw["travel"], strokes, window=8.0)
-    made.clock_fit = align_clocks(made, align, strokes, corners)
+    turns = turning_points(made.raw["travel"], strokes, window=8.0)
+    made.clock_fit = align_clocks(made, align, strokes, turns)
     return made
 
 
@@ -130,7 +146,7 @@ def test_force_that_saw_no_peak() -> None:
     kept = slice(0, 1000)
     made.raw["force"] = replace(force, time=force.time[kept], values=force.values[kept])
     assert aligned(made).clock_fit is None
-    assert made.blocked.startswith("no_common_peak: 2 peaks of the motion, ")
+    assert made.blocked.startswith("no_common_peak: ")
 
 
 def test_force_that_saw_only_the_last_cycles() -> None:

@@ -1,0 +1,145 @@
+"""Whether a test went as its protocol takes for granted; what did not makes numbers doubtful."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.clocks import Turn
+from labpipe.processing.filtering import moving_average, seconds_to_window
+from labpipe.processing.strokes import Stroke, noise_level
+from labpipe.protocol.schema import Protocol
+from labpipe.records.curve import Branch
+from labpipe.records.quality import Severity
+
+GRAVITY = 9.80665
+_ROUNDED = 0.25
+"""s on each side of a turning point that are held against the corner."""
+
+
+def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -> None:
+    """Compare what the rig and the sheet say with what was measured.
+
+    Parameters
+    ----------
+    bench : gets the notes and doubts
+    protocol : resolved; cycles, stroke, specimen length, counterweight where it has them
+    branches : of the motion
+    """
+    rig, cycles = protocol.rig, len({branch.cycle for branch in branches})
+    if rig.cycles is not None and branches and cycles != rig.cycles:
+        message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
+        bench.note("cycles_unexpected", Severity.WARNING, "rig.cycles", message)
+    if rig.stroke is not None and branches and protocol.branches is not None:
+        _check_stroke(bench, bench.raw[protocol.branches.channel], rig.stroke)
+    if rig.string is not None and protocol.curve is not None:
+        weight = rig.string.counterweight * GRAVITY
+        _check_pull(bench, bench.signals[protocol.curve.force], weight)
+    if protocol.specimen.length is not None and protocol.markers is not None:
+        _check_length(bench, protocol.specimen.length, has_clamp=protocol.markers.clamp is not None)
+
+
+def _check_stroke(bench: Bench, motion: Signal, expected: float) -> None:
+    stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
+    if abs(stroke - expected) > 0.02 * expected:
+        message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * expected:.4g} mm expected"
+        bench.note("stroke_unexpected", Severity.WARNING, "rig.stroke", message)
+
+
+def _check_pull(bench: Bench, force: Signal, weight: float) -> None:
+    """A string does not push: below zero the force can fall by the counterweight, no further."""
+    smooth = moving_average(force.values, window=seconds_to_window(1.0, force.time))
+    lowest = float(np.nanmin(smooth))
+    if lowest < -1.2 * weight - 5.0 * noise_level(smooth) - 2e-3:
+        message = (
+            f"the force falls to {lowest:.4g} N, but a string cannot push: the zero is wrong or "
+            "drifts"
+        )
+        bench.doubt("force", "force_negative", message, where="force")
+
+
+def _check_length(bench: Bench, expected: float, *, has_clamp: bool) -> None:
+    """The arc length from clamped end to pull point is the specimen's free length."""
+    if bench.shape is None or not has_clamp:
+        return
+    if abs(bench.shape.length - expected) > max(2e-3, 0.02 * expected):
+        message = (
+            f"{1e3 * bench.shape.length:.4g} mm from clamped end to pull point, the sheet says "
+            f"{1e3 * expected:.4g} mm: look at specimen.length, grip_offset, pull_offset and at "
+            "the outermost marker"
+        )
+        bench.doubt("displacement", "length_unexpected", message, where="specimen.length")
+
+
+def check_rest(bench: Bench, branches: tuple[Branch, ...]) -> None:
+    """Doubt a zero that was taken while the clamp was already moving.
+
+    Parameters
+    ----------
+    bench : knows over which stretches it was zeroed
+    branches : of the motion
+    """
+    if not branches:
+        return
+    begins, ends = branches[0].start_time, branches[-1].stop_time
+    for name, stretch in bench.zeroed.items():
+        start, stop = (_on_motion_clock(bench, name, at) for at in stretch)
+        if stop > begins + _ROUNDED and start < ends - _ROUNDED:
+            message = (
+                f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
+                f"moves from {begins:.2f} s to {ends:.2f} s"
+            )
+            quantity = "force" if name == bench.force else "displacement"
+            bench.doubt(quantity, "zero_not_at_rest", message, where=name)
+
+
+def _on_motion_clock(bench: Bench, name: str, at: float) -> float:
+    fit = bench.clock_fit
+    if fit is None or bench.raw[name].clock == bench.signals[bench.displacement].clock:
+        return at
+    return (at - fit.offset) / (1.0 + fit.drift)
+
+
+def check_turns(
+    bench: Bench, motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn]
+) -> None:
+    """Doubt turning points that were not seen, or that are no corners.
+
+    Parameters
+    ----------
+    bench : gets the doubts
+    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
+    """
+    found = {turn.stroke for turn in turns}
+    for number, (before, _) in enumerate(pairwise(strokes)):
+        if number not in found:
+            message = f"the motion was not seen to turn near {motion.time[before.stop]:.2f} s"
+            for quantity in ("displacement", "force", "clock"):
+                bench.doubt(quantity, "turn_not_seen", message, where="travel")
+    for turn in turns:
+        if turn.arrival is turn.departure:
+            _check_corner(bench, motion, turn)
+
+
+def _check_corner(bench: Bench, motion: Signal, turn: Turn) -> None:
+    """A machine that slows down, or waits a moment, cuts the corner of the travel."""
+    means = [
+        _mean_near(motion, turn.middle + shift) for shift in (-1.0, -0.5, 0.0, 0.5, 1.0)
+    ]  # on a corner each half second away takes off the same again
+    fall = 0.5 * ((means[1] - means[0]) + (means[3] - means[4]))
+    cut = abs(means[2] - (turn.arrival.value - fall * 0.5 * _ROUNDED / 0.5))
+    samples = max(1, int(np.count_nonzero(np.abs(motion.time - turn.middle) <= _ROUNDED)))
+    if cut > 6.0 * noise_level(motion.values) / np.sqrt(samples) + 5e-6:
+        message = (
+            f"the travel turns {1e6 * cut:.0f} um off a corner at {turn.middle:.2f} s: the machine "
+            "slows down or waits there, so that the moment of turning is less sure than stated"
+        )
+        for quantity in ("displacement", "clock"):
+            bench.doubt(quantity, "turn_rounded", message, where="travel")
+
+
+def _mean_near(motion: Signal, at: float) -> float:
+    near = np.abs(motion.time - at) <= _ROUNDED
+    return float(np.nanmean(motion.values[near])) if near.any() else float("nan")
