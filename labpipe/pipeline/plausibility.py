@@ -15,8 +15,10 @@ from labpipe.records.curve import Branch
 from labpipe.records.quality import Severity
 
 GRAVITY = 9.80665
-_ROUNDED = 0.25
+_ROUNDED = (0.05, 0.25)
 """s on each side of a turning point that are held against the corner."""
+_SETTLED = 0.25
+"""s by which a zero may reach into the motion before it is doubted."""
 
 
 def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -> None:
@@ -86,7 +88,7 @@ def check_rest(bench: Bench, branches: tuple[Branch, ...]) -> None:
     begins, ends = branches[0].start_time, branches[-1].stop_time
     for name, stretch in bench.zeroed.items():
         start, stop = (_on_motion_clock(bench, name, at) for at in stretch)
-        if stop > begins + _ROUNDED and start < ends - _ROUNDED:
+        if stop > begins + _SETTLED and start < ends - _SETTLED:
             message = (
                 f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
                 f"moves from {begins:.2f} s to {ends:.2f} s"
@@ -125,21 +127,24 @@ def check_turns(
 
 def _check_corner(bench: Bench, motion: Signal, turn: Turn) -> None:
     """A machine that slows down, or waits a moment, cuts the corner of the travel."""
-    means = [
-        _mean_near(motion, turn.middle + shift) for shift in (-1.0, -0.5, 0.0, 0.5, 1.0)
-    ]  # on a corner each half second away takes off the same again
-    fall = 0.5 * ((means[1] - means[0]) + (means[3] - means[4]))
-    cut = abs(means[2] - (turn.arrival.value - fall * 0.5 * _ROUNDED / 0.5))
-    samples = max(1, int(np.count_nonzero(np.abs(motion.time - turn.middle) <= _ROUNDED)))
-    if cut > 6.0 * noise_level(motion.values) / np.sqrt(samples) + 5e-6:
-        message = (
-            f"the travel turns {1e6 * cut:.0f} um off a corner at {turn.middle:.2f} s: the machine "
-            "slows down or waits there, so that the moment of turning is less sure than stated"
-        )
-        for quantity in ("displacement", "clock"):
-            bench.doubt(quantity, "turn_rounded", message, where="travel")
+    away = [_mean_near(motion, turn.middle + shift, 0.25) for shift in (-1.0, -0.5, 0.5, 1.0)]
+    fall = (away[1] - away[0]) + (away[2] - away[3])  # m per second away from the corner
+    noise = noise_level(motion.values)
+    for width in _ROUNDED:
+        samples = max(1, int(np.count_nonzero(np.abs(motion.time - turn.middle) <= width)))
+        expected = turn.arrival.value - 0.5 * fall * width
+        cut = abs(_mean_near(motion, turn.middle, width) - expected)
+        if cut > 6.0 * noise / np.sqrt(samples) + 5e-6:
+            message = (
+                f"the travel turns {1e6 * cut:.0f} um off a corner at {turn.middle:.2f} s: the "
+                "machine slows down or waits there, so that the moment of turning is less sure "
+                "than stated"
+            )
+            for quantity in ("displacement", "clock"):
+                bench.doubt(quantity, "turn_rounded", message, where="travel")
+            return
 
 
-def _mean_near(motion: Signal, at: float) -> float:
-    near = np.abs(motion.time - at) <= _ROUNDED
+def _mean_near(motion: Signal, at: float, width: float) -> float:
+    near = np.abs(motion.time - at) <= width
     return float(np.nanmean(motion.values[near])) if near.any() else float("nan")
