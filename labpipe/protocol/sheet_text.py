@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from datetime import date
 
@@ -61,8 +62,11 @@ def _entry(key: str, value: object) -> str:
     """Write one key of the sheet with its comment."""
     if key == "date" and isinstance(value, str):
         value = date.fromisoformat(value)  # else YAML would put it in quotes
+    # PyYAML writes the rarer line breaks as they are, and reads them back as blanks.
+    plain = json.dumps(value, ensure_ascii=False, default=str)
+    escaped = any(mark in plain for mark in "\x85\u2028\u2029")
     text = yaml.safe_dump(
-        {key: value}, sort_keys=False, allow_unicode=True, width=float("inf"), indent=2
+        {key: value}, sort_keys=False, allow_unicode=not escaped, width=float("inf"), indent=2
     )
     first, _, rest = text.partition("\n")
     if key not in _COMMENTS or (isinstance(value, str) and rest):

@@ -46,6 +46,8 @@ TEXTS = st.text(min_size=1, max_size=30)
 
 
 @example("a\nb", "0", "0")
+@example("0", "0", "\x85")
+@example("0", "\u2028", "0")
 @given(TEXTS, TEXTS, TEXTS)
 def test_a_sheet_written_reads_back(protocol: str, sample: str, value: str) -> None:
     specimen = {"type": "A2", "spool": "s", "sample": sample}
