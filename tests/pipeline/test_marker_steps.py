@@ -166,3 +166,55 @@ def test_travel_of_the_tip(tracks: MarkerTracks, protocol: Protocol) -> None:
     few[:4] = bench.shape.positions[:4]
     bench.shape = replace(bench.shape, positions=few)
     assert tip_travel(bench) == Failure("too_few_samples", "the tip is seen in 4 frames")
+
+
+def with_clamp(tracks: MarkerTracks, frames: slice, *, stale: bool) -> MarkerTracks:
+    """The same take with the clamp blank, or held at its last pose, for some frames."""
+    clamp = tracks.bodies[0]
+    position = clamp.position.copy()
+    position[frames] = position[frames.start - 1] if stale else np.nan
+    return replace(tracks, bodies=(replace(clamp, position=position), *tracks.bodies[1:]))
+
+
+def test_a_stale_pose_of_the_clamp_is_not_believed(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    bench, markers = done(with_clamp(tracks, slice(400, 440), stale=True), protocol)
+    assert bench.doubts["displacement"].startswith("clamp_frozen: Clamp holds its last pose in 40")
+    assert markers.clamp is not None
+    assert np.isnan(markers.clamp[400:440]).all()
+
+
+def test_short_gaps_of_the_clamp_are_bridged_and_long_ones_left(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    clamp = tracks.bodies[0].position
+    bench, markers = done(with_clamp(tracks, slice(400, 410), stale=False), protocol)
+    assert markers.clamp is not None
+    np.testing.assert_allclose(markers.clamp[400:410], clamp[400:410], atol=1e-4)
+    assert "Clamp is lost in 10 frames, 10 of them bridged by straight lines" in str(bench.notes)
+    bench, markers = done(with_clamp(tracks, slice(400, 460), stale=False), protocol)
+    assert markers.clamp is not None
+    assert np.isnan(markers.clamp[400:460]).all()
+
+
+def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Protocol) -> None:
+    table = replace(tracks.bodies[0], name="Table")
+    names = (*tracks.names, "Table:Marker1")
+    added = np.concatenate([tracks.positions, tracks.positions[:, :1] + 0.05], axis=1)
+    crowded = replace(tracks, names=names, positions=added, bodies=(*tracks.bodies, table))
+    bench, markers = done(crowded, protocol)
+    assert markers.repaired is not None
+    assert "Table:Marker1" not in markers.repaired.names
+    assert "markers of Table are not the specimen's: name them to use them" in str(bench.notes)
+
+
+def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
+    usual = small_scenario()
+    mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
+    found = observe(replace(usual, mechanics=mechanics), 3).markers.markers
+    assert found is not None
+    assert "displacement" not in done(found, protocol)[0].doubts
+    bench, _ = done(found, protocol, grip_offset=0.016)
+    assert bench.doubts["displacement"].startswith("shape_misfit: markers lie ")
+    assert "look at grip_offset, centre_offset and terms" in bench.doubts["displacement"]

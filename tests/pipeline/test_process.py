@@ -86,3 +86,12 @@ def test_a_sheet_that_is_none(tmp_path: Path) -> None:
     path.write_text("test: T1\n", encoding="utf-8")
     with pytest.raises(ProtocolError, match=r"test.yaml"):
         process_test(path, figures=False)
+
+
+def test_an_export_is_no_test(tmp_path: Path) -> None:
+    export = tmp_path / "force.mat"
+    export.write_bytes(b"MATLAB")
+    with pytest.raises(
+        UsageError, match=r"found a \.mat file\. An export belongs to a test: `labpipe new` writes"
+    ):
+        find_tests([export])
