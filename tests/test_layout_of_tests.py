@@ -16,6 +16,8 @@ ELSEWHERE = {
     "protocol/results.py": "protocol/test_load.py",
     "protocol/rig.py": "protocol/test_load.py",
     "protocol/steps.py": "protocol/test_load.py",
+    # Numbers of a cycle, through the results that are made of them.
+    "pipeline/cycle_numbers.py": "pipeline/test_cycle_results.py",
     # What reading checks, through reading.
     "store/checked.py": "store/test_read.py",
     # Frozen settings; the truth that is made of them is looked at.
