@@ -18,6 +18,7 @@ from labpipe.errors import LabpipeError
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
+_NO_FIGURES = "numbers only; figures drawn before stay as they are"
 _EPILOG = """\
 exit status: 0 done; 1 some results failed (they are listed); 2 bad input or usage
 
@@ -85,7 +86,7 @@ def _command(
 def _demo(parser: argparse.ArgumentParser) -> None:
     where = "folder that gets raw/demo and processed/demo (default: here)"
     parser.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help=where)
-    parser.add_argument("--no-figures", action="store_true", help="numbers only")
+    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
 
 
 def _inspect(parser: argparse.ArgumentParser) -> None:
@@ -120,7 +121,7 @@ def _process(parser: argparse.ArgumentParser) -> None:
     what = "test folder, campaign folder, test.yaml, or a result.h5 to process again"
     parser.add_argument("tests", nargs="+", type=Path, metavar="TEST", help=what)
     parser.add_argument("--out", type=Path, metavar="DIR", help="write to DIR/<test> instead")
-    parser.add_argument("--no-figures", action="store_true", help="numbers only")
+    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
 
 
