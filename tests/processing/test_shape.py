@@ -166,8 +166,10 @@ def test_a_crooked_grip_is_found_from_the_rest(angle: float, lift: float) -> Non
     fitted = fit(markers)
     assert fitted.clamp_angle == pytest.approx(angle, abs=1e-6)
     tip = turn @ [wire.x[-1], wire.y[-1], 0.0]
-    # the lever of the pivot's height turns with the axis: second order in the angle
-    np.testing.assert_allclose(fitted.shape.positions[20, -1, 1], tip[1], atol=1e-5)
+    # 6 um is the error of seven terms on this shape; the pivot's height is a lever that turns with
+    # the axis, which moves the clamped end by their product and the tip by a tenth of it at most
+    bound = 7e-6 + 0.1 * abs(lift * angle)
+    np.testing.assert_allclose(fitted.shape.positions[20, -1, 1], tip[1], atol=bound)
 
 
 def test_motion_of_the_clamp_drops_out() -> None:
