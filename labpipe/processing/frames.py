@@ -73,8 +73,8 @@ def rotation_between(v1: Floats, v2: Floats, *, half_turn_axis: Floats) -> Float
 
     Notes
     -----
-    Rodrigues: R = I + K + K^2 / (1 + c), with K the cross-product matrix of v1 x v2 and c their
-    cosine; opposed: R = 2 a a^T - I.
+    Rodrigues: R = c I + s K + (1 - c) a a^T, with a the unit axis, K its cross-product matrix, c and
+    s cosine and sine of the angle; opposed: R = 2 a a^T - I.
     """
     one, two = _direction(v1, "v1"), _direction(v2, "v2")
     cosine = float(one @ two)
@@ -83,9 +83,17 @@ def rotation_between(v1: Floats, v2: Floats, *, half_turn_axis: Floats) -> Float
         axis = np.asarray(half_turn_axis, dtype=np.float64)
         across = _direction(axis - (axis @ one) * one, "half_turn_axis across v1")
         return np.asarray(2 * np.outer(across, across) - np.eye(3), dtype=np.float64)
-    x, y, z = cross
+    sine = float(np.linalg.norm(cross))
+    if sine == 0.0:
+        return np.eye(3)
+    # Rounding leaves a part along v1 in a short cross product: nearly opposed vectors show it.
+    axis = cross / sine
+    axis = _direction(axis - (axis @ one) * one, "axis")
+    x, y, z = axis
     skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + skew + skew @ skew / (1 + cosine), dtype=np.float64)
+    scale = np.hypot(cosine, sine)
+    turned = (cosine * np.eye(3) + sine * skew) / scale
+    return np.asarray(turned + (1 - cosine / scale) * np.outer(axis, axis), dtype=np.float64)
 
 
 def _direction(vector: Floats, name: str) -> Floats:
