@@ -73,8 +73,8 @@ def rotation_between(v1: Floats, v2: Floats, *, half_turn_axis: Floats) -> Float
 
     Notes
     -----
-    Rodrigues: R = c I + s K + (1 - c) a a^T, with a the unit axis, K its cross-product matrix, c and
-    s cosine and sine of the angle; opposed: R = 2 a a^T - I.
+    Rodrigues: R = c I + s K + (1 - c) a a^T, with a the unit axis, K its cross-product matrix, c
+    and s cosine and sine of the angle; opposed: R = 2 a a^T - I.
     """
     one, two = _direction(v1, "v1"), _direction(v2, "v2")
     cosine = float(one @ two)
