@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario
+
 REPOSITORY = Path(__file__).resolve().parent.parent
 
 settings.register_profile(
@@ -30,3 +32,20 @@ def realdata() -> Path:
     if not folder.is_dir():
         pytest.skip("no folder of real exports here (set LABPIPE_REALDATA)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def pristine(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+    """Two cycles without mishaps; not to be changed."""
+    return make_lab(tmp_path_factory.mktemp("lab"), small_scenario())
+
+
+@pytest.fixture
+def lab(pristine: Lab, tmp_path: Path) -> Lab:
+    """A copy of the test that may be changed."""
+    return pristine.copy(tmp_path)
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Run:
+    return runner(capsys)
