@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from labpipe.records.curve import Interval
+
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
@@ -13,11 +15,14 @@ class Estimate:
     ----------
     value, error : in the same unit
     n : number of samples it rests on
+    interval : 95 % interval where it is not the normal one of `error`: few degrees of freedom, or
+        a number whose uncertainty is lopsided
     """
 
     value: float
     error: float
     n: int
+    interval: Interval | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,14 +137,16 @@ class Aligned:
 
     Parameters
     ----------
-    time : shape (n,), s, the clock of the curve
+    time : shape (n,), in `time_unit`, the clock of the curve
     series : by name (``force``, ``travel``, ``displacement``), each of shape (n,)
     clock_fit : how the clocks were joined; None when there is only one clock
+    time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
     time: Floats
     series: Mapping[str, Series]
     clock_fit: ClockFit | None = None
+    time_unit: str = "s"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
@@ -156,12 +158,13 @@ class Curve:
 
     Parameters
     ----------
-    time : shape (n,), s
+    time : shape (n,), in `time_unit`
     displacement : shape (n,), m; NaN where there is no datum
     force : shape (n,), N; NaN where there is no datum
     branch : shape (n,), counted from 0 in order of travel, `AT_REST` outside every branch
     cycle : shape (n,), counted from 1, 0 outside every branch
     branches : in order of travel
+    time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
     time: Floats
@@ -170,6 +173,7 @@ class Curve:
     branch: Ints
     cycle: Ints
     branches: tuple[Branch, ...]
+    time_unit: str = "s"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen(self.time, shape=(None,)))

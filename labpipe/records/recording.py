@@ -18,11 +18,13 @@ class Clock:
     Parameters
     ----------
     name : the export's word for it (a raster, a task), or ``time``
-    time : shape (n,), s; kept as written: holes, jitter and start are the instrument's
+    time : shape (n,), in `unit`; kept as written: holes, jitter and start are the instrument's
+    unit : ``s``; ``1`` where the export has no time and `time` only counts the rows, from 0
     """
 
     name: str
     time: Floats
+    unit: str = "s"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time", frozen(self.time, shape=(None,)))

@@ -9,6 +9,7 @@ from enum import StrEnum
 from labpipe.records.curve import Aligned, Curve, Interval, Shape
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
+from labpipe.records.slips import Slip
 
 
 class Status(StrEnum):
@@ -107,6 +108,7 @@ class TestResult:
     quality : notes of readers and steps
     display : unit in which people see a quantity, by quantity (``displacement: mm``)
     figures : names of the figures that the protocol asks for
+    slips : the slip ledger of the curve
     """
 
     __test__ = False  # not a test of this project, whatever its name suggests to pytest
@@ -126,3 +128,4 @@ class TestResult:
     quality: tuple[QualityNote, ...]
     display: Mapping[str, str] = field(default_factory=dict)
     figures: tuple[str, ...] = ()
+    slips: tuple[Slip, ...] = ()

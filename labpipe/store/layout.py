@@ -56,7 +56,7 @@ INPUT_ORDER: Final = "input_order"
 METADATA: Final = "metadata"
 NOTES: Final = "notes"
 TIME: Final = "time"
-CLOCK_TIME: Final = Field(("sample",), "s")
+CLOCK_TIME: Final = Field(("sample",), None)
 CHANNEL: Final = Field(("sample",), None)
 CHANNEL_TEXTS: Final = {
     "name": "name",
@@ -94,7 +94,6 @@ CLOCK_FIT_INTERVALS: Final = ("offset", "drift")
 # /curve
 CURVE: Final = "curve"
 CURVE_FIELDS: Final[Mapping[str, Field]] = {
-    "time": Field(("sample",), "s"),
     "displacement": Field(("sample",), "m"),
     "force": Field(("sample",), "N"),
     "branch": Field(("sample",), "1", "int64"),
@@ -109,6 +108,20 @@ BRANCH_COLUMNS: Final = (
     ("direction", "S16"),
     ("start_time", "float64"),
     ("stop_time", "float64"),
+)
+
+SLIPS: Final = "slips"
+SLIP_TABLE: Final = Field(("slip",), "m, N, m, m, N, N, text, sample, sample", "table")
+SLIP_COLUMNS: Final = (
+    ("position", "float64"),
+    ("drop", "float64"),
+    ("position_lower", "float64"),
+    ("position_upper", "float64"),
+    ("drop_lower", "float64"),
+    ("drop_upper", "float64"),
+    ("decision", "S16"),
+    ("start", "int64"),
+    ("stop", "int64"),
 )
 
 # /shape

@@ -21,6 +21,7 @@ from labpipe.records.curve import (
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
+from labpipe.records.slips import Slip, SlipDecision
 from labpipe.store import layout
 from labpipe.store.checked import array, arrays, opened, strings, text, texts
 
@@ -78,6 +79,7 @@ def read_result(path: Path) -> TestResult:
             quality=_notes(root[layout.QUALITY]),
             display=json.loads(text(root, layout.DISPLAY)),
             figures=texts(root, layout.FIGURES),
+            slips=_slips(root[layout.CURVE]) if layout.CURVE in groups else (),
         )
 
 
@@ -148,7 +150,8 @@ def _recording(group: Any) -> Recording:
 
 
 def _clock(group: Any, name: str) -> Clock:
-    return Clock(text(group[name], "clock"), array(group, name, layout.CLOCK_TIME))
+    time = array(group, name, layout.CLOCK_TIME)
+    return Clock(text(group[name], "clock"), time, text(group[name], "unit"))
 
 
 def _channel(group: Any, name: str) -> Channel:
@@ -180,7 +183,8 @@ def _aligned(group: Any) -> Aligned:
         for name in texts(group, "series")
     }
     fit = _clock_fit(group) if layout.EVENTS in group else None
-    return Aligned(array(group, layout.TIME, layout.CLOCK_TIME), series, fit)
+    time = array(group, layout.TIME, layout.CLOCK_TIME)
+    return Aligned(time, series, fit, text(group[layout.TIME], "unit"))
 
 
 def _clock_fit(group: Any) -> ClockFit:
@@ -201,7 +205,34 @@ def _interval(group: Any, prefix: str = "") -> Interval:
 
 def _curve(group: Any) -> Curve:
     table = array(group, layout.BRANCHES, layout.BRANCH_TABLE)
-    return Curve(**arrays(group, layout.CURVE_FIELDS), branches=tuple(map(_branch, table)))
+    fields = arrays(group, layout.CURVE_FIELDS)
+    return Curve(
+        time=array(group, layout.TIME, layout.CLOCK_TIME),
+        displacement=fields["displacement"],
+        force=fields["force"],
+        branch=fields["branch"],
+        cycle=fields["cycle"],
+        branches=tuple(map(_branch, table)),
+        time_unit=text(group[layout.TIME], "unit"),
+    )
+
+
+def _slips(group: Any) -> tuple[Slip, ...]:
+    if layout.SLIPS not in group:
+        return ()
+    return tuple(map(_slip, array(group, layout.SLIPS, layout.SLIP_TABLE)))
+
+
+def _slip(row: Any) -> Slip:
+    return Slip(
+        position=float(row["position"]),
+        drop=float(row["drop"]),
+        position_interval=Interval(float(row["position_lower"]), float(row["position_upper"])),
+        drop_interval=Interval(float(row["drop_lower"]), float(row["drop_upper"])),
+        decision=SlipDecision(row["decision"].decode()),
+        start=int(row["start"]),
+        stop=int(row["stop"]),
+    )
 
 
 def _branch(row: Any) -> Branch:

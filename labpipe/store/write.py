@@ -18,6 +18,7 @@ from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Shape
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import InputFile, Result, Specimen, TestResult
+from labpipe.records.slips import Slip
 from labpipe.store import layout
 from labpipe.store.chunks import same_content, string_array, write_array
 from labpipe.store.layout import Field, link_name
@@ -126,7 +127,7 @@ def _write_root(target: _Target, result: TestResult) -> None:
     if result.aligned is not None:
         _write_aligned(target.inside(layout.ALIGNED), result.aligned)
     if result.curve is not None:
-        _write_curve(target.inside(layout.CURVE), result.curve)
+        _write_curve(target.inside(layout.CURVE), result.curve, result.slips)
     if result.shape is not None:
         _write_shape(target.inside(layout.SHAPE), result.shape)
     _write_results(target.inside(layout.RESULTS), result.results)
@@ -183,7 +184,7 @@ def _write_clocks(target: _Target, clocks: tuple[Clock, ...]) -> None:
     for clock in clocks:
         wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
         names.append(link_name(wanted, target.group))
-        dataset = target.array(names[-1], clock.time, layout.CLOCK_TIME)
+        dataset = target.array(names[-1], clock.time, layout.CLOCK_TIME, clock.unit)
         dataset.attrs["clock"] = clock.name
     target.texts("clocks", tuple(names))
 
@@ -219,7 +220,7 @@ def _write_markers(target: _Target, tracks: MarkerTracks) -> None:
 
 
 def _write_aligned(target: _Target, aligned: Aligned) -> None:
-    target.array(layout.TIME, aligned.time, layout.CLOCK_TIME)
+    target.array(layout.TIME, aligned.time, layout.CLOCK_TIME, aligned.time_unit)
     names: list[str] = []
     for name, series in aligned.series.items():
         names.append(link_name(name, [*target.group, layout.EVENTS]))
@@ -243,20 +244,28 @@ def _write_clock_fit(target: _Target, fit: ClockFit) -> None:
     target.inside(layout.EVENTS).fields(fit, layout.EVENT_FIELDS)
 
 
-def _write_curve(target: _Target, curve: Curve) -> None:
+def _write_curve(target: _Target, curve: Curve, slips: tuple[Slip, ...]) -> None:
+    target.array(layout.TIME, curve.time, layout.CLOCK_TIME, curve.time_unit)
     target.fields(curve, layout.CURVE_FIELDS)
-    target.array(layout.BRANCHES, _branch_table(curve.branches), layout.BRANCH_TABLE)
-
-
-def _branch_table(branches: tuple[Branch, ...]) -> NDArray[Any]:
-    rows = [
-        tuple(
-            str(getattr(branch, name)) if kind.startswith("S") else getattr(branch, name)
-            for name, kind in layout.BRANCH_COLUMNS
-        )
-        for branch in branches
+    branches = [
+        tuple(_cell(branch, *column) for column in layout.BRANCH_COLUMNS)
+        for branch in curve.branches
     ]
-    return np.array(rows, dtype=list(layout.BRANCH_COLUMNS))
+    table = np.array(branches, dtype=list(layout.BRANCH_COLUMNS))
+    target.array(layout.BRANCHES, table, layout.BRANCH_TABLE)
+    if slips:
+        ledger = [tuple(_cell(slip, *column) for column in layout.SLIP_COLUMNS) for slip in slips]
+        table = np.array(ledger, dtype=list(layout.SLIP_COLUMNS))
+        target.array(layout.SLIPS, table, layout.SLIP_TABLE)
+
+
+def _cell(record: Branch | Slip, column: str, kind: str) -> object:
+    """Value of a record in a table; ``drop_lower`` is the lower end of ``drop_interval``."""
+    name, _, end = column.rpartition("_")
+    if end in layout.INTERVAL_NUMBERS:
+        return getattr(getattr(record, f"{name}_interval"), end)
+    value = getattr(record, column)
+    return str(value) if kind.startswith("S") else value
 
 
 def _write_shape(target: _Target, shape: Shape) -> None:

@@ -1,0 +1,254 @@
+"""Groups of tests: what the report is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.records.curve import Interval
+from labpipe.records.quality import QualityNote
+from labpipe.records.result import Result, Specimen
+from labpipe.records.slips import Slip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleCurve:
+    """One branch of the curve of one sample, thin enough to draw.
+
+    Parameters
+    ----------
+    displacement : shape (n,), m, increasing
+    force : shape (n,), N, as processed; NaN where there is no datum
+    as_measured : shape (n,), N, the force before slips were repaired; the same as `force` where
+        nothing was repaired
+    cycle : of the test, counted from 1
+    """
+
+    displacement: Floats
+    force: Floats
+    as_measured: Floats
+    cycle: int = 1
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "displacement", frozen(self.displacement, shape=(None,)))
+        count = len(self.displacement)
+        for name in ("force", "as_measured"):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sample:
+    """What the report needs of one processed test.
+
+    Parameters
+    ----------
+    test : name of the test
+    specimen : type, spool, sample, dimensions
+    protocol : name of the protocol
+    loading, unloading : the branches of each cycle in order; empty where the test has no curve
+    results : as in the summary
+    slips : the slip ledger
+    quality : notes
+    display : unit in which people see a quantity, by quantity
+    source : where it was read from, for messages
+    """
+
+    test: str
+    specimen: Specimen
+    protocol: str
+    loading: tuple[SampleCurve, ...]
+    unloading: tuple[SampleCurve, ...]
+    results: tuple[Result, ...]
+    slips: tuple[Slip, ...] = ()
+    quality: tuple[QualityNote, ...] = ()
+    display: Mapping[str, str] = field(default_factory=dict)
+    source: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class MeanInterval:
+    """A mean with its t-based 95 % interval.
+
+    Parameters
+    ----------
+    mean : in the unit of the values
+    interval : None where there is none to be had; `reason` then says why
+    deviation : standard deviation of what was averaged; NaN for one value
+    n : number of values averaged (samples, or spool means)
+    reason : code, colon, sentence; empty when there is an interval
+    """
+
+    mean: float
+    interval: Interval | None
+    deviation: float
+    n: int
+    reason: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class NestedMean:
+    """A mean of samples that were cut from spools, and the decision how to average them.
+
+    Parameters
+    ----------
+    chosen : the mean and interval that hold: one of the next two
+    over_samples : all samples taken as independent
+    over_spools : spool means taken as independent; None for one spool
+    is_pooled : whether `chosen` is `over_samples`
+    decision : in words, with the numbers it rests on
+    spool_means : by spool, mean and interval over its samples
+    within : standard deviation within spools; NaN where no spool has two samples
+    between : standard deviation of the spool means; NaN for one spool
+    spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN where it cannot be
+        had
+    """
+
+    chosen: MeanInterval
+    over_samples: MeanInterval
+    over_spools: MeanInterval | None
+    is_pooled: bool
+    decision: str
+    spool_means: Mapping[str, MeanInterval]
+    within: float
+    between: float
+    spool_p: float
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """A value that a named test marks; it stays in every mean.
+
+    Parameters
+    ----------
+    sample : name of its test
+    value : in the unit of the values
+    method : name of the test
+    p : p-value
+    """
+
+    sample: str
+    value: float
+    method: str
+    p: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Band:
+    """Mean curve of a group on a common grid, with two 95 % bands.
+
+    Parameters
+    ----------
+    displacement : shape (n,), m, only where every sample has data
+    mean : shape (n,), N
+    lower, upper : shape (n,), pointwise band: holds the mean at one displacement
+    lower_all, upper_all : shape (n,), simultaneous band: holds the whole mean curve
+    n : number of curves averaged
+    over : ``samples`` or ``spool means``
+    reason : why there is no band (then all four are NaN) or no curve (then all are empty)
+    """
+
+    displacement: Floats
+    mean: Floats
+    lower: Floats
+    upper: Floats
+    lower_all: Floats
+    upper_all: Floats
+    n: int
+    over: str
+    reason: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "displacement", frozen(self.displacement, shape=(None,)))
+        count = len(self.displacement)
+        for name in ("mean", "lower", "upper", "lower_all", "upper_all"):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
+
+
+@dataclass(frozen=True, slots=True)
+class GroupNumber:
+    """One result over all samples of a group.
+
+    Parameters
+    ----------
+    name, unit : of the result
+    mean : nested mean; None when no sample has the number
+    values : by test, the results that entered
+    left_out : by test, why it did not enter: a failed result, or none of that name
+    outliers : marked, not removed
+    """
+
+    name: str
+    unit: str
+    mean: NestedMean | None
+    values: Mapping[str, Result]
+    left_out: Mapping[str, str]
+    outliers: tuple[Outlier, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How two groups differ in one result.
+
+    Parameters
+    ----------
+    name, unit : of the result
+    first, second : names of the groups
+    difference : second minus first; interval None when there is none to be had
+    margin : in `unit`, difference that does not matter in practice; None where nobody has said it
+    p_equivalent : p-value of the two one-sided tests; NaN without a margin
+    verdict : in words
+    """
+
+    name: str
+    unit: str
+    first: str
+    second: str
+    difference: MeanInterval
+    margin: float | None
+    p_equivalent: float
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Samples of one type, tested by one protocol.
+
+    Parameters
+    ----------
+    name : specimen type, with the protocol behind it where two protocols share a type
+    protocol : name of the protocol
+    samples : in order of spool and sample
+    numbers : one per result
+    band : mean loading curve of the first cycle
+    band_scaled : the same for force / peak force of each sample; None where not asked for
+    notes : what concerns the group as a whole
+    """
+
+    name: str
+    protocol: str
+    samples: tuple[Sample, ...]
+    numbers: tuple[GroupNumber, ...]
+    band: Band
+    band_scaled: Band | None = None
+    notes: tuple[QualityNote, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Campaign:
+    """Everything a report shows.
+
+    Parameters
+    ----------
+    title : of the report
+    groups : in order of name
+    differences : between pairs of groups of one protocol
+    left_out : by file, why a test could not be read
+    labpipe_version : the version that made the report
+    """
+
+    title: str
+    groups: tuple[Group, ...]
+    differences: tuple[Difference, ...] = ()
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    labpipe_version: str = ""

@@ -1,0 +1,1 @@
+"""Pure statistics of groups: means, bands, nested samples, comparison of groups."""
