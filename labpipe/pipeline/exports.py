@@ -78,7 +78,10 @@ def read_role(path: Path, source: Source) -> Recording:
         As `read_inputs`; also when neither file nor protocol says a unit, or they contradict.
     """
     wanted = [channel.channel for channel in source.all_channels.values()]
-    return name_channels(read_export(path, source.reader, channels=wanted), source, path)
+    recording = read_export(
+        path, source.reader, channels=wanted, dialect=source.dialect, part=source.part
+    )
+    return name_channels(recording, source, path)
 
 
 def name_channels(recording: Recording, source: Source, path: Path) -> Recording:

@@ -22,7 +22,25 @@ _BRANCH_RESULTS = (
     "energy",
     "residual-displacement",
     "stiffness",
+    "two-segments",
+    "failure",
+    "energy-to-break",
+    "slips",
+    "slack",
+    "compliance",
 )
+_NEEDS_OF_CURVE = {
+    "failure": "failure",
+    "energy-to-break": "failure",
+    "slips": "slips",
+    "slack": "slack",
+}
+"""Results that are read from what a correction of the curve finds."""
+_FIGURES_OF_CURVE = ("force-displacement", "stiffness-lines", "timeline")
+_STIFFNESSES = {
+    "initial-stiffness": ("initial_stiffness",),
+    "two-segments": ("segment_stiffness_first", "segment_stiffness_second"),
+}
 
 
 def cross_faults(data: Values) -> list[Fault]:
@@ -145,15 +163,37 @@ def _branch_faults(outline: Outline) -> Faults:
 
 
 def _result_faults(outline: Outline) -> Faults:
-    seen: list[object] = []
+    seen: list[str] = []
+    stiffnesses: list[str] = []
     for number, tag, entry in outline.entries("results", "result"):
         path: KeyPath = ("results", number, "result")
         yield from _need_faults(outline, tag, path)
-        name = entry.get("name", tag)
+        yield from _of_faults(entry, (*path[:2], "of"), stiffnesses)
+        name = _result_name(tag, entry)
         if name in seen:
-            remedy = "Give it another 'name'." if tag == "stiffness" else "Remove one of them."
+            named = tag in ("stiffness", "modulus")
+            remedy = "Give it another 'name'." if named else "Remove one of them."
             yield Fault(path, "each result once", f"a second {name!r}", remedy)
         seen.append(name)
+        stiffnesses += [name] if tag == "stiffness" else _STIFFNESSES.get(tag, ())
+
+
+def _result_name(tag: str, entry: Values) -> str:
+    if tag == "normalised-stiffness":
+        return f"{entry.get('of')}_per_peak_force"
+    return str(entry.get("name", tag))
+
+
+def _of_faults(entry: Values, path: KeyPath, stiffnesses: list[str]) -> Faults:
+    """Find a result that is to be made of a stiffness that does not stand above it."""
+    of = entry.get("of")
+    if not isinstance(of, str) or of in stiffnesses:
+        return
+    expected = "a stiffness above it in the list"
+    if stiffnesses:
+        expected = f"one of the stiffnesses above, {one_of(of, stiffnesses)}"
+    remedy = did_you_mean(of, stiffnesses) or "Add a result 'stiffness' before it."
+    yield Fault(path, expected, repr(of), remedy)
 
 
 def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
@@ -161,6 +201,10 @@ def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
         for block in ("curve", "branches"):
             if not outline.block(block):
                 yield _lacking(path, block, repr(tag))
+    needed = _NEEDS_OF_CURVE.get(tag)
+    if needed and outline.block("curve") and not outline.block("curve", needed):
+        remedy = f"Add the block {needed!r} to 'curve'."
+        yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
     if tag == "clock" and not outline.turning_points:
         yield _lacking_word(path, "align.method", "turning-points", repr(tag))
     if tag == "tip-travel":
@@ -178,7 +222,9 @@ def _figure_faults(outline: Outline) -> Faults:
     names = said if isinstance(said, list) else []
     for number, name in enumerate(names):
         path: KeyPath = ("report", "figures", number)
-        if name in ("force-displacement", "timeline") and not outline.block("curve"):
+        if name in ("force-displacement", "stiffness-lines", "timeline") and not outline.block(
+            "curve"
+        ):
             yield _lacking(path, "curve", repr(name))
         if name == "wire-shapes":
             yield from _shape_faults(outline, name, path)

@@ -19,6 +19,7 @@ SI_UNITS: Final = MappingProxyType(
     {
         "angle": "rad",
         "bending_stiffness": "N*m^2",
+        "compliance": "m/N",
         "curvature": "1/m",
         "deflection": "m",
         "displacement": "m",
@@ -153,10 +154,13 @@ Distance = Annotated[float, Quantity("m", "mm", "4 mm", least=0.0)]
 Area = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.0)]
 Duration = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
 Force = Annotated[float, Quantity("N", "N", "5 mN", least=0.0)]
+Compliance = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", above=0.0)]
 Mass = Annotated[float, Quantity("kg", "g", "2.7 g", least=0.0)]
 Speed = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", above=0.0)]
 Frequency = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
 Ratio = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0)]
+Share = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
+"""A part of a whole."""
 
 
 @dataclass(frozen=True, slots=True)

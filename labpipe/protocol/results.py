@@ -91,6 +91,70 @@ class TipTravel(Block):
     result: Literal["tip-travel"]
 
 
+class TwoSegments(_Window):
+    """``segment_stiffness_first``, ``segment_stiffness_second`` (N/m) and ``break_point`` (m)."""
+
+    result: Literal["two-segments"]
+
+
+class NormalisedStiffness(Block):
+    """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
+
+    result: Literal["normalised-stiffness"]
+    of: Snake = Field(description="Name of a stiffness above, such as stiffness_first")
+
+
+class Modulus(Block):
+    """``<name>`` (Pa): stiffness x gauge length / area."""
+
+    result: Literal["modulus"]
+    of: Snake = Field(description="Name of a stiffness above, such as stiffness")
+    area: Literal["stated", "rectangle", "annulus", "thin-wall"] = Field(
+        description="Which area of specimen.section it refers to"
+    )
+    name: Snake = Field("modulus", description="Such as modulus_annulus")
+
+
+class FailureResult(Block):
+    """``failure_displacement`` (m) and ``failure_force`` (N)."""
+
+    result: Literal["failure"]
+
+
+class EnergyToBreak(Block):
+    """``energy_to_break`` (J): work done up to the failure."""
+
+    result: Literal["energy-to-break"]
+
+
+class SlipResults(Block):
+    """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N); no result where nothing slipped."""
+
+    result: Literal["slips"]
+
+
+class SlackResult(Block):
+    """``slack`` (m): displacement before the specimen is taut."""
+
+    result: Literal["slack"]
+
+
+class ComplianceResult(Block):
+    """``compliance`` (m/N) of frame and grips, from a test of a stiff bar."""
+
+    result: Literal["compliance"]
+    start: Force = Field(alias="from")
+    stop: Force = Field(alias="to")
+
+    @field_validator("stop")
+    @classmethod
+    def _behind_start(cls, stop: float, info: ValidationInfo) -> float:
+        start = info.data.get("start")
+        if start is not None and stop <= start:
+            raise error_of(expected=f"more than 'from' ({start:.12g} N)", found=f"{stop:.12g} N")
+        return stop
+
+
 ResultEntry: TypeAlias = Annotated[
     ClockResult
     | PeakForce
@@ -100,6 +164,14 @@ ResultEntry: TypeAlias = Annotated[
     | Energy
     | ResidualDisplacement
     | Stiffness
+    | TwoSegments
+    | NormalisedStiffness
+    | Modulus
+    | FailureResult
+    | EnergyToBreak
+    | SlipResults
+    | SlackResult
+    | ComplianceResult
     | TipTravel,
     Field(discriminator="result"),
 ]

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema
+from pydantic import (
+    Field,
+    PlainSerializer,
+    PlainValidator,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+)
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.quantities import (
     Area,
+    Compliance,
     Distance,
     Duration,
+    Force,
     Length,
     Mass,
     Offset,
     Ratio,
+    Share,
     Speed,
     Whole,
 )
@@ -109,11 +119,53 @@ class AlignTurningPoints(Block):
 Align: TypeAlias = Annotated[AlignNone | AlignTurningPoints, Field(discriminator="method")]
 
 
+class MachineCompliance(Block):
+    """How far frame and grips give way; times the force, it is taken off the displacement."""
+
+    value: Compliance = Field(description="From a test of a stiff bar, protocol stiff-bar")
+    uncertainty: Ratio = Field(0.0, description="Standard uncertainty, as a share of the value")
+
+
+class Failure(Block):
+    """When a specimen counts as broken: the force is lost and does not come back."""
+
+    force_below: Share = Field(description="Share of the largest force, such as 50 %")
+
+
+class Slips(Block):
+    """What is done where the specimen slides in its grips."""
+
+    decision: Literal["marked", "repaired", "cut"] = Field(
+        description="marked: noted; repaired: the lost force is added back; cut: the curve ends"
+    )
+    min_drop: Force = Field(description="Smaller losses of force are not looked at")
+
+
+class Slack(Block):
+    """Toe compensation: where a line through the steep part meets zero force, travel begins."""
+
+    start: Share = Field(alias="from", description="Of the largest force, such as 10 %")
+    stop: Share = Field(alias="to", description="Of the largest force, such as 30 %")
+
+    @field_validator("stop")
+    @classmethod
+    def _behind_start(cls, stop: float, info: ValidationInfo) -> float:
+        start = info.data.get("start")
+        if start is not None and stop <= start:
+            expected = f"more than 'from' ({100 * start:.12g} %)"
+            raise error_of(expected=expected, found=f"{100 * stop:.12g} %")
+        return stop
+
+
 class CurveBlock(Block):
-    """Which channels make the curve."""
+    """Which channels make the curve, and how it is corrected: in the order of the keys."""
 
     force: Snake
     displacement: Snake
+    compliance: MachineCompliance | None = None
+    failure: Failure | None = None
+    slips: Slips | None = None
+    slack: Slack | None = None
 
 
 class Branches(Block):
@@ -123,7 +175,9 @@ class Branches(Block):
     min_stroke: Length = Field(description="Smaller movements back and forth are noise")
 
 
-FigureName: TypeAlias = Literal["force-displacement", "wire-shapes", "timeline", "marker-quality"]
+FigureName: TypeAlias = Literal[
+    "force-displacement", "stiffness-lines", "wire-shapes", "timeline", "marker-quality"
+]
 
 
 class Report(Block):
@@ -131,3 +185,18 @@ class Report(Block):
 
     display: dict[str, Text] = Field({}, description="Unit of each quantity, such as force: mN")
     figures: tuple[FigureName, ...] = ()
+
+
+class Groups(Block):
+    """How `labpipe report` puts the samples of one type together."""
+
+    main: tuple[Text, ...] = Field((), description="Names of the results that are shown first")
+    scaled: bool = Field(False, description="Also draw force / peak force of each sample")
+    min_p: Share = Field(0.05, description="Spools that differ with a smaller p are never pooled")
+    max_spool_share: Share = Field(
+        0.1,
+        description="Pool spools only when their share of the variance is surely below",
+    )
+    margin: Share | None = Field(
+        None, description="Difference of two groups that does not matter, as a share of the first"
+    )

@@ -21,6 +21,7 @@ from labpipe.protocol.rig import (
     AlignNone,
     Branches,
     CurveBlock,
+    Groups,
     Markers,
     Report,
     Rig,
@@ -56,6 +57,7 @@ class Protocol(Block):
     branches: Branches | None = None
     results: tuple[ResultEntry, ...] = Field((), description="In the order of the summary")
     report: Report = Report()
+    groups: Groups = Groups()
 
     @property
     def channels(self) -> dict[str, ChannelSource]:

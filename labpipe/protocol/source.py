@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Final, Literal, get_args
 
-from pydantic import BeforeValidator, Field, PrivateAttr, WithJsonSchema
+from pydantic import (
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    PrivateAttr,
+    WithJsonSchema,
+)
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.quantities import (
@@ -15,7 +21,9 @@ from labpipe.protocol.words import Snake, Text
 from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]
-ReaderName = Literal["dspace-mat", "dspace-csv", "dspace-mf4", "motive-csv", "motive-xlsx"]
+ReaderName = Literal[
+    "dspace-mat", "dspace-csv", "dspace-mf4", "motive-csv", "motive-xlsx", "load-frame"
+]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
 """What an export can be for."""
 READERS: Final[tuple[str, ...]] = get_args(ReaderName)
@@ -44,6 +52,30 @@ Readers = Annotated[
 ]
 
 
+Names = Annotated[
+    tuple[Text, ...],
+    BeforeValidator(_listed),
+    Field(min_length=1),
+    PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "string"},
+                {"type": "array", "minItems": 1, "items": {"type": "string"}},
+            ]
+        }
+    ),
+]
+"""One name, or several of which the first that the export has counts."""
+
+
+class PlausiblePeak(Block):
+    """Between what the largest absolute value of a channel lies; doubtful outside."""
+
+    start: Text = Field(alias="from", description="Such as 20 N")
+    stop: Text = Field(alias="to", description="Such as 2 kN")
+
+
 class Calibration(Block):
     """A straight line from what the instrument wrote to what it stands for."""
 
@@ -57,10 +89,13 @@ class Calibration(Block):
 class ChannelSource(Block):
     """One channel of an export."""
 
-    channel: Text = Field(description="Name or full path in the export, as `labpipe inspect` says")
+    channel: Names = Field(
+        description="Name or full path in the export, as `labpipe inspect` says; or a list of names"
+    )
     unit: Text | None = Field(None, description="Unit in the export, where the export is silent")
     calibration: Calibration | None = None
     quantity: Snake | None = Field(None, description="Needed where the name does not say it")
+    plausible_peak: PlausiblePeak | None = None
     _name: str = PrivateAttr("")
 
     @property
@@ -94,6 +129,15 @@ class ChannelSource(Block):
         """Standard uncertainty of the gain as a ratio; 0 where nobody has said it."""
         return 0.0 if self.calibration is None else self.calibration.gain_uncertainty
 
+    @property
+    def peak_range(self) -> tuple[float, float] | None:
+        """Smallest and largest plausible peak, in `target_unit`; None where nobody has said it."""
+        if self.plausible_peak is None:
+            return None
+        ends = self.plausible_peak.start, self.plausible_peak.stop
+        least, most = (parse_quantity(end, self.target_unit) for end in ends)
+        return least, most
+
     def named(self, name: str) -> ChannelSource:
         """Give back the same channel under the name that labpipe uses for it."""
         channel = self.model_copy()
@@ -105,10 +149,17 @@ class Source(Block):
     """One export of a test, or several parts of one."""
 
     reader: Readers = Field(description="The format, or the formats, that the export may have")
-    channel: Text | None = Field(None, description="Short for one channel named like the role")
+    dialect: Names | None = Field(
+        None, description="Of a load frame: the card, or cards, that the export must fit"
+    )
+    part: Text | None = Field(
+        None, description="Of a load frame: which specimen or sheet of an export that holds several"
+    )
+    channel: Names | None = Field(None, description="Short for one channel named like the role")
     unit: Text | None = None
     calibration: Calibration | None = None
     quantity: Snake | None = None
+    plausible_peak: PlausiblePeak | None = None
     channels: dict[Snake, ChannelSource] | None = None
     _role: str = PrivateAttr("")
 
@@ -121,6 +172,7 @@ class Source(Block):
                 unit=self.unit,
                 calibration=self.calibration,
                 quantity=self.quantity,
+                plausible_peak=self.plausible_peak,
             )
             return {self._role: single.named(self._role)}
         return {name: each.named(name) for name, each in (self.channels or {}).items()}

@@ -43,6 +43,12 @@ def _content_faults(outline: Outline, role: str) -> Iterator[Fault]:
         yield Fault((*path, key), "no channels beside marker tracks", f"the key {key!r}", _OUT)
     elif role != "markers" and has_channels:
         yield from _form_faults(source, path, short)
+    if "load-frame" not in readers:
+        for key in ("dialect", "part"):
+            if key in source:
+                remedy = "Remove it, or name the reader 'load-frame'."
+                expected = "this key for the reader 'load-frame' alone"
+                yield Fault((*path, key), expected, f"the key {key!r}", remedy, "key")
 
 
 _OUT = "Remove it."
@@ -73,6 +79,7 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
     if target is None:
         yield _unknown_quantity(channel)
         return
+    yield from _peak_faults(channel, target)
     calibration, unit = channel.values.get("calibration"), channel.values.get("unit")
     if unit is None:
         if calibration is not None:
@@ -92,6 +99,27 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
         return
     if isinstance(calibration, dict):
         yield from _calibration_faults(channel, calibration, f"{target}/({before})")
+
+
+def _peak_faults(channel: ChannelOutline, target: str) -> Iterator[Fault]:
+    """Find a plausible peak without unit, or with its ends the wrong way round."""
+    said = channel.values.get("plausible_peak")
+    path = (*channel.path, "plausible_peak")
+    ends: list[float] = []
+    for key in ("from", "to"):
+        text = said.get(key) if isinstance(said, dict) else None
+        if not isinstance(text, str):
+            continue
+        try:
+            ends.append(parse_quantity(text, target))
+        except ValueError:
+            remedy = f"Write it with its unit, such as '20 {target}'."
+            yield Fault(
+                (*path, key), f"a quantity with a unit such as {target}", repr(text), remedy
+            )
+    if len(ends) == 2 and not 0.0 <= ends[0] < ends[1]:
+        expected = "'from' of at least zero, and 'to' above it"
+        yield Fault(path, expected, f"{ends[0]:g} to {ends[1]:g} {target}", "Correct them.")
 
 
 def _unknown_quantity(channel: ChannelOutline) -> Fault:

@@ -51,6 +51,11 @@ class Zero(Block):
     channel: Snake
     over: Duration
     at: Literal["start", "end"] = "start"
+    by: Literal["mean", "line"] = Field(
+        "mean",
+        description="line: what a straight line through the stretch says of its outer end, for "
+        "machines that move from the first sample on",
+    )
 
 
 class Smooth(Block):

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, motive_csv
-from labpipe.readers.channels import find_channel, select_channel
+from labpipe.readers.channels import Wanted, find_channel, select_channel
 from labpipe.readers.strangers import name_format
 from labpipe.records.quality import Severity
 from labpipe.records.recording import Recording
@@ -25,7 +25,7 @@ __all__ = [
 
 
 class _Read(Protocol):
-    def __call__(self, path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+    def __call__(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
         """Read one export."""
 
 
@@ -86,7 +86,10 @@ def recognise_export(path: Path) -> Reader:
 def read_export(
     path: Path,
     reader: str | Sequence[str] | None = None,
-    channels: Sequence[str] | None = None,
+    channels: Sequence[Wanted] | None = None,
+    *,
+    dialect: Sequence[str] | None = None,
+    part: str | None = None,
 ) -> Recording:
     """Read an export that is to be processed.
 
@@ -96,6 +99,8 @@ def read_export(
     reader : the format, or formats, that it must have; None to take what the content says
     channels : names or paths of the channels wanted, None for all; only these are loaded, with
         their time axes
+    dialect : of a load frame's export, the card or cards that it must fit
+    part : of a load frame's export, the specimen or sheet wanted of one that holds several
 
     Returns
     -------

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 from labpipe.errors import ReadError, complaint, nearest
 from labpipe.records.recording import Channel, Recording
 
+Wanted: TypeAlias = str | tuple[str, ...]
+"""A channel by its name or path, or by several of which the first that the export has is meant."""
+
 _INSPECT = "`labpipe inspect` lists them all."
 
 
-def select_channel(recording: Recording, wanted: str, file: object) -> Channel:
+def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channel:
     """Find the one channel that a name stands for.
 
     Parameters
     ----------
     recording : what a reader made of the export
     wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone where no other
-        channel has it; quotes and the two characters backslash-n may be left out
+        channel has it; quotes and the two characters backslash-n may be left out. Of several
+        names the first one that the export has counts.
     file : named in the errors
 
     Returns
@@ -33,7 +38,7 @@ def select_channel(recording: Recording, wanted: str, file: object) -> Channel:
     return recording.channels[find_channel(wanted, known, file)]
 
 
-def find_channel(wanted: str, known: Sequence[tuple[str, str]], file: object) -> int:
+def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object) -> int:
     """Find which of the (name, path) pairs a name stands for.
 
     Parameters
@@ -51,16 +56,23 @@ def find_channel(wanted: str, known: Sequence[tuple[str, str]], file: object) ->
     ReadError
         If it stands for none of them, or for more than one.
     """
+    names = (wanted,) if isinstance(wanted, str) else wanted
+    paths = [path for _, path in known]
+    for name in names:
+        found = _meant(name, known)
+        if len(found) == 1:
+            return found[0]
+        if found:
+            raise ReadError(_ambiguous(name, [paths[i] for i in found], file))
+    raise ReadError(_unknown(names, paths, file))
+
+
+def _meant(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:
+    """Which of the (name, path) pairs one name may stand for."""
     exact = [i for i, (_, path) in enumerate(known) if path == wanted]
     spelt = [i for i, (_, path) in enumerate(known) if _spellings(path) & _spellings(wanted)]
     named = [i for i, (name, _) in enumerate(known) if name == wanted]
-    found = exact or spelt or named
-    if len(found) == 1:
-        return found[0]
-    paths = [path for _, path in known]
-    if found:
-        raise ReadError(_ambiguous(wanted, [paths[i] for i in found], file))
-    raise ReadError(_unknown(wanted, paths, file))
+    return exact or spelt or named
 
 
 def _spellings(path: str) -> set[str]:
@@ -80,11 +92,11 @@ def _ambiguous(wanted: str, paths: list[str], file: object) -> str:
     )
 
 
-def _unknown(wanted: str, paths: list[str], file: object) -> str:
-    close = nearest(wanted, paths)
+def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
+    close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
     remedy = f"Nearest: {_listed(close)}. {_INSPECT}" if close else "The file holds no channels."
     expected = f"one of the {len(paths)} channels of the file"
-    place = f"channel {wanted!r}"
+    place = f"channel {' or '.join(map(repr, names))}"
     return complaint(file, place, expected=expected, found="no such channel", remedy=remedy)
 
 

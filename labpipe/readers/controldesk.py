@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.channels import find_channel
+from labpipe.readers.channels import Wanted, find_channel
 from labpipe.readers.clocks import clock_notes
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote, Severity
@@ -63,7 +63,7 @@ class Export:
 
 
 def load_export(
-    export: Export, *, reader: str, path: Path, channels: Sequence[str] | None
+    export: Export, *, reader: str, path: Path, channels: Sequence[Wanted] | None
 ) -> Recording:
     """Load the channels that are wanted, on their time axes.
 

@@ -26,6 +26,7 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.dates import written_date
 from labpipe.readers.files import read_head, reading
@@ -50,7 +51,7 @@ def recognise(path: Path) -> bool:
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 
 
-def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
     """Read a ControlDesk CSV file.
 
     Parameters

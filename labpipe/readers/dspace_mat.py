@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export, plain
 from labpipe.readers.dates import day_of_saving, written_date
 from labpipe.readers.files import read_head, reading
@@ -53,7 +54,7 @@ def recognise(path: Path) -> bool:
     return head.startswith((_V5, _V73)) or head[512:520] == _HDF5
 
 
-def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
     """Read a ControlDesk MAT file.
 
     Parameters

@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.files import BROKEN, read_head, reading
 from labpipe.records.recording import Recording
@@ -44,7 +45,7 @@ def recognise(path: Path) -> bool:
     return head.startswith(b"MDF     4")
 
 
-def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:
+def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
     """Read a ControlDesk MF4 file.
 
     Parameters

@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.channels import Wanted
 from labpipe.readers.clocks import clock_notes
 from labpipe.readers.files import BROKEN, read_head, reading
 from labpipe.readers.motive_header import Header, parse_header
@@ -65,7 +66,7 @@ def recognise_xlsx(path: Path) -> bool:
         return False
 
 
-def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:  # noqa: ARG001
+def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
     """Read a Motive CSV export.
 
     Parameters
@@ -99,7 +100,7 @@ def read(path: Path, *, channels: Sequence[str] | None = None) -> Recording:  # 
     return _recording("motive-csv", header, Columns(values, chosen), notes, path)
 
 
-def read_xlsx(path: Path, *, channels: Sequence[str] | None = None) -> Recording:  # noqa: ARG001
+def read_xlsx(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
     """Read a Motive CSV export that a spreadsheet saved as xlsx.
 
     Parameters

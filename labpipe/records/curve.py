@@ -189,6 +189,25 @@ class Curve:
             object.__setattr__(self, name, numbers)
 
 
+@dataclass(frozen=True, slots=True)
+class FittedLine:
+    """A straight line that a result was read from, so that a figure can show it.
+
+    Parameters
+    ----------
+    result : name of the result that is its slope
+    slope : N/m
+    level : N, height of the line at `start`
+    start, stop : m, displacements between which it was fitted
+    """
+
+    result: str
+    slope: float
+    level: float
+    start: float
+    stop: float
+
+
 class PointFlag(IntEnum):
     """Where the position of one point in one frame comes from."""
 

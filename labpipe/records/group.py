@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from labpipe.records.arrays import Floats, frozen
-from labpipe.records.curve import Interval
+from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result, Specimen
 from labpipe.records.slips import Slip
@@ -49,6 +49,7 @@ class Sample:
     loading, unloading : the branches of each cycle in order; empty where the test has no curve
     results : as in the summary
     slips : the slip ledger
+    lines : the straight lines that stiffnesses were read from
     quality : notes
     display : unit in which people see a quantity, by quantity
     source : where it was read from, for messages
@@ -61,6 +62,7 @@ class Sample:
     unloading: tuple[SampleCurve, ...]
     results: tuple[Result, ...]
     slips: tuple[Slip, ...] = ()
+    lines: tuple[FittedLine, ...] = ()
     quality: tuple[QualityNote, ...] = ()
     display: Mapping[str, str] = field(default_factory=dict)
     source: str = ""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from labpipe.records.curve import Aligned, Curve, Interval, Shape
+from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
 from labpipe.records.slips import Slip
@@ -109,6 +109,7 @@ class TestResult:
     display : unit in which people see a quantity, by quantity (``displacement: mm``)
     figures : names of the figures that the protocol asks for
     slips : the slip ledger of the curve
+    lines : the straight lines that stiffnesses were read from
     """
 
     __test__ = False  # not a test of this project, whatever its name suggests to pytest
@@ -129,3 +130,4 @@ class TestResult:
     display: Mapping[str, str] = field(default_factory=dict)
     figures: tuple[str, ...] = ()
     slips: tuple[Slip, ...] = ()
+    lines: tuple[FittedLine, ...] = ()

@@ -124,6 +124,16 @@ SLIP_COLUMNS: Final = (
     ("stop", "int64"),
 )
 
+LINES: Final = "lines"
+LINE_TABLE: Final = Field(("line",), "text, N/m, N, m, m", "table")
+LINE_COLUMNS: Final = (
+    ("result", "S64"),
+    ("slope", "float64"),
+    ("level", "float64"),
+    ("start", "float64"),
+    ("stop", "float64"),
+)
+
 # /shape
 SHAPE: Final = "shape"
 SHAPE_FIELDS: Final[Mapping[str, Field]] = {

@@ -14,6 +14,7 @@ from labpipe.records.curve import (
     ClockFit,
     Curve,
     Direction,
+    FittedLine,
     Interval,
     Series,
     Shape,
@@ -80,6 +81,7 @@ def read_result(path: Path) -> TestResult:
             display=json.loads(text(root, layout.DISPLAY)),
             figures=texts(root, layout.FIGURES),
             slips=_slips(root[layout.CURVE]) if layout.CURVE in groups else (),
+            lines=_lines(root[layout.CURVE]) if layout.CURVE in groups else (),
         )
 
 
@@ -233,6 +235,18 @@ def _slip(row: Any) -> Slip:
         start=int(row["start"]),
         stop=int(row["stop"]),
     )
+
+
+def _lines(group: Any) -> tuple[FittedLine, ...]:
+    if layout.LINES not in group:
+        return ()
+    return tuple(
+        FittedLine(row["result"].decode(), *(float(row[name]) for name in _LINE_NUMBERS))
+        for row in array(group, layout.LINES, layout.LINE_TABLE)
+    )
+
+
+_LINE_NUMBERS = tuple(name for name, _ in layout.LINE_COLUMNS[1:])
 
 
 def _branch(row: Any) -> Branch:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,11 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
-from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Shape
+from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import InputFile, Result, Specimen, TestResult
-from labpipe.records.slips import Slip
 from labpipe.store import layout
 from labpipe.store.chunks import same_content, string_array, write_array
 from labpipe.store.layout import Field, link_name
@@ -127,7 +127,7 @@ def _write_root(target: _Target, result: TestResult) -> None:
     if result.aligned is not None:
         _write_aligned(target.inside(layout.ALIGNED), result.aligned)
     if result.curve is not None:
-        _write_curve(target.inside(layout.CURVE), result.curve, result.slips)
+        _write_curve(target.inside(layout.CURVE), result, result.curve)
     if result.shape is not None:
         _write_shape(target.inside(layout.SHAPE), result.shape)
     _write_results(target.inside(layout.RESULTS), result.results)
@@ -244,28 +244,31 @@ def _write_clock_fit(target: _Target, fit: ClockFit) -> None:
     target.inside(layout.EVENTS).fields(fit, layout.EVENT_FIELDS)
 
 
-def _write_curve(target: _Target, curve: Curve, slips: tuple[Slip, ...]) -> None:
+def _write_curve(target: _Target, result: TestResult, curve: Curve) -> None:
     target.array(layout.TIME, curve.time, layout.CLOCK_TIME, curve.time_unit)
     target.fields(curve, layout.CURVE_FIELDS)
-    branches = [
-        tuple(_cell(branch, *column) for column in layout.BRANCH_COLUMNS)
-        for branch in curve.branches
-    ]
-    table = np.array(branches, dtype=list(layout.BRANCH_COLUMNS))
-    target.array(layout.BRANCHES, table, layout.BRANCH_TABLE)
-    if slips:
-        ledger = [tuple(_cell(slip, *column) for column in layout.SLIP_COLUMNS) for slip in slips]
-        table = np.array(ledger, dtype=list(layout.SLIP_COLUMNS))
-        target.array(layout.SLIPS, table, layout.SLIP_TABLE)
+    branches = _table(curve.branches, layout.BRANCH_COLUMNS)
+    target.array(layout.BRANCHES, branches, layout.BRANCH_TABLE)
+    if result.slips:
+        slips = _table(result.slips, layout.SLIP_COLUMNS)
+        target.array(layout.SLIPS, slips, layout.SLIP_TABLE)
+    if result.lines:
+        lines = _table(result.lines, layout.LINE_COLUMNS)
+        target.array(layout.LINES, lines, layout.LINE_TABLE)
 
 
-def _cell(record: Branch | Slip, column: str, kind: str) -> object:
-    """Value of a record in a table; ``drop_lower`` is the lower end of ``drop_interval``."""
+def _table(records: Iterable[object], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
+    """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
+    rows = [tuple(_cell(record, *column) for column in columns) for record in records]
+    return np.array(rows, dtype=list(columns))
+
+
+def _cell(record: object, column: str, kind: str) -> object:
     name, _, end = column.rpartition("_")
     if end in layout.INTERVAL_NUMBERS:
         return getattr(getattr(record, f"{name}_interval"), end)
     value = getattr(record, column)
-    return str(value) if kind.startswith("S") else value
+    return str(value).encode() if kind.startswith("S") else value
 
 
 def _write_shape(target: _Target, shape: Shape) -> None:

@@ -18,7 +18,7 @@ def test_the_short_way_names_the_channel_like_the_role() -> None:
     ).channels["force"]
 
     for channel in (short, long):
-        assert (channel.channel, channel.target_unit, channel.channel_unit) == ("a", "N", "N")
+        assert (channel.channel, channel.target_unit, channel.channel_unit) == (("a",), "N", "N")
         assert (channel.gain, channel.offset, channel.gain_uncertainty) == (1.0, 0.0, 0.0)
 
 
