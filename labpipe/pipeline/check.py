@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ProtocolError, ReadError, complaint, nearest
+from labpipe.pipeline.exports import is_empty
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
 from labpipe.protocol.rig import Markers
 from labpipe.protocol.schema import Protocol
@@ -129,10 +130,12 @@ def _export_faults(path: Path, source: Source | None, protocol: Protocol | None)
         if source is None or protocol is None:
             recognise_export(path)
             return
-        recording = read_export(path, source.reader)
+        recording = read_export(path, source.reader, dialect=source.dialect, part=source.part)
     except ReadError as error:
         yield str(error)
         return
+    if is_empty(recording):
+        return  # one of several parts; a test of nothing else is told when it is processed
     for name, channel in source.all_channels.items():
         yield from _channel_faults(recording, name, channel, path)
     if recording.markers is not None and protocol.markers is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
@@ -55,9 +55,33 @@ def read_inputs(
 def _read_roles(folder: Path, sheet: TestSheet, protocol: Protocol) -> dict[str, Recording]:
     recordings: dict[str, Recording] = {}
     for role, source in protocol.sources.items():
-        parts = [read_role(folder / name, source) for name in sheet.files[role]]
-        recordings[role] = parts[0] if len(parts) == 1 else join_parts(parts, sheet.files[role])
+        parts = {name: read_role(folder / name, source) for name in sheet.files[role]}
+        recordings[role] = _joined(parts, folder)
     return recordings
+
+
+def _joined(parts: Mapping[str, Recording], folder: Path) -> Recording:
+    """One recording of all parts; those that took no samples only leave their notes."""
+    filled = {name: part for name, part in parts.items() if not is_empty(part)}
+    if not filled:
+        message = complaint(
+            folder / next(iter(parts)),
+            "",
+            expected="samples",
+            found="none in this file" if len(parts) == 1 else "none in any of the parts",
+            remedy="The test was aborted before its first sample; leave it out.",
+        )
+        raise ReadError(message)
+    whole = next(iter(filled.values()))
+    if len(filled) > 1:
+        whole = join_parts(list(filled.values()), list(filled))
+    notes = [note for part in parts.values() if is_empty(part) for note in part.notes]
+    return replace(whole, notes=(*whole.notes, *notes))
+
+
+def is_empty(recording: Recording) -> bool:
+    """Whether an export holds neither samples nor marker tracks, as an aborted step leaves it."""
+    return recording.markers is None and not any(len(clock.time) for clock in recording.clocks)
 
 
 def read_role(path: Path, source: Source) -> Recording:
@@ -70,7 +94,8 @@ def read_role(path: Path, source: Source) -> Recording:
 
     Returns
     -------
-    The recording with just the channels that the protocol names, under its names, in SI units.
+    The recording with just the channels that the protocol names, under its names, in SI units;
+    one without samples as it is.
 
     Raises
     ------
@@ -81,7 +106,7 @@ def read_role(path: Path, source: Source) -> Recording:
     recording = read_export(
         path, source.reader, channels=wanted, dialect=source.dialect, part=source.part
     )
-    return name_channels(recording, source, path)
+    return recording if is_empty(recording) else name_channels(recording, source, path)
 
 
 def name_channels(recording: Recording, source: Source, path: Path) -> Recording:

@@ -13,10 +13,13 @@ from labpipe.pipeline.marker_steps import MarkerBench
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
 from labpipe.records.arrays import Floats
-from labpipe.records.recording import Channel, MarkerTracks, Recording
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 
 _LARGEST = {"channel": 1e15, "marker": 1e6}
 """SI; no transducer and no camera measures beyond this, damaged files do."""
+
+_FEWEST = 8
+"""Samples of a channel; with fewer, nothing can be said."""
 
 _SATURATED = 100
 """Equal samples in a row at the end of a channel that no noisy signal shows."""
@@ -43,16 +46,17 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
     for role, recording in recordings.items():
         bench.notes.extend(replace(note, where=_at(role, note.where)) for note in recording.notes)
         if recording.markers is not None:
-            _check_clock(recording.markers.time, role)
+            _check_clock(recording.markers.time, role, fewest=2)
             _check_markers(recording.markers, role)
             markers.tracks, markers.role = recording.markers, role
         for channel in recording.channels:
-            time = recording.clock(channel.clock).time
-            _check_clock(time, role)
-            signal = _signal(channel, protocol.channels[channel.name], time, role)
+            clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
+            _check_clock(clock.time, role, fewest=_FEWEST)
+            signal = _signal(channel, source, clock, role)
             bench.raw[channel.name] = bench.signals[channel.name] = signal
             _note_missing(bench, channel)
             _note_saturation(bench, channel)
+            _check_peak(bench, signal, channel.name, source.peak_range)
     return bench, markers
 
 
@@ -60,7 +64,7 @@ def _at(role: str, where: str) -> str:
     return f"{role}: {where}" if where else role
 
 
-def _signal(channel: Channel, source: ChannelSource, time: Floats, role: str) -> Signal:
+def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) -> Signal:
     values = channel.values
     if source.calibration is not None:
         values = source.gain * values + source.offset
@@ -75,12 +79,28 @@ def _signal(channel: Channel, source: ChannelSource, time: Floats, role: str) ->
         raise ProcessingError(message)
     _check_size(values, "channel", role, f"channel {channel.path!r}")
     return Signal(
-        time=time,
+        time=clock.time,
         values=values,
         unit=source.target_unit,
         clock=role,
         relative_error=source.gain_uncertainty,
+        time_unit=clock.unit,
     )
+
+
+def _check_peak(
+    bench: Bench, signal: Signal, name: str, peak_range: tuple[float, float] | None
+) -> None:
+    """Doubt a channel whose peak no such specimen has: a unit that is not what the file says."""
+    if peak_range is None:
+        return
+    peak, (least, most) = float(np.nanmax(np.abs(signal.values))), peak_range
+    if not least <= peak <= most:
+        message = (
+            f"the largest value is {peak:.4g} {signal.unit}, plausible are {least:.4g} to "
+            f"{most:.4g} {signal.unit}: is the unit right, and is it this channel?"
+        )
+        bench.doubt(name, "implausible_peak", message, where=name)
 
 
 def _check_markers(tracks: MarkerTracks, role: str) -> None:
@@ -135,11 +155,11 @@ def _note_saturation(bench: Bench, channel: Channel) -> None:
                 bench.doubt(quantity, "saturation", message, where=channel.name)
 
 
-def _check_clock(time: Floats, role: str) -> None:
-    if len(time) < 2:
-        found = f"{len(time)} of them"
+def _check_clock(time: Floats, role: str, *, fewest: int) -> None:
+    if len(time) < fewest:
+        expected, found = f"at least {fewest} samples", f"{len(time)}"
         remedy = "The recording was aborted; leave this test out."
-        message = complaint(role, "time", expected="samples", found=found, remedy=remedy)
+        message = complaint(role, "time", expected=expected, found=found, remedy=remedy)
         raise ProcessingError(message)
     steps = np.diff(time)
     backwards = np.flatnonzero(~(steps > 0))

@@ -15,6 +15,8 @@ from labpipe.records.curve import Branch
 from labpipe.records.quality import Severity
 
 GRAVITY = 9.80665
+_SPEED = 0.2
+"""Share by which the mean speed of a branch may differ from that of the rig."""
 _ROUNDED = (0.05, 0.25)
 """s on each side of a turning point that are held against the corner."""
 _SETTLED = 0.25
@@ -34,8 +36,12 @@ def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) ->
     if rig.cycles is not None and branches and cycles != rig.cycles:
         message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
         bench.note("cycles_unexpected", Severity.WARNING, "rig.cycles", message)
-    if rig.stroke is not None and branches and protocol.branches is not None:
-        _check_stroke(bench, bench.raw[protocol.branches.channel], rig.stroke)
+    if branches and protocol.branches is not None:
+        motion = bench.raw[protocol.branches.channel]
+        if rig.stroke is not None:
+            _check_stroke(bench, motion, rig.stroke)
+        if rig.crosshead_speed is not None and motion.has_time:
+            _check_speed(bench, motion, rig.crosshead_speed, branches[0])
     if rig.string is not None and protocol.curve is not None:
         weight = rig.string.counterweight * GRAVITY
         _check_pull(bench, bench.signals[protocol.curve.force], weight)
@@ -48,6 +54,19 @@ def _check_stroke(bench: Bench, motion: Signal, expected: float) -> None:
     if abs(stroke - expected) > 0.02 * expected:
         message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * expected:.4g} mm expected"
         bench.note("stroke_unexpected", Severity.WARNING, "rig.stroke", message)
+
+
+def _check_speed(bench: Bench, motion: Signal, expected: float, first: Branch) -> None:
+    """Another speed than the rig was set to: another unit, another column, another test."""
+    part = slice(first.start, first.stop)
+    moved = np.nanmax(motion.values[part]) - np.nanmin(motion.values[part])
+    speed = float(moved) / max(first.stop_time - first.start_time, 1e-9)
+    if abs(speed - expected) > _SPEED * expected:
+        message = (
+            f"{1e3 * speed:.4g} mm/s measured over the first branch, {1e3 * expected:.4g} mm/s "
+            "expected: look at rig.crosshead_speed, and at unit and name of the displacement"
+        )
+        bench.doubt("displacement", "speed_unexpected", message, where="rig.crosshead_speed")
 
 
 def _check_pull(bench: Bench, force: Signal, weight: float) -> None:

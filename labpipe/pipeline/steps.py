@@ -61,6 +61,7 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
             _smooth(bench, step, protocol)
         case LowPass():
             signal = bench.signals[step.channel]
+            _need_time(signal, step.channel, "a cutoff in Hz")
             rate = 1.0 / float(np.median(np.diff(signal.time)))
             values = low_pass(signal.values, cutoff=step.cutoff, rate=rate, order=step.order)
             bench.signals[step.channel] = replace(signal, values=values)
@@ -72,24 +73,52 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
 
 def _zero(bench: Bench, step: Zero) -> None:
     signal = bench.signals[step.channel]
+    _need_time(signal, step.channel, "a stretch in s")
     start = float(signal.time[0] if step.at == "start" else signal.time[-1] - step.over)
     first = np.searchsorted(signal.time, start)
     rest = signal.values[first : np.searchsorted(signal.time, start + step.over, side="right")]
-    bench.zeroed[step.channel] = (start, start + step.over)
     known = rest[~np.isnan(rest)]
     if len(known) < 8:
         message = f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, not 8"
         raise ValueError(message)
-    level = float(known.mean())
-    error = float(np.sqrt(long_run_variance(_blocks(known), parameters=1) / len(_blocks(known))))
+    if step.by == "mean":
+        bench.zeroed[step.channel] = (start, start + step.over)
+        level, error = _mean_level(known)
+    else:
+        level, error = _end_level(known if step.at == "start" else known[::-1])
     zeroed = replace(signal, values=signal.values - level, zero_error=error)
     raw = bench.raw[step.channel]
     bench.raw[step.channel] = (
         zeroed if raw is signal else replace(raw, values=raw.values - level, zero_error=error)
     )
     bench.signals[step.channel] = zeroed
-    said = f"zero at {level:.6g} {signal.unit}, the mean over {step.over:g} s at the {step.at}"
+    how = "the mean" if step.by == "mean" else "the outer end of a line"
+    said = f"zero at {level:.6g} {signal.unit}, {how} over {step.over:g} s at the {step.at}"
     bench.note("zeroed", Severity.INFO, step.channel, said)
+
+
+def _mean_level(values: Floats) -> tuple[float, float]:
+    """Mean with its standard error."""
+    blocks = _blocks(values)
+    error = float(np.sqrt(long_run_variance(blocks, parameters=1) / len(blocks)))
+    return float(values.mean()), error
+
+
+def _end_level(values: Floats) -> tuple[float, float]:
+    """First value of a straight line through evenly sampled values, with its standard error."""
+    blocks = _blocks(values)
+    design = np.column_stack([np.ones(len(blocks)), np.arange(len(blocks))])
+    coefficients = np.linalg.lstsq(design, blocks, rcond=None)[0]
+    variance = long_run_variance(blocks - design @ coefficients, parameters=2)
+    error = float(np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0]))
+    return float(coefficients[0]), error
+
+
+def _need_time(signal: Signal, name: str, what: str) -> None:
+    """Refuse a length in seconds where the export has rows but no time."""
+    if not signal.has_time:
+        message = f"{name}: {what} needs times, and the export has none"
+        raise ValueError(message)
 
 
 def _blocks(values: Floats) -> Floats:
@@ -105,7 +134,8 @@ def _smooth(bench: Bench, step: Smooth, protocol: Protocol) -> None:
     values = moving_average(signal.values, window=window)
     bench.signals[step.channel] = replace(signal, values=values)
     seconds = window * float(np.median(np.diff(signal.time)))
-    said = f"moving average over {window} samples ({seconds:.4g} s)"
+    length = f" ({seconds:.4g} s)" if signal.has_time else ""
+    said = f"moving average over {window} samples{length}"
     bench.note("smoothed", Severity.INFO, step.channel, said)
 
 
@@ -114,6 +144,7 @@ def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
     count = len(signal.values)
     if span.kind == "samples":
         return window_length(max(1.0, span.value), count)
+    _need_time(signal, "smooth", f"a span of {span.kind}")
     if span.kind == "time":
         return seconds_to_window(span.value, signal.time)
     speed, stroke = protocol.rig.crosshead_speed, protocol.rig.stroke

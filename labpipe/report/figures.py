@@ -11,7 +11,13 @@ import numpy as np
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.result import TestResult
-from labpipe.report import force_displacement, marker_quality, timeline, wire_shapes
+from labpipe.report import (
+    force_displacement,
+    marker_quality,
+    stiffness_lines,
+    timeline,
+    wire_shapes,
+)
 from labpipe.report.page import finish_layout, style
 
 if TYPE_CHECKING:
@@ -19,6 +25,7 @@ if TYPE_CHECKING:
 
 FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "force-displacement": force_displacement.draw,
+    "stiffness-lines": stiffness_lines.draw,
     "wire-shapes": wire_shapes.draw,
     "timeline": timeline.draw,
     "marker-quality": marker_quality.draw,

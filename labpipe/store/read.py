@@ -70,19 +70,31 @@ def read_result(path: Path) -> TestResult:
         If the file is none of labpipe's, of a newer schema, truncated or damaged.
     """
     with opened(path) as root:
-        groups = set(root)
-        return TestResult(
-            **_head(root),
-            aligned=_aligned(root[layout.ALIGNED]) if layout.ALIGNED in groups else None,
-            curve=_curve(root[layout.CURVE]) if layout.CURVE in groups else None,
-            shape=_shape(root[layout.SHAPE]) if layout.SHAPE in groups else None,
-            results=_results(root[layout.RESULTS]),
-            quality=_notes(root[layout.QUALITY]),
-            display=json.loads(text(root, layout.DISPLAY)),
-            figures=texts(root, layout.FIGURES),
-            slips=_slips(root[layout.CURVE]) if layout.CURVE in groups else (),
-            lines=_lines(root[layout.CURVE]) if layout.CURVE in groups else (),
-        )
+        shape = _shape(root[layout.SHAPE]) if layout.SHAPE in root else None
+        return TestResult(**_head(root), **_outcome(root), aligned=_aligned(root), shape=shape)
+
+
+def read_outcome(path: Path) -> TestResult:
+    """Read what a report needs of a result file: curve and results, no recordings, no shapes.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+
+    Returns
+    -------
+    The test with empty recordings and inputs; the aligned signals only where slips were repaired,
+    so that the force as measured can be shown.
+
+    Raises
+    ------
+    StoreError
+        As `read_result`.
+    """
+    with opened(path) as root:
+        outcome = _outcome(root)
+        aligned = _aligned(root) if outcome["slips"] else None
+        return TestResult(**_head(root, raw=False), **outcome, aligned=aligned, shape=None)
 
 
 def read_raw(path: Path) -> RawTest:
@@ -105,15 +117,29 @@ def read_raw(path: Path) -> RawTest:
         return RawTest(**_head(root))
 
 
-def _head(root: Any) -> dict[str, Any]:
+def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share."""
-    raw = root[layout.RAW]
-    recordings = {role: _recording(raw[role]) for role in texts(raw, "roles")}
+    group = root[layout.RAW]
+    roles = texts(group, "roles") if raw else ()
     return {
         **{name: text(root, name) for name in layout.ROOT_TEXTS},
         "specimen": _specimen(root),
-        "inputs": _inputs(raw),
-        "recordings": recordings,
+        "inputs": _inputs(group) if raw else (),
+        "recordings": {role: _recording(group[role]) for role in roles},
+    }
+
+
+def _outcome(root: Any) -> dict[str, Any]:
+    """Read what processing found, the curve and the numbers."""
+    curve = root[layout.CURVE] if layout.CURVE in root else None
+    return {
+        "curve": None if curve is None else _curve(curve),
+        "results": _results(root[layout.RESULTS]),
+        "quality": _notes(root[layout.QUALITY]),
+        "display": json.loads(text(root, layout.DISPLAY)),
+        "figures": texts(root, layout.FIGURES),
+        "slips": () if curve is None else _slips(curve),
+        "lines": () if curve is None else _lines(curve),
     }
 
 
@@ -177,7 +203,10 @@ def _markers(group: Any) -> MarkerTracks:
     )
 
 
-def _aligned(group: Any) -> Aligned:
+def _aligned(root: Any) -> Aligned | None:
+    if layout.ALIGNED not in root:
+        return None
+    group = root[layout.ALIGNED]
     series = {
         text(group[name], "name"): Series(
             array(group, name, layout.SERIES), text(group[name], "unit")

@@ -1,0 +1,127 @@
+"""A loading curve with what was read from it: lines, break point, slips, failure."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labpipe.records.curve import Direction, FittedLine
+from labpipe.records.result import Result, TestResult
+from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, put_key, say
+from labpipe.report.thinning import extremes
+from labpipe.report.wording import Scale, scale, why_missing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
+_BINS = 1500
+
+
+def draw(result: TestResult) -> Figure:
+    """Draw the first loading branch with the lines that stiffnesses were read from."""
+    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=96, has_key=True)
+    axes = page.subplots()
+    curve = result.curve
+    loading = (
+        [each for each in curve.branches if each.direction is Direction.LOADING] if curve else []
+    )
+    if curve is None or not loading:
+        say(axes, why_missing(result, "loading branch"))
+        return page
+    plot_branch(result, axes)
+    plot_lines(result, axes)
+    mark_points(result, axes)
+    across, up = _scales(result)
+    axes.set_xlabel(across.label("Displacement"))
+    axes.set_ylabel(up.label("Force"))
+    handles: list[Line2D] = axes.get_legend_handles_labels()[0]  # type: ignore[assignment]
+    put_key(page, handles)
+    return page
+
+
+def plot_branch(result: TestResult, axes: Axes) -> None:
+    """Draw the first loading branch, and as it was measured where slips were repaired.
+
+    Parameters
+    ----------
+    result : a test with a curve
+    axes : to draw on
+    """
+    curve = result.curve
+    if curve is None:
+        return
+    first = next(each for each in curve.branches if each.direction is Direction.LOADING)
+    part = slice(first.start, first.stop)
+    across, up = _scales(result)
+    if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
+        measured = result.aligned.series["force"].values[part]
+        kept = extremes(measured, bins=_BINS)
+        x, y = curve.displacement[part][kept] * across.factor, measured[kept] * up.factor
+        axes.plot(x, y, color=GREY, linestyle=(0, (4, 1.6)), linewidth=0.6, label="as measured")
+    force = curve.force[part]
+    kept = extremes(force, bins=_BINS)
+    x, y = curve.displacement[part][kept] * across.factor, force[kept] * up.factor
+    axes.plot(x, y, linewidth=0.8, label="loading")
+
+
+def plot_lines(result: TestResult, axes: Axes) -> None:
+    """Draw each fitted line over its window, with its slope in the key.
+
+    Parameters
+    ----------
+    result : its lines and the results of their names are drawn
+    axes : to draw on
+    """
+    across, up = _scales(result)
+    stiffness = scale(result, "stiffness", "N/m")
+    for line in result.lines:
+        x = np.array([line.start, line.stop])
+        y = line.level + line.slope * (x - line.start)
+        style = (0, (1, 1)) if line.result.startswith("segment") else "-"
+        words = f"{_in_words(line)} {line.slope * stiffness.factor:.4g} {stiffness.unit}"
+        axes.plot(
+            x * across.factor, y * up.factor, linestyle=style, linewidth=1.8, alpha=0.8, label=words
+        )
+
+
+def mark_points(result: TestResult, axes: Axes) -> None:
+    """Mark break point, slips and failure.
+
+    Parameters
+    ----------
+    result : its results and its slip ledger are drawn
+    axes : to draw on
+    """
+    across, up = _scales(result)
+    bend = _value(result, "break_point")
+    if bend is not None:
+        axes.axvline(
+            bend * across.factor, color=GREY, linewidth=0.6, linestyle=":", label="break point"
+        )
+    for number, slip in enumerate(result.slips):
+        axes.axvline(
+            slip.position * across.factor,
+            color="#b2182b",
+            linewidth=0.6,
+            linestyle=(0, (5, 2)),
+            label=f"slip, {slip.decision}" if number == 0 else None,
+        )
+    at, force = _value(result, "failure_displacement"), _value(result, "failure_force")
+    if at is not None and force is not None:
+        axes.plot(at * across.factor, force * up.factor, "x", color="#b2182b", label="failure")
+
+
+def _in_words(line: FittedLine) -> str:
+    return line.result.replace("_", " ")
+
+
+def _value(result: TestResult, name: str) -> float | None:
+    found: list[Result] = [each for each in result.results if each.name == name]
+    return found[0].value if found else None
+
+
+def _scales(result: TestResult) -> tuple[Scale, Scale]:
+    return scale(result, "displacement", "m"), scale(result, "force", "N")
