@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
 from labpipe.protocol.faults import Fault, KeyPath, did_you_mean, one_of
 from labpipe.protocol.outline import Outline, Values
 from labpipe.protocol.quantities import SI_UNITS
+from labpipe.protocol.results import result_names
 from labpipe.protocol.source_checks import source_faults
 from labpipe.units import si_factor
 
@@ -29,6 +31,8 @@ _BRANCH_RESULTS = (
     "slack",
     "compliance",
 )
+_NAMED = ("stiffness", "modulus")
+_MAKES_STIFFNESS = ("initial-stiffness", "stiffness", "two-segments")
 _NEEDS_OF_CURVE = {
     "failure": "failure",
     "energy-to-break": "failure",
@@ -37,10 +41,6 @@ _NEEDS_OF_CURVE = {
 }
 """Results that are read from what a correction of the curve finds."""
 _FIGURES_OF_CURVE = ("force-displacement", "stiffness-lines", "timeline")
-_STIFFNESSES = {
-    "initial-stiffness": ("initial_stiffness",),
-    "two-segments": ("segment_stiffness_first", "segment_stiffness_second"),
-}
 
 
 def cross_faults(data: Values) -> list[Fault]:
@@ -64,6 +64,7 @@ def cross_faults(data: Values) -> list[Fault]:
         _result_faults,
         _figure_faults,
         _display_faults,
+        _group_faults,
     )
     return [fault for check in checks for fault in check(outline)]
 
@@ -163,25 +164,31 @@ def _branch_faults(outline: Outline) -> Faults:
 
 
 def _result_faults(outline: Outline) -> Faults:
-    seen: list[str] = []
+    seen: dict[str, str] = {}
     stiffnesses: list[str] = []
     for number, tag, entry in outline.entries("results", "result"):
         path: KeyPath = ("results", number, "result")
         yield from _need_faults(outline, tag, path)
         yield from _of_faults(entry, (*path[:2], "of"), stiffnesses)
-        name = _result_name(tag, entry)
-        if name in seen:
-            named = tag in ("stiffness", "modulus")
-            remedy = "Give it another 'name'." if named else "Remove one of them."
-            yield Fault(path, "each result once", f"a second {name!r}", remedy)
-        seen.append(name)
-        stiffnesses += [name] if tag == "stiffness" else _STIFFNESSES.get(tag, ())
+        names = result_names(tag, entry)
+        yield from _twice_faults(names, tag, seen, path)
+        seen |= dict.fromkeys(names, tag)
+        if tag in _MAKES_STIFFNESS:
+            stiffnesses += [name for name in names if name != "break_point"]
 
 
-def _result_name(tag: str, entry: Values) -> str:
-    if tag == "normalised-stiffness":
-        return f"{entry.get('of')}_per_peak_force"
-    return str(entry.get("name", tag))
+def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: KeyPath) -> Faults:
+    """Find a result whose name in the summary another one has."""
+    again = next((name for name in names if name in seen), None)
+    if again is None:
+        return
+    if tag in _NAMED:
+        remedy = "Give it another 'name'."
+    elif seen[again] in _NAMED:
+        remedy = f"Give the {seen[again]} of that name another 'name'."
+    else:
+        remedy = "Remove one of them."
+    yield Fault(path, "each result once", f"a second {again!r}", remedy)
 
 
 def _of_faults(entry: Values, path: KeyPath, stiffnesses: list[str]) -> Faults:
@@ -247,6 +254,18 @@ def _display_faults(outline: Outline) -> Faults:
         except ValueError:
             expected = f"a unit of {quantity} such as {SI_UNITS[quantity]}"
             yield Fault(path, expected, repr(unit), "Write the unit alone, without a number.")
+
+
+def _group_faults(outline: Outline) -> Faults:
+    """Find a number that the report is to show first and that nobody asks for."""
+    entries = outline.entries("results", "result")
+    known = [name for _, tag, entry in entries for name in result_names(tag, entry)]
+    said = outline.block("groups").get("main")
+    for number, name in enumerate(said if isinstance(said, list) else []):
+        if isinstance(name, str) and re.sub(r"\.\d+$", ".1", name) not in known:
+            expected = f"one of the results {one_of(name, known)}" if known else "a result"
+            remedy = did_you_mean(name, known) or "The protocol asks for none."
+            yield Fault(("groups", "main", number), expected, repr(name), remedy)
 
 
 def _lacking(path: KeyPath, block: str, needed_for: str) -> Fault:

@@ -17,7 +17,7 @@ from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
 
 Values: TypeAlias = Mapping[str, object]
 
-CHANNEL_KEYS = ("channel", "unit", "calibration", "quantity", "plausible_peak")
+CHANNEL_KEYS = ("channel", "unit", "calibration", "quantity", "plausible_peak", "scale_uncertainty")
 
 
 @dataclass(frozen=True, slots=True)

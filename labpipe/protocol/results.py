@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import Annotated, Final, Literal, TypeAlias
 
 from pydantic import Field, ValidationInfo, field_validator
 
@@ -175,3 +177,37 @@ ResultEntry: TypeAlias = Annotated[
     | TipTravel,
     Field(discriminator="result"),
 ]
+
+_FIXED_NAMES: Final = MappingProxyType(
+    {
+        "clock": ("clock_offset", "clock_drift"),
+        "peak-force": ("peak_force.1",),
+        "peak-displacement": ("peak_displacement.1",),
+        "initial-stiffness": ("initial_stiffness",),
+        "unloading-stiffness": ("unloading_stiffness.1",),
+        "energy": ("energy.1",),
+        "residual-displacement": ("residual_displacement.1",),
+        "two-segments": ("segment_stiffness_first", "segment_stiffness_second", "break_point"),
+        "failure": ("failure_displacement", "failure_force"),
+        "energy-to-break": ("energy_to_break",),
+        "slips": ("slip_position.1", "slip_drop.1"),
+        "slack": ("slack",),
+        "compliance": ("compliance",),
+        "tip-travel": ("tip_travel",),
+    }
+)
+
+
+def result_names(tag: str, entry: Mapping[str, object]) -> tuple[str, ...]:
+    """List what an entry is called in the summary; of several cycles or slips, the first.
+
+    Parameters
+    ----------
+    tag : such as ``two-segments``
+    entry : the block as written, which may give a name of its own
+    """
+    if tag == "normalised-stiffness":
+        return (f"{entry.get('of')}_per_peak_force",)
+    if tag in ("stiffness", "modulus"):
+        return (str(entry.get("name", tag)),)
+    return _FIXED_NAMES.get(tag, ())

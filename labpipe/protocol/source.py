@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import hypot
 from typing import Annotated, Final, Literal, get_args
 
 from pydantic import (
@@ -51,6 +52,7 @@ Readers = Annotated[
     ),
 ]
 
+_TEXT: Final = {"type": ["string", "number"], "minLength": 1}
 
 Names = Annotated[
     tuple[Text, ...],
@@ -60,8 +62,8 @@ Names = Annotated[
     WithJsonSchema(
         {
             "anyOf": [
-                {"type": "string"},
-                {"type": "array", "minItems": 1, "items": {"type": "string"}},
+                _TEXT,
+                {"type": "array", "minItems": 1, "items": _TEXT},
             ]
         }
     ),
@@ -96,6 +98,9 @@ class ChannelSource(Block):
     calibration: Calibration | None = None
     quantity: Snake | None = Field(None, description="Needed where the name does not say it")
     plausible_peak: PlausiblePeak | None = None
+    scale_uncertainty: Ratio = Field(
+        0.0, description="Standard uncertainty of the scale, as the certificate of a load cell says"
+    )
     _name: str = PrivateAttr("")
 
     @property
@@ -126,8 +131,9 @@ class ChannelSource(Block):
 
     @property
     def gain_uncertainty(self) -> float:
-        """Standard uncertainty of the gain as a ratio; 0 where nobody has said it."""
-        return 0.0 if self.calibration is None else self.calibration.gain_uncertainty
+        """Standard uncertainty of gain and scale as a ratio; 0 where nobody has said it."""
+        gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
+        return hypot(gain, self.scale_uncertainty)
 
     @property
     def peak_range(self) -> tuple[float, float] | None:
@@ -160,6 +166,7 @@ class Source(Block):
     calibration: Calibration | None = None
     quantity: Snake | None = None
     plausible_peak: PlausiblePeak | None = None
+    scale_uncertainty: Ratio = 0.0
     channels: dict[Snake, ChannelSource] | None = None
     _role: str = PrivateAttr("")
 
@@ -173,6 +180,7 @@ class Source(Block):
                 calibration=self.calibration,
                 quantity=self.quantity,
                 plausible_peak=self.plausible_peak,
+                scale_uncertainty=self.scale_uncertainty,
             )
             return {self._role: single.named(self._role)}
         return {name: each.named(name) for name, each in (self.channels or {}).items()}
