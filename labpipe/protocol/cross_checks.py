@@ -182,13 +182,15 @@ def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: 
     again = next((name for name in names if name in seen), None)
     if again is None:
         return
+    found = again
     if tag in _NAMED:
         remedy = "Give it another 'name'."
     elif seen[again] in _NAMED:
         remedy = f"Give the {seen[again]} of that name another 'name'."
     else:
         remedy = "Remove one of them."
-    yield Fault(path, "each result once", f"a second {again!r}", remedy)
+        found = again if tag == "normalised-stiffness" else tag
+    yield Fault(path, "each result once", f"a second {found!r}", remedy)
 
 
 def _of_faults(entry: Values, path: KeyPath, stiffnesses: list[str]) -> Faults:

@@ -61,7 +61,8 @@ class Branch:
     start, stop : sample numbers
     cycle : counted from 1; a loading branch and the unloading branch after it share it
     direction : loading or unloading
-    start_time, stop_time : s, the turning points themselves, finer than the samples
+    start_time, stop_time : in the time unit of the curve, the turning points themselves, finer
+        than the samples
     """
 
     start: int

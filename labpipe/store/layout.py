@@ -100,7 +100,6 @@ CURVE_FIELDS: Final[Mapping[str, Field]] = {
     "cycle": Field(("sample",), "1", "int64"),
 }
 BRANCHES: Final = "branches"
-BRANCH_TABLE: Final = Field(("branch",), "sample, sample, 1, text, s, s", "table")
 BRANCH_COLUMNS: Final = (
     ("start", "int64"),
     ("stop", "int64"),
@@ -109,6 +108,12 @@ BRANCH_COLUMNS: Final = (
     ("start_time", "float64"),
     ("stop_time", "float64"),
 )
+
+
+def branch_table(time_unit: str) -> Field:
+    """Say what the table of branches must be: its times are in the unit of the curve's clock."""
+    return Field(("branch",), f"sample, sample, 1, text, {time_unit}, {time_unit}", "table")
+
 
 SLIPS: Final = "slips"
 SLIP_TABLE: Final = Field(("slip",), "m, N, m, m, N, N, text, sample, sample", "table")

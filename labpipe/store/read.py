@@ -93,7 +93,8 @@ def read_outcome(path: Path) -> TestResult:
     """
     with opened(path) as root:
         outcome = _outcome(root)
-        aligned = _aligned(root) if outcome["slips"] else None
+        is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in outcome["slips"])
+        aligned = _aligned(root) if is_repaired else None
         return TestResult(**_head(root, raw=False), **outcome, aligned=aligned, shape=None)
 
 
@@ -131,7 +132,7 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
 
 def _outcome(root: Any) -> dict[str, Any]:
     """Read what processing found, the curve and the numbers."""
-    curve = root[layout.CURVE] if layout.CURVE in root else None
+    curve = root.get(layout.CURVE)
     return {
         "curve": None if curve is None else _curve(curve),
         "results": _results(root[layout.RESULTS]),
@@ -235,7 +236,8 @@ def _interval(group: Any, prefix: str = "") -> Interval:
 
 
 def _curve(group: Any) -> Curve:
-    table = array(group, layout.BRANCHES, layout.BRANCH_TABLE)
+    time_unit = text(group[layout.TIME], "unit")
+    table = array(group, layout.BRANCHES, layout.branch_table(time_unit))
     fields = arrays(group, layout.CURVE_FIELDS)
     return Curve(
         time=array(group, layout.TIME, layout.CLOCK_TIME),
@@ -244,7 +246,7 @@ def _curve(group: Any) -> Curve:
         branch=fields["branch"],
         cycle=fields["cycle"],
         branches=tuple(map(_branch, table)),
-        time_unit=text(group[layout.TIME], "unit"),
+        time_unit=time_unit,
     )
 
 

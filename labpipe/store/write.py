@@ -248,7 +248,7 @@ def _write_curve(target: _Target, result: TestResult, curve: Curve) -> None:
     target.array(layout.TIME, curve.time, layout.CLOCK_TIME, curve.time_unit)
     target.fields(curve, layout.CURVE_FIELDS)
     branches = _table(curve.branches, layout.BRANCH_COLUMNS)
-    target.array(layout.BRANCHES, branches, layout.BRANCH_TABLE)
+    target.array(layout.BRANCHES, branches, layout.branch_table(curve.time_unit))
     if result.slips:
         slips = _table(result.slips, layout.SLIP_COLUMNS)
         target.array(layout.SLIPS, slips, layout.SLIP_TABLE)
@@ -260,7 +260,16 @@ def _write_curve(target: _Target, result: TestResult, curve: Curve) -> None:
 def _table(records: Iterable[object], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
     """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
     rows = [tuple(_cell(record, *column) for column in columns) for record in records]
-    return np.array(rows, dtype=list(columns))
+    kinds = [
+        (name, _wide_enough(kind, [row[place] for row in rows]))
+        for place, (name, kind) in enumerate(columns)
+    ]
+    return np.array(rows, dtype=kinds)
+
+
+def _wide_enough(kind: str, cells: list[Any]) -> str:
+    """The type of a column; numpy would cut words short that are longer than the layout says."""
+    return f"S{max([int(kind[1:]), *map(len, cells)])}" if kind.startswith("S") else kind
 
 
 def _cell(record: object, column: str, kind: str) -> object:

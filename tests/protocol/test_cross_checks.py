@@ -132,7 +132,8 @@ CASES = {
         "{displacement: mm,",
         "{displacment: mm,",
         "p.yaml, line 29, column 13 (report.display.displacment): expected one of the quantities"
-        " 'displacement', 'length', 'moment', 'time', 'speed', 'voltage', ..., found 'displacment'."
+        " 'displacement', 'compliance', 'length', 'moment', 'time', 'speed', ..., found"
+        " 'displacment'."
         " Did you mean 'displacement'?",
     ),
     "display unit": (

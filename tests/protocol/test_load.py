@@ -282,7 +282,7 @@ OVERRIDES = {
     "unknown block": (
         "rigg.stroke: {value: 3 mm, because: x}",
         "test/test.yaml, line 7, column 3 (rigg): expected one of the keys 'rig', 'align',"
-        " 'version', 'curve', 'report', 'markers', ..., found 'rigg'. Did you mean 'rig'?",
+        " 'version', 'curve', 'groups', 'report', ..., found 'rigg'. Did you mean 'rig'?",
     ),
     "below a value": (
         "rig.cycles.x: {value: 3, because: x}",
@@ -302,8 +302,8 @@ OVERRIDES = {
     "within a block": (
         "results: {value: [{result: clock}, {result: enrgy}], because: x}",
         "test/test.yaml, line 7, column 47 (results.1.result): expected one of 'energy',"
-        " 'peak-force', 'peak-displacement', 'residual-displacement', 'stiffness',"
-        " 'tip-travel', ..., found 'enrgy'. Did you mean 'energy'?",
+        " 'energy-to-break', 'peak-force', 'two-segments', 'peak-displacement', 'failure', ...,"
+        " found 'enrgy'. Did you mean 'energy'?",
     ),
     "elsewhere": (
         "markers.clamp: {value: null, because: x}",

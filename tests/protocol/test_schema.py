@@ -55,7 +55,8 @@ CASES = {
     "reader": (
         ("[dspace-mat,", "[dspace-mta,"),
         "p.yaml, line 5, column 14 (sources.force.reader.0): expected one of 'dspace-mat',"
-        " 'dspace-mf4', 'dspace-csv', 'motive-csv', 'motive-xlsx', found 'dspace-mta'."
+        " 'dspace-mf4', 'dspace-csv', 'load-frame', 'motive-csv', 'motive-xlsx', found"
+        " 'dspace-mta'."
         " Did you mean 'dspace-mat'?",
     ),
     "no reader": (
@@ -82,7 +83,8 @@ CASES = {
     "figure": (
         ("wire-shapes", "wire-shape"),
         "p.yaml, line 30, column 33 (report.figures.1): expected one of 'wire-shapes',"
-        " 'force-displacement', 'timeline', 'marker-quality', found 'wire-shape'."
+        " 'force-displacement', 'timeline', 'stiffness-lines', 'marker-quality', found"
+        " 'wire-shape'."
         " Did you mean 'wire-shapes'?",
     ),
     "speed": (

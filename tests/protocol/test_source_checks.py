@@ -64,7 +64,7 @@ CASES = {
     "force from a marker reader": (
         ("[dspace-mat, dspace-csv]", "motive-csv"),
         "p.yaml, line 5, column 13 (sources.force.reader): expected a reader of channels, found"
-        " 'motive-csv'. Use one of 'dspace-csv', 'dspace-mat', 'dspace-mf4'.",
+        " 'motive-csv'. Use one of 'dspace-csv', 'dspace-mat', 'dspace-mf4', 'load-frame'.",
     ),
     "quantity unknown": (
         ("    unit: V\n", "    unit: V\n    quantity: forse\n"),
