@@ -166,7 +166,7 @@ class Source(Block):
     calibration: Calibration | None = None
     quantity: Snake | None = None
     plausible_peak: PlausiblePeak | None = None
-    scale_uncertainty: Ratio = 0.0
+    scale_uncertainty: Ratio | None = None
     channels: dict[Snake, ChannelSource] | None = None
     _role: str = PrivateAttr("")
 
@@ -180,7 +180,7 @@ class Source(Block):
                 calibration=self.calibration,
                 quantity=self.quantity,
                 plausible_peak=self.plausible_peak,
-                scale_uncertainty=self.scale_uncertainty,
+                scale_uncertainty=self.scale_uncertainty or 0.0,
             )
             return {self._role: single.named(self._role)}
         return {name: each.named(name) for name, each in (self.channels or {}).items()}
