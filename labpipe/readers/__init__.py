@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Protocol
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, motive_csv
+from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, load_frame, motive_csv
 from labpipe.readers.channels import Wanted, find_channel, select_channel
 from labpipe.readers.strangers import name_format
 from labpipe.records.quality import Severity
@@ -51,6 +51,7 @@ READERS: dict[str, Reader] = {
     "dspace-mf4": Reader("dspace-mf4", dspace_mf4.recognise, dspace_mf4.read),
     "motive-csv": Reader("motive-csv", motive_csv.recognise, motive_csv.read),
     "motive-xlsx": Reader("motive-xlsx", motive_csv.recognise_xlsx, motive_csv.read_xlsx),
+    "load-frame": Reader("load-frame", load_frame.recognise, load_frame.read),
 }
 
 
@@ -114,7 +115,7 @@ def read_export(
     """
     named = [reader] if isinstance(reader, str) else reader
     allowed = list(READERS if named is None else named)
-    found = recognise_export(path)
+    found = _recognised_or_named(path, allowed, dialect)
     if found.name not in allowed:
         text = complaint(
             path,
@@ -124,9 +125,24 @@ def read_export(
             remedy="Name the right file, or change `reader` in the protocol.",
         )
         raise ReadError(text)
-    recording = found.read(path, channels=channels)
+    if found.name == "load-frame":
+        recording = load_frame.read(path, channels=channels, dialect=dialect, part=part)
+    else:
+        recording = found.read(path, channels=channels)
     _refuse_broken_time(recording, path)
     return recording
+
+
+def _recognised_or_named(
+    path: Path, allowed: Sequence[str], dialect: Sequence[str] | None
+) -> Reader:
+    """The reader by content; where none fits, the load frame's if one of its cards was named."""
+    try:
+        return recognise_export(path)
+    except ReadError:
+        if dialect and list(allowed) == ["load-frame"] and path.is_file():
+            return READERS["load-frame"]
+        raise
 
 
 def _refuse_broken_time(recording: Recording, path: Path) -> None:

@@ -8,10 +8,10 @@ from labpipe.readers.files import read_head
 
 _BY_FIRST_BYTES = (
     (b"\x89HDF\r\n\x1a\n", "an HDF5 file that is no ControlDesk export"),
-    (b"PK\x03\x04", "a zip archive or workbook without a Motive table"),
-    (b"\xd0\xcf\x11\xe0", "an old binary workbook (xls)"),
-    (b"\xff\xfe", "text in UTF-16"),
-    (b"\xfe\xff", "text in UTF-16"),
+    (b"PK\x03\x04", "a zip archive or workbook without a table that labpipe knows"),
+    (b"\xd0\xcf\x11\xe0", "an old binary workbook (xls) without a table that labpipe knows"),
+    (b"\xff\xfe", "text in UTF-16 without a table that labpipe knows"),
+    (b"\xfe\xff", "text in UTF-16 without a table that labpipe knows"),
     (b"MDF     ", "an MDF file of a version other than 4"),
     (b"%PDF", "a PDF document"),
 )

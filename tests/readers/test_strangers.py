@@ -12,7 +12,7 @@ from labpipe.readers.strangers import name_format
     [
         (b"\x02\x50" + bytes(600), "a C3D file (motion capture), which is recognised but not"),
         (b"\x89HDF\r\n\x1a\n" + bytes(600), "an HDF5 file that is no ControlDesk export"),
-        (b"PK\x03\x04rest", "a zip archive or workbook without a Motive table"),
+        (b"PK\x03\x04rest", "a zip archive or workbook without a table that labpipe knows"),
         (b"MDF     3.30", "an MDF file of a version other than 4"),
         ("t;F".encode("utf-16"), "text in UTF-16"),
         (b"\x01\x00\x02", "binary data of an unknown kind"),

@@ -1,0 +1,61 @@
+"""The cards there are: those that come with labpipe, and a lab's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from importlib import resources
+from pathlib import Path
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import reading
+from labpipe.readers.load_frame.card import Card, parse_card
+
+LAB_FOLDER = "dialects"
+"""Where a lab keeps its own cards, in the working folder beside ``protocols``."""
+
+
+@cache
+def shipped_cards() -> Mapping[str, Card]:
+    """Load the cards that come with labpipe, by name."""
+    folder = resources.files("labpipe.readers.load_frame") / "dialects"
+    texts = {
+        file.name.removesuffix(".toml"): file.read_text(encoding="utf-8")
+        for file in folder.iterdir()
+        if file.name.endswith(".toml")
+    }
+    return {
+        name: parse_card(texts[name], name=name, source=f"{name}.toml") for name in sorted(texts)
+    }
+
+
+def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
+    """Load a lab's own cards, by name.
+
+    Parameters
+    ----------
+    folder : where they lie; ``dialects`` in the working folder if None
+
+    Raises
+    ------
+    ReadError
+        If a card is wrong, or has the name of one that comes with labpipe.
+    """
+    own = Path(LAB_FOLDER) if folder is None else folder
+    files = sorted(own.glob("*.toml")) if own.is_dir() else []
+    return {file.stem: _lab_card(file) for file in files}
+
+
+def _lab_card(file: Path) -> Card:
+    if file.stem in shipped_cards():
+        text = complaint(
+            file,
+            "",
+            expected="a name of its own",
+            found=f"'{file.stem}', which is a card of labpipe",
+            remedy="Rename the file, and name the new dialect in the protocol.",
+        )
+        raise ReadError(text)
+    with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
+        text = file.read_text(encoding="utf-8")
+    return parse_card(text, name=file.stem, source=file)

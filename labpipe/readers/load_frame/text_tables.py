@@ -1,0 +1,287 @@
+"""Text exports as tables: one, specimens side by side, or blocks one below the other."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.channels import Wanted
+from labpipe.readers.load_frame.body import Body, read_columns
+from labpipe.readers.load_frame.card import Card
+from labpipe.readers.load_frame.content import HEAD, Content, decode
+from labpipe.readers.load_frame.header import Header, find_header, is_number, split_line
+from labpipe.readers.load_frame.table import (
+    Export,
+    Table,
+    preamble,
+    time_column,
+    unique_names,
+    wanted_columns,
+    word_columns,
+)
+from labpipe.records.quality import QualityNote, Severity
+
+_BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a text export is read from.
+
+    Parameters
+    ----------
+    path : of the file, for messages
+    card : how it is read
+    channels : asked for, None for all
+    """
+
+    path: Path
+    card: Card
+    channels: Sequence[Wanted] | None = None
+
+
+def read_tables(content: Content, place: Place) -> Export:
+    """Read all tables of a text export.
+
+    Parameters
+    ----------
+    content : its bytes
+    place : file, card and wanted channels
+
+    Returns
+    -------
+    The tables; none if there is nothing but a byte order mark.
+
+    Raises
+    ------
+    ReadError
+        If names, units or numbers are not where the card says.
+    """
+    head = decode(content.data[:HEAD], content, place.card.encodings, place.path)
+    if not content.data.strip():
+        return Export((), head=head)
+    if place.card.layout == "blocks":
+        text = decode(content.data, content, place.card.encodings, place.path)
+        return _read_blocks(text, place)
+    header = find_header(_lines(head), place.card, place.path)
+    data = content.data[_offset(content.data, header.first) :]
+    return _read_one(data, header, head, place)
+
+
+def _lines(text: str) -> list[str]:
+    return [line.rstrip("\r") for line in text.split("\n")]
+
+
+def _offset(data: bytes, lines: int) -> int:
+    """Where the line with this number, counted from 0, begins."""
+    at = 0
+    for _ in range(lines):
+        end = data.find(b"\n", at)
+        if end < 0:
+            return len(data)
+        at = end + 1
+    return at
+
+
+def _read_one(data: bytes, header: Header, head: str, place: Place) -> Export:
+    card = place.card
+    groups = _groups(header) if card.layout == "side by side" else [range(len(header.names))]
+    asked = place.channels if len(groups) == 1 else None
+    body = Body(
+        data=data,
+        names=unique_names(header.names),
+        columns=wanted_columns(header.names, card, asked, place.path),
+        first_line=header.first + 1,
+        separator=header.separator,
+        decimal=_decimal(head, place),
+    )
+    columns, notes = read_columns(body, place.path)
+    several = len(groups) > 1
+    tables = []
+    for group, part in zip(groups, _parts(header, groups), strict=True):
+        own = {i - group[0]: columns[i] for i in group if i in columns}
+        if several:
+            own = _without_padding(own)
+        names = tuple(header.names[i] for i in group)
+        units = tuple(header.units[i] for i in group)
+        tables.append(Table(part, names, units, own))
+    about = preamble(header.above)
+    about |= _words(data, header, card)
+    return Export(tuple(tables), about, tuple(notes), head)
+
+
+def _decimal(head: str, place: Place) -> str:
+    """Decimal sign: of the card, or as the export states it."""
+    pattern = place.card.decimal_pattern
+    if pattern is None:
+        return place.card.decimal
+    match = pattern.search(head)
+    if match is not None and match[1] in {".", ","}:
+        return match[1]
+    text = complaint(
+        place.path,
+        "line 1",
+        expected="the decimal sign that this program states",
+        found=f"'{head[:60].splitlines()[0] if head else ''}'",
+        remedy="Export the test again, or name another dialect.",
+    )
+    raise ReadError(text)
+
+
+def _groups(header: Header) -> list[range]:
+    """Columns of each specimen: a new one begins where the row of specimens is filled."""
+    width = len(header.names)
+    starts = [i for i, cell in enumerate(header.specimens[:width]) if cell]
+    first = header.names[0]
+    repeats = [i for i, name in enumerate(header.names) if name == first]
+    if not starts or starts[0] != 0 or len(starts) < len(repeats):
+        starts = repeats
+    return [range(a, b) for a, b in zip(starts, [*starts[1:], width], strict=True)]
+
+
+def _parts(header: Header, groups: Sequence[range]) -> list[str]:
+    named = [
+        header.specimens[group[0]] if group[0] < len(header.specimens) else "" for group in groups
+    ]
+    if len(groups) == 1:
+        return named
+    called = [name or f"specimen {i + 1}" for i, name in enumerate(named)]
+    return unique_names(called)
+
+
+def _without_padding(columns: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
+    """Columns up to the last row that is filled in one of them."""
+    filled = np.logical_or.reduce([~np.isnan(values) for values in columns.values()])
+    rows = int(np.flatnonzero(filled)[-1]) + 1 if filled.any() else 0
+    return {i: values[:rows] for i, values in columns.items()}
+
+
+def _words(data: bytes, header: Header, card: Card) -> dict[str, object]:
+    """What the columns of words hold, each text once."""
+    columns = word_columns(header.names, card)
+    if not columns:
+        return {}
+    found: dict[str, dict[str, None]] = {header.names[column]: {} for column in columns}
+    for line in _lines(data.decode("utf-8", errors="replace")):
+        cells = split_line(line, header.separator)
+        for column in columns:
+            if column < len(cells):
+                found[header.names[column]].setdefault(cells[column].strip())
+    return {name: list(texts)[:20] for name, texts in found.items()}
+
+
+def _read_blocks(text: str, place: Place) -> Export:
+    """Blocks parted by blank lines: forms without samples, samples, summaries."""
+    decimal = _decimal(text[:HEAD], place)
+    samples: list[Table] = []
+    lines: list[int] = []
+    notes: list[QualityNote] = []
+    about: list[Sequence[str]] = []
+    for first_line, block in _blocks(text):
+        header = _header_of_block(block, first_line, place)
+        if header is None:
+            about += [split_line(line, "\t") for line in _lines(block)]
+            continue
+        about += header.above
+        table, found = _table_of_block(block, header, first_line, decimal, place)
+        samples.append(table)
+        lines.append(first_line + header.first)
+        notes += found
+    _refuse_none(samples, text, place)
+    samples, lines, summaries, left_out = _without_summaries(samples, lines, place.card)
+    joined, together = _joined(samples, lines)
+    metadata = preamble(about) | ({"summaries": summaries} if summaries else {})
+    return Export(tuple(joined), metadata, (*notes, *left_out, *together), text[:HEAD])
+
+
+def _blocks(text: str) -> Iterator[tuple[int, str]]:
+    """Blocks with the number of their first line."""
+    at = 0
+    for gap in _BLANK_LINE.finditer(text):
+        yield text.count("\n", 0, at) + 1, text[at : gap.start() + 1]
+        at = gap.end()
+    if text[at:].strip():
+        yield text.count("\n", 0, at) + 1, text[at:]
+
+
+def _header_of_block(block: str, first_line: int, place: Place) -> Header | None:
+    """Header of a block with samples, None for any other."""
+    head = _lines(block[:HEAD])
+    for separator in place.card.separators:
+        rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
+        if any(len(row) > 1 and all(is_number(cell) for cell in row) for row in rows):
+            return find_header(head, place.card, place.path, first_line)
+    return None
+
+
+def _table_of_block(
+    block: str, header: Header, first_line: int, decimal: str, place: Place
+) -> tuple[Table, list[QualityNote]]:
+    data = block.encode("utf-8")
+    body = Body(
+        data=data[_offset(data, header.first) :],
+        names=unique_names(header.names),
+        columns=wanted_columns(header.names, place.card, None, place.path),
+        first_line=first_line + header.first,
+        separator=header.separator,
+        decimal=decimal,
+    )
+    columns, notes = read_columns(body, place.path)
+    return Table("", header.names, header.units, columns), notes
+
+
+def _refuse_none(samples: Sequence[Table], text: str, place: Place) -> None:
+    if samples:
+        return
+    lines = text.count("\n") + 1
+    message = complaint(
+        place.path,
+        f"lines 1 to {lines}",
+        expected="a block of names, units and numbers",
+        found="none",
+        remedy="Export the test again, or name another dialect.",
+    )
+    raise ReadError(message)
+
+
+def _without_summaries(
+    tables: list[Table], lines: list[int], card: Card
+) -> tuple[list[Table], list[int], list[dict[str, list[float]]], list[QualityNote]]:
+    """Leave out blocks without time beside blocks with time: extremes, not samples."""
+    timed = [time_column(table.names, card) is not None for table in tables]
+    if not any(timed) or all(timed):
+        return tables, lines, [], []
+    summaries, notes = [], []
+    for table, line, has_time in zip(tables, lines, timed, strict=True):
+        if not has_time:
+            rows = max(len(values) for values in table.columns.values())
+            message = f"{rows} rows from line {line} on have no time: a summary, not samples"
+            notes.append(QualityNote("summary_rows_left_out", Severity.INFO, "file", message))
+            summaries.append({table.names[i]: v.tolist() for i, v in table.columns.items()})
+    kept = [i for i, has_time in enumerate(timed) if has_time]
+    return [tables[i] for i in kept], [lines[i] for i in kept], summaries, notes
+
+
+def _joined(tables: list[Table], lines: list[int]) -> tuple[list[Table], list[QualityNote]]:
+    """Join blocks with the same columns; blocks with others become parts of their own."""
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
+    for i, table in enumerate(tables):
+        groups.setdefault((table.names, table.units), []).append(i)
+    joined, notes = [], []
+    for number, ((names, units), members) in enumerate(groups.items(), start=1):
+        columns = {
+            column: np.concatenate([tables[i].columns[column] for i in members])
+            for column in tables[members[0]].columns
+        }
+        part = f"block {number}" if len(groups) > 1 else ""
+        joined.append(Table(part, names, units, columns))
+        if len(members) > 1:
+            places = ", ".join(str(lines[i]) for i in members)
+            message = f"{len(members)} blocks of samples (from lines {places} on) are one recording"
+            notes.append(QualityNote("blocks_joined", Severity.INFO, "file", message))
+    return joined, notes

@@ -1,0 +1,249 @@
+"""Workbooks (xlsx, xls) as tables: one sheet for each specimen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import date, time, timedelta
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import read_head, reading
+from labpipe.readers.load_frame.card import Card
+from labpipe.readers.load_frame.header import Header, header_of_rows
+from labpipe.readers.load_frame.table import (
+    Export,
+    Table,
+    preamble,
+    unique_names,
+    word_columns,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+
+Sheets = Mapping[str, Sequence[Sequence[object]]]
+
+_XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+_HEAD_ROWS = 60
+_KEPT_ROWS = 50
+"""A sheet that holds no samples is kept as metadata if it is no longer than this."""
+
+
+def is_workbook(path: Path) -> bool:
+    """Tell whether a file is a zip archive or an old binary document, by its first bytes."""
+    return read_head(path, 8).startswith((_XLSX, _XLS))
+
+
+def open_sheets(path: Path) -> Sheets:
+    """Read the cells of all sheets.
+
+    Parameters
+    ----------
+    path : the workbook
+
+    Returns
+    -------
+    Rows of cells by sheet, row and column 1 first.
+
+    Raises
+    ------
+    ReadError
+        If it is no whole workbook.
+
+    Notes
+    -----
+    Recognising and reading ask for the same workbook one after the other; what was read last is
+    kept until `forget_sheets`, as parsing it is nearly all of the work.
+    """
+    about = path.stat()
+    return _sheets(path, about.st_mtime_ns, about.st_size)
+
+
+def forget_sheets() -> None:
+    """Let go of the workbook that was read last."""
+    _sheets.cache_clear()
+
+
+@lru_cache(maxsize=1)
+def _sheets(path: Path, mtime: int, size: int) -> Sheets:  # noqa: ARG001  they tell versions apart
+    from python_calamine import CalamineError, CalamineWorkbook
+
+    with reading(path, "a whole workbook", also=(CalamineError,)):
+        try:
+            with CalamineWorkbook.from_path(path) as book:
+                return {
+                    name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+                    for name in book.sheet_names
+                }
+        except CalamineError:
+            if not read_head(path, 8).startswith(_XLSX):
+                raise
+        return _by_openpyxl(path)
+
+
+def _by_openpyxl(path: Path) -> Sheets:
+    """Read a workbook that calamine refuses with the slower but more patient library."""
+    import openpyxl
+
+    with path.open("rb") as stream:
+        book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
+        return {
+            sheet.title: [
+                ["" if cell is None else _plain(cell) for cell in row]
+                for row in sheet.iter_rows(values_only=True)
+            ]
+            for sheet in book.worksheets
+        }
+
+
+def _plain(cell: object) -> object:
+    return float(cell) if isinstance(cell, int) and not isinstance(cell, bool) else cell
+
+
+def sheet_head(rows: Sequence[Sequence[object]]) -> str:
+    """Give the first rows of a sheet as text, cells parted by tabs."""
+    return "\n".join("\t".join(as_text(cell) for cell in row) for row in rows[:_HEAD_ROWS])
+
+
+def as_text(cell: object) -> str:
+    """A cell as one would write it."""
+    if isinstance(cell, float):
+        return f"{cell:.15g}"
+    if isinstance(cell, date | time):
+        return cell.isoformat()
+    return str(cell).strip()
+
+
+def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
+    """Read all sheets of a workbook that hold samples.
+
+    Parameters
+    ----------
+    sheets : from `open_sheets`
+    card : how names and units are found
+    path : named in errors
+
+    Returns
+    -------
+    One table for each of them; the others, if short, as metadata.
+
+    Raises
+    ------
+    ReadError
+        If no sheet has names, units and numbers where the card says.
+    """
+    tables: list[Table] = []
+    faults: dict[str, ReadError] = {}
+    about: dict[str, object] = {}
+    for name, rows in sheets.items():
+        try:
+            header = _header(rows, name, card, path)
+        except ReadError as fault:
+            faults[name] = fault
+            continue
+        tables.append(_table(rows, header, name, card, path))
+        about |= preamble(header.above)
+    if not tables:
+        raise _no_table(faults, path)
+    others = {name: _rows_as_text(sheets[name]) for name in faults}
+    metadata = about | ({"sheets": others} if others else {})
+    head = "\n".join(sheet_head(rows) for rows in sheets.values())
+    return Export(tuple(tables), metadata, tuple(_left_out(faults)), head)
+
+
+def _header(rows: Sequence[Sequence[object]], sheet: str, card: Card, path: Path) -> Header:
+    text = [[as_text(cell) for cell in row] for row in rows[:_HEAD_ROWS]]
+    header = header_of_rows(text, card, path, place=f"sheet '{sheet}', row")
+    if card.layout == "specimen above" and len({c for c in header.specimens if c}) != 1:
+        text_of_fault = complaint(
+            path,
+            f"sheet '{sheet}', row {max(header.first - 2, 1)}",
+            expected="the specimen above the row of names",
+            found="none",
+            remedy="Export the test again, or name another dialect.",
+        )
+        raise ReadError(text_of_fault)
+    return header
+
+
+def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
+    """The fault of the sheet with the most to read in its message, or that there is no sheet."""
+    for fault in faults.values():
+        if "numbers below it" not in str(fault):
+            return fault
+    text = complaint(
+        path,
+        "",
+        expected="a sheet with names, units and numbers",
+        found=f"{len(faults)} sheets without",
+        remedy="Export the test again, or name another dialect.",
+    )
+    return ReadError(text)
+
+
+def _left_out(faults: Mapping[str, ReadError]) -> list[QualityNote]:
+    if not faults:
+        return []
+    named = ", ".join(f"'{name}'" for name in faults)
+    message = f"{len(faults)} sheets hold no samples and were left out: {named}"
+    return [QualityNote("sheets_left_out", Severity.INFO, "file", message)]
+
+
+def _rows_as_text(rows: Sequence[Sequence[object]]) -> list[list[str]]:
+    texts = [[as_text(cell) for cell in row] for row in rows[:_KEPT_ROWS]]
+    return [row for row in texts if any(row)]
+
+
+def _table(
+    rows: Sequence[Sequence[object]], header: Header, sheet: str, card: Card, path: Path
+) -> Table:
+    words = word_columns(header.names, card)
+    wanted = [i for i in range(len(header.names)) if i not in words]
+    body = rows[header.first :]
+    place = f"sheet '{sheet}'"
+    names = unique_names(header.names)
+    columns = {i: _column(body, i, (names[i], place, header.first), path) for i in wanted}
+    filled = _filled(columns)
+    columns = {i: values[:filled] for i, values in columns.items()}
+    specimen = next((cell for cell in header.specimens if cell), "")
+    return Table(specimen or sheet, header.names, header.units, columns, also=sheet)
+
+
+def _column(
+    body: Sequence[Sequence[object]], column: int, where: tuple[str, str, int], path: Path
+) -> Floats:
+    """One column as numbers; a blank cell is NaN."""
+    cells = [row[column] if column < len(row) else "" for row in body]
+    try:
+        return np.array(cells, dtype=np.float64)
+    except (ValueError, TypeError):
+        name, place, first = where
+        numbers = [
+            _number(cell, f"{place}, row {first + 1 + i}, column '{name}'", path)
+            for i, cell in enumerate(cells)
+        ]
+        return np.array(numbers, dtype=np.float64)
+
+
+def _number(cell: object, place: str, path: Path) -> float:
+    if isinstance(cell, float | int) and not isinstance(cell, bool):
+        return float(cell)
+    if isinstance(cell, timedelta):
+        return cell.total_seconds()
+    text = as_text(cell)
+    try:
+        return float(text or "nan")
+    except ValueError as error:
+        remedy = "Export the test again; the cell may have been edited."
+        found = f"'{text[:40]}'"
+        message = complaint(path, place, expected="a number", found=found, remedy=remedy)
+        raise ReadError(message) from error
+
+
+def _filled(columns: Mapping[int, Floats]) -> int:
+    rows = max((len(values) for values in columns.values()), default=0)
+    while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):
+        rows -= 1
+    return rows
