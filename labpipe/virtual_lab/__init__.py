@@ -1,7 +1,7 @@
 """A virtual test lab: synthetic exports of cantilever and tensile tests, with known truth.
 
-The exports are in the vendors' formats. It is written from physics and from the vendors' file layouts alone and shares nothing with the
-processing that it is there to check.
+The exports are in the vendors' formats. It is written from physics and from the vendors' file
+layouts alone and shares nothing with the processing that it is there to check.
 """
 
 from labpipe.virtual_lab.campaign import simulate_campaign, simulate_test

@@ -38,10 +38,10 @@ GIVE = 2e-7
 GAIN_UNCERTAINTY = 0.0025
 """Relative standard uncertainty of both load cells: half of the limit of ISO 7500-1 class 0.5."""
 
-_CORRUGATED = BilinearLaw(1.80e3, 0.55e3, 19e-3, knee=18e-3, slack=0.4e-3, toe=0.6e-3)
+_CORRUGATED = BilinearLaw(1.80e3, 0.55e3, 19e-3, knee=18e-3, slack=0.4e-3, toe=0.4e-3)
 _SMALL_TUBE = (("outer_diameter", 10.2e-3), ("inner_diameter", 7.4e-3))
 _TAPE = BilinearLaw(12.0e3, 2.1e3, 6.5e-3, knee=3e-3, slack=0.5e-3, toe=0.8e-3)
-_BAR = BilinearLaw(1.55e8, 1.55e8, 1.0, slack=20e-6, toe=30e-6)
+_BAR = BilinearLaw(1.55e8, 1.55e8, 1.0, slack=20e-6, toe=0.3e-6)
 _TUBE_SLIPS = {
     "CT-10-slit-2": (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81)),
     "CT-7-3": (GripSlip(24.3e-3, 0.62, duration=0.1),),
@@ -132,7 +132,7 @@ def _corrugated_tubes(gain_error: float, random: np.random.Generator) -> list[Te
             tube = corrugated_tube(
                 f"{kind}-{sample}", factor=factor * _scatter(random, 0.01), gain_error=gain_error
             )
-            law = replace(tube.law, slack=float(random.uniform(0.3e-3, 0.6e-3)))
+            law = replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3)))
             frame = replace(tube.frame, unloads=tube.name == _UNLOADED)
             slips = _TUBE_SLIPS.get(tube.name, ())
             section = _SMALL_TUBE if kind == "CT-7" else ()
@@ -144,8 +144,8 @@ def twist_tube(
     sample: str,
     *,
     peak_force: float = 420.0,
-    slack: float = 0.75e-3,
-    break_point: float = 8.2e-3,
+    slack: float = 0.9e-3,
+    break_point: float = 8.0e-3,
     gain_error: float = 0.0,
 ) -> TensileScenario:
     """One twist tube of Table 2.3, pulled until it tears.
@@ -194,8 +194,8 @@ def _twist_tubes(gain_error: float, random: np.random.Generator) -> list[Tensile
         twist_tube(
             sample,
             peak_force=420.0 * _scatter(random, 0.04),
-            slack=float(random.uniform(0.6e-3, 0.9e-3)),
-            break_point=float(random.uniform(8.0e-3, 8.4e-3)),
+            slack=float(random.uniform(0.8e-3, 1.1e-3)),
+            break_point=float(random.uniform(7.8e-3, 8.1e-3)),
             gain_error=gain_error,
         )
         for sample in TABLE_2_3

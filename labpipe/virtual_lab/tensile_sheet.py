@@ -7,6 +7,9 @@ from collections.abc import Iterator, Sequence
 
 from labpipe.virtual_lab.tensile_scenario import TensileScenario
 
+PROTOCOL_UNCERTAINTY = {"corrugated-tube": 0.0025, "twist-tube": 0.0025, "pet-tape": 0.0025}
+"""Uncertainty of the scale of force that the shipped protocols say, by name; none in the others."""
+
 
 def write_tensile_sheet(scenario: TensileScenario, files: Sequence[str]) -> str:
     """Word the test sheet.
@@ -41,14 +44,13 @@ def write_tensile_sheet(scenario: TensileScenario, files: Sequence[str]) -> str:
 
 def _overrides(scenario: TensileScenario) -> Iterator[str]:
     """What the protocol cannot know: the certificate of the load cell, another size of tube."""
-    uncertainty = 100.0 * scenario.instruments.gain_uncertainty
-    if uncertainty or scenario.section:
+    uncertainty = scenario.instruments.gain_uncertainty
+    is_known = uncertainty == PROTOCOL_UNCERTAINTY.get(scenario.protocol, 0.0)
+    if scenario.section or not is_known:
         yield "overrides:"
-    if uncertainty:
-        force, why = "  sources.frame.channels.force", "because: certificate of the load cell"
-        gain = f"{{gain: 1 N/N, gain_uncertainty: {uncertainty:.10g} %}}"
-        yield f"{force}.unit: {{value: {scenario.export.force_unit}, {why}}}"
-        yield f"{force}.calibration: {{value: {gain}, {why}}}"
+    if not is_known:
+        said = f"{{value: {100.0 * uncertainty:.10g} %, because: certificate of the load cell}}"
+        yield f"  sources.frame.channels.force.scale_uncertainty: {said}"
     for name, size in scenario.section:
         value = f"{1e3 * size:.10g} mm"
         yield f"  specimen.section.{name}: {{value: {value}, because: a tube of another size}}"
