@@ -238,8 +238,8 @@ def pet_tape(
         length=0.3,
         law=law,
         frame=LoadFrame(speed=0.5e-3, stroke=0.1, overrun=2.3, compliance=GIVE),
-        instruments=_test_suite(10.0, gain_error),
-        failure=Failure(fails_at, duration=0.2, residue=0.06, tail=1.2),
+        instruments=_test_suite(20.0, gain_error),
+        failure=Failure(fails_at, duration=0.15, residue=0.06, tail=1.2),
         export=ExportLayout(Program.TEST_SUITE, "N"),
         date="2026-03-11",
     )
@@ -256,7 +256,7 @@ def _tapes(gain_error: float, random: np.random.Generator) -> list[TensileScenar
             fails_at=around * _scatter(random, 0.02),
             gain_error=gain_error,
         )
-        slack = float(random.uniform(0.3e-3, 0.8e-3))
+        slack = float(random.uniform(0.4e-3, 0.8e-3))
         tapes.append(replace(tape, law=replace(tape.law, slack=slack)))
     return tapes
 

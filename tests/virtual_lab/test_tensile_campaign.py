@@ -78,6 +78,14 @@ def test_tapes_break_near_60_mm_and_the_second_one_at_40() -> None:
     np.testing.assert_allclose(np.array(at, dtype=np.float64), wanted, rtol=0.07)
 
 
+def test_half_a_second_of_slack_tells_the_tare() -> None:
+    for name, scenario in SCENARIOS.items():
+        if scenario.frame.speed < 1e-3:
+            truth = TRUTHS[name]
+            early = truth.time < truth.time[0] + 0.5
+            assert np.all(truth.force[early] == 0.0), name
+
+
 def test_tests_of_a_frame_share_the_error_of_its_load_cell() -> None:
     errors = {
         program: {

@@ -74,10 +74,10 @@ def test_slip_goes_on_parallel_and_lower() -> None:
 
 def test_failure_takes_its_time_and_leaves_fibres() -> None:
     path = TensilePath(pet_tape("1", fails_at=60e-3))
-    before, after, late = path.force(path.last_time + np.array([-1e-9, 0.2, 2.3]))
+    before, after, late = path.force(path.last_time + np.array([-1e-9, 0.15, 2.3]))
     at_failure = path.force(np.array([path.last_time]))[0]
     assert before == pytest.approx(at_failure, rel=1e-6)
-    assert after == pytest.approx(0.06 * at_failure * np.exp(-0.2 / 1.2))
+    assert after == pytest.approx(0.06 * at_failure * np.exp(-0.15 / 1.2))
     assert 0.0 < late < 0.01 * at_failure
     during = path.force(path.last_time + np.linspace(0.0, 2.3, 500))
     assert np.all(np.diff(during) < 0.0)
