@@ -26,8 +26,8 @@ class TensileTruth:
     """What really happened, free of tare, gain error and noise.
 
     *As seen at the crosshead* means with the machine's give in it, which is what a test without
-    compliance correction measures. All displacements count from where the crosshead stood before the
-    test; whoever counts from the first sample is `displacement[0]` lower.
+    compliance correction measures. All displacements count from where the crosshead stood before
+    the test; whoever counts from the first sample is `displacement[0]` lower.
 
     Parameters
     ----------
