@@ -26,6 +26,8 @@ _EXPECTED = {
     "tuple_type": "a list",
     "string_type": "text",
     "too_short": "at least one entry",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
 }
 
 

@@ -35,7 +35,7 @@ MARKER_READERS: Final = frozenset({"motive-csv", "motive-xlsx"})
 
 def _listed(value: object) -> object:
     """Take one word for a list of one."""
-    return [value] if isinstance(value, str) else value
+    return value if isinstance(value, list | tuple) else [value]
 
 
 Readers = Annotated[

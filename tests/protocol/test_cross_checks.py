@@ -216,6 +216,154 @@ curve: {force: f, displacement: d}
         parse_protocol(text, "p.yaml")
 
 
+STIFFNESS = "  - {result: stiffness, name: stiffness_first, from: 2 mm, to: 8 mm}\n"
+SEGMENTS = "  - {result: two-segments, from: 2 mm, to: 20 mm}\n"
+SLACK = "  - {result: slack}\n"
+OF_TUBE = {
+    "of a stiffness that nobody asks for": (
+        "{result: normalised-stiffness, of: stiffness_first}",
+        "{result: normalised-stiffness, of: stifness_first}",
+        "p.yaml, line 27, column 40 (results.3.of): expected one of the stiffnesses above,"
+        " 'stiffness_first', 'segment_stiffness_first', 'segment_stiffness_second', found"
+        " 'stifness_first'. Did you mean 'stiffness_first'?",
+    ),
+    "of a stiffness where there is none": (
+        STIFFNESS + SEGMENTS,
+        "",
+        "p.yaml, line 25, column 40 (results.1.of): expected a stiffness above it in the list,"
+        " found 'stiffness_first'. Add a result 'stiffness' before it.",
+    ),
+    "of what is no stiffness": (
+        "of: segment_stiffness_first",
+        "of: break_point",
+        "p.yaml, line 28, column 27 (results.4.of): expected one of the stiffnesses above,"
+        " 'segment_stiffness_first', 'segment_stiffness_second', 'stiffness_first', found"
+        " 'break_point'. Did you mean 'segment_stiffness_first'?",
+    ),
+    "second of a result": (
+        SLACK,
+        SLACK * 2,
+        "p.yaml, line 33, column 14 (results.9.result): expected each result once, found a second"
+        " 'slack'. Remove one of them.",
+    ),
+    "second of a modulus": (
+        SLACK,
+        SLACK + "  - {result: modulus, of: stiffness_first, area: annulus}\n",
+        "p.yaml, line 33, column 14 (results.9.result): expected each result once, found a second"
+        " 'modulus'. Give it another 'name'.",
+    ),
+    "second of a normalised stiffness": (
+        SLACK,
+        SLACK + "  - {result: normalised-stiffness, of: stiffness_first}\n",
+        "p.yaml, line 33, column 14 (results.9.result): expected each result once, found a second"
+        " 'stiffness_first_per_peak_force'. Remove one of them.",
+    ),
+    "a name that another result makes": (
+        SLACK,
+        SLACK + "  - {result: stiffness, name: failure_force, from: 0 mm, to: 1 mm}\n",
+        "p.yaml, line 33, column 14 (results.9.result): expected each result once, found a second"
+        " 'failure_force'. Give it another 'name'.",
+    ),
+    "a name that a later result makes": (
+        SEGMENTS,
+        "  - {result: stiffness, name: break_point, from: 0 mm, to: 1 mm}\n" + SEGMENTS,
+        "p.yaml, line 27, column 14 (results.3.result): expected each result once, found a second"
+        " 'break_point'. Give the stiffness of that name another 'name'.",
+    ),
+    "failure": (
+        "  failure: {force_below: 50 %}\n",
+        "",
+        "p.yaml, line 28, column 14 (results.5.result): expected a block 'curve.failure' for"
+        " 'failure', found none. Add the block 'failure' to 'curve'.",
+    ),
+    "energy to break": (
+        "  failure: {force_below: 50 %}\n",
+        "",
+        "p.yaml, line 29, column 14 (results.6.result): expected a block 'curve.failure' for"
+        " 'energy-to-break', found none. Add the block 'failure' to 'curve'.",
+    ),
+    "slips": (
+        "  slips: {decision: marked, min_drop: 2 N}\n",
+        "  slips: null\n",
+        "p.yaml, line 31, column 14 (results.7.result): expected a block 'curve.slips' for 'slips',"
+        " found none. Add the block 'slips' to 'curve'.",
+    ),
+    "slack": (
+        "  slack: {from: 10 %, to: 30 %}\n",
+        "",
+        "p.yaml, line 31, column 14 (results.8.result): expected a block 'curve.slack' for 'slack',"
+        " found none. Add the block 'slack' to 'curve'.",
+    ),
+    "two segments without branches": (
+        "branches: {channel: displacement, min_stroke: 5 mm}\n",
+        "",
+        "p.yaml, line 25, column 14 (results.2.result): expected a block 'branches' for"
+        " 'two-segments', found none. Add the block 'branches'.",
+    ),
+    "compliance without branches": (
+        "branches: {channel: displacement, min_stroke: 5 mm}\n",
+        "",
+        "p.yaml, line 32, column 14 (results.9.result): expected a block 'branches' for"
+        " 'compliance', found none. Add the block 'branches'.",
+    ),
+    "number of the report": (
+        "main: [stiffness_first,",
+        "main: [stifness_first,",
+        "p.yaml, line 36, column 17 (groups.main.0): expected one of the results 'stiffness_first',"
+        " 'segment_stiffness_first', 'stiffness_first_per_peak_force', 'segment_stiffness_second',"
+        " 'failure_force', 'slip_drop.1', ..., found 'stifness_first'."
+        " Did you mean 'stiffness_first'?",
+    ),
+    "number of the report without its cycle": (
+        "peak_force.2]",
+        "peak_force]",
+        "p.yaml, line 36, column 34 (groups.main.1): expected one of the results 'peak_force.1',"
+        " 'failure_force', 'stiffness_first_per_peak_force', 'break_point', 'compliance',"
+        " 'stiffness_first', ..., found 'peak_force'. Did you mean 'peak_force.1'?",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OF_TUBE.values(), ids=OF_TUBE)
+def test_what_does_not_fit_together_in_a_tensile_test_is_told(
+    case: tuple[str, str, str], told_of_tube: Told
+) -> None:
+    old, new, message = case
+
+    assert message in told_of_tube((old, new))
+
+
+def test_a_modulus_of_the_initial_stiffness(wire: str) -> None:
+    modulus = "  - {result: modulus, of: initial_stiffness, area: stated}\n"
+
+    protocol = parse_protocol(wire.replace("report:\n", modulus + "report:\n"), "p.yaml")
+
+    assert protocol.results[-1].result == "modulus"
+
+
+def test_lines_without_a_curve(told_of_tube: Told, tube: str) -> None:
+    curve = tube[tube.index("curve:") : tube.index("branches:")]
+
+    lines = told_of_tube((curve, ""))
+
+    assert (
+        "p.yaml, line 28, column 13 (report.figures.0): expected a block 'curve' for"
+        " 'stiffness-lines', found none. Add the block 'curve'."
+    ) in lines
+    assert not any("curve.failure" in line for line in lines)  # said once, by 'curve' itself
+
+
+def test_numbers_of_a_report_where_nobody_asks_for_any(told_of_tube: Told, tube: str) -> None:
+    results = tube[tube.index("results:") : tube.index("report:")]
+
+    assert told_of_tube((results, "")) == [
+        "p.yaml, line 25, column 17 (groups.main.0): expected a result, found 'stiffness_first'."
+        " The protocol asks for none.",
+        "p.yaml, line 25, column 34 (groups.main.1): expected a result, found 'peak_force.2'."
+        " The protocol asks for none.",
+    ]
+
+
 def test_windows_of_different_names_live_together(wire: str) -> None:
     windows = (
         "  - {result: stiffness, name: stiffness_first, from: 0 mm, to: 1 mm}\n"

@@ -45,6 +45,25 @@ def test_the_schema_takes_and_refuses_as_labpipe_does(wire: str) -> None:
     assert _refused(data | {"report": {"figures": ["wire-shape"]}})
 
 
+def test_the_schema_takes_and_refuses_tensile_tests_as_labpipe_does(tube: str) -> None:
+    data: dict[str, Any] = yaml.safe_load(tube)
+
+    def frame(**more: object) -> dict[str, Any]:
+        return data | {"sources": {"frame": data["sources"]["frame"] | more}}
+
+    assert not _refused(data)
+    assert not _refused(frame(dialect="own"))
+    assert not _refused(frame(channels={"force": {"channel": 1}}))
+    assert _refused(frame(dialect=[]))
+    assert _refused(frame(channels={"force": {"channel": []}}))
+    assert _refused(frame(channels={"force": {"channel": ""}}))
+    assert _refused(frame(channels={"force": {"channel": "a", "plausible_peak": "2 kN"}}))
+    assert _refused(data | {"curve": data["curve"] | {"slips": {"decision": "marked"}}})
+    assert _refused(data | {"curve": data["curve"] | {"failure": {"force_below": "5 N"}}})
+    assert _refused(data | {"results": [{"result": "modulus", "of": "stiffness"}]})
+    assert _refused(data | {"groups": {"margin": "1 mm"}})
+
+
 def test_a_test_sheet_fits_its_schema() -> None:
     sheet = {
         "test": "A1",

@@ -20,7 +20,7 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.rig import AlignNone
-from tests.protocol.conftest import WIRE
+from tests.protocol.conftest import TUBE, WIRE
 
 Tell = Callable[[str], list[str]]
 
@@ -36,7 +36,7 @@ files: {force: force.mat, markers: [take.csv]}
 def _blocks(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     """Give the paths of all blocks of keys that are closed to unknown keys."""
     if isinstance(node, dict):
-        if path not in {("report", "display"), ("sources",)}:
+        if path not in {("report", "display"), ("sources",), ("sources", "frame", "channels")}:
             yield path
         for key, value in node.items():
             yield from _blocks(value, (*path, key))
@@ -45,12 +45,15 @@ def _blocks(node: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
             yield from _blocks(value, (*path, number))
 
 
-BLOCKS = list(_blocks(yaml.safe_load(WIRE)))
+BLOCKS = [(text, path) for text in (WIRE, TUBE) for path in _blocks(yaml.safe_load(text))]
 
 
-@given(path=st.sampled_from(BLOCKS), key=st.from_regex(r"[a-z]{1,12}x{3}", fullmatch=True))
-def test_an_unknown_key_anywhere_is_refused_by_name(path: tuple[Any, ...], key: str) -> None:
-    data = yaml.safe_load(WIRE)
+@given(place=st.sampled_from(BLOCKS), key=st.from_regex(r"[a-z]{1,12}x{3}", fullmatch=True))
+def test_an_unknown_key_anywhere_is_refused_by_name(
+    place: tuple[str, tuple[Any, ...]], key: str
+) -> None:
+    text, path = place
+    data = yaml.safe_load(text)
     node = data
     for part in path:
         node = node[part]
@@ -64,9 +67,10 @@ def test_an_unknown_key_anywhere_is_refused_by_name(path: tuple[Any, ...], key: 
     assert f"found '{key}'. Did you mean '" in str(info.value)
 
 
-@given(path=st.sampled_from([path for path in BLOCKS if path]))
-def test_a_block_that_is_a_word_is_refused(path: tuple[Any, ...]) -> None:
-    data = yaml.safe_load(WIRE)
+@given(place=st.sampled_from([(text, path) for text, path in BLOCKS if path]))
+def test_a_block_that_is_a_word_is_refused(place: tuple[str, tuple[Any, ...]]) -> None:
+    text, path = place
+    data = yaml.safe_load(text)
     node = data
     for part in path[:-1]:
         node = node[part]
@@ -160,6 +164,54 @@ def test_a_protocol_written_reads_back_equal(data: dict[str, Any]) -> None:
     assert dump_protocol(parse_protocol(dumped, "result.h5")) == dumped
 
 
+_WORDS = st.lists(st.text(min_size=1), min_size=1, max_size=3)
+
+
+@st.composite
+def _tensile_protocols(draw: st.DrawFn) -> dict[str, Any]:
+    data: dict[str, Any] = yaml.safe_load(TUBE)
+    data["sources"]["frame"] |= {"dialect": draw(_WORDS), "part": draw(st.text(min_size=1))}
+    force = data["sources"]["frame"]["channels"]["force"]
+    force["channel"] = draw(st.one_of(st.text(min_size=1), _WORDS))
+    force["scale_uncertainty"] = draw(st.floats(0, 100).map(lambda number: f"{number!r} %"))
+    least = draw(st.floats(0, 1e6))
+    most = least + draw(st.floats(1e-3, 1e6))
+    force["plausible_peak"] = {"from": f"{least!r} mN", "to": f"{most!r} N"}
+    low = draw(st.floats(0.1, 49.0))
+    high = draw(st.floats(50.0, 100.0))
+    data["curve"] |= {
+        "compliance": {"value": draw(_length("um/N"))},
+        "slips": {"decision": draw(st.sampled_from(["marked", "repaired", "cut"])),
+                  "min_drop": f"{least!r} mN"},
+        "slack": {"from": f"{low!r} %", "to": f"{high!r} %"},
+    }  # fmt: skip
+    data["results"][-1] |= {"from": f"{low!r} N", "to": f"{high!r} N"}
+    data["groups"] = {"margin": f"{low!r} %", "scaled": draw(st.booleans())}
+    return data
+
+
+@settings(max_examples=15)
+@given(_tensile_protocols())
+def test_a_tensile_protocol_written_reads_back_equal(data: dict[str, Any]) -> None:
+    protocol = parse_protocol(yaml.safe_dump(data, allow_unicode=True), "p.yaml")
+
+    dumped = dump_protocol(protocol)
+    assert parse_protocol(dumped, "result.h5") == protocol
+    assert dump_protocol(parse_protocol(dumped, "result.h5")) == dumped
+
+
+def test_what_a_tensile_protocol_does_not_say_is_not_written(tube: str) -> None:
+    curve = tube[tube.index("curve:") : tube.index("branches:")]
+    short = tube.replace(curve, "curve: {force: force, displacement: displacement}\n")
+    short = short[: short.index("results:")]
+
+    dumped = dump_protocol(parse_protocol(short, "p.yaml"))
+
+    assert not {"compliance", "failure", "slips", "slack", "null"} & set(
+        dumped.replace(":", " ").split()
+    )
+
+
 def test_a_written_protocol_reads_as_a_person_writes(wire: str) -> None:
     text = dump_protocol(parse_protocol(wire, "p.yaml"))
 
@@ -245,6 +297,40 @@ overrides:
     dumped = dump_protocol(protocol)
     for line in ("centre_offset: 1 mm", "span: 51 samples", "max_jump: 9 mm", "clamp: Clamp"):
         assert line in dumped
+
+
+def test_a_test_names_its_channels_and_dialect(lab: Path, tube: str) -> None:
+    (lab / "protocols" / "tube.yaml").write_text(tube, encoding="utf-8")
+    path = lab / "test" / "test.yaml"
+    path.write_text(
+        """\
+test: T1
+protocol: tube
+specimen: {type: T, spool: s, sample: 1, length: 70 mm}
+files: {frame: [a.csv, b.csv]}
+overrides:
+  sources.frame.dialect: {value: own, because: "another program"}
+  sources.frame.channels.force.channel: {value: [Kraft, F], because: "German export"}
+  sources.frame.channels.force.plausible_peak.to: {value: 5 kN, because: "strong"}
+  results.stiffness.to: {value: 6 mm, because: "short"}
+  curve.slips: {value: null, because: "glued"}
+  results.7: {value: {result: peak-displacement}, because: "no slips"}
+""",
+        encoding="utf-8",
+    )
+
+    protocol = resolve(load_test_sheet(path), path, lab / "protocols")
+
+    assert protocol.sources["frame"].dialect == ("own",)
+    assert protocol.channels["force"].channel == ("Kraft", "F")
+    assert protocol.channels["force"].peak_range == (20.0, 5000.0)
+    assert protocol.curve is not None
+    assert protocol.curve.slips is None
+    assert [entry.result for entry in protocol.results[6:9]] == [
+        "energy-to-break",
+        "peak-displacement",
+        "slack",
+    ]
 
 
 def test_a_whole_block_can_be_overridden(lab: Path, write: Callable[[str], Path]) -> None:

@@ -13,6 +13,7 @@ from pydantic import TypeAdapter, ValidationError
 from labpipe.protocol.quantities import (
     SI_UNITS,
     Area,
+    Compliance,
     Distance,
     Duration,
     Force,
@@ -22,6 +23,7 @@ from labpipe.protocol.quantities import (
     Offset,
     Quantity,
     Ratio,
+    Share,
     Span,
     SpanOf,
     Speed,
@@ -35,6 +37,7 @@ POSITIVE = {
     "Duration": (Duration, "0.5 s", 0.5),
     "Speed": (Speed, "0.423 mm/s", 0.000423),
     "Frequency": (Frequency, "10 Hz", 10.0),
+    "Compliance": (Compliance, "0.2 um/N", 0.2e-6),
 }
 OTHERS = {
     "Offset": (Offset, "-0.8 mm", -0.0008),
@@ -44,6 +47,8 @@ OTHERS = {
     "Ratio": (Ratio, "0.2 %", 0.002),
     "Ratio in ppm": (Ratio, "500 ppm", 0.0005),
     "bare ratio": (Ratio, "0.5", 0.5),
+    "Share": (Share, "10 %", 0.1),
+    "the whole as a share": (Share, "1", 1.0),
 }
 
 
@@ -105,6 +110,22 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
             "expected a pure number (also in % or ppm), found '5 deg'. Write it such as '0.2 %'.",
         ),
         (
+            Share,
+            "0 %",
+            "expected a pure number (also in % or ppm) above 0 %, at most 100 %, found '0 %'.",
+        ),
+        (
+            Share,
+            "110 %",
+            "expected a pure number (also in % or ppm) above 0 %, at most 100 %, found '110 %'.",
+        ),
+        (
+            Compliance,
+            "0.2 mm",
+            "expected a quantity with a unit such as um/N, found '0.2 mm'."
+            " Write it with its unit, such as '0.2 um/N'.",
+        ),
+        (
             SpanOf,
             "51",
             "expected a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or"
@@ -151,8 +172,14 @@ def test_a_span_in_its_four_ways(text: str, span: Span) -> None:
     assert adapter.validate_python(span) is span
 
 
+KINDS = (
+    *(Length, Offset, Distance, Area, Duration, Force, Compliance),
+    *(Mass, Speed, Frequency, Ratio, Share),
+)
+
+
 def _quantities() -> Iterator[Quantity]:
-    for kind in (Length, Offset, Distance, Area, Duration, Force, Mass, Speed, Frequency, Ratio):
+    for kind in KINDS:
         yield from (each for each in get_args(kind) if isinstance(each, Quantity))
 
 
@@ -168,7 +195,8 @@ def test_a_quantity_written_reads_back_as_the_same_float(
     try:
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
-        assert number * si_factor(unit, quantity.unit) in (0.0, float("inf"))
+        value = number * si_factor(unit, quantity.unit)
+        assert value in (0.0, float("inf")) or value > quantity.most
         return
 
     assert quantity.parse(quantity.written(value)) == value

@@ -4,7 +4,13 @@ import pytest
 
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.quantities import Span
-from labpipe.protocol.rig import AlignNone, AlignTurningPoints
+from labpipe.protocol.rig import (
+    AlignNone,
+    AlignTurningPoints,
+    Failure,
+    MachineCompliance,
+    Slips,
+)
 from labpipe.protocol.steps import Smooth
 from tests.protocol.conftest import Told
 
@@ -120,6 +126,103 @@ def test_what_is_wrong_is_told(case: tuple[tuple[str, str], str], told: Told) ->
     change, message = case
 
     assert message in told(change)
+
+
+OF_TUBE = {
+    "by": (
+        ("by: line", "by: slope"),
+        "p.yaml, line 14, column 51 (steps.0.by): expected one of 'line', 'mean', found 'slope'."
+        " Did you mean 'line'?",
+    ),
+    "window of two segments": (
+        ("to: 20 mm", "to: 1 mm"),
+        "p.yaml, line 26, column 44 (results.2.to): expected more than 'from' (2 mm), found"
+        " '1 mm'.",
+    ),
+    "window of force": (
+        ("to: 400 N", "to: 50 N"),
+        "p.yaml, line 33, column 42 (results.9.to): expected more than 'from' (50 N), found"
+        " '50 N'.",
+    ),
+    "window of slack": (
+        ("{from: 10 %, to: 30 %}", "{from: 30 %, to: 10 %}"),
+        "p.yaml, line 21, column 27 (curve.slack.to): expected more than 'from' (30 %), found"
+        " '10 %'.",
+    ),
+    "share of the whole": (
+        ("force_below: 50 %", "force_below: 150 %"),
+        "p.yaml, line 19, column 26 (curve.failure.force_below): expected a pure number (also in %"
+        " or ppm) above 0 %, at most 100 %, found '150 %'.",
+    ),
+    "decision": (
+        ("decision: marked", "decision: mark"),
+        "p.yaml, line 20, column 21 (curve.slips.decision): expected one of 'marked', 'repaired',"
+        " 'cut', found 'mark'. Did you mean 'marked'?",
+    ),
+    "compliance": (
+        ("value: 0.2 um/N", "value: 0.2 um"),
+        "p.yaml, line 18, column 23 (curve.compliance.value): expected a quantity with a unit such"
+        " as um/N, found '0.2 um'. Write it with its unit, such as '0.2 um/N'.",
+    ),
+    "area": (
+        ("area: rectangle", "area: rectangel"),
+        "p.yaml, line 28, column 58 (results.4.area): expected one of 'rectangle', 'stated',"
+        " 'annulus', 'thin-wall', found 'rectangel'. Did you mean 'rectangle'?",
+    ),
+    "no area": (
+        (", area: rectangle", ""),
+        "p.yaml, line 28, column 5 (results.4): expected the key 'area', found no such key."
+        " Add the key 'area'.",
+    ),
+    "name of a modulus": (
+        ("area: rectangle", "area: rectangle, name: E"),
+        "p.yaml, line 28, column 75 (results.4.name): expected a name of small letters, digits and"
+        " '_', a letter first, found 'E'.",
+    ),
+    "margin": (
+        ("margin: 10 %", "margin: 1 mm"),
+        "p.yaml, line 36, column 83 (groups.margin): expected a pure number (also in % or ppm),"
+        " found '1 mm'. Write it with its unit, such as '10 %'.",
+    ),
+    "yes or no": (
+        ("scaled: true", "scaled: perhaps"),
+        "p.yaml, line 36, column 57 (groups.scaled): expected true or false, found 'perhaps'.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OF_TUBE.values(), ids=OF_TUBE)
+def test_what_is_wrong_with_a_tensile_test_is_told(
+    case: tuple[tuple[str, str], str], told_of_tube: Told
+) -> None:
+    change, message = case
+
+    assert message in told_of_tube(change)
+
+
+def test_a_tensile_protocol_holds_si(tube: str) -> None:
+    protocol = parse_protocol(tube, "p.yaml")
+
+    assert protocol.curve is not None
+    assert protocol.curve.compliance == MachineCompliance(value="0.2 um/N", uncertainty="5 %")
+    assert protocol.curve.compliance.value == 0.2e-6
+    assert protocol.curve.failure == Failure(force_below="50 %")
+    assert protocol.curve.slips == Slips(decision="marked", min_drop="2 N")
+    assert protocol.curve.slack is not None
+    assert (protocol.curve.slack.start, protocol.curve.slack.stop) == (0.1, 0.3)
+    assert protocol.groups.main == ("stiffness_first", "peak_force.2")
+    assert (protocol.groups.scaled, protocol.groups.min_p, protocol.groups.margin) == (
+        True,
+        0.01,
+        0.1,
+    )
+
+
+def test_groups_that_nobody_speaks_of(wire: str) -> None:
+    groups = parse_protocol(wire, "p.yaml").groups
+
+    assert (groups.main, groups.scaled, groups.margin) == ((), False, None)
+    assert (groups.min_p, groups.max_spool_share) == (0.05, 0.1)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import MARKER_READERS, READERS, si_unit_like
 
@@ -54,6 +54,36 @@ def test_marker_tracks_are_no_channels() -> None:
 
     assert source.reader == ("motive-csv", "motive-xlsx")
     assert source.all_channels == {}
+
+
+def test_a_source_of_a_load_frame(tube: str) -> None:
+    source = parse_protocol(tube, "p.yaml").sources["frame"]
+
+    assert (source.dialect, source.part) == (("mts-testsuite", "table"), "Specimen 1")
+    force, displacement = source.all_channels["force"], source.all_channels["displacement"]
+    assert (force.channel, displacement.channel) == (("Load", "Force"), ("Crosshead",))
+    assert (force.peak_range, displacement.peak_range) == ((20.0, 2000.0), None)
+    assert (force.channel_unit, displacement.channel_unit) == (None, "m")
+
+
+def test_a_peak_in_the_short_way() -> None:
+    channel = _protocol(
+        "{force: {reader: dspace-mat, channel: [a, b], unit: mV, scale_uncertainty: 0.4 %,"
+        " calibration: {gain: 1 N/V, gain_uncertainty: 0.3 %},"
+        " plausible_peak: {from: 500 mN, to: 2 kN}}}"
+    ).channels["force"]
+
+    assert channel.channel == ("a", "b")
+    assert channel.peak_range == (0.5, 2000.0)
+    assert channel.gain_uncertainty == pytest.approx(0.005, rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["Load", "[Load]", '"Load"'])
+def test_one_name_is_written_as_one_name(tube: str, name: str) -> None:
+    protocol = parse_protocol(tube.replace("[Load, Force]", name), "p.yaml")
+
+    assert protocol.channels["force"].channel == ("Load",)
+    assert "channel: Load\n" in dump_protocol(protocol)
 
 
 def test_the_si_unit_of_a_dimension() -> None:

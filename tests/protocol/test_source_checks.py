@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from labpipe.protocol.load import parse_protocol
 from tests.protocol.conftest import Told
 
 GAIN = "gain: 0.5 N/V"
@@ -80,6 +81,99 @@ def test_a_wrong_source_is_told(case: tuple[tuple[str, str], str], told: Told) -
     change, message = case
 
     assert message in told(change)
+
+
+PEAK = "plausible_peak: {from: 20 N, to: 2 kN}"
+OF_TUBE = {
+    "peak without unit": (
+        (PEAK, "plausible_peak: {from: 20, to: 2 kN}"),
+        "p.yaml, line 9, column 62 (sources.frame.channels.force.plausible_peak.from): expected a"
+        " quantity with a unit such as N, found '20'. Write it with its unit, such as '20 N'.",
+    ),
+    "peak of another dimension": (
+        (PEAK, "plausible_peak: {from: 20 N, to: 2 mm}"),
+        "p.yaml, line 9, column 72 (sources.frame.channels.force.plausible_peak.to): expected a"
+        " quantity with a unit such as N, found '2 mm'. Write it with its unit, such as '20 N'.",
+    ),
+    "peak the wrong way round": (
+        (PEAK, "plausible_peak: {from: 2 kN, to: 20 N}"),
+        "p.yaml, line 9, column 55 (sources.frame.channels.force.plausible_peak): expected 'from'"
+        " of at least zero, and 'to' above it, found 2000 to 20 N. Correct them.",
+    ),
+    "peak of one number": (
+        (PEAK, "plausible_peak: {from: 20 N, to: 20 N}"),
+        "p.yaml, line 9, column 55 (sources.frame.channels.force.plausible_peak): expected 'from'"
+        " of at least zero, and 'to' above it, found 20 to 20 N. Correct them.",
+    ),
+    "peak below zero": (
+        (PEAK, "plausible_peak: {from: -1 N, to: 20 N}"),
+        "p.yaml, line 9, column 55 (sources.frame.channels.force.plausible_peak): expected 'from'"
+        " of at least zero, and 'to' above it, found -1 to 20 N. Correct them.",
+    ),
+    "peak with one end": (
+        (PEAK, "plausible_peak: {from: 20 N}"),
+        "p.yaml, line 9, column 55 (sources.frame.channels.force.plausible_peak): expected the key"
+        " 'to', found no such key. Add the key 'to'.",
+    ),
+    "peak beside the channels": (
+        ("    channels:\n", "    plausible_peak: {from: 1 N, to: 2 N}\n    channels:\n"),
+        "p.yaml, line 8, column 21 (sources.frame.plausible_peak): expected 'channels' alone, found"
+        " 'plausible_peak' beside it. Move it into 'channels'.",
+    ),
+    "dialect for another reader": (
+        ("reader: load-frame", "reader: dspace-csv"),
+        "p.yaml, line 6, column 5 (sources.frame.dialect): expected this key for the reader"
+        " 'load-frame' alone, found the key 'dialect'. Remove it, or name the reader 'load-frame'.",
+    ),
+    "part for another reader": (
+        ("reader: load-frame", "reader: [dspace-csv, dspace-mat]"),
+        "p.yaml, line 7, column 5 (sources.frame.part): expected this key for the reader"
+        " 'load-frame' alone, found the key 'part'. Remove it, or name the reader 'load-frame'.",
+    ),
+    "no dialect": (
+        ("dialect: [mts-testsuite, table]", "dialect: []"),
+        "p.yaml, line 6, column 14 (sources.frame.dialect): expected at least one entry, found an"
+        " empty list.",
+    ),
+    "no name of a channel": (
+        ("[Load, Force]", "[]"),
+        "p.yaml, line 9, column 24 (sources.frame.channels.force.channel): expected at least one"
+        " entry, found an empty list.",
+    ),
+    "nothing as the name of a channel": (
+        ("[Load, Force]", "null"),
+        "p.yaml, line 9, column 24 (sources.frame.channels.force.channel): expected text, found"
+        " nothing.",
+    ),
+    "a block as one of the names": (
+        ("[Load, Force]", "[Load, {a: b}]"),
+        "p.yaml, line 9, column 31 (sources.frame.channels.force.channel.1): expected text, found"
+        " a block of keys.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OF_TUBE.values(), ids=OF_TUBE)
+def test_a_wrong_source_of_a_load_frame_is_told(
+    case: tuple[tuple[str, str], str], told_of_tube: Told
+) -> None:
+    change, message = case
+
+    assert message in told_of_tube(change)
+
+
+def test_a_peak_of_an_unknown_quantity_is_told_once(told_of_tube: Told) -> None:
+    lines = told_of_tube((PEAK, "quantity: forse, plausible_peak: {from: 3, to: 2}"))
+
+    assert [line.split(": expected")[0] for line in lines] == [
+        "p.yaml, line 9, column 49 (sources.frame.channels.force.quantity)"
+    ]
+
+
+def test_one_of_several_readers_is_enough_for_a_dialect(tube: str) -> None:
+    text = tube.replace("reader: load-frame", "reader: [dspace-csv, load-frame]")
+
+    assert parse_protocol(text, "p.yaml").sources["frame"].dialect == ("mts-testsuite", "table")
 
 
 SECOND = "  frame: {reader: dspace-mat, channels: {%s: {channel: x}}}\n"
