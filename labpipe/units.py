@@ -23,7 +23,7 @@ kilo- = 1e3 = k-
 mega- = 1e6 = M-
 giga- = 1e9 = G-
 meter = [length] = m = metre = meters = metres
-second = [time] = s = sec = seconds
+second = [time] = s = sec = seconds = Sec
 gram = [mass] = g
 radian = [] = rad
 volt = [potential] = V
@@ -33,12 +33,17 @@ percent = 0.01 = % = percent
 ppm = 1e-6
 minute = 60 * second = min
 hour = 3600 * second = h
+day = 86400 * second = d
 hertz = 1 / second = Hz
 newton = kilogram * meter / second ** 2 = N
 pascal = newton / meter ** 2 = Pa
 joule = newton * meter = J
 inch = 0.0254 * meter = in
 pound_force = 4.4482216152605 * newton = lbf
+kilogram_force = 9.80665 * newton = kgf
+newton_meter = newton * meter = Nm
+newton_millimeter = 1e-3 * newton * meter = Nmm
+psi = 6894.757293168361 * pascal
 frame = [] = frame
 """
 
@@ -50,6 +55,12 @@ _PLAIN = {
     ("m", "mm"): 1e3,
     ("ms", "s"): 1e-3,
     ("mN", "N"): 1e-3,
+    ("kN", "N"): 1e3,
+    ("lbf", "N"): 4.4482216152605,
+    ("in", "m"): 0.0254,
+    ("sec", "s"): 1.0,
+    ("min", "s"): 60.0,
+    ("MPa", "Pa"): 1e6,
     ("N", "mN"): 1e3,
     ("mm/s", "m/s"): 1e-3,
     ("g", "kg"): 1e-3,
@@ -151,7 +162,8 @@ def _other_dimension(unit: str, si_unit: str) -> str:
 
 
 def _spelt(unit: str) -> str:
-    return "" if unit in {"", "1"} else unit.replace("·", "*").replace("^", "**")
+    plain = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu: micro sign
+    return "" if plain in {"", "1"} else plain.replace("·", "*").replace("^", "**")
 
 
 def parse_quantity(text: object, si_unit: str) -> float:

@@ -6,15 +6,21 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.load_frame.content import is_blank
 from labpipe.readers.load_frame.header import is_number, split_line
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.quality import QualityNote, Severity
+
+_HEAD = 20000
+"""Bytes in which the decimal sign is looked for."""
+_WORTH = 4_000_000
+"""Bytes from which on pandas reads faster from the file than from memory."""
 
 _AGAIN = "Export the test again; the file may have been cut off or edited."
 _REGROUPED = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
@@ -32,10 +38,13 @@ class Body:
 
     Parameters
     ----------
-    data : the bytes from the first row of samples on, below 128 as in ASCII
+    data : bytes of the export, below 128 as in ASCII
     names : of the columns, for messages
     columns : numbers of the columns that hold numbers, ascending
     first_line : line number of the first row
+    start : where in `data` the first row begins
+    as_in_file : whether the file holds just these bytes (but for a byte order mark)
+    some_only : whether the other columns hold numbers too, but nobody asked for them
     separator : between cells, a blank for any number of blanks
     decimal : decimal sign, or ``auto``
     """
@@ -46,14 +55,21 @@ class Body:
     first_line: int
     separator: str
     decimal: str = "auto"
+    start: int = 0
+    as_in_file: bool = False
+    some_only: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class _Shape:
     body: Body
-    data: bytes
+    end: int
     decimal: str
     width: int
+
+    @property
+    def data(self) -> bytes:
+        return self.body.data[self.body.start : self.end]
 
     @property
     def mark(self) -> bytes:
@@ -80,44 +96,82 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
         If a cell is no number with the decimal sign of the others, or a line has more cells than
         there are names.
     """
-    data, notes = _without_cut_line(body)
-    if not data.strip():
+    end, notes = _whole_lines(body)
+    head = body.data[body.start : min(end, body.start + _HEAD)]
+    if not head.strip() and is_blank(body.data[body.start : end]):
         return {column: np.empty(0) for column in body.columns}, notes
-    decimal = _decimal_sign(body, data) if body.decimal == "auto" else body.decimal
-    first = split_line(data[: data.find(b"\n") + 1 or None].decode("latin-1"), body.separator)
-    shape = _Shape(body, data, decimal, max(len(body.names), len(first)))
-    columns = _parsed(shape, path)
+    decimal = _decimal_sign(body, head) if body.decimal == "auto" else body.decimal
+    first = split_line(head[: head.find(b"\n") + 1 or None].decode("latin-1"), body.separator)
+    shape = _Shape(body, end, decimal, max(len(body.names), len(first)))
+    parsed = _parsed(shape, path)
+    columns = {column: parsed[column] for column in body.columns}
     rows = _filled(columns)
-    notes += _short_lines(shape, rows)
+    if any(np.isnan(values).any() for values in columns.values()):  # else no line can be short
+        notes += _short_lines(shape, rows)
     return {column: columns[column][:rows] for column in body.columns}, notes
 
 
 def _parsed(shape: _Shape, path: Path) -> dict[int, Floats]:
-    import pandas as pd
-
     body = shape.body
     extra = range(len(body.names), shape.width)  # blank cells behind the last separator
     wanted = [*body.columns, *extra]
     try:
-        table = pd.read_csv(
-            io.BytesIO(shape.data),
-            sep=r"\s+" if body.separator == " " else body.separator,
-            decimal=shape.decimal,
-            header=None,
-            names=list(range(shape.width)),
-            usecols=wanted,
-            dtype=np.float64,
-            na_values=[""],
-            keep_default_na=False,
-            skip_blank_lines=False,
-            skipinitialspace=True,
-            encoding_errors="replace",
-        )
+        table = _straight(shape, path) if _can_read_straight(shape) else None
+    except (ValueError, OverflowError):  # perhaps in a column that nobody asked for
+        table = None
+    try:
+        columns = _table(shape, io.BytesIO(shape.data), 0, wanted) if table is None else table
     except (ValueError, OverflowError) as error:
         raise ReadError(_first_fault(shape, path)) from error
-    if extra and not table[list(extra)].isna().to_numpy().all():
+    if any(not np.isnan(columns[column]).all() for column in extra):
         raise ReadError(_first_fault(shape, path))
-    return {column: table[column].to_numpy() for column in body.columns}
+    return columns
+
+
+def _straight(shape: _Shape, path: Path) -> dict[int, Floats]:
+    return _table(shape, path, shape.body.first_line - 1, None)
+
+
+def _table(
+    shape: _Shape, source: Path | io.BytesIO, skip: int, wanted: list[int] | None
+) -> dict[int, Floats]:
+    import pandas as pd
+
+    table = pd.read_csv(
+        source,
+        skiprows=skip,
+        sep=r"\s+" if shape.body.separator == " " else shape.body.separator,
+        decimal=shape.decimal,
+        header=None,
+        names=list(range(shape.width)),
+        usecols=wanted,
+        dtype=np.float64,
+        na_values=[""],
+        keep_default_na=False,
+        skip_blank_lines=False,
+        skipinitialspace=True,
+        encoding_errors="replace",
+    )
+    read = range(shape.width) if wanted is None else wanted
+    return {column: table[column].to_numpy() for column in read}
+
+
+def _can_read_straight(shape: _Shape) -> bool:
+    """Tell whether pandas may read the file itself, which it does on several cores.
+
+    Not if some column holds words, the last line was left out, or quotes above the samples could
+    keep pandas from counting lines as we do. Small files gain nothing.
+    """
+    body = shape.body
+    is_whole = not body.data[shape.end :].strip()
+    known = len(body.columns) == len(body.names) or body.some_only
+    worth = shape.end - body.start > _WORTH
+    return body.as_in_file and is_whole and known and worth and not _odd_quotes(body)
+
+
+def _odd_quotes(body: Body) -> bool:
+    above = body.data[: body.start].split(b"\n")
+    return any(line.count(b'"') % 2 for line in above)
 
 
 def _filled(columns: dict[int, Floats]) -> int:
@@ -130,9 +184,8 @@ def _filled(columns: dict[int, Floats]) -> int:
 
 def _decimal_sign(body: Body, data: bytes) -> str:
     """Decimal sign of the first cells that have one; a point if none has."""
-    head = data[:20000].decode("latin-1").split("\n")
-    lines = head if len(data) <= 20000 else head[:-1]
-    for line in lines:
+    lines = data.decode("latin-1").split("\n")
+    for line in lines[:-1] or lines:
         for cell in _cells(split_line(line, body.separator), body.columns):
             for sign in _SIGN:
                 if sign in cell and _PLAIN[sign].fullmatch(cell):
@@ -144,23 +197,24 @@ def _cells(row: Sequence[str], columns: Sequence[int]) -> Iterator[str]:
     return (row[column].strip() for column in columns if column < len(row))
 
 
-def _without_cut_line(body: Body) -> tuple[bytes, list[QualityNote]]:
-    """Leave out a last line that stops in the middle.
+def _whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
+    """Where the last whole line ends: one that stops in the middle is left out.
 
     A last line without line end is whole if it has all its cells and its last number has as many
     decimals, or as many digits in all, as the one above it.
     """
-    data = body.data
-    end = data.rfind(b"\n") + 1
+    data, start = body.data, body.start
+    end = max(data.rfind(b"\n", start) + 1, start)
     last = data[end:].decode("latin-1")
     if not last.strip("\r\0\x1a "):
-        return data[:end].rstrip(b"\r\n"), []
-    above = data[data.rfind(b"\n", 0, max(end - 1, 0)) + 1 : max(end - 1, 0)].decode("latin-1")
-    if _is_whole(split_line(last, body.separator), split_line(above, body.separator), body):
-        return data, []
-    line = body.first_line + data.count(b"\n")
+        return end, []
+    above = data[max(data.rfind(b"\n", start, max(end - 1, start)) + 1, start) : end]
+    cells = split_line(last, body.separator)
+    if _is_whole(cells, split_line(above.decode("latin-1"), body.separator), body):
+        return len(data), []
+    line = body.first_line + data.count(b"\n", start)
     message = f"the last line ({line}) is incomplete and was left out"
-    return data[:end].rstrip(b"\r\n"), [QualityNote("truncated", Severity.WARNING, "file", message)]
+    return end, [QualityNote("truncated", Severity.WARNING, "file", message)]
 
 
 def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
@@ -184,13 +238,10 @@ def _digits(cell: str) -> int:
 
 def _short_lines(shape: _Shape, rows: int) -> list[QualityNote]:
     """Lines with fewer cells than names; those behind the last filled row do not count."""
-    needed = len(shape.body.names) - 1
-    lines = shape.data.count(b"\n") + 1
-    if shape.body.separator == " " or shape.data.count(shape.mark) == lines * (shape.width - 1):
-        return []
-    starts, counts = _separators(shape)
-    short = [int(i) for i in np.flatnonzero(counts[:rows] < needed)]
-    short = [i for i in short if shape.data[starts[i] : starts[i + 1]].strip()]
+    data = shape.data
+    starts, counts = _separators(shape, data)
+    short = [int(i) for i in np.flatnonzero(counts[:rows] < len(shape.body.names) - 1)]
+    short = [i for i in short if data[starts[i] : starts[i + 1]].strip()]
     if not short:
         return []
     message = (
@@ -200,12 +251,16 @@ def _short_lines(shape: _Shape, rows: int) -> list[QualityNote]:
     return [QualityNote("lines_short", Severity.WARNING, "file", message)]
 
 
-def _separators(shape: _Shape) -> tuple[Ints, Ints]:
+def _separators(shape: _Shape, data: bytes) -> tuple[Ints, Ints]:
     """Where each line starts (and the last one ends), and how many separators each line has."""
-    letters = np.frombuffer(shape.data, dtype=np.uint8)
+    letters = np.frombuffer(data, dtype=np.uint8)
     ends = np.append(np.flatnonzero(letters == ord("\n")) + 1, len(letters)).astype(np.int64)
+    starts = np.concatenate(([0], ends))
+    if shape.body.separator == " ":
+        lines = (data[a:b] for a, b in pairwise(starts.tolist()))
+        return starts, np.array([len(line.split()) - 1 for line in lines])
     before = np.searchsorted(np.flatnonzero(letters == shape.mark[0]), ends)
-    return np.concatenate(([0], ends)), np.diff(before, prepend=0)
+    return starts, np.diff(before, prepend=0)
 
 
 def _first_fault(shape: _Shape, path: Path) -> str:
@@ -250,4 +305,4 @@ def _regrouped(shape: _Shape, column: int) -> tuple[int, str] | None:
 
 def _rows(shape: _Shape) -> Iterator[list[str]]:
     lines = shape.data.decode("utf-8", errors="replace").split("\n")
-    return (split_line(line, shape.body.separator) for line in islice(lines, None))
+    return (split_line(line, shape.body.separator) for line in lines)

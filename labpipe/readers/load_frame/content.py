@@ -29,11 +29,13 @@ class Content:
     data : without byte order mark, line ends made ``\n`` where they were ``\r`` alone
     encoding : of `data` where the file says it, empty where it does not
     written_in : encoding of the file where the file says it, for people
+    as_in_file : whether these are the bytes of the file but for a byte order mark of UTF-8
     """
 
     data: bytes
     encoding: str = ""
     written_in: str = ""
+    as_in_file: bool = False
 
 
 def read_content(path: Path) -> Content:
@@ -73,12 +75,13 @@ def as_content(data: bytes) -> Content:
     mark, encoding = next(((m, e) for m, e in _MARKS if data.startswith(m)), (b"", ""))
     plain = data[len(mark) :]
     encoding = encoding or _utf16(plain[:HEAD])
+    same = not encoding.startswith("utf-16")
     if encoding.startswith("utf-16"):
         even = plain[: len(plain) // 2 * 2]
         plain = even.decode(encoding, errors="replace").encode("utf-8", errors="replace")
     if b"\n" not in plain[:HEAD] and b"\r" in plain[:HEAD]:
-        plain = plain.replace(b"\r", b"\n")
-    return Content(plain, "utf-8" if encoding else "", encoding)
+        plain, same = plain.replace(b"\r", b"\n"), False
+    return Content(plain, "utf-8" if encoding else "", encoding, same)
 
 
 def _utf16(head: bytes) -> str:
@@ -91,6 +94,11 @@ def _utf16(head: bytes) -> str:
     if head[::2].count(0) > 0.9 * half and not head[1::2].count(0):
         return "utf-16-be"
     return ""
+
+
+def is_blank(data: bytes) -> bool:
+    """Tell whether there is nothing but white space."""
+    return not data[:HEAD].strip() and not data.strip()
 
 
 def is_binary(content: Content) -> bool:

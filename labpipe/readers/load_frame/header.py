@@ -88,11 +88,21 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
     if card.names == "listed":
         return _listed(head, card, path)
     for separator in card.separators:
-        rows = [split_line(line, separator) for line in head]
+        rows = _rows_of(head, separator, card)
         if _first(rows, card) is not None:
             return header_of_rows(rows, card, path, first_line, separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
     raise _fault(path, place, "a row of names and rows of numbers below it", "none")
+
+
+def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
+    """Cells of the lines up to the first one with samples."""
+    rows: list[list[str]] = []
+    for line in lines:
+        rows.append(split_line(line, separator) if separator in line else [line.rstrip("\r")])
+        if card.names != "alone" and _is_sample(rows[-1]):
+            break
+    return rows
 
 
 def header_of_rows(

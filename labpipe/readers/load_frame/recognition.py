@@ -13,11 +13,15 @@ from labpipe.readers.load_frame.content import (
     Content,
     decode,
     is_binary,
+    is_blank,
     read_beginning,
 )
 from labpipe.readers.load_frame.header import Header, find_header, header_of_rows
 from labpipe.readers.load_frame.table import time_column
 from labpipe.readers.load_frame.workbook import as_text, is_workbook, open_sheets, sheet_head
+
+_LOOKED_AT = 16384
+"""Signs in which the patterns of a card are looked for; the longest real header has 3300."""
 
 Named = str | Sequence[str] | None
 
@@ -125,7 +129,7 @@ class _Heads:
             return False
         if self.is_workbook:
             return self._fit_sheets(card)
-        if not self.content.data.strip():
+        if is_blank(self.content.data):
             return card.blank and bool(self.content.written_in)
         if is_binary(self.content) or not card.recognise:
             return False
@@ -139,7 +143,7 @@ class _Heads:
                 text = decode(data, self.content, card.encodings, self.path)
             except ReadError:
                 text = ""
-            self.decoded[card.encodings] = text.replace("\r\n", "\n")
+            self.decoded[card.encodings] = text.replace("\r\n", "\n")[:_LOOKED_AT]
         return self.decoded[card.encodings]
 
     def _reads(self, card: Card, text: str) -> bool:

@@ -13,7 +13,7 @@ from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted
 from labpipe.readers.load_frame.body import Body, read_columns
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.content import HEAD, Content, decode
+from labpipe.readers.load_frame.content import HEAD, Content, decode, is_blank
 from labpipe.readers.load_frame.header import Header, find_header, is_number, split_line
 from labpipe.readers.load_frame.table import (
     Export,
@@ -63,14 +63,13 @@ def read_tables(content: Content, place: Place) -> Export:
         If names, units or numbers are not where the card says.
     """
     head = decode(content.data[:HEAD], content, place.card.encodings, place.path)
-    if not content.data.strip():
+    if is_blank(content.data):
         return Export((), head=head)
     if place.card.layout == "blocks":
         text = decode(content.data, content, place.card.encodings, place.path)
         return _read_blocks(text, place)
     header = find_header(_lines(head), place.card, place.path)
-    data = content.data[_offset(content.data, header.first) :]
-    return _read_one(data, header, head, place)
+    return _read_one(content, header, head, place)
 
 
 def _lines(text: str) -> list[str]:
@@ -88,14 +87,19 @@ def _offset(data: bytes, lines: int) -> int:
     return at
 
 
-def _read_one(data: bytes, header: Header, head: str, place: Place) -> Export:
+def _read_one(content: Content, header: Header, head: str, place: Place) -> Export:
     card = place.card
     groups = _groups(header) if card.layout == "side by side" else [range(len(header.names))]
     asked = place.channels if len(groups) == 1 else None
+    columns_read = wanted_columns(header.names, card, asked, place.path)
+    start = _offset(content.data, header.first)
     body = Body(
-        data=data,
+        data=content.data,
+        start=start,
+        as_in_file=content.as_in_file,
+        some_only=not word_columns(header.names, card),
         names=unique_names(header.names),
-        columns=wanted_columns(header.names, card, asked, place.path),
+        columns=columns_read,
         first_line=header.first + 1,
         separator=header.separator,
         decimal=_decimal(head, place),
@@ -110,8 +114,7 @@ def _read_one(data: bytes, header: Header, head: str, place: Place) -> Export:
         names = tuple(header.names[i] for i in group)
         units = tuple(header.units[i] for i in group)
         tables.append(Table(part, names, units, own))
-    about = preamble(header.above)
-    about |= _words(data, header, card)
+    about = preamble(header.above) | _words(content.data, start, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
 
 
@@ -161,13 +164,13 @@ def _without_padding(columns: dict[int, np.ndarray]) -> dict[int, np.ndarray]:
     return {i: values[:rows] for i, values in columns.items()}
 
 
-def _words(data: bytes, header: Header, card: Card) -> dict[str, object]:
+def _words(data: bytes, start: int, header: Header, card: Card) -> dict[str, object]:
     """What the columns of words hold, each text once."""
     columns = word_columns(header.names, card)
     if not columns:
         return {}
     found: dict[str, dict[str, None]] = {header.names[column]: {} for column in columns}
-    for line in _lines(data.decode("utf-8", errors="replace")):
+    for line in _lines(data[start:].decode("utf-8", errors="replace")):
         cells = split_line(line, header.separator)
         for column in columns:
             if column < len(cells):
