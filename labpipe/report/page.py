@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from labpipe.records.result import TestResult
 from labpipe.report.wording import footnote, title
@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
 SINGLE_COLUMN = 90.0
@@ -27,11 +26,17 @@ _EDGE = 0.012
 
 
 @contextmanager
-def style() -> Iterator[None]:
-    """Draw and save inside this block in labpipe's style; nothing global stays changed."""
+def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
+    """Draw and save inside this block in labpipe's style; nothing global stays changed.
+
+    Parameters
+    ----------
+    changes : settings of matplotlib on top of the style
+    """
     import matplotlib as mpl
 
-    with mpl.rc_context(fname=str(STYLE_FILE)):
+    own: Any = dict(changes or {})
+    with mpl.rc_context(own, fname=str(STYLE_FILE)):
         yield
 
 
@@ -50,16 +55,35 @@ def new_page(
     -------
     A figure without axes, laid out when it is drawn.
     """
+    note = footnote(result)
+    rows = 1 if has_key else 0
+    return titled_page(title(result), note, width_mm=width_mm, height_mm=height_mm, key_rows=rows)
+
+
+def titled_page(
+    words: str, note: str, *, width_mm: float, height_mm: float, key_rows: int = 0
+) -> Figure:
+    """Make an empty figure with any title and footnote.
+
+    Parameters
+    ----------
+    words, note : title of one line, and footnote of as many as it has; an empty one takes no room
+    width_mm, height_mm : mm on paper
+    key_rows : lines kept free below the title, for `put_key`
+
+    Returns
+    -------
+    A figure without axes, laid out when it is drawn.
+    """
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
     line = _LINE_MM / height_mm
-    figure.text(_EDGE, 1 - 0.3 * line, title(result), va="top", size=8, color=GREY)
-    note = footnote(result)
+    figure.text(_EDGE, 1 - 0.3 * line, words, va="top", size=8, color=GREY)
     if note:
         figure.text(_EDGE, 0.3 * line, note, va="bottom", size=7, color=GREY)
-    low = line if note else 0.0
-    high = 1 - (2.4 if has_key else 1.3) * line
+    low = line * (0.25 + 0.75 * (note.count("\n") + 1)) if note else 0.0
+    high = 1 - (1.3 + 1.1 * key_rows) * line
     pad = 1.2 / _MM_PER_INCH
     figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
     return figure
@@ -73,14 +97,21 @@ def finish_layout(page: Figure) -> None:
     page.set_layout_engine("none")
 
 
-def put_key(page: Figure, handles: list[Line2D]) -> None:
-    """Name lines and signs in the line below the title, where no data can be."""
+def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
+    """Name lines and signs in the lines below the title, where no data can be.
+
+    Parameters
+    ----------
+    page : made with room for the lines
+    handles : what to name
+    columns : how many stand in a line; all of them if None
+    """
     line = _LINE_MM / (page.get_figheight() * _MM_PER_INCH)
     page.legend(
-        handles=handles,
+        handles=list(handles),
         loc="upper left",
         bbox_to_anchor=(_EDGE, 1 - 1.25 * line),
-        ncols=max(len(handles), 1),
+        ncols=columns or max(len(handles), 1),
         borderpad=0,
         borderaxespad=0,
     )

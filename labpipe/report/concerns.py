@@ -1,0 +1,162 @@
+"""What a lab head should look at before the numbers: collected from everywhere, worst first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+
+from labpipe.records.group import Campaign, Group, GroupNumber, Sample
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Result, Status
+from labpipe.records.slips import Slip, SlipDecision
+from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_number
+
+
+class Kind(StrEnum):
+    """Kinds of concern, in the order of the report."""
+
+    UNREADABLE = "Tests that could not be read"
+    FAILED = "Failed: numbers that could not be computed"
+    DOUBTFUL = "Doubtful: numbers to be checked"
+    LEFT_OUT = "Samples that do not enter a mean"
+    OUTLIER = "Marked as outliers (they stay in every mean)"
+    SLIP = "Slips in the grips"
+    WARNING = "Warnings"
+    NO_INTERVAL = "Numbers without an interval"
+
+
+@dataclass(frozen=True, slots=True)
+class Concern:
+    """One thing to look at.
+
+    Parameters
+    ----------
+    kind : which table it stands in
+    group, test : whom it concerns; empty where it is no single one
+    what : numbers or place, in words
+    reason : one sentence with the numbers
+    code : stable code of the reason, empty where it has none
+    """
+
+    kind: Kind
+    group: str
+    test: str
+    what: str
+    reason: str
+    code: str = ""
+
+
+def find_concerns(campaign: Campaign) -> tuple[Concern, ...]:
+    """Collect what is doubtful, failed, left out, marked, repaired or warned of.
+
+    Parameters
+    ----------
+    campaign : all of it
+
+    Returns
+    -------
+    In the order of `Kind`, and within a kind in the order of groups and samples. Numbers of a test
+    that share a reason stand together.
+    """
+    found = [Concern(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()]
+    for group in campaign.groups:
+        found += _of_group(group)
+    order = list(Kind)
+    return tuple(sorted(found, key=lambda each: order.index(each.kind)))
+
+
+def split_reason(reason: str) -> tuple[str, str]:
+    """Part a reason into its code and its sentence; the code is empty if there is none.
+
+    Examples
+    --------
+    >>> split_reason("not_reached: the branch ends at 4.2 mm.")
+    ('not_reached', 'The branch ends at 4.2 mm.')
+    """
+    code, colon, rest = reason.partition(": ")
+    is_code = bool(colon) and code.replace("_", "").isalnum() and code == code.lower()
+    code, sentence = (code, rest) if is_code and " " not in code else ("", reason)
+    return code, sentence[:1].upper() + sentence[1:]
+
+
+def decision_words(decision: SlipDecision) -> str:
+    """What was done about a slip, as a sentence."""
+    return {
+        SlipDecision.MARKED: "Marked only: the curve is as measured.",
+        SlipDecision.REPAIRED: "Repaired: the force lost is added back to all that follows.",
+        SlipDecision.CUT: "Cut: the curve ends before the slip.",
+    }[decision]
+
+
+def slip_words(slip: Slip, group: Group) -> str:
+    """Where a slip is and what force it lost, with intervals and display units."""
+    display = display_of(group)
+    across, up = shown_in("", "m", display), shown_in("", "N", display)
+    at = write_number(slip.position, slip.position_interval, across.factor)
+    lost = write_number(slip.drop, slip.drop_interval, up.factor)
+    where = f"{at.value} {unit_words(across.unit)}"
+    return f"{lost.value} {unit_words(up.unit)} ({lost.interval}) lost at {where} ({at.interval})"
+
+
+def _of_group(group: Group) -> Iterator[Concern]:
+    for sample in group.samples:
+        yield from _of_results(group.name, sample)
+        for slip in sample.slips:
+            words = slip_words(slip, group)
+            yield Concern(Kind.SLIP, group.name, sample.test, words, decision_words(slip.decision))
+        yield from _of_notes(group.name, sample.test, sample.quality)
+    for number in group.numbers:
+        yield from _of_number(group, number)
+    if not group.samples:
+        reason = group.band.reason or "no sample in this group."
+        code, sentence = split_reason(reason)
+        yield Concern(Kind.WARNING, group.name, "", "empty group", sentence, code)
+    yield from _of_notes(group.name, "", group.notes)
+
+
+def _of_results(group: str, sample: Sample) -> Iterator[Concern]:
+    together: dict[tuple[Kind, str], list[Result]] = {}
+    for result in sample.results:
+        kind = _kind(result)
+        if kind is not None:
+            together.setdefault((kind, result.reason), []).append(result)
+    for (kind, reason), results in together.items():
+        code, sentence = split_reason(reason)
+        what = "; ".join(in_words(result.name) for result in results)
+        yield Concern(kind, group, sample.test, what, sentence, code)
+
+
+def _kind(result: Result) -> Kind | None:
+    if result.status is Status.FAILED:
+        return Kind.FAILED
+    if result.status is Status.DOUBTFUL:
+        return Kind.DOUBTFUL
+    return Kind.NO_INTERVAL if result.interval is None and result.reason else None
+
+
+def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
+    failed = {
+        sample.test
+        for sample in group.samples
+        for result in sample.results
+        if result.name == number.name and result.status is Status.FAILED
+    }
+    name = in_words(number.name)
+    for test, why in number.left_out.items():
+        if test not in failed:  # those stand under their own heading
+            code, sentence = split_reason(why)
+            yield Concern(Kind.LEFT_OUT, group.name, test, name, sentence, code)
+    shown = shown_in(number.name, number.unit, display_of(group))
+    for outlier in number.outliers:
+        value = write_number(outlier.value, None, shown.factor).value
+        reason = f"{value} {unit_words(shown.unit)}".strip() + (
+            f" stands apart from the other samples by {outlier.method} (p = {outlier.p:.2g})."
+        )
+        yield Concern(Kind.OUTLIER, group.name, outlier.sample, name, reason)
+
+
+def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Concern]:
+    for note in notes:
+        if note.severity is not Severity.INFO:
+            yield Concern(Kind.WARNING, group, test, note.where, note.message, note.code)

@@ -1,0 +1,177 @@
+"""Curves of all samples of a group, their mean and its two 95 % bands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.records.group import Band, Group, Sample, SampleCurve
+from labpipe.report.concerns import split_reason
+from labpipe.report.group_look import (
+    RED,
+    first_loading,
+    group_page,
+    group_scale,
+    label_axes,
+    spool_looks,
+    thin,
+    value_of,
+)
+from labpipe.report.page import GREY, say
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_HEIGHT = 82.0
+_MEAN: dict[str, Any] = {"color": "black", "linewidth": 1.5, "zorder": 4}
+_POINTWISE: dict[str, Any] = {"color": "black", "alpha": 0.16, "linewidth": 0, "zorder": 1}
+_ALL: dict[str, Any] = {
+    "color": "black", "linewidth": 0.6, "linestyle": (0, (3, 1.5)), "zorder": 3
+}  # fmt: skip
+_FAINT = 0.28
+_PEAK = "peak_force.1"
+_BAND_POINTS = 160
+_ROOM = 0.5
+"""Height left for a band above and below the curves, as a share of theirs."""
+
+
+def draw_curves(group: Group) -> Figure:
+    """Draw force against displacement of all samples, with mean and bands.
+
+    Parameters
+    ----------
+    group : an empty group, or one without curves, gets a page that says so
+    """
+    return _draw(group, group.band, is_scaled=False)
+
+
+def draw_scaled(group: Group) -> Figure:
+    """Draw force / peak force of each sample against displacement, with mean and bands."""
+    band = group.band if group.band_scaled is None else group.band_scaled
+    return _draw(group, band, is_scaled=True)
+
+
+def _draw(group: Group, band: Band, *, is_scaled: bool) -> Figure:
+    if all(first_loading(sample) is None for sample in group.samples):
+        page = group_page(group, [], height_mm=40.0)
+        what = "No sample in this group." if not group.samples else "No sample has a curve."
+        say(page.subplots(), what)
+        return page
+    note = _reason(band)
+    page = group_page(group, _keys(group, band), height_mm=_HEIGHT, note=note)
+    axes = page.subplots()
+    plot_samples(group, axes, is_scaled=is_scaled)
+    plot_band(group, band, axes, is_scaled=is_scaled)
+    label_axes(group, axes)
+    if is_scaled:
+        axes.set_ylabel("Force / peak force")
+    return page
+
+
+def plot_samples(group: Group, axes: Axes, *, is_scaled: bool = False) -> None:
+    """Draw the samples: loading of the first cycle thin, unloading and later cycles faint.
+
+    Parameters
+    ----------
+    group : colour and dash tell its spools apart
+    axes : to draw on
+    is_scaled : divide the force of each sample by its peak force
+    """
+    looks = spool_looks(group)
+    curves = sum(len(sample.loading) + len(sample.unloading) for sample in group.samples)
+    across = group_scale(group, "displacement").factor
+    for sample in group.samples:
+        look = looks[sample.specimen.spool]
+        up = _factor(group, sample, is_scaled=is_scaled)
+        first = first_loading(sample)
+        for curve in (*sample.unloading, *sample.loading):
+            x, y = thin(curve, curve.force, curves=curves)
+            own: dict[str, Any] = {"color": look.colour, "linestyle": look.dash, "linewidth": 0.7}
+            if curve is not first:
+                own |= {"alpha": _FAINT, "linewidth": 0.5, "linestyle": "-"}
+            axes.plot(x * across, y * up, **own)
+        _mark_failure(sample, axes, across, up)
+
+
+def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) -> None:
+    """Draw the mean curve, the pointwise band as an area, the simultaneous one as thin lines.
+
+    Parameters
+    ----------
+    group : gives the display units
+    band : without bands only its mean is drawn, without a mean nothing
+    axes : to draw on
+    is_scaled : its forces are shares of the peak force
+    """
+    if band.n < 2 or not len(band.displacement):
+        return  # the mean of one sample is that sample
+    kept = np.unique(
+        np.linspace(0, len(band.displacement) - 1, _BAND_POINTS).round().astype(np.int64)
+    )
+    x = band.displacement[kept] * group_scale(group, "displacement").factor
+    up = 1.0 if is_scaled else group_scale(group, "force").factor
+    axes.plot(x, band.mean[kept] * up, **_MEAN)
+    if _has_band(band):
+        drawn = axes.dataLim.intervaly
+        axes.fill_between(x, band.lower[kept] * up, band.upper[kept] * up, **_POINTWISE)
+        for edge in (band.lower_all, band.upper_all):
+            axes.plot(x, edge[kept] * up, **_ALL)
+        _keep_in_view(float(drawn[0]), float(drawn[1]), axes)
+
+
+def _keep_in_view(low: float, high: float, axes: Axes) -> None:
+    """Let the axis cut a band that would press the curves into a flat line."""
+    now, room = axes.get_ylim(), _ROOM * (high - low)
+    axes.set_ylim(max(now[0], low - room), min(now[1], high + room))
+
+
+def _factor(group: Group, sample: Sample, *, is_scaled: bool) -> float:
+    if not is_scaled:
+        return group_scale(group, "force").factor
+    peak = value_of(sample, _PEAK)
+    return 1.0 / peak if peak else float("nan")
+
+
+def _mark_failure(sample: Sample, axes: Axes, across: float, up: float) -> None:
+    at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
+    if at is not None and force is not None:
+        axes.plot(at * across, force * up, "x", color=RED, markersize=4.5, zorder=5)
+
+
+def _has_band(band: Band) -> bool:
+    return bool(np.isfinite(band.lower).any())
+
+
+def _reason(band: Band) -> str:
+    if not band.reason:
+        return ""
+    what = "band" if len(band.displacement) else "mean curve"
+    return f"No {what}: {split_reason(band.reason)[1]}"
+
+
+def _keys(group: Group, band: Band) -> list[Artist]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    keys: list[Artist] = [
+        Line2D([], [], color=look.colour, linestyle=look.dash, label=f"spool {spool}")
+        for spool, look in spool_looks(group).items()
+    ]
+    if band.n >= 2 and len(band.displacement):
+        keys.append(Line2D([], [], label=f"mean of {band.n} {band.over}", **_MEAN))
+        if _has_band(band):
+            keys.append(Patch(label="95 % band, point by point", **_POINTWISE))
+            keys.append(Line2D([], [], label="95 % band, whole curve", **_ALL))
+    if any(_others(sample) for sample in group.samples):
+        keys.append(Line2D([], [], color=GREY, alpha=_FAINT, label="unloading, later cycles"))
+    if any(value_of(sample, "failure_force") is not None for sample in group.samples):
+        keys.append(Line2D([], [], color=RED, marker="x", linestyle="", label="failure"))
+    return keys
+
+
+def _others(sample: Sample) -> list[SampleCurve]:
+    first = first_loading(sample)
+    return [curve for curve in (*sample.loading, *sample.unloading) if curve is not first]

@@ -1,0 +1,189 @@
+"""Numbers of every sample with their intervals, spool means and the mean, one under the other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from labpipe.records.curve import Interval
+from labpipe.records.group import Group, GroupNumber
+from labpipe.records.result import Status
+from labpipe.report.group_look import RED, group_page, spool_looks
+from labpipe.report.numbers import display_of, in_words, is_main, shown_in, unit_words
+from labpipe.report.page import GREY
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MOST_NUMBERS = 6
+_ROW = 3.7
+_PANEL = 17.0
+_COLUMNS = 2
+_RING: dict[str, Any] = {
+    "marker": "o", "color": RED, "markerfacecolor": "none", "markersize": 8, "linestyle": ""
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the figure.
+
+    Parameters
+    ----------
+    label : at its left
+    value : in SI; NaN for none
+    interval : 95 %
+    colour, marker : of its dot
+    is_open : an open dot: the result is doubtful
+    is_marked : a ring around it: marked as an outlier
+    note : written where there is no dot
+    """
+
+    label: str
+    value: float
+    interval: Interval | None
+    colour: str
+    marker: str
+    is_open: bool = False
+    is_marked: bool = False
+    note: str = ""
+
+
+def numbers_to_draw(group: Group) -> list[GroupNumber]:
+    """Numbers with a mean over at least two samples, in their order, at most `MOST_NUMBERS`."""
+    own = [
+        each
+        for each in group.numbers
+        if is_main(each.name) and each.mean is not None and each.mean.over_samples.n > 1
+    ]
+    return own[:MOST_NUMBERS]
+
+
+def draw_dots(group: Group) -> Figure:
+    """Draw a panel per number; its rows are samples, spool means and the mean.
+
+    Parameters
+    ----------
+    group : one that has `numbers_to_draw`
+    """
+    numbers = numbers_to_draw(group)
+    drawn = {number.name for number in numbers}
+    left_out = [each.name for each in group.numbers if each.name not in drawn | _single(group)]
+    rows = math.ceil(len(numbers) / _COLUMNS)
+    lines = max(len(rows_of(group, number)) for number in numbers)
+    note = f"In the tables only: {', '.join(map(in_words, left_out))}." if left_out else ""
+    page = group_page(
+        group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
+    )
+    columns = min(_COLUMNS, len(numbers))
+    panels = page.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    for number, axes in zip(numbers, panels, strict=False):
+        plot_dots(group, number, axes)
+    for spare in panels[len(numbers) :]:
+        spare.set_axis_off()
+    return page
+
+
+def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
+    """Draw one number: a dot and its interval per row, the mean's interval as a grey stripe.
+
+    Parameters
+    ----------
+    group : gives looks and display units
+    number : one with a mean
+    axes : to draw on
+    """
+    shown = shown_in(number.name, number.unit, display_of(group))
+    rows = rows_of(group, number)
+    for height, row in enumerate(rows):
+        _plot_row(row, height, shown.factor, axes)
+    axes.set_yticks(range(len(rows)), [row.label for row in rows])
+    axes.tick_params(axis="y", length=0, labelsize=7)
+    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_title(in_words(number.name), loc="left", size=8)
+    axes.set_xlabel(unit_words(shown.unit))
+    _keep_in_view(rows, shown.factor, axes)
+    axes.locator_params(axis="x", nbins=5)
+
+
+def rows_of(group: Group, number: GroupNumber) -> list[Row]:
+    """Lay out the rows of a panel: each spool's samples and its mean, then the mean of all.
+
+    Parameters
+    ----------
+    group, number : what to lay out; a sample without the number keeps its row, with a word in it
+
+    Returns
+    -------
+    The same number of rows for every number of a group.
+    """
+    rows: list[Row] = []
+    marked = {outlier.sample for outlier in number.outliers}
+    for spool, look in spool_looks(group).items():
+        for sample in group.samples:
+            if sample.specimen.spool == spool:
+                rows.append(_sample_row(number, sample.test, look.colour, sample.test in marked))
+        mean = number.mean.spool_means.get(spool) if number.mean is not None else None
+        if mean is None:
+            rows.append(Row(f"mean of {spool}", math.nan, None, look.colour, "D"))
+        else:
+            rows.append(Row(f"mean of {spool}", mean.mean, mean.interval, look.colour, "D"))
+    if number.mean is not None:
+        chosen = number.mean.chosen
+        rows.append(Row("mean", chosen.mean, chosen.interval, "black", "D"))
+    return rows
+
+
+def _sample_row(number: GroupNumber, test: str, colour: str, is_marked: bool) -> Row:
+    result = number.values.get(test)
+    if result is None or result.value is None:
+        return Row(test, math.nan, None, colour, "o", note="no number")
+    is_open = result.status is Status.DOUBTFUL
+    return Row(test, result.value, result.interval, colour, "o", is_open, is_marked)
+
+
+def _plot_row(row: Row, height: int, factor: float, axes: Axes) -> None:
+    if math.isnan(row.value):
+        axes.text(
+            0.5, height, row.note, transform=axes.get_yaxis_transform(), ha="center",
+            va="center", size=7, color=GREY,
+        )  # fmt: skip
+        return
+    if row.interval is not None:
+        ends = [factor * row.interval.lower, factor * row.interval.upper]
+        width = 1.6 if row.marker == "D" else 0.9
+        axes.plot(ends, [height, height], color=row.colour, linewidth=width, solid_capstyle="butt")
+    face = "white" if row.is_open else row.colour
+    axes.plot(factor * row.value, height, row.marker, color=row.colour, markerfacecolor=face)
+    if row.is_marked:
+        axes.plot(factor * row.value, height, **_RING)
+
+
+def _keep_in_view(rows: list[Row], factor: float, axes: Axes) -> None:
+    """Let the axis cut intervals that would press the dots into one place."""
+    values = [factor * row.value for row in rows if not math.isnan(row.value)]
+    low, high = min(values), max(values)
+    room = 1.5 * (high - low)
+    if room > 0.0:
+        now = axes.get_xlim()
+        axes.set_xlim(max(now[0], low - room), min(now[1], high + room))
+
+
+def _single(group: Group) -> set[str]:
+    """Names of numbers that concern a slip or the clocks."""
+    return {number.name for number in group.numbers if not is_main(number.name)}
+
+
+def _keys(numbers: list[GroupNumber]) -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    rings = [Line2D([], [], label="marked as outlier", **_RING)]
+    return [
+        Line2D([], [], color=GREY, marker="o", label="sample, 95 %"),
+        Line2D([], [], color=GREY, marker="o", markerfacecolor="white", label="doubtful"),
+        Line2D([], [], color=GREY, marker="D", linewidth=1.6, label="mean, 95 %"),
+        *(rings if any(number.outliers for number in numbers) else []),
+    ]

@@ -1,0 +1,206 @@
+"""The figures of a group: which there are, what they say in words, and how they are saved."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.records.group import Band, Group
+from labpipe.report.group_curves import draw_curves, draw_scaled
+from labpipe.report.group_dots import draw_dots, numbers_to_draw
+from labpipe.report.group_lines import draw_lines, has_lines
+from labpipe.report.group_look import count_words, finite_end, group_scale
+from labpipe.report.group_slips import draw_slips, with_slips
+from labpipe.report.inline_svg import inline_svg
+from labpipe.report.numbers import in_words
+from labpipe.report.page import finish_layout, style
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_PNG_DPI = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A figure of a group, before it is drawn.
+
+    Parameters
+    ----------
+    name : of its files, behind the name of the group
+    draw : makes it
+    caption : how to read it
+    alt : what a person who cannot see it is told
+    """
+
+    name: str
+    draw: Callable[[Group], Figure]
+    caption: str
+    alt: str
+
+
+@dataclass(frozen=True, slots=True)
+class SavedFigure:
+    """A figure that was drawn and saved.
+
+    Parameters
+    ----------
+    svg : the drawing as an element of a page
+    caption : how to read it
+    files : SVG, PNG and PDF
+    """
+
+    svg: str
+    caption: str
+    files: tuple[Path, ...]
+
+
+def drawings(group: Group) -> Iterator[Drawing]:
+    """List the figures that a group has data for; the curves are always there.
+
+    Parameters
+    ----------
+    group : with or without samples
+
+    Yields
+    ------
+    Curves, normalised curves, slips, fitted lines, numbers.
+    """
+    about = f"{group.name}, {count_words(group)}"
+    yield Drawing("curves", draw_curves, _curve_caption(group.band), _curve_alt(group))
+    if group.band_scaled is not None:
+        caption = (
+            "Force over the peak force of the same sample. What is left of the scatter is not"
+            " a matter of strength. " + _curve_caption(group.band_scaled)
+        )
+        alt = f"Force over peak force against displacement of {about}."
+        yield Drawing("scaled", draw_scaled, caption, alt)
+    if with_slips(group):
+        caption = (
+            "Samples that slid in their grips, first loading. Grey and dashed: the force as it was"
+            " measured. In colour: the force that the numbers were taken from. Each triangle is a"
+            " slip of the list above."
+        )
+        slipped = ", ".join(sample.test for sample in with_slips(group))
+        yield Drawing("slips", draw_slips, caption, f"Slips of {slipped} on their curves.")
+    if has_lines(group):
+        yield Drawing("lines", draw_lines, _LINES, _line_alt(group))
+    numbers = numbers_to_draw(group)
+    if numbers:
+        names = "; ".join(in_words(number.name) for number in numbers)
+        yield Drawing("numbers", draw_dots, _DOTS, f"Each sample's {names}: {about}.")
+
+
+_LINES = (
+    "Straight lines over the windows that they were fitted in, on the first loading of each"
+    " sample (grey). The slopes in the key are those of the table of means. Dashed: the two"
+    " segments whose break point was fitted too. The curves go on beyond the right edge."
+)
+_DOTS = (
+    "A dot and its 95 % interval for each sample, for the mean of each spool and for the mean that"
+    " holds (the last row). Intervals that are wider than the panel are cut by its edge; the"
+    " tables have their ends."
+)
+
+
+def _curve_caption(band: Band) -> str:
+    words = (
+        "Thin: the first loading of each sample, up to its failure where it failed. Faint:"
+        " unloading and later cycles, where there are any."
+    )
+    if band.n < 2 or not np.isfinite(band.lower).any():
+        return f"{words} There is no band; the figure says why."
+    return (
+        f"{words} Thick: the mean of {band.n} {band.over}, drawn only where all of them have data."
+        " Grey area: holds the mean at any one displacement with 95 %. Dashed edges: hold the whole"
+        " mean curve with 95 %. A band that is wider than the panel is cut by its edge."
+    )
+
+
+def _curve_alt(group: Group) -> str:
+    across, up = group_scale(group, "displacement"), group_scale(group, "force")
+    words = f"Force against displacement: {group.name}, {count_words(group)}."
+    if not len(group.band.displacement):
+        return words
+    far = across.factor * finite_end(group.band.displacement)
+    top = up.factor * finite_end(group.band.mean)
+    return (
+        f"{words} The mean reaches {top:.3g} {up.unit}; it is known up to {far:.3g} {across.unit}."
+    )
+
+
+def _line_alt(group: Group) -> str:
+    names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
+    words = "; ".join(in_words(name) for name in names)
+    return f"Fitted lines on the curves of {group.name}: {words}."
+
+
+def save_drawings(group: Group, folder: Path, *, stem: str) -> list[SavedFigure]:
+    """Draw the figures of a group and save each as SVG, PNG and PDF.
+
+    Parameters
+    ----------
+    group : to draw
+    folder : there already
+    stem : begins the names of the files, and the ids of the drawings in a page
+
+    Returns
+    -------
+    In the order of `drawings`.
+
+    Notes
+    -----
+    The same group gives the same bytes with the same version of matplotlib.
+    """
+    return [_save(group, each, folder, f"{stem}-{each.name}") for each in drawings(group)]
+
+
+def _save(group: Group, drawing: Drawing, folder: Path, stem: str) -> SavedFigure:
+    """Draw once, lay out once, write three times."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from PIL import Image
+
+    svg, png, pdf = (folder / f"{stem}.{kind}" for kind in ("svg", "png", "pdf"))
+    with style({"svg.fonttype": "none", "text.parse_math": False}):
+        page = drawing.draw(group)
+        page.set_dpi(_PNG_DPI)
+        finish_layout(page)
+        pixels: Any = FigureCanvasAgg(page)
+        pixels.draw()
+        image = Image.fromarray(np.array(pixels.buffer_rgba()))
+        image.save(png, dpi=(_PNG_DPI, _PNG_DPI), compress_level=3)
+        paper: Any = FigureCanvasPdf(page)
+        paper.print_pdf(str(pdf), metadata={"CreationDate": None})
+        vector: Any = FigureCanvasSVG(page)
+        buffer = io.BytesIO()
+        vector.print_svg(buffer, metadata={"Date": None})
+    svg.write_bytes(buffer.getvalue())
+    element = inline_svg(buffer.getvalue(), prefix=stem, title=drawing.alt)
+    return SavedFigure(element, drawing.caption, (svg, png, pdf))
+
+
+def stems(names: Iterable[str]) -> list[str]:
+    """Turn names of groups into beginnings of file names: ASCII, lower case, each its own.
+
+    Examples
+    --------
+    >>> stems(["A2, wire cantilever", "A2-wire-cantilever", "°"])
+    ['a2-wire-cantilever', 'a2-wire-cantilever-2', 'group']
+    """
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")[:60] or "group"
+        stem, number = plain, 1
+        while stem in found:
+            number += 1
+            stem = f"{plain}-{number}"
+        found.append(stem)
+    return found

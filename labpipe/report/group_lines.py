@@ -1,0 +1,114 @@
+"""The straight lines that stiffnesses were read from, over the curves of a group."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labpipe.records.curve import FittedLine
+from labpipe.records.group import Group
+from labpipe.report.group_look import (
+    first_loading,
+    group_page,
+    group_scale,
+    label_axes,
+    thin,
+)
+from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_number
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_HEIGHT = 82.0
+_CURVES = "#9a9a9a"
+_BEYOND = 1.5
+"""How far the axis goes on behind the last window, in lengths up to its end."""
+
+
+def draw_lines(group: Group) -> Figure:
+    """Draw curves in grey and their fitted lines in colour, with the slopes in the key.
+
+    Parameters
+    ----------
+    group : one with lines
+    """
+    page = group_page(group, _keys(group), height_mm=_HEIGHT, columns=1)
+    axes = page.subplots()
+    plot_lines(group, axes)
+    label_axes(group, axes)
+    return page
+
+
+def has_lines(group: Group) -> bool:
+    """Tell whether any sample has a fitted line to draw."""
+    return any(sample.lines for sample in group.samples)
+
+
+def plot_lines(group: Group, axes: Axes) -> None:
+    """Draw each sample up to a little beyond its windows, and its lines over them.
+
+    Parameters
+    ----------
+    group : lines of one result have one colour
+    axes : to draw on
+    """
+    colours = _colours(group)
+    across = group_scale(group, "displacement").factor
+    up = group_scale(group, "force").factor
+    end = _BEYOND * max(line.stop for sample in group.samples for line in sample.lines)
+    for sample in group.samples:
+        curve = first_loading(sample)
+        if curve is not None:
+            x, y = thin(
+                curve,
+                np.where(curve.displacement <= end, curve.force, np.nan),
+                curves=len(group.samples),
+            )
+            axes.plot(x * across, y * up, color=_CURVES, linewidth=0.5, zorder=1)
+        for line in sample.lines:
+            ends = np.array([line.start, line.stop])
+            height = line.level + line.slope * (ends - line.start)
+            look = (0, (2, 1)) if _is_segment(line) else "-"
+            colour = colours[line.result]
+            axes.plot(ends * across, height * up, color=colour, linestyle=look, linewidth=1.0)
+
+
+def _is_segment(line: FittedLine) -> bool:
+    return line.result.startswith("segment")
+
+
+def _colours(group: Group) -> dict[str, str]:
+    import matplotlib as mpl
+
+    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
+    return {name: own[number % len(own)] for number, name in enumerate(names)}
+
+
+def _keys(group: Group) -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    segments = {line.result: _is_segment(line) for sample in group.samples for line in sample.lines}
+    return [
+        Line2D(
+            [], [], color=colour, linestyle=(0, (2, 1)) if segments[name] else "-",
+            label=_slope(group, name),
+        )
+        for name, colour in _colours(group).items()
+    ]  # fmt: skip
+
+
+def _slope(group: Group, name: str) -> str:
+    """Name of a line and its mean slope with the interval."""
+    number = next((each for each in group.numbers if each.name == name), None)
+    if number is None or number.mean is None:
+        return in_words(name)
+    shown = shown_in(name, number.unit, display_of(group))
+    mean = number.mean.chosen
+    words = write_number(mean.mean, mean.interval, shown.factor).text
+    over = "samples" if number.mean.is_pooled else "spool means"
+    of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
+    return f"{in_words(name)}: {words} {unit_words(shown.unit)}{of}"

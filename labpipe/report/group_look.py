@@ -1,0 +1,137 @@
+"""What the figures of a group share: looks of spools, display units, words, thinning."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.group import Group, Sample, SampleCurve
+from labpipe.records.result import Status
+from labpipe.report.numbers import display_of, shown_in
+from labpipe.report.page import titled_page
+from labpipe.report.thinning import extremes
+from labpipe.report.wording import Scale
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+WIDTH = 120.0
+"""mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
+RED = "#b2182b"
+MOST_POINTS = 6000
+"""Points that the curves of one figure share, so that thirty tests stay below 1 MB."""
+_FEWEST, _MOST = 40, 280
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
+_KEY_COLUMNS = 3
+_NOTE_WIDTH = 96
+
+
+class Look(NamedTuple):
+    """Colour and dash of a spool."""
+
+    colour: str
+    dash: Any
+
+
+def spool_looks(group: Group) -> dict[str, Look]:
+    """Give each spool a colour, and a dash so that they differ on a grey print too."""
+    import matplotlib as mpl
+
+    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    spools = dict.fromkeys(sample.specimen.spool for sample in group.samples)
+    return {
+        spool: Look(own[number % len(own)], _DASHES[number % len(_DASHES)])
+        for number, spool in enumerate(spools)
+    }
+
+
+def group_scale(group: Group, quantity: str) -> Scale:
+    """Display unit of displacement or force in a group."""
+    return shown_in("", {"displacement": "m", "force": "N"}[quantity], display_of(group))
+
+
+def count_words(group: Group) -> str:
+    """Count what a group holds, such as ``6 samples from 2 spools``."""
+    spools = {sample.specimen.spool for sample in group.samples}
+    samples = f"{len(group.samples)} sample{'s' * (len(group.samples) != 1)}"
+    return f"{samples} from {len(spools)} spool{'s' * (len(spools) != 1)}"
+
+
+def group_page(
+    group: Group, keys: Sequence[Artist], *, height_mm: float, note: str = "", columns: int = 0
+) -> Figure:
+    """Make the empty page of a group's figure, with the key below its title.
+
+    Parameters
+    ----------
+    group : names the page
+    keys : signs to explain
+    height_mm : mm, without the lines of the key and of the footnote
+    note : footnote, broken into lines here
+    columns : of the key
+    """
+    from labpipe.report.page import put_key
+
+    columns = columns or _KEY_COLUMNS
+    rows = math.ceil(len(keys) / columns)
+    lines = textwrap.wrap(note, _NOTE_WIDTH)
+    page = titled_page(
+        f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}",
+        "\n".join(lines),
+        width_mm=WIDTH,
+        height_mm=height_mm + 4.6 * rows + 3.2 * len(lines),
+        key_rows=rows,
+    )
+    if keys:
+        put_key(page, keys, columns=columns)
+    return page
+
+
+def thin(curve: SampleCurve, values: Floats, *, curves: int) -> tuple[Floats, Floats]:
+    """Displacement and values of a curve at the points that are drawn.
+
+    Parameters
+    ----------
+    curve : of a sample
+    values : shape (n,), along it
+    curves : how many the figure shows: they share `MOST_POINTS`
+    """
+    points = min(max(MOST_POINTS // max(curves, 1), _FEWEST), _MOST)
+    kept = extremes(values, bins=points // 4)
+    x: Floats = curve.displacement[kept]
+    y: Floats = values[kept]
+    return x, y
+
+
+def first_loading(sample: Sample) -> SampleCurve | None:
+    """The loading curve of the first cycle; None for a sample without any."""
+    return next((curve for curve in sample.loading if len(curve.displacement)), None)
+
+
+def value_of(sample: Sample, name: str) -> float | None:
+    """A result of a sample by its name, in SI; None where it failed or was not asked for."""
+    return next((each.value for each in sample.results if each.name == name), None)
+
+
+def is_doubtful(sample: Sample, name: str) -> bool:
+    """Tell whether the result of that name is doubtful."""
+    return any(each.name == name and each.status is Status.DOUBTFUL for each in sample.results)
+
+
+def label_axes(group: Group, axes: Axes) -> None:
+    """Write displacement and force with their display units at the axes."""
+    axes.set_xlabel(group_scale(group, "displacement").label("Displacement"))
+    axes.set_ylabel(group_scale(group, "force").label("Force"))
+
+
+def finite_end(values: Floats) -> float:
+    """Largest finite value; 0 where there is none."""
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if len(finite) else 0.0

@@ -1,0 +1,277 @@
+"""The tables of the page: what stands in each cell, in words and display units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from labpipe.records.group import Campaign, Group, GroupNumber, Sample
+from labpipe.records.result import Result, Status
+from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
+from labpipe.report.numbers import (
+    display_of,
+    heading,
+    in_words,
+    is_main,
+    shown_in,
+    unit_words,
+    write_number,
+)
+
+DASH = "\u2013"
+_COLUMNS = 4
+"""Numbers side by side in a table of samples: as many as a page and a phone can take."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """What stands in a cell.
+
+    Parameters
+    ----------
+    text : large
+    small : below it
+    mark : behind it: ``?`` for doubtful
+    """
+
+    text: str
+    small: str = ""
+    mark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of the page; the first cell of a row is its heading.
+
+    Parameters
+    ----------
+    caption : what it shows
+    heads : one per column
+    rows : cells
+    notes : sentences below it
+    """
+
+    caption: str
+    heads: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    notes: tuple[str, ...] = ()
+
+
+def concern_tables(campaign: Campaign) -> list[Table]:
+    """Make a table for each kind of concern that there is, worst first."""
+    concerns = find_concerns(campaign)
+    tables = []
+    for kind in Kind:
+        own = [each for each in concerns if each.kind is kind]
+        if own:
+            rows = tuple(_concern_row(each) for each in own)
+            tables.append(Table(f"{kind} ({len(own)})", ("Test", "What", "Why"), rows))
+    return tables
+
+
+def _concern_row(concern: Concern) -> tuple[Cell, ...]:
+    test = Cell(concern.test or "the whole group", concern.group)
+    return test, Cell(concern.what or DASH), Cell(concern.reason, concern.code)
+
+
+def key_numbers(group: Group) -> Table:
+    """Make the table of means: interval, what was averaged, standard deviation."""
+    rows = tuple(_mean_row(group, each) for each in group.numbers if is_main(each.name))
+    heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
+    notes = tuple(
+        dict.fromkeys(
+            f"{in_words(each.name)}, no interval: {split_reason(each.mean.chosen.reason)[1]}"
+            for each in group.numbers
+            if is_main(each.name) and each.mean is not None and each.mean.chosen.reason
+        )
+    )
+    return Table(f"{group.name}: means", heads, rows, notes)
+
+
+def _mean_row(group: Group, number: GroupNumber) -> tuple[Cell, ...]:
+    shown = shown_in(number.name, number.unit, display_of(group))
+    head = Cell(heading(number.name, shown.unit), number.name)
+    if number.mean is None:
+        return head, Cell(DASH), Cell(DASH), Cell("no sample has it"), Cell(DASH)
+    chosen = number.mean.chosen
+    written = write_number(chosen.mean, chosen.interval, shown.factor)
+    deviation = write_number(chosen.deviation, None, shown.factor, digits=3)
+    return (
+        head,
+        Cell(written.value),
+        Cell(written.interval or DASH),
+        Cell(_over(number), _missing(number)),
+        Cell(deviation.value),
+    )
+
+
+def _over(number: GroupNumber) -> str:
+    mean = number.mean
+    if mean is None:
+        return DASH
+    what = "sample" if mean.is_pooled else "spool mean"
+    return f"{mean.chosen.n} {what}{'s' * (mean.chosen.n != 1)}"
+
+
+def _missing(number: GroupNumber) -> str:
+    return f"without {', '.join(number.left_out)}" if number.left_out else ""
+
+
+def spool_means(group: Group) -> Table:
+    """Make the table of spool means, with the decision how to average them in words."""
+    spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
+    own = [each for each in group.numbers if is_main(each.name) and each.mean is not None]
+    rows = tuple(_spool_row(group, each, spools) for each in own)
+    return Table(
+        f"{group.name}: spool means, and how they are averaged",
+        ("Number", *(f"Spool {spool}" for spool in spools), "Decision"),
+        rows,
+    )
+
+
+def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tuple[Cell, ...]:
+    shown = shown_in(number.name, number.unit, display_of(group))
+    if number.mean is None:
+        return ()
+    cells = []
+    for spool in spools:
+        mean = number.mean.spool_means.get(spool)
+        if mean is None:
+            cells.append(Cell(DASH, "no number"))
+            continue
+        written = write_number(mean.mean, mean.interval, shown.factor)
+        cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
+    return Cell(heading(number.name, shown.unit)), *cells, Cell(number.mean.decision)
+
+
+def sample_tables(group: Group) -> list[Table]:
+    """Make tables with a row per sample and a column per number, a few numbers in each."""
+    own = [each for each in group.numbers if is_main(each.name)]
+    parts = [own[start : start + _COLUMNS] for start in range(0, len(own), _COLUMNS)]
+    return [_sample_table(group, part, len(parts), at) for at, part in enumerate(parts, start=1)]
+
+
+def _sample_table(group: Group, numbers: list[GroupNumber], parts: int, at: int) -> Table:
+    display = display_of(group)
+    shown = [shown_in(number.name, number.unit, display) for number in numbers]
+    heads = [heading(number.name, scale.unit) for number, scale in zip(numbers, shown, strict=True)]
+    rows = tuple(_sample_row(group, sample, numbers) for sample in group.samples)
+    which = f", part {at} of {parts}" if parts > 1 else ""
+    notes = tuple(dict.fromkeys(_sample_notes(group, numbers)))
+    return Table(f"{group.name}: every sample{which}", ("Sample", *heads), rows, notes)
+
+
+def _sample_row(group: Group, sample: Sample, numbers: list[GroupNumber]) -> tuple[Cell, ...]:
+    specimen = sample.specimen
+    head = Cell(sample.test, f"spool {specimen.spool}, sample {specimen.sample}")
+    display = display_of(group)
+    results = {result.name: result for result in sample.results}
+    cells = []
+    for number in numbers:
+        shown = shown_in(number.name, number.unit, display)
+        cells.append(_result_cell(results.get(number.name), shown.factor))
+    return head, *cells
+
+
+def _result_cell(result: Result | None, factor: float) -> Cell:
+    if result is None:
+        return Cell(DASH, "not asked for")
+    if result.value is None:
+        return Cell(DASH, split_reason(result.reason)[0].replace("_", " ") or "failed")
+    written = write_number(result.value, result.interval, factor)
+    mark = "?" if result.status is Status.DOUBTFUL else ""
+    return Cell(written.value, written.interval, mark)
+
+
+def _sample_notes(group: Group, numbers: list[GroupNumber]) -> Iterator[str]:
+    names = {number.name for number in numbers}
+    for sample in group.samples:
+        for result in sample.results:
+            if result.name in names and result.status is not Status.OK:
+                sign = DASH if result.status is Status.FAILED else "?"
+                yield f"{sign} {sample.test}: {split_reason(result.reason)[1]}"
+
+
+def slip_table(group: Group) -> Table | None:
+    """Make the slip ledger of a group; None where nothing slipped."""
+    display = display_of(group)
+    across, up = shown_in("", "m", display), shown_in("", "N", display)
+    rows = []
+    for sample in group.samples:
+        for slip in sample.slips:
+            at = write_number(slip.position, slip.position_interval, across.factor)
+            lost = write_number(slip.drop, slip.drop_interval, up.factor)
+            words = decision_words(slip.decision)
+            cells = Cell(at.value, at.interval), Cell(lost.value, lost.interval), Cell(words)
+            rows.append((Cell(sample.test), *cells))
+    heads = (
+        "Sample",
+        f"Displacement ({unit_words(across.unit)})",
+        f"Force lost ({unit_words(up.unit)})",
+        "What was done",
+    )
+    return Table(f"{group.name}: slips in the grips", heads, tuple(rows)) if rows else None
+
+
+def difference_table(campaign: Campaign) -> Table | None:
+    """Make the table of differences between groups; None where there are none."""
+    displays = {group.name: display_of(group) for group in campaign.groups}
+    rows = []
+    for each in campaign.differences:
+        shown = shown_in(each.name, each.unit, displays.get(each.first, {}))
+        found = each.difference
+        written = write_number(found.mean, found.interval, shown.factor)
+        none = split_reason(found.reason)[1] or DASH
+        margin = math.nan if each.margin is None else each.margin
+        matters = write_number(margin, None, shown.factor, digits=3).value
+        rows.append(
+            (
+                Cell(heading(each.name, shown.unit), f"{each.second} minus {each.first}"),
+                Cell(written.value),
+                Cell(written.interval or none),
+                Cell(matters),
+                Cell(each.verdict),
+            )
+        )
+    heads = ("Number", "Difference", "95 % interval", "Does not matter below", "In words")
+    return Table("Differences between groups", heads, tuple(rows)) if rows else None
+
+
+def method_table(group: Group) -> Table:
+    """Make the table that says how each number and its interval were made."""
+    methods: dict[str, dict[str, None]] = {}
+    for sample in group.samples:
+        for result in sample.results:
+            known = methods.setdefault(result.name, {})
+            if result.method:
+                known[result.method] = None
+    rows = tuple(
+        (Cell(in_words(name), name), Cell("; ".join(each) or "No sample has this number."))
+        for name, each in methods.items()
+    )
+    return Table(f"{group.name}: how each number was made", ("Number", "Method"), rows)
+
+
+def table_of_tests(campaign: Campaign) -> Table:
+    """Make the list of tests: what was tested, by which protocol, where the result is."""
+    rows = []
+    for group in campaign.groups:
+        across = shown_in("", "m", display_of(group))
+        for sample in group.samples:
+            sizes = ", ".join(
+                f"{name.replace('_', ' ')} {across.factor * size:.4g} {unit_words(across.unit)}"
+                for name, size in sample.specimen.dimensions.items()
+            )
+            specimen = sample.specimen
+            rows.append(
+                (
+                    Cell(sample.test),
+                    Cell(specimen.type, f"spool {specimen.spool}, sample {specimen.sample}"),
+                    Cell(sizes or DASH),
+                    Cell(sample.protocol),
+                    Cell(sample.source or DASH),
+                )
+            )
+    heads = ("Test", "Specimen", "Dimensions", "Protocol", "Read from")
+    return Table("Tests in this report", heads, tuple(rows))

@@ -1,0 +1,82 @@
+"""Drawings made fit to stand inside an HTML page: small, with names of their own, with a title."""
+
+from __future__ import annotations
+
+import re
+from xml.etree import ElementTree as ET
+
+_SVG = "http://www.w3.org/2000/svg"
+_LINK = "{http://www.w3.org/1999/xlink}href"
+_LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+_REFERENCE = re.compile(r"url\(#([^)]+)\)")
+_WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
+_FONT = "STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif"
+
+
+def inline_svg(drawing: bytes, *, prefix: str, title: str) -> str:
+    """Turn a drawing by matplotlib into an element of a page.
+
+    Parameters
+    ----------
+    drawing : an SVG document
+    prefix : begins every id, so that no two drawings of a page share one
+    title : what a person who cannot see it is told
+
+    Returns
+    -------
+    One ``svg`` element: as wide as the page lets it be, coordinates to 0.01 pt, without metadata
+    and without ids that nothing refers to.
+    """
+    ET.register_namespace("", _SVG)
+    ET.register_namespace("xlink", "http://www.w3.org/1999/xlink")
+    root = ET.fromstring(drawing)
+    for metadata in root.findall(f"{{{_SVG}}}metadata"):
+        root.remove(metadata)
+    wanted = _references(root)
+    for element in root.iter():
+        _slim(element, wanted, prefix)
+    _name(root, title)
+    text = ET.tostring(root, encoding="unicode", short_empty_elements=True)
+    return re.sub(r">\s+<", "><", text).strip()
+
+
+def _references(root: ET.Element) -> set[str]:
+    """Ids that something in the drawing refers to."""
+    links = {value[1:] for each in root.iter() if (value := each.get(_LINK)) is not None}
+    used = {
+        found
+        for each in root.iter()
+        for value in each.attrib.values()
+        for found in _REFERENCE.findall(value)
+    }
+    return links | used
+
+
+def _slim(element: ET.Element, wanted: set[str], prefix: str) -> None:
+    own = element.attrib
+    name = own.pop("id", "")
+    if name in wanted:
+        own["id"] = f"{prefix}-{name}"
+    if _LINK in own:
+        own[_LINK] = f"#{prefix}-{own[_LINK][1:]}"
+    for key, value in own.items():
+        own[key] = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
+    for key in own.keys() & _WITH_NUMBERS:
+        own[key] = " ".join(_LONG_NUMBER.sub(_two_places, own[key]).split())
+    if "d" in own:  # numbers that follow a line are ends of further lines
+        own["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", own["d"])
+    if "style" in own:
+        own["style"] = own["style"].replace("'STIXGeneral'", _FONT).replace("; ", ";")
+
+
+def _two_places(found: re.Match[str]) -> str:
+    return f"{float(found[0]):.2f}".rstrip("0").rstrip(".")
+
+
+def _name(root: ET.Element, title: str) -> None:
+    """Say what it shows, and let the page decide how wide it is."""
+    root.attrib.pop("height", None)
+    root.attrib.pop("width", None)
+    root.attrib.pop("version", None)
+    root.set("role", "img")
+    root.set("aria-label", title)

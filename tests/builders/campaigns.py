@@ -1,0 +1,257 @@
+"""Synthetic groups and campaigns, as the statistics hand them to the report.
+
+Everything in them is made up; means and intervals are right for the values, bands are plausible.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy import stats
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import FittedLine, Interval
+from labpipe.records.group import (
+    Band,
+    Campaign,
+    Difference,
+    Group,
+    GroupNumber,
+    MeanInterval,
+    NestedMean,
+    Outlier,
+    Sample,
+    SampleCurve,
+)
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Result, Specimen, Status
+from labpipe.records.slips import Slip, SlipDecision
+
+DISPLAY = {"displacement": "mm", "force": "N", "stiffness": "N/mm", "energy": "J"}
+END = 0.040
+
+
+def bilinear(displacement: Floats, scale: float = 1.0) -> Floats:
+    """Force, N: 5 N/mm up to 10 mm, 2.8 N/mm beyond."""
+    bent: Floats = scale * (
+        5000 * np.minimum(displacement, 0.01) + 2800 * np.maximum(displacement - 0.01, 0)
+    )
+    return bent
+
+
+def build_sample(
+    spool: str, sample: str, *, scale: float = 1.0, slips: int = 0, cycles: int = 1, seed: int = 0
+) -> Sample:
+    """One sample; every slip loses 6 N and is repaired."""
+    noise = np.random.default_rng(seed)
+    x = np.linspace(0.0, END, 400)
+    force = bilinear(x, scale) + noise.normal(0, 0.4, len(x))
+    ledger = tuple(
+        Slip(
+            at, 6.0, Interval(at - 1e-5, at + 1e-5), Interval(5.5, 6.5), SlipDecision.REPAIRED, 0, 1
+        )
+        for at in 0.012 + 0.009 * np.arange(slips)
+    )
+    lost = sum((np.where(x > slip.position, slip.drop, 0.0) for slip in ledger), np.zeros_like(x))
+    test = f"tt-{spool}{sample}"
+    loading = tuple(
+        SampleCurve(x, force * 0.98**n, force * 0.98**n - lost, n + 1) for n in range(cycles)
+    )
+    unloading = tuple(
+        SampleCurve(x[120:], force[120:] - 14, force[120:] - 14, n + 1) for n in range(cycles - 1)
+    )
+    return Sample(
+        test,
+        Specimen("twist-tube-10", spool, sample, {"length": 0.075}),
+        "twist-tube",
+        loading,
+        unloading,
+        build_results(scale, noise),
+        ledger,
+        build_lines(scale),
+        (QualityNote("smoothed", Severity.INFO, "force", "Moving average over 5 samples."),),
+        DISPLAY,
+        f"processed/synthetic/{test}/result.h5",
+    )
+
+
+def build_results(scale: float, noise: np.random.Generator) -> tuple[Result, ...]:
+    def one(name: str, value: float, unit: str, error: float, method: str) -> Result:
+        value = value * (1 + noise.normal(0, 0.01))
+        error = 1.96 * error * value
+        return Result(
+            name, value, unit, Interval(value - error, value + error), method=method, n=200
+        )
+
+    line = "straight line over 2 mm to 8 mm; interval from the long-run variance of the residuals"
+    return (
+        one("peak_force.1", 134 * scale, "N", 0.002, "parabola through the top of the curve"),
+        one("stiffness_first", 5000 * scale, "N/m", 0.004, line),
+        one("stiffness_second", 2800 * scale, "N/m", 0.006, line),
+        one(
+            "stiffness_first_per_peak_force", 5000 / 134, "1/m", 0.004, "stiffness over peak force"
+        ),
+        one("break_point", 0.010, "m", 0.01, "two-segment least squares, all break points scanned"),
+        one("failure_displacement", END, "m", 0.001, "last point before the force is lost"),
+        one("failure_force", 134 * scale, "N", 0.002, "force at the last point before it is lost"),
+    )
+
+
+def build_lines(scale: float) -> tuple[FittedLine, ...]:
+    return (
+        FittedLine("stiffness_first", 5000 * scale, 10 * scale, 0.002, 0.008),
+        FittedLine("stiffness_second", 2800 * scale, 50 * scale, 0.010, 0.020),
+    )
+
+
+def mean_of(values: Sequence[float]) -> MeanInterval:
+    count = len(values)
+    if count < 2:
+        reason = "one_value: one value has no spread to make an interval of."
+        return MeanInterval(float(np.mean(values)), None, float("nan"), count, reason)
+    mean, deviation = float(np.mean(values)), float(np.std(values, ddof=1))
+    half = float(stats.t.ppf(0.975, count - 1)) * deviation / count**0.5
+    return MeanInterval(mean, Interval(mean - half, mean + half), deviation, count)
+
+
+def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
+    values: dict[str, Result] = {}
+    left_out: dict[str, str] = {}
+    by_spool: dict[str, list[float]] = {}
+    unit = "1"
+    for sample in samples:
+        result = next(each for each in sample.results if each.name == name)
+        unit = result.unit
+        if result.value is None:
+            left_out[sample.test] = result.reason
+            continue
+        values[sample.test] = result
+        by_spool.setdefault(sample.specimen.spool, []).append(result.value)
+    if not values:
+        return GroupNumber(name, unit, None, values, left_out)
+    spools = {spool: mean_of(each) for spool, each in by_spool.items()}
+    over_samples = mean_of([value for each in by_spool.values() for value in each])
+    over_spools = mean_of([each.mean for each in spools.values()]) if len(spools) > 1 else None
+    is_pooled = over_spools is None or name != "stiffness_first"
+    chosen = over_samples if is_pooled or over_spools is None else over_spools
+    decision = (
+        "Pooled: the spools do not differ by the Anderson-Darling test (p = 0.21)."
+        if is_pooled
+        else "Not pooled: the spools differ (p = 0.02), so that the mean is taken over spool means."
+    )
+    nested = NestedMean(
+        chosen, over_samples, over_spools, is_pooled, decision, spools, 1.05, 7.27, 0.21
+    )
+    return GroupNumber(name, unit, nested, values, left_out)
+
+
+def build_band(samples: Sequence[Sample], *, over: str = "samples") -> Band:
+    curves = np.array([sample.loading[0].force for sample in samples if sample.loading])
+    if not len(curves):
+        none = np.empty(0)
+        return Band(
+            none,
+            none,
+            none,
+            none,
+            none,
+            none,
+            0,
+            over,
+            "no_sample: the group has no sample with a curve.",
+        )
+    x = next(sample for sample in samples if sample.loading).loading[0].displacement
+    mean, nothing = curves.mean(axis=0), np.full(len(x), np.nan)
+    if len(curves) == 1:
+        reason = "one_sample: one sample has no spread to make a band of."
+        return Band(x, mean, nothing, nothing, nothing, nothing, 1, over, reason)
+    error = curves.std(axis=0, ddof=1) / len(curves) ** 0.5
+    half = stats.t.ppf(0.975, len(curves) - 1) * error
+    return Band(
+        x, mean, mean - half, mean + half, mean - 1.6 * half, mean + 1.6 * half, len(curves), over
+    )
+
+
+def build_group(name: str, samples: Sequence[Sample], *, scaled: bool = True) -> Group:
+    names = [result.name for result in samples[0].results] if samples else []
+    band = build_band(samples)
+    share = None
+    if scaled and samples:
+        tops = [
+            replace(
+                sample, loading=(replace(sample.loading[0], force=sample.loading[0].force / 134),)
+            )
+            for sample in samples
+            if sample.loading
+        ]
+        share = build_band(tops)
+    return Group(
+        name,
+        "twist-tube",
+        tuple(samples),
+        tuple(build_number(each, samples) for each in names),
+        band,
+        share,
+    )
+
+
+def six_samples(*, slips: int = 1, cycles: int = 1) -> list[Sample]:
+    return [
+        build_sample(
+            spool, sample, scale=scale + 0.01 * number,
+            slips=slips if sample == "b" else 0, cycles=cycles, seed=number,
+        )
+        for spool, scale in (("s1", 1.05), ("s2", 0.92))
+        for number, sample in enumerate("abc")
+    ]  # fmt: skip
+
+
+def troubled_samples() -> list[Sample]:
+    """Six samples: one doubtful result, one failed, a warning, an aborted test without a curve."""
+    samples = six_samples()
+    first = list(samples[0].results)
+    first[1] = replace(first[1], status=Status.DOUBTFUL, reason="slip_in_window: a slip at 5.2 mm.")
+    samples[0] = replace(samples[0], results=tuple(first))
+    reason = "too_few_samples: 3 samples where 8 are needed."
+    nothing = tuple(
+        Result(each.name, None, each.unit, status=Status.FAILED, reason=reason)
+        for each in samples[4].results
+    )
+    note = QualityNote("aborted", Severity.ERROR, "frame", "The export ends after 3 rows.")
+    samples[4] = replace(
+        samples[4], results=nothing, loading=(), lines=(), slips=(), quality=(note,)
+    )
+    return samples
+
+
+def build_campaign() -> Campaign:
+    """Everything that a report can have to show."""
+    first = build_group("twist-tube-10", troubled_samples())
+    numbers = list(first.numbers)
+    odd = Outlier("tt-s1c", 5400.0, "Grubbs' test", 0.013)
+    numbers[1] = replace(numbers[1], outliers=(odd,))
+    first = replace(first, numbers=tuple(numbers))
+    lone = build_group("twist-tube-7", [build_sample("s9", "a", scale=0.7)], scaled=False)
+    empty = build_group("twist-tube-5", [])
+    return Campaign(
+        "Synthetic campaign",
+        (first, lone, empty),
+        (build_difference(),),
+        {"processed/synthetic/tt-x/result.h5": "result.h5: expected an HDF5 file, found a text."},
+        "0.0",
+    )
+
+
+def build_difference() -> Difference:
+    return Difference(
+        "stiffness_first",
+        "N/m",
+        "twist-tube-10",
+        "twist-tube-7",
+        MeanInterval(-1423.4, Interval(-1602.0, -1244.8), 120.0, 7),
+        500.0,
+        0.98,
+        "They differ by more than the margin of 10 %.",
+    )
