@@ -97,11 +97,12 @@ class NestedMean:
     chosen : the mean and interval that hold: one of the next two
     over_samples : all samples taken as independent
     over_spools : spool means taken as independent; None for one spool
-    is_pooled : whether `chosen` is `over_samples`
+    is_pooled : whether `chosen` is `over_samples`; always so for one spool
     decision : in words, with the numbers it rests on
     spool_means : by spool, mean and interval over its samples
-    within : standard deviation within spools; NaN where no spool has two samples
-    between : standard deviation of the spool means; NaN for one spool
+    within : standard deviation of samples of one spool; NaN where no spool has two samples
+    between : standard deviation of the true means of spools: the scatter of the spool means less
+        what their samples explain; 0 where that is all of it, NaN for one spool or without `within`
     spool_p : p-value of the k-sample Anderson-Darling test of equal spools; NaN where it cannot be
         had
     """
@@ -147,7 +148,8 @@ class Band:
     lower_all, upper_all : shape (n,), simultaneous band: holds the whole mean curve
     n : number of curves averaged
     over : ``samples`` or ``spool means``
-    reason : why there is no band (then all four are NaN) or no curve (then all are empty)
+    reason : why there is no curve (then all are empty), no band (then all four are NaN) or no
+        simultaneous band (then `lower_all` and `upper_all` are NaN: ``two_curves``)
     """
 
     displacement: Floats

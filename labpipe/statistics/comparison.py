@@ -1,0 +1,144 @@
+"""Comparison of two groups: their difference, and whether it matters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+
+from labpipe.records.curve import Interval
+from labpipe.records.group import Difference, MeanInterval, NestedMean
+from labpipe.statistics.means import LEVEL, t_quantile
+
+
+def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
+    """Second mean minus first with its 95 % interval.
+
+    Parameters
+    ----------
+    first, second : over independent values; their deviations need not be equal
+
+    Returns
+    -------
+    n counts the values of both; deviation is NaN, since two scatters stand behind it. No interval
+    where one of the means has none, with its reason.
+
+    Notes
+    -----
+    Welch, Biometrika 34 (1947) 28: standard error^2 = s1^2/n1 + s2^2/n2, degrees of freedom after
+    Satterthwaite.
+    """
+    found, n = second.mean - first.mean, first.n + second.n
+    reason = first.reason or second.reason
+    if reason:
+        return MeanInterval(found, None, np.nan, n, reason)
+    half = _welch(first, second).half
+    return MeanInterval(found, Interval(found - half, found + half), np.nan, n)
+
+
+@dataclass(frozen=True, slots=True)
+class _Welch:
+    """Standard error of a difference, and its degrees of freedom."""
+
+    error: float
+    degrees: float
+
+    @property
+    def half(self) -> float:
+        """Half the width of the 95 % interval; zero where nothing scatters."""
+        return t_quantile(self.degrees) * self.error if self.error > 0 else 0.0
+
+
+def _welch(first: MeanInterval, second: MeanInterval) -> _Welch:
+    one, two = first.deviation**2 / first.n, second.deviation**2 / second.n
+    spread = one**2 / (first.n - 1) + two**2 / (second.n - 1)
+    degrees = (one + two) ** 2 / spread if spread > 0 else float(first.n + second.n - 2)
+    return _Welch(float(np.sqrt(one + two)), degrees)
+
+
+def equivalence_p(first: MeanInterval, second: MeanInterval, margin: float) -> float:
+    """p-value of the two one-sided tests that two means differ by less than a margin.
+
+    Parameters
+    ----------
+    first, second : as in `difference_of_means`
+    margin : above 0, in the unit of the means
+
+    Returns
+    -------
+    The larger of the two p-values; below 0.05 the groups are equivalent, which is when the 90 %
+    interval of the difference lies within the margin. NaN where there is no interval.
+
+    Notes
+    -----
+    Schuirmann, J. Pharmacokinetics and Biopharmaceutics 15 (1987) 657, with Welch's degrees of
+    freedom.
+    """
+    if first.reason or second.reason:
+        return float("nan")
+    spread = _welch(first, second)
+    room = margin - abs(second.mean - first.mean)
+    if spread.error == 0:
+        return 0.0 if room > 0 else 1.0
+    return float(special.stdtr(spread.degrees, -room / spread.error))
+
+
+def compare(
+    name: str,
+    unit: str,
+    first: tuple[str, NestedMean],
+    second: tuple[str, NestedMean],
+    margin: float | None = None,
+) -> Difference:
+    """Tell how two groups differ in one result.
+
+    Parameters
+    ----------
+    name, unit : of the result
+    first, second : name of the group and its mean; the chosen means are compared, over spool means
+        where spools were not pooled
+    margin : difference that does not matter in practice, above 0, in `unit`
+
+    Returns
+    -------
+    The verdict is ``different`` when the 95 % interval of the difference leaves zero out,
+    ``equivalent`` when the two one-sided tests find it within the margin at 5 %, both when the
+    difference is real and small, and ``cannot tell`` when neither.
+    """
+    one, two = first[1].chosen, second[1].chosen
+    found = difference_of_means(one, two)
+    p = float("nan") if margin is None else equivalence_p(one, two, margin)
+    caveat = _caveat([first, second])
+    verdict = _verdict(found, margin, p, share=_relative(margin, one.mean)) + caveat
+    return Difference(name, unit, first[0], second[0], found, margin, p, verdict)
+
+
+def _relative(margin: float | None, mean: float) -> str:
+    """A margin in words: as a share of the first mean, which needs no unit."""
+    if margin is None or mean == 0 or np.isnan(mean):
+        return "the margin"
+    return f"the margin ({100 * margin / abs(mean):.3g} % of the first mean)"
+
+
+def _verdict(found: MeanInterval, margin: float | None, p: float, *, share: str) -> str:
+    if found.interval is None:
+        return f"cannot tell: {found.reason.partition(': ')[2] or found.reason}"
+    differs = not found.interval.lower <= 0.0 <= found.interval.upper
+    if p < 1.0 - LEVEL:
+        real = "different, but " if differs else ""
+        return f"{real}equivalent within {share}: p = {p:.2g} in the two one-sided tests"
+    if differs:
+        return "different: the 95 % interval of the difference leaves zero out"
+    said = (
+        "no margin is stated" if margin is None else f"nor that it is within {share} (p = {p:.2g})"
+    )
+    return f"cannot tell: the 95 % interval of the difference holds zero, {said}"
+
+
+def _caveat(groups: list[tuple[str, NestedMean]]) -> str:
+    """What the comparison cannot know where all samples of a group are from one spool."""
+    single = [name for name, mean in groups if len(mean.spool_means) == 1]
+    if not single:
+        return ""
+    return f"; {' and '.join(single)}: one spool, so how spools differ is not in it"

@@ -1,0 +1,121 @@
+"""Outliers: marked by a named test, never removed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special
+
+from labpipe.records.arrays import Floats
+from labpipe.records.group import Outlier
+
+GRUBBS = "Grubbs' test"
+GRUBBS_WITHIN = "Grubbs' test within spools"
+ESD = "generalised ESD test"
+ESD_WITHIN = "generalised ESD test within spools"
+
+
+def mark_outliers(
+    values: Mapping[str, float],
+    spools: Mapping[str, str],
+    *,
+    level: float = 0.05,
+    most: int | None = None,
+) -> tuple[Outlier, ...]:
+    """Mark values that lie further from the mean of their spool than chance explains.
+
+    Parameters
+    ----------
+    values : by sample; NaN are passed over
+    spools : spool of each sample
+    level : chance of marking anything where there is no outlier
+    most : how many may be marked; a tenth of the samples, and at least one, if None
+
+    Returns
+    -------
+    Furthest first. Empty where `too_few_for_outliers` says why nothing can be marked.
+
+    Notes
+    -----
+    The residual of each sample from the mean of its spool is compared with the scatter of the
+    others within their spools: |t| with N - spools - 1 degrees of freedom, p = N P(|t| > found). In
+    one spool this is Grubbs' test (Technometrics 11 (1969) 1). Where several may be marked, the
+    furthest is set aside and the test done again, and all up to the last significant one are
+    marked, so that two outliers cannot hide each other: the generalised ESD test (Rosner,
+    Technometrics 25 (1983) 165), meant for 15 samples or more.
+    """
+    names = [name for name, value in values.items() if not np.isnan(value)]
+    number = np.array([values[name] for name in names])
+    spool = np.unique([spools[name] for name in names], return_inverse=True)[1]
+    allowed = max(1, len(names) // 10) if most is None else most
+    steps = _steps(number, spool, allowed)
+    # A value is as sure as the surest step that it had to be set aside for.
+    chances = [min(p for _, p in steps[step:]) for step in range(len(steps))]
+    nested = len(set(spool.tolist())) > 1
+    method = _METHODS[allowed > 1, nested]
+    return tuple(
+        Outlier(names[where], float(number[where]), method, chance)
+        for (where, _), chance in zip(steps, chances, strict=True)
+        if chance < level
+    )
+
+
+_METHODS = {
+    (False, False): GRUBBS,
+    (False, True): GRUBBS_WITHIN,
+    (True, False): ESD,
+    (True, True): ESD_WITHIN,
+}
+
+
+def too_few_for_outliers(spools: Sequence[str]) -> str:
+    """Say why no sample can be marked; empty where one can.
+
+    Parameters
+    ----------
+    spools : spool of each sample that has a value
+    """
+    counted, needed = len(spools), len(set(spools)) + 2
+    if counted >= needed:
+        return ""
+    return (
+        f"too_few_samples: {counted} samples of {len(set(spools))} spools, "
+        f"an outlier can be told from {needed} on"
+    )
+
+
+def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[tuple[int, float]]:
+    """The furthest value, its p-value, then the same without it, and so on."""
+    left = np.arange(len(values))
+    found: list[tuple[int, float]] = []
+    for _ in range(most):
+        chance = _chances(values[left], spool[left])
+        if chance is None:
+            break
+        furthest = int(np.argmin(chance))
+        found.append((int(left[furthest]), float(chance[furthest])))
+        left = np.delete(left, furthest)
+    return found
+
+
+def _chances(values: Floats, spool: NDArray[np.intp]) -> Floats | None:
+    """p-value of each value, Bonferroni over all; None without scatter to compare with."""
+    numbers, spool = np.unique(spool, return_inverse=True)
+    free = len(values) - len(numbers) - 1
+    if free < 1:
+        return None
+    counts = np.bincount(spool)
+    means = np.bincount(spool, weights=values) / counts
+    residual = values - means[spool]
+    total = float(residual @ residual)
+    room = 1.0 - 1.0 / counts[spool]
+    if total <= (1e-12 * float(np.abs(values).max())) ** 2:
+        return None
+    taken = np.divide(residual**2, room, out=np.zeros(len(values)), where=room > 0)
+    others = np.maximum(total - taken, 1e-15 * total)
+    chance: Floats = np.minimum(
+        1.0, 2.0 * len(values) * special.stdtr(free, -np.sqrt(taken * free / others))
+    )
+    return chance
