@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 
 from labpipe.records.curve import Interval
 
@@ -37,3 +38,25 @@ class Failure:
 
     code: str
     message: str
+
+
+def widened(estimate: Estimate, *errors: float) -> Estimate:
+    """Add independent standard errors to an estimate, in quadrature.
+
+    Parameters
+    ----------
+    estimate : with or without an interval of its own
+    errors : standard errors in the unit of the value, such as those of scale and zero
+
+    Returns
+    -------
+    The estimate; each side of an interval of its own grows by the normal 95 % part of `errors`.
+    """
+    more = hypot(*errors)
+    interval = estimate.interval
+    if interval is not None and more > 0.0:
+        added = Interval.normal_95(0.0, more).upper
+        below, above = estimate.value - interval.lower, interval.upper - estimate.value
+        lower, upper = hypot(below, added), hypot(above, added)
+        interval = Interval(estimate.value - lower, estimate.value + upper)
+    return Estimate(estimate.value, hypot(estimate.error, more), estimate.n, interval)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.fitting.corners import fit_corner, value_at_turn
-from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.loops import (
     loop_energy,
     residual_after_unloading,
@@ -87,7 +87,7 @@ def energy_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Est
     opened = displacement[stretch][-1] - displacement[stretch][0]
     zero = bench.raw[bench.force].zero_error * opened
     scale = bench.raw[bench.force].relative_error * found.value
-    return Estimate(found.value, float(np.hypot(np.hypot(found.error, zero), scale)), found.n)
+    return widened(found, zero, scale)
 
 
 def residual_of(
@@ -106,7 +106,7 @@ def residual_of(
     zero = bench.signals[bench.displacement].zero_error
     if isinstance(found, Failure):
         return found
-    return Estimate(found.value, float(np.hypot(found.error, zero)), found.n)
+    return widened(found, zero)
 
 
 def loading_stiffness_of(
@@ -155,8 +155,7 @@ def _stiffness(
     found = secant_stiffness(time, path, force, inside)
     if isinstance(found, Failure):
         return found
-    scale = bench.raw[bench.force].relative_error * found.value
-    return Estimate(found.value, float(np.hypot(found.error, scale)), found.n)
+    return widened(found, bench.raw[bench.force].relative_error * found.value)
 
 
 def curve_of(bench: Bench) -> Curve:
@@ -202,7 +201,4 @@ def _clock_error(bench: Bench) -> float:
 
 def _scaled(estimate: Estimate, signal: Signal) -> Estimate:
     """Add the uncertainty of scale and zero."""
-    error = np.sqrt(
-        estimate.error**2 + signal.zero_error**2 + (signal.relative_error * estimate.value) ** 2
-    )
-    return Estimate(estimate.value, float(error), estimate.n)
+    return widened(estimate, signal.zero_error, signal.relative_error * estimate.value)

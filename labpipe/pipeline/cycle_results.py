@@ -7,12 +7,11 @@ Each function gives the results of one entry of a protocol's list. The numbers c
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.cycle_numbers import (
     curve_of,
@@ -24,22 +23,10 @@ from labpipe.pipeline.cycle_numbers import (
     unloading_stiffness_of,
 )
 from labpipe.pipeline.marker_steps import tip_travel
+from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Interval
-from labpipe.records.result import Result, Status
-
-
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    """What is said of a result whether or not it can be had."""
-
-    name: str
-    unit: str
-    quantities: tuple[str, ...]
-    method: str
-    needs: int = 0
-    """Branches of a cycle that must have been recorded to their end."""
-
+from labpipe.records.curve import Branch
+from labpipe.records.result import Result
 
 _ALL = ("force", "displacement", "clock")
 
@@ -48,7 +35,7 @@ def clock_results(bench: Bench) -> list[Result]:
     """``clock_offset`` (s) and ``clock_drift`` (1): force time against marker time."""
     method = "weighted straight line through turning points seen on both clocks"
     fit = bench.clock_fit
-    offset: Estimate | Failure = _blocked(bench, Failure("one_clock", "there is only one clock"))
+    offset: Estimate | Failure = blocked_or(bench, Failure("one_clock", "there is only one clock"))
     drift = offset
     if fit is not None:
         events = len(fit.event_times_motion)
@@ -57,34 +44,34 @@ def clock_results(bench: Bench) -> list[Result]:
         if events < 2:
             drift = Failure("one_event", "one turning point gives an offset but no drift")
     return [
-        _result(bench, _Asked("clock_offset", "s", ("clock",), method), offset),
-        _result(bench, _Asked("clock_drift", "1", ("clock",), method), drift),
+        to_result(bench, Asked("clock_offset", "s", ("clock",), method), offset),
+        to_result(bench, Asked("clock_drift", "1", ("clock",), method), drift),
     ]
 
 
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
     method = "parabolas on both sides of the corner, unsmoothed force; else vertex of a parabola"
-    return _per_cycle(bench, _Asked("peak_force", "N", ("force",), method, needs=1), peak_force_of)
+    return _per_cycle(bench, Asked("peak_force", "N", ("force",), method, needs=1), peak_force_of)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
     method = "parabolas on both sides of the turning point; else vertex of a parabola"
-    asked = _Asked("peak_displacement", "m", ("displacement",), method, needs=1)
+    asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1)
     return _per_cycle(bench, asked, peak_displacement_of)
 
 
 def energy(bench: Bench) -> list[Result]:
     """``energy.<cycle>`` (J): work dissipated over one cycle."""
-    asked = _Asked("energy", "J", _ALL, "integral of force, trapezoids", needs=2)
+    asked = Asked("energy", "J", _ALL, "integral of force, trapezoids", needs=2)
     return _per_cycle(bench, asked, energy_of)
 
 
 def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
     """``residual_displacement.<cycle>`` (m): displacement left at zero force after unloading."""
     method = f"displacement once the force is back at zero, within {force_below:g} N"
-    asked = _Asked("residual_displacement", "m", _ALL, method)
+    asked = Asked("residual_displacement", "m", _ALL, method)
     return _per_cycle(bench, asked, partial(residual_of, force_below=force_below))
 
 
@@ -92,23 +79,25 @@ def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> li
     """Stiffness (N/m) between two displacements of the first loading branch."""
     method = f"line from {low:g} m to {high:g} m of the first loading, time as instrument"
     number = partial(loading_stiffness_of, low=low, high=high)
-    asked, first = _Asked(name, "N/m", _ALL, method), bench.cycles()[:1]
-    outcome: Estimate | Failure = _blocked(bench, Failure("no_cycle", "the motion has no branch"))
+    asked, first = Asked(name, "N/m", _ALL, method), bench.cycles()[:1]
+    outcome: Estimate | Failure = blocked_or(bench, Failure("no_cycle", "the motion has no branch"))
     if first:
         outcome = _with_shape_error(bench, first[0], number)
-    return [_result(bench, asked, outcome)]
+    return [to_result(bench, asked, outcome)]
 
 
 def tip_travel_result(bench: Bench) -> list[Result]:
     """``tip_travel`` (m): the largest distance of the last point from where it began."""
     method = "largest distance of the last point of the shape from its mean over five frames"
-    return [_result(bench, _Asked("tip_travel", "m", ("displacement",), method), tip_travel(bench))]
+    return [
+        to_result(bench, Asked("tip_travel", "m", ("displacement",), method), tip_travel(bench))
+    ]
 
 
 def unloading_stiffness(bench: Bench, *, over: float) -> list[Result]:
     """``unloading_stiffness.<cycle>`` (N/m) over the first stretch of the unloading branch."""
     method = f"line from {0.1 * over:g} m to {over:g} m off the peak, time as instrument"
-    asked = _Asked("unloading_stiffness", "N/m", _ALL, method)
+    asked = Asked("unloading_stiffness", "N/m", _ALL, method)
     return _per_cycle(bench, asked, partial(unloading_stiffness_of, low=0.1 * over, high=over))
 
 
@@ -116,13 +105,13 @@ _Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
 """A number of one cycle, from the bench, the branches of the cycle and a displacement."""
 
 
-def _per_cycle(bench: Bench, asked: _Asked, of_cycle: _Numbers) -> list[Result]:
+def _per_cycle(bench: Bench, asked: Asked, of_cycle: _Numbers) -> list[Result]:
     cycles = bench.cycles()
     if not cycles:
-        failure = _blocked(bench, Failure("no_cycle", "the motion has no branch"))
-        return [_result(bench, asked, failure, part=".1")]
+        failure = blocked_or(bench, Failure("no_cycle", "the motion has no branch"))
+        return [to_result(bench, asked, failure, part=".1")]
     return [
-        _result(
+        to_result(
             bench,
             asked,
             _with_shape_error(bench, branches, of_cycle),
@@ -153,34 +142,4 @@ def _with_shape_error(
     if isinstance(other, Failure):
         return estimate
     change = abs(other.value - estimate.value) / np.sqrt(3.0)  # a rectangle of that half width
-    return Estimate(estimate.value, float(np.hypot(estimate.error, change)), estimate.n)
-
-
-def _blocked(bench: Bench, otherwise: Failure) -> Failure:
-    if not bench.blocked:
-        return otherwise
-    code, _, message = bench.blocked.partition(": ")
-    return Failure(code, message)
-
-
-def _result(
-    bench: Bench, asked: _Asked, outcome: Estimate | Failure, *, part: str = "", doubt: str = ""
-) -> Result:
-    name = asked.name + part
-    if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
-        outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
-    if isinstance(outcome, Failure):
-        reason = f"{outcome.code}: {outcome.message}"
-        return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
-    doubts = [bench.doubts[quantity] for quantity in asked.quantities if quantity in bench.doubts]
-    doubts += [doubt] if doubt else []
-    return Result(
-        name=name,
-        value=outcome.value,
-        unit=asked.unit,
-        interval=Interval.normal_95(outcome.value, outcome.error),
-        status=Status.DOUBTFUL if doubts else Status.OK,
-        reason="; ".join(dict.fromkeys(doubts)),
-        method=asked.method,
-        n=outcome.n,
-    )
+    return widened(estimate, change)

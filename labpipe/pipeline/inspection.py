@@ -15,8 +15,11 @@ from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
-_SI = ("s", "m", "N", "Pa", "V", "rad", "N m", "m/s", "Hz", "K", "kg")
+_SI = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
 """Units that a channel's own unit is turned into when the export states one."""
+
+_ANGLES = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
+"""Units of pure numbers that mean an angle."""
 
 _IN_TABLE = frozenset({"marker_gaps", "body_gaps"})
 """Notes that only repeat, in words, the table of objects."""
@@ -94,6 +97,7 @@ def as_json(inspection: Inspection) -> dict[str, object]:
 def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
     return {
         "clock": clock.name,
+        "unit": clock.unit,
         **_timing(clock.time, on_event=clock.name in SAMPLED_ON_EVENT),
         "channels": [_channel(each) for each in recording.channels if each.clock == clock.name],
     }
@@ -133,7 +137,7 @@ def _si(channel: Channel) -> tuple[str | None, float]:
     """SI unit of a channel and the factor to it; None and 1 when the export states no unit."""
     if channel.unit is not None or not channel.unit_in_file:
         return channel.unit, 1.0
-    for unit in _SI:
+    for unit in ("rad",) if channel.unit_in_file in _ANGLES else _SI:
         try:
             return unit, si_factor(channel.unit_in_file, unit)
         except ValueError:
@@ -225,14 +229,17 @@ def as_text(inspection: Inspection) -> str:
 
 
 def _stream_lines(clock: Clock, recording: Recording) -> list[str]:
-    timing = _timing(clock.time, on_event=clock.name in SAMPLED_ON_EVENT)
+    timing = _timing_text(_timing(clock.time, on_event=clock.name in SAMPLED_ON_EVENT), "samples")
+    head = f"Clock {clock.name}: {timing}"
+    if clock.unit != "s":
+        head = f"Rows, no clock: {len(clock.time)} samples"
     channels = [_channel(each) for each in recording.channels if each.clock == clock.name]
     rows = [["channel", "unit", "first", "last", "min", "max", "missing"]]
     for channel in channels:
         unit = channel["unit"] or channel["unit_in_file"] or "-"
         numbers = [_short(channel[key]) for key in ("first", "last", "min", "max")]
         rows.append([str(channel["path"]), str(unit), *numbers, str(channel["missing"])])
-    return [f"Clock {clock.name}: {_timing_text(timing, 'samples')}", *_table(rows)]
+    return [head, *_table(rows)]
 
 
 def _marker_lines(tracks: MarkerTracks) -> list[str]:

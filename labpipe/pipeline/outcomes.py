@@ -1,0 +1,72 @@
+"""From a number, or the reason why there is none, to a result with its status."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.pipeline.bench import Bench
+from labpipe.records.curve import Interval
+from labpipe.records.result import Result, Status
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is said of a result whether or not it can be had.
+
+    Parameters
+    ----------
+    name, unit, method : of the result
+    quantities : that it rests on; what is doubtful of one of them makes the result doubtful
+    needs : branches of a cycle that must have been recorded to their end
+    """
+
+    name: str
+    unit: str
+    quantities: tuple[str, ...]
+    method: str
+    needs: int = 0
+
+
+def blocked_or(bench: Bench, otherwise: Failure) -> Failure:
+    """Why no number can be had: what stopped the test, or else what is given."""
+    if not bench.blocked:
+        return otherwise
+    code, _, message = bench.blocked.partition(": ")
+    return Failure(code, message)
+
+
+def to_result(
+    bench: Bench, asked: Asked, outcome: Estimate | Failure, *, part: str = "", doubt: str = ""
+) -> Result:
+    """Word an outcome as a result, with what makes it doubtful.
+
+    Parameters
+    ----------
+    bench : knows the doubts
+    asked : what was asked for
+    outcome : the number with its error, or why there is none; without an interval of its own it
+        gets the normal one
+    part : of the name, such as ``.1``
+    doubt : one more reason to doubt it
+    """
+    name = asked.name + part
+    if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
+        outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
+    if isinstance(outcome, Failure):
+        reason = f"{outcome.code}: {outcome.message}"
+        return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
+    doubts = [bench.doubts[quantity] for quantity in asked.quantities if quantity in bench.doubts]
+    doubts += [doubt] if doubt else []
+    return Result(
+        name=name,
+        value=outcome.value,
+        unit=asked.unit,
+        interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
+        status=Status.DOUBTFUL if doubts else Status.OK,
+        reason="; ".join(dict.fromkeys(doubts)),
+        method=asked.method,
+        n=outcome.n,
+    )
