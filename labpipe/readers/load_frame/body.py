@@ -120,12 +120,24 @@ def _parsed(shape: _Shape, path: Path) -> dict[int, Floats]:
     except (ValueError, OverflowError):  # perhaps in a column that nobody asked for
         table = None
     try:
-        columns = _table(shape, io.BytesIO(shape.data), 0, wanted) if table is None else table
+        columns = _from_memory(shape, wanted) if table is None else table
     except (ValueError, OverflowError) as error:
         raise ReadError(_first_fault(shape, path)) from error
     if any(not np.isnan(columns[column]).all() for column in extra):
         raise ReadError(_first_fault(shape, path))
     return columns
+
+
+def _from_memory(shape: _Shape, wanted: list[int]) -> dict[int, Floats]:
+    """Read the rows, and refuse those with more cells: pandas leaves out what nobody asked for."""
+    data = shape.data
+    starts, counts = _separators(shape, data)
+    for i in np.flatnonzero(counts >= shape.width):
+        line = data[starts[i] : starts[i + 1]].decode("utf-8", errors="replace")
+        if any(cell.strip() for cell in split_line(line, shape.body.separator)[shape.width :]):
+            message = "a line has more cells than the first one"
+            raise ValueError(message)
+    return _table(shape, io.BytesIO(data), 0, wanted)
 
 
 def _straight(shape: _Shape, path: Path) -> dict[int, Floats]:

@@ -99,7 +99,8 @@ def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]
     """Cells of the lines up to the first one with samples."""
     rows: list[list[str]] = []
     for line in lines:
-        rows.append(split_line(line, separator) if separator in line else [line.rstrip("\r")])
+        is_plain = separator not in line and '"' not in line  # quickly told of hundreds of lines
+        rows.append([line] if is_plain else split_line(line, separator))
         if card.names != "alone" and _is_sample(rows[-1]):
             break
     return rows
@@ -154,7 +155,7 @@ def _with_whole_names(rows: Rows, first: int, card: Card) -> Rows:
         return rows
     text = " ".join(rows[at])
     starts = [match.start() for match in card.name_starts.finditer(text)]
-    ends = [*starts[1:], len(text)]
+    ends = [*starts[1:], len(text)][: len(starts)]
     names = [text[a:b].strip() for a, b in zip(starts, ends, strict=True)]
     width = len(rows[first])
     whole = names if len(names) == width else [f"column {i + 1}" for i in range(width)]

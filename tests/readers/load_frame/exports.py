@@ -1,0 +1,56 @@
+"""Small synthetic exports of load frames, written from the descriptions of the formats."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+ROWS = [(0.1, 0.5, 2.25), (0.2, 0.75, 4.5), (0.3, 1.0, 8.125), (0.4, 1.25, 9.5)]
+"""Time s, displacement mm, force N."""
+MTS_HEAD = (
+    "File Path: C:\\lab\\synthetic\\DAQ- Crosshead, … - (Timed).txt   \n"
+    "Test: synthetic\nTest Run: 1\nDate: 7/3/2025 12:23:28 PM\n\n\n"
+)
+
+
+def written(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    """Write a synthetic export."""
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+def lines(rows: Sequence[Sequence[object]], separator: str = ",", comma: bool = False) -> str:
+    """Rows of cells as text."""
+    text = "".join(separator.join(map(str, row)) + "\n" for row in rows)
+    return text.replace(".", ",") if comma else text
+
+
+def mts(path: Path, body: str | None = None, units: str = "sec\tmm\tN\n") -> Path:
+    """A synthetic TestSuite text."""
+    names = "Time \tCrosshead \tLoad \n"
+    return written(path, MTS_HEAD + names + units + (body or lines(ROWS, "\t")), "utf-8-sig")
+
+
+def bluehill(path: Path, body: str | None = None, above: str = "", units: str = "") -> Path:
+    """A synthetic Bluehill csv."""
+    head = above + "Time,Extension,Load\n" + (units or "(s),(mm),(N)\n")
+    return written(path, head + (body or lines(ROWS)))
+
+
+def workbook(path: Path, sheets: Mapping[str, Sequence[Sequence[object]]]) -> Path:
+    """A synthetic workbook."""
+    import openpyxl
+
+    book = openpyxl.Workbook(write_only=True)
+    for name, rows in sheets.items():
+        sheet = book.create_sheet(name)
+        for row in rows:
+            sheet.append(list(row))
+    book.save(path)
+    return path
+
+
+def specimen_sheet(specimen: str, rows: Sequence[Sequence[object]] = ROWS) -> list[list[object]]:
+    """A synthetic sheet of one specimen."""
+    head: list[list[object]] = [[specimen] * 3, ["Test time", "Strain", "Standard force"]]
+    return [*head, ["s", "mm", "N"], *(list(row) for row in rows)]

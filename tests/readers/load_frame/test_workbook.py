@@ -1,0 +1,117 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ReadError
+from labpipe.readers import load_frame
+from labpipe.readers.load_frame import workbook as module
+from tests.readers.load_frame.exports import ROWS, specimen_sheet, workbook
+
+RESULTS: list[list[object]] = [["", "Specimen", "Fmax"], ["", "", "N"], ["", "", 9.5]]
+FORCE = [row[2] for row in ROWS]
+
+
+def codes(recording: object) -> set[str]:
+    return {note.code for note in recording.notes} - {"few_samples", "time_start_not_zero"}  # type: ignore[attr-defined]
+
+
+def test_one_specimen(tmp_path: Path) -> None:
+    sheets: dict[str, list[list[object]]] = {
+        "Results A": RESULTS,
+        "Values A-1": specimen_sheet("A-1"),
+    }
+    recording = load_frame.read(workbook(tmp_path / "a.dat", sheets))
+    assert [(c.path, c.unit_in_file) for c in recording.channels] == [
+        ("Strain", "mm"),
+        ("Standard force", "N"),
+    ]
+    np.testing.assert_array_equal(recording.channels[1].values, FORCE)
+    assert recording.clocks[0].name == "time"
+    assert recording.metadata["sheets"] == {
+        "Results A": [["", "Specimen", "Fmax"], ["", "", "N"], ["", "", "9.5"]]
+    }
+    assert codes(recording) == {"sheets_left_out"}
+
+
+def test_a_sheet_for_each_specimen(tmp_path: Path) -> None:
+    rows = [*ROWS[:2], (0.3, "", 5.0)]
+    sheets = {"one": specimen_sheet("A-1"), "two": specimen_sheet("A-2", rows)}
+    file = workbook(tmp_path / "a.xlsx", sheets)
+    recording = load_frame.read(file, channels=["A-2/Strain"])
+    assert [channel.path for channel in recording.channels] == ["A-2/Strain"]
+    assert [clock.name for clock in recording.clocks] == ["A-2"]
+    assert np.isnan(recording.channels[0].values[2])
+    for name in ("A-1", "one"):
+        assert load_frame.read(file, part=name).channels[1].values.tolist() == FORCE
+    with pytest.raises(ReadError, match=r"part 'A-3': .* Nearest: 'A-1', 'A-2'\."):
+        load_frame.read(file, part="A-3")
+
+
+def test_an_aborted_test(tmp_path: Path) -> None:
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [(0.0, 0.0, 823.0)] * 3)})
+    (few,) = (note for note in load_frame.read(file).notes if note.code == "few_samples")
+    assert few.message.startswith("only 3 samples: the test was not carried through")
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        [["TestResources R-Controller"], ["Time", "Force", "Displacement"], ["s", "lbf", "in"]],
+        [["TestResources R-Controller"], ["Time (s)", "Force (lbf)", "Displacement (in)"]],
+    ],
+)
+def test_testresources(tmp_path: Path, head: list[list[object]]) -> None:
+    file = workbook(tmp_path / "a.xlsx", {"Sheet1": [*head, *ROWS]})
+    recording = load_frame.read(file)
+    assert recording.metadata["dialect"] == "testresources"
+    assert [c.unit_in_file for c in recording.channels] == ["lbf", "in"]
+
+
+def test_testresources_without_its_name_is_found_by_words_or_asked_for(tmp_path: Path) -> None:
+    head: list[list[object]] = [["Time", "Force", "Displacement"], ["s", "lbf", "in"]]
+    file = workbook(tmp_path / "a.xlsx", {"Sheet1": [*head, *ROWS]})
+    assert "dialect_generic" in codes(load_frame.read(file))
+    recording = load_frame.read(file, dialect="testresources")
+    assert recording.program == "TestResources R-Controller"
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([*specimen_sheet("A"), [0.5, 1.0, "broken"]], r"sheet 'v', row 8, column 'Standard force"),
+        ([["A", "A"], ["Time", "Force"], [1.0, 2.0], [2.0, 3.0]], r"sheet 'v', row 2: expected a "),
+        ([["Time", "Force"], ["s", "N"], [1.0, 2.0]], r"sheet 'v', row 1: expected the specimen a"),
+        ([["nothing"]], r"a\.xlsx: expected a sheet with names, units and numbers, found 1 sheets"),
+    ],
+)  # fmt: skip
+def test_faults(tmp_path: Path, rows: list[list[object]], said: str) -> None:
+    file = workbook(tmp_path / "a.xlsx", {"v": rows})
+    with pytest.raises(ReadError, match=said):
+        load_frame.read(file, dialect="testxpert-xlsx")
+
+
+def test_a_damaged_workbook(tmp_path: Path) -> None:
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A")})
+    file.write_bytes(file.read_bytes()[:-300])
+    assert not load_frame.recognise(file)
+    with pytest.raises(ReadError, match=r"expected a whole workbook, found a damaged one"):
+        load_frame.read(file, dialect="testxpert-xlsx")
+
+
+def test_openpyxl_steps_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A workbook that calamine refuses is read by openpyxl, to the same cells."""
+    import python_calamine
+
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [*ROWS, (1, 2, "")])})
+    whole = module.open_sheets(file)
+    module.forget_sheets()
+
+    def refuse(path: object) -> None:
+        raise python_calamine.CalamineError
+
+    monkeypatch.setattr(python_calamine.CalamineWorkbook, "from_path", refuse)
+    assert module.open_sheets(file) == whole
+    module.forget_sheets()
