@@ -1,0 +1,220 @@
+"""Two straight segments that meet: exact least squares, every break point scanned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq
+
+from labpipe.fitting.correlated import LinearFit, fit_linear
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+
+_SIDE = 4
+"""Samples on each side of the break at least."""
+_LEAST = 16
+_BEND_ERRORS = 4.0
+"""Standard errors by which the slopes must differ: the break was chosen to make them differ most,
+so that a straight line reaches two by chance far more often than once in twenty."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TwoSegments:
+    """Two lines that meet.
+
+    Parameters
+    ----------
+    first, second : N/m, slopes before and behind the break
+    break_point : m, with an interval that may be lopsided
+    level : N, force at the break
+    squares : N^2, sum of squared residuals at the optimum
+    start, stop : m, ends of the stretch
+    """
+
+    first: Estimate
+    second: Estimate
+    break_point: Estimate
+    level: float
+    squares: float
+    start: float
+    stop: float
+
+
+def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failure:
+    """Continuous line of two straight segments, the global least-squares optimum.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time, evenly
+        sampled; NaN in either are left out
+
+    Returns
+    -------
+    Slopes, break point and their 95 % intervals, or a failure: ``too_few_samples`` (fewer than 16),
+    ``not_increasing`` when the displacement does not grow over the stretch, ``no_bend`` when one
+    straight line does as well, or the break point cannot be told from an end of the stretch.
+
+    Notes
+    -----
+    Between two neighbouring samples the optimum is either the crossing of the two separate lines,
+    when it lies there, or one of the two samples (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097).
+    Both have closed forms in cumulative sums, so the scan is O(n) after sorting by displacement.
+    Slopes: intervals of the linearised model for correlated noise (`fit_linear`). Break point: all
+    places whose sum of squares exceeds the optimum by no more than the square of the linearised
+    half width in units of independent noise; this profile of the sum of squares may be lopsided.
+    At least four samples stand on each side.
+    """
+    known = ~np.isnan(displacement) & ~np.isnan(force)
+    d, f = displacement[known], force[known]
+    if len(d) < _LEAST:
+        return Failure("too_few_samples", f"{len(d)} samples in the stretch, {_LEAST} are needed")
+    if d[-1] <= d[0] or np.polyfit(np.arange(len(d)), d, 1)[0] <= 0.0:
+        found = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
+        return Failure("not_increasing", found)
+    order = np.argsort(d, kind="stable")
+    scan = _Scan.of(d[order], f[order])
+    at, squares = scan.best()
+    return _described(scan, at, squares)
+
+
+def _described(scan: _Scan, at: float, squares: float) -> TwoSegments | Failure:
+    hinge = fit_linear(scan.design(at)[:, :3], scan.y)
+    first, second = float(hinge.coefficients[1]), float(hinge.coefficients[2])
+    bend = hinge.along(np.array([0.0, -1.0, 1.0]))
+    if abs(bend.value) <= _BEND_ERRORS * bend.error:
+        return Failure(
+            "no_bend",
+            f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend.value):.3g} N/m, "
+            f"{_BEND_ERRORS} standard errors of {bend.error:.3g} N/m are needed",
+        )
+    whole = fit_linear(scan.design(at), scan.y)
+    half, error = float(whole.half_widths[3]), float(np.sqrt(whole.covariance[3, 3]))
+    interval = scan.places_within(at, half / scan.unit_error(at))
+    if interval is None:
+        ends = f"{scan.d[0]:.6g} to {scan.d[-1]:.6g} m"
+        return Failure("no_bend", f"the break cannot be told from an end of the stretch, {ends}")
+    return TwoSegments(
+        first=_centred(whole, 1, first),
+        second=_centred(whole, 2, second),
+        break_point=Estimate(scan.d_of(at), error / abs(bend.value), whole.n, interval),
+        level=float(hinge.coefficients[0]),
+        squares=squares,
+        start=float(scan.d[0]),
+        stop=float(scan.d[-1]),
+    )
+
+
+def _centred(fit: LinearFit, number: int, value: float) -> Estimate:
+    """An estimate with the width of a coefficient of a fit around another value."""
+    found, half = fit.estimate(number), float(fit.half_widths[number])
+    return Estimate(value, found.error, fit.n, Interval(value - half, value + half))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scan:
+    """Sums of squares of all two-segment lines through sorted samples, from cumulative sums.
+
+    d, y : shape (n,), as measured; x : d centred and scaled; r : residuals of one straight line, so
+    that the sums do not cancel; sums : shape (n + 1, 5), running sums of 1, x, x^2, r, x r.
+    """
+
+    d: Floats
+    y: Floats
+    x: Floats
+    r: Floats
+    sums: Floats
+
+    @classmethod
+    def of(cls, d: Floats, y: Floats) -> _Scan:
+        x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
+        design = np.column_stack([np.ones_like(x), x])
+        r = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
+        rows = np.column_stack([np.ones_like(x), x, x * x, r, x * r])
+        return cls(d, y, x, r, np.vstack([np.zeros(5), np.cumsum(rows, axis=0)]))
+
+    def d_of(self, x: float) -> float:
+        """Displacement of a place, m."""
+        return float(0.5 * (self.d[0] + self.d[-1]) + 0.5 * (self.d[-1] - self.d[0]) * x)
+
+    def design(self, at: float) -> Floats:
+        """Columns: level at the break, slope before, slope behind, jump at the break."""
+        ahead = self.d - self.d_of(at)
+        jump = (ahead >= 0.0).astype(np.float64)
+        return np.column_stack(
+            [np.ones_like(ahead), np.minimum(ahead, 0.0), np.maximum(ahead, 0.0), jump]
+        )
+
+    def unit_error(self, at: float) -> float:
+        """Standard error of the jump for independent noise of variance 1."""
+        triangle = np.linalg.qr(self.design(at), mode="r")
+        return float(np.linalg.norm(np.linalg.inv(triangle)[3]))
+
+    def squares_at(self, at: Floats) -> Floats:
+        """Least sum of squares with the break held, shape of `at`."""
+        below, total = self.sums[np.searchsorted(self.x, at, side="right")], self.sums[-1]
+        n, sx, sxx, sr, sxr = np.moveaxis(total - below, -1, 0)
+        # Sums with h = max(x - c, 0).
+        sh, sxh, shr = sx - at * n, sxx - at * sx, sxr - at * sr
+        shh = sxx - 2.0 * at * sx + at * at * n
+        count, mx, mxx = total[0], total[1] / total[0], total[2] - total[1] ** 2 / total[0]
+        # h without its line: r is without one already.
+        cross = sxh - mx * sh
+        left = shh - sh * sh / count - cross * cross / mxx
+        gain = np.where(left > 1e-14 * count, shr * shr / np.where(left > 0.0, left, 1.0), 0.0)
+        rest: Floats = float(self.r @ self.r) - gain
+        return rest
+
+    def crossings(self) -> Floats:
+        """Where the separate lines before and behind each gap between samples meet inside it."""
+        below = self.sums[_SIDE : len(self.x) - _SIDE + 1]
+        first, second = _lines(below), _lines(self.sums[-1] - below)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            meet = (second[0] - first[0]) / (first[1] - second[1])
+        low = self.x[_SIDE - 1 : len(self.x) - _SIDE]
+        high = self.x[_SIDE : len(self.x) - _SIDE + 1]
+        found: Floats = meet[(meet >= low) & (meet <= high)]
+        return found
+
+    def best(self) -> tuple[float, float]:
+        """Break and sum of squares of the global optimum."""
+        inside = self.x[_SIDE - 1 : len(self.x) - _SIDE + 1]
+        places = np.concatenate([inside, self.crossings()])
+        at = float(places[int(np.argmin(self.squares_at(places)))])
+        design = self.design(at)[:, :3]
+        left = self.y - design @ np.linalg.lstsq(design, self.y, rcond=None)[0]
+        return at, float(left @ left)
+
+    def places_within(self, at: float, reach: float) -> Interval | None:
+        """Ends of all breaks whose sum of squares exceeds the least by at most reach^2."""
+        inside = self.x[_SIDE - 1 : len(self.x) - _SIDE + 1]
+        least = float(self.squares_at(np.array([at]))[0])
+        allowed = np.flatnonzero(self.squares_at(inside) - least <= reach * reach)
+        ends = []
+        for outermost, outwards in ((allowed[:1], -1), (allowed[-1:], 1)):
+            near = float(inside[outermost[0]]) if len(outermost) else at
+            near = min(near, at) if outwards < 0 else max(near, at)
+            beyond = inside[inside < near][-1:] if outwards < 0 else inside[inside > near][:1]
+            if len(beyond) == 0:
+                return None
+            ends.append(self._crossing(near, float(beyond[0]), least + reach * reach))
+        return Interval(self.d_of(ends[0]), self.d_of(ends[1]))
+
+    def _crossing(self, inner: float, outer: float, height: float) -> float:
+        """Where the sum of squares passes a height between two places."""
+
+        def over(at: float) -> float:
+            return float(self.squares_at(np.array([at]))[0]) - height
+
+        if over(inner) >= 0.0 or over(outer) <= 0.0:
+            return inner if over(inner) >= 0.0 else outer
+        return float(brentq(over, inner, outer, xtol=1e-12))
+
+
+def _lines(sums: Floats) -> tuple[Floats, Floats]:
+    """Level and slope of the least-squares line of each row of sums."""
+    n, sx, sxx, sr, sxr = np.moveaxis(sums, -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = (n * sxr - sx * sr) / (n * sxx - sx * sx)
+        return (sr - slope * sx) / n, slope
