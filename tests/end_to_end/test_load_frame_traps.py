@@ -1,0 +1,463 @@
+"""Traps of load-frame exports, each in a small synthetic file: read right, or refused in words."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ReadError
+from labpipe.readers import READERS, read_export, recognise_export
+from labpipe.records.arrays import Floats
+from labpipe.records.recording import Channel, Recording
+from tests.builders import load_frames as frames
+from tests.builders.load_frames import EXAMPLES, FORCE, TIME, TRAVEL, N
+from tests.builders.small_tests import Run
+
+Written = Callable[..., Path]
+WORKBOOKS = {"testxpert-xlsx", "testresources", "table-workbook"}
+TEXTS = sorted(set(EXAMPLES) - WORKBOOKS)
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Written:
+    def written(content: bytes, name: str = "synthetic.csv") -> Path:
+        file = tmp_path / name
+        file.write_bytes(content)
+        return file
+
+    return written
+
+
+def channel(recording: Recording, name: str) -> Channel:
+    named = [each for each in recording.channels if name in (each.name, each.path)]
+    assert len(named) == 1, f"{name} not once in {[each.path for each in recording.channels]}"
+    return named[0]
+
+
+def time(recording: Recording) -> Floats:
+    (clock,) = recording.clocks
+    assert clock.unit == "s"
+    return clock.time
+
+
+def holds(
+    recording: Recording, *, force: tuple[str, str, float], travel: tuple[str, str, float]
+) -> None:
+    """The synthetic pull, force and travel as (name, unit in file, factor from N or mm)."""
+    np.testing.assert_allclose(time(recording), TIME, rtol=1e-6)
+    for (name, unit, factor), truth in ((force, FORCE), (travel, TRAVEL)):
+        found = channel(recording, name)
+        assert found.unit_in_file == unit
+        np.testing.assert_allclose(found.values, factor * truth, rtol=1e-5, atol=1e-9)
+
+
+def codes(recording: Recording) -> set[str]:
+    return {note.code for note in recording.notes}
+
+
+def about(recording: Recording) -> str:
+    return json.dumps(dict(recording.metadata), ensure_ascii=False)
+
+
+def refused(file: Path, *said: str, **how: Any) -> str:
+    """Refuse a file in the grammar of the house; give back the message."""
+    with pytest.raises(ReadError) as caught:
+        read_export(file, "load-frame", **how)
+    text = str(caught.value)
+    grammar = rf"{re.escape(str(file))}(, [^\n]+?)?: expected [^\n]+, found [^\n]+\. [^\n]+\."
+    assert re.fullmatch(grammar, text), text
+    for word in said:
+        assert word in text, text
+    return text
+
+
+# Layouts
+
+
+PULLS: dict[str, tuple[bytes, tuple[str, str, float], tuple[str, str, float]]] = {
+    "txt": (frames.mts_suite(), ("Load", "N", 1), ("Crosshead", "mm", 1)),
+    "quoted csv": (frames.mts_suite(","), ("Load", "N", 1), ("Crosshead", "mm", 1)),
+    "italian": (frames.italian_suite(), ("Carico", "kN", 1e-3), ("Traversa", "mm", 1)),
+    "793": (frames.mts_793(), ("Ch 1 Kraft", "kN", 1e-3), ("Ch 1 Weg", "mm", 1)),
+    "793 split": (
+        *(frames.mts_793(split_at=15), ("Ch 1 Kraft", "kN", 1e-3), ("Ch 1 Weg", "mm", 1)),
+    ),
+    "793 english": (
+        *(frames.mts_793_english(), ("Ch 1 Force", "kN", 1e-3), ("Ch 1 Displacement", "mm", 1)),
+    ),
+    "793 english, axial": (
+        frames.mts_793_english("Axial Displacement Axial Force Running Time"),
+        *(("Axial Force", "kN", 1e-3), ("Axial Displacement", "mm", 1)),
+    ),
+    "793, line 1 made unreadable": (
+        frames.mts_793(first_line="MTS793|MPT|DEU|x|x|,|.|:|49|1|1|A"),
+        *(("Ch 1 Kraft", "kN", 1e-3), ("Ch 1 Weg", "mm", 1)),
+    ),
+    "bluehill": (frames.bluehill(), ("Load", "N", 1), ("Extension", "mm", 1)),
+    "8800": (frames.instron_8800(), ("Kraft", "kN", 1e-3), ("Maschine", "mm", 1)),
+    "tra, commas": (frames.zwick_tra(), ("Standardkraft", "N", 1), ("Standardweg", "mm", 1)),
+    "tra, tabs": (frames.zwick_tra("\t"), ("Standardkraft", "N", 1), ("Standardweg", "mm", 1)),
+    "tra, decimal comma": (
+        frames.zwick_tra("\t", decimal=","),
+        *(("Standardkraft", "N", 1), ("Standardweg", "mm", 1)),
+    ),
+    "tra, semicolons and decimal comma": (
+        frames.zwick_tra(";", decimal=","),
+        *(("Standardkraft", "N", 1), ("Standardweg", "mm", 1)),
+    ),
+    "xlsx": (frames.zwick_workbook(), ("Standard force", "N", 1), ("Standard travel", "mm", 1)),
+    "r-controller": (frames.r_controller(), ("Force", "lbf", 1), ("Displacement", "in", 1)),
+    "shimadzu": (frames.trapezium(), ("Force", "N", 1), ("Stroke", "mm", 1)),
+    "dion": (frames.dion(), ("C_1_Force", "kN", 1e-3), ("C_1_Déplacement", "mm", 1)),
+    "catman": (frames.catman(), ("Kraft", "N", 1), ("Weg", "mm", 1)),
+    "q800": (frames.dma_q800(), ("Static Force", "N", 1), ("Displacement", "µm", 1e3)),
+    "nexygen": (frames.nexygen(blanks=False), ("Load", "N", 1), ("Machine Extension", "mm", 1)),
+}
+
+
+@pytest.mark.parametrize("kind", PULLS)
+def test_the_pull_is_read_as_it_was_written(write: Written, kind: str) -> None:
+    content, force, travel = PULLS[kind]
+    holds(read_export(write(content)), force=force, travel=travel)
+
+
+@pytest.mark.parametrize("preamble", range(12))
+def test_bluehill_names_at_any_line(write: Written, preamble: int) -> None:
+    recording = read_export(write(frames.bluehill(preamble=preamble)))
+    holds(recording, force=("Load", "N", 1), travel=("Extension", "mm", 1))
+    assert about(recording).count("Synthetic") == preamble
+
+
+def test_bluehill_of_two_columns_only(write: Written) -> None:
+    rows = frames.pull(TRAVEL, FORCE)
+    content = frames.bluehill(names=("Extension", "Load"), units=("(mm)", "(N)"), rows=rows)
+    recording = read_export(write(content))
+    assert [each.name for each in recording.channels] == ["Extension", "Load"]
+    assert recording.clocks[0].unit == "1"
+    assert "no_time" in codes(recording)
+
+
+@pytest.mark.parametrize("encoding", ["gbk", "utf-8", "utf-8-sig"])
+def test_bluehill_in_chinese(write: Written, encoding: str) -> None:
+    content = frames.bluehill(preamble=0, names=("时间", "位移", "力"), encoding=encoding)
+    blank_first = content if encoding == "utf-8-sig" else b"\r\n" + content
+    recording = read_export(write(blank_first))
+    holds(recording, force=("力", "N", 1), travel=("位移", "mm", 1))
+
+
+def test_bluehill_cycles_with_counters_and_small_steps(write: Written) -> None:
+    """Segment changes add rows a millisecond after the one before."""
+    moments = np.sort(np.append(TIME, [1.001, 2.001]))
+    rows: list[list[object]] = [
+        [float(t), float(i // 14 + 1), 0.0, float(i), -float(i)] for i, t in enumerate(moments)
+    ]
+    names = ("Time", "Segment ID", "Total Cycle Count", "Extension", "Load")
+    content = frames.bluehill(names=names, units=("(sec)", "", "", "(mm)", "(N)"), rows=rows)
+    recording = read_export(write(content))
+    np.testing.assert_allclose(time(recording), moments)
+    assert [each.name for each in recording.channels] == list(names[1:])
+    np.testing.assert_array_equal(channel(recording, "Load").values, -np.arange(42.0))
+
+
+def test_two_specimens_side_by_side(write: Written) -> None:
+    file = write(frames.trapezium((N, 25, 3)))
+    recording = read_export(file)
+    assert [clock.name for clock in recording.clocks] == ["C1", "C2", "C3"]
+    assert [len(clock.time) for clock in recording.clocks] == [N, 25, 3]
+    for i, length in enumerate((N, 25, 3), 1):
+        np.testing.assert_allclose(channel(recording, f"C{i}/Force").values, i * FORCE[:length])
+    assert not np.isnan(channel(recording, "C2/Stroke").values).any()
+    one = read_export(file, "load-frame", part="C2")
+    np.testing.assert_allclose(time(one), TIME[:25])
+    np.testing.assert_allclose(channel(one, "Force").values, 2 * FORCE[:25])
+
+
+def test_the_short_specimen_may_come_first(write: Written) -> None:
+    recording = read_export(write(frames.trapezium((5, N))))
+    assert [len(clock.time) for clock in recording.clocks] == [5, N]
+
+
+@pytest.mark.parametrize("extremes", ["before", "after"])
+@pytest.mark.parametrize("split_at", [None, 15])
+def test_rows_of_extremes_are_no_samples(
+    write: Written, extremes: str, split_at: int | None
+) -> None:
+    recording = read_export(write(frames.mts_793(split_at=split_at, extremes=extremes)))
+    holds(recording, force=("Ch 1 Kraft", "kN", 1e-3), travel=("Ch 1 Weg", "mm", 1))
+    assert "summary_rows_left_out" in codes(recording)
+
+
+def test_793_with_umlauts_lost(write: Written) -> None:
+    content = frames.mts_793().replace(b"Pr\xfcfer", b"Pr\xef\xbf\xbdfer")
+    recording = read_export(write(content))
+    holds(recording, force=("Ch 1 Kraft", "kN", 1e-3), travel=("Ch 1 Weg", "mm", 1))
+
+
+@pytest.mark.parametrize("mark", [False, True])
+def test_utf_16_with_blanks(write: Written, mark: bool) -> None:
+    recording = read_export(write(frames.nexygen(mark=mark)))
+    load, travel = channel(recording, "Load"), channel(recording, "Machine Extension")
+    np.testing.assert_allclose(time(recording), TIME)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(load.values)), [0, N - 1])
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(travel.values)), [0, 1])
+    np.testing.assert_allclose(load.values[1:-1], FORCE[1:-1])
+
+
+def test_the_last_row_of_microtest_is_left_out_and_said(write: Written) -> None:
+    recording = read_export(write(frames.microtest()))
+    np.testing.assert_allclose(time(recording), TIME)
+    np.testing.assert_allclose(channel(recording, "Force").values, FORCE)
+    np.testing.assert_allclose(channel(recording, "Elongation").values, TRAVEL)
+    assert "last_row_left_out" in codes(recording)
+    assert "10,0" in about(recording)
+
+
+def test_microtest_stopped_in_mid_test_keeps_its_last_row(write: Written) -> None:
+    """Only a row of zeros with the stop code is no sample."""
+    content = b"\n".join(frames.microtest().split(b"\n")[:-2]) + b"\n"
+    recording = read_export(write(content))
+    assert len(time(recording)) == N
+    assert "last_row_left_out" not in codes(recording)
+
+
+def test_catman_code_for_no_sensor(write: Written) -> None:
+    recording = read_export(write(frames.catman()))
+    assert [each.name for each in recording.channels] == ["Kraft", "Weg", "Pyrometer"]
+    assert np.isnan(channel(recording, "Pyrometer").values).all()
+    assert channel(recording, "Pyrometer").unit_in_file == "°C"
+    assert any("-1000000" in note.message for note in recording.notes)
+
+
+@pytest.mark.parametrize("micro", ["µ", "μ", "u"])  # micro sign, Greek mu, and the makeshift
+def test_micrometres(write: Written, run: Run, micro: str) -> None:
+    file = write(frames.dma_q800(length_unit=f"{micro}m"))
+    ran = run("inspect", file, "--json")
+    (stream,) = json.loads(ran.out)["streams"]
+    travel = next(each for each in stream["channels"] if each["name"] == "Displacement")
+    assert (stream["start"], stream["end"]) == (pytest.approx(0.1), pytest.approx(4.0))
+    assert (travel["unit"], travel["first"]) == ("m", pytest.approx(-0.25e-3))
+
+
+def test_index_without_time(write: Written) -> None:
+    recording = read_export(write(frames.walter_bai()))
+    assert recording.clocks[0].unit == "1"
+    np.testing.assert_array_equal(recording.clocks[0].time, np.arange(float(N)))
+    np.testing.assert_allclose(channel(recording, "Force").values, FORCE)
+    assert "no_time" in codes(recording)
+
+
+def test_sheets_that_are_no_test_are_left_out(write: Written) -> None:
+    file = write(frames.zwick_workbook(("S1", "S2")), "synthetic.XLSX")
+    recording = read_export(file)
+    assert [clock.name for clock in recording.clocks] == ["S1", "S2"]
+    second = read_export(file, "load-frame", part="S2")
+    np.testing.assert_allclose(channel(second, "Standard force").values, 2 * FORCE)
+    refused(file, "part", "'S3'", "S1", part="S3")
+
+
+def test_an_aborted_test_of_three_rows(write: Written, run: Run) -> None:
+    """Inspected with a warning or worse; refused or read whole for processing, never padded."""
+    file = write(frames.zwick_workbook(samples=3), "aborted.XLSX")
+    ran = run("inspect", file, "--json")
+    assert ran.status == 0
+    facts = json.loads(ran.out)
+    assert [stream["samples"] for stream in facts["streams"]] == [3]
+    assert any(note["severity"] != "info" for note in facts["notes"])
+
+
+@pytest.mark.parametrize("mark", [b"\xef\xbb\xbf", b"\xff\xfe"])
+def test_a_byte_order_mark_and_nothing_else(write: Written, run: Run, mark: bytes) -> None:
+    file = write(mark, "DAQ- Crosshead, … - (Timed)2.txt")
+    recording = read_export(file)
+    assert (recording.clocks, recording.channels) == ((), ())
+    assert codes(recording) == {"no_samples"}
+    assert run("inspect", file).status == 0
+
+
+def test_names_and_no_sample(write: Written) -> None:
+    """A part whose acquisition started and took nothing."""
+    file = write(frames.mts_suite(rows=[]))
+    try:
+        recording = read_export(file, "load-frame")
+    except ReadError:
+        refused(file, "sample")
+    else:
+        assert sum(len(clock.time) for clock in recording.clocks) == 0
+        assert "no_samples" in codes(recording)
+
+
+# Bad input
+
+
+REGROUPED = [
+    *([0.0, "0.5", 1.0], [0.1, "801", 2.0], [0.2, "1,063", 3.0]),
+    *([0.3, "1,110,797", 4.0], [0.4, "1,162", 5.0]),
+]
+
+
+def test_regrouped_thousands_are_refused(write: Written) -> None:
+    """Digits are lost: 1,063 was 1.063 or 1063, and 1,110,797 was neither."""
+    content = frames.bluehill(preamble=2, rows=REGROUPED)
+    text = refused(write(content), "Extension")
+    # Names in line 4, units in line 5: the first number with a group is in line 8.
+    assert re.search(r"line [89]\b", text)
+    assert re.search(r"1,063|1,110,797", text)
+
+
+def test_regrouped_thousands_far_down_are_refused(write: Written) -> None:
+    rows: list[list[object]] = [[0.1 * i, f"{0.001 * i:.3f}", 1.0] for i in range(3000)]
+    rows += [[300.0, "1,110,797", 1.0]]
+    refused(write(frames.bluehill(preamble=0, rows=rows)), "line 3003", "Extension", "1,110,797")
+
+
+@pytest.mark.parametrize("row", [2, 30])
+def test_mixed_decimal_signs_in_a_column(write: Written, row: int) -> None:
+    rows = [[frames.number(cell, ",") for cell in cells] for cells in frames.pull(FORCE, TIME)]
+    mixed: list[list[object]] = [[*cells] for cells in rows]
+    mixed[row][0] = "12.5"
+    content = (
+        frames.italian_suite().decode("utf-8-sig").split("Traversa")[0]
+        + "Carico ;Tempo \r\nN;sec\r\n"
+        + frames.lines(mixed, ";")
+    )
+    refused(write(content.encode("utf-8-sig")), f"line {row + 9}", "Carico", "12.5")
+
+
+@pytest.mark.parametrize("kind", ["tabs", "semicolons"])
+def test_a_decimal_comma_among_points(write: Written, kind: str) -> None:
+    separator = "\t" if kind == "tabs" else ";"
+    rows = frames.pull(TRAVEL, FORCE, TIME)
+    rows[20][1] = "12,5"
+    refused(write(frames.mts_suite(separator, rows=rows)), "line 29", "Load", "12,5")
+
+
+def test_a_word_among_numbers(write: Written) -> None:
+    rows = frames.pull(TIME, TRAVEL, FORCE)
+    rows[9][2] = "overload"
+    refused(write(frames.bluehill(preamble=0, rows=rows)), "line 12", "Load", "overload")
+
+
+def test_bluehill_without_its_row_of_units(write: Written) -> None:
+    content = frames.bluehill(preamble=0).replace(b"(s),(mm),(N)\r\n", b"")
+    refused(write(content), "unit", dialect=["bluehill"])
+
+
+def test_test_suite_without_its_row_of_units(write: Written) -> None:
+    content = frames.mts_suite().replace(b"mm\tN\tsec\r\n", b"")
+    refused(write(content), "unit")
+
+
+@pytest.mark.parametrize("dialect", sorted(EXAMPLES))
+def test_the_wrong_dialect_is_named(write: Written, dialect: str) -> None:
+    other = "catman" if dialect != "catman" else "bluehill"
+    name, content = EXAMPLES[other]
+    text = refused(write(content(), name), dialect=[dialect])
+    assert dialect in text
+    assert other in text
+
+
+def test_an_unknown_dialect_lists_the_nearest(write: Written) -> None:
+    refused(write(frames.catman()), "'catmann'", "catman", dialect=["catmann"])
+
+
+@pytest.mark.parametrize("dialect", TEXTS)
+def test_cut_off_in_a_number(write: Written, dialect: str) -> None:
+    """A last line that is cut is told or refused, never read as a sample of its own."""
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    wide = 2 if whole[1:2] == b"\0" or whole.startswith(b"\xff\xfe") else 1
+    body = whole.rstrip(b"\r\n\0") if wide == 1 else whole[: -2 * (not whole.endswith(b"\n\0"))]
+    ends = "\n".encode("utf-16-le") if wide == 2 else b"\n"
+    last = body.rstrip(b"\r\n\0").rfind(ends) + len(ends)
+    cut = whole[: last + 3 * wide]
+    rows = max(len(clock.time) for clock in read_export(write(whole, name)).clocks)
+    try:
+        recording = read_export(write(cut, name), "load-frame")
+    except ReadError:
+        refused(write(cut, name))
+        return
+    assert max(len(clock.time) for clock in recording.clocks) <= rows
+    warned = [note for note in recording.notes if note.severity.value != "info"]
+    assert warned, "a row with fewer cells than names is worth a warning"
+
+
+@pytest.mark.parametrize("dialect", sorted(WORKBOOKS))
+def test_half_a_workbook(write: Written, dialect: str) -> None:
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    refused(write(whole[: len(whole) // 2], name))
+
+
+@pytest.mark.parametrize("dialect", sorted(EXAMPLES))
+def test_nul_bytes_in_the_middle(write: Written, dialect: str) -> None:
+    """A block of zeros, as a full disk or a pulled stick leaves."""
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    half = len(whole) // 2 // 2 * 2
+    refused(write(whole[:half] + bytes(200) + whole[half + 200 :], name))
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"Dear Sir,\r\nthe force was 12 N at the time, see page 3.\r\n", "Dear Sir,"),
+        (b"name,street,town\r\nsynthetic,1,nowhere\r\n", "name,street,town"),
+        (b"1,2,3\r\n4,5,6\r\n", "1,2,3"),
+        (b"\r\n \r\n\r\n", "nothing but blanks"),
+        ("time,force\r\nnever,none\r\n".encode("utf-16"), "UTF-16"),
+        (bytes(range(256)) * 4, "binary"),
+    ],
+)
+def test_a_csv_that_is_no_export(write: Written, run: Run, content: bytes, said: str) -> None:
+    file = write(content, "letter.csv")
+    with pytest.raises(ReadError, match=r"letter\.csv: expected an export of a known format") as e:
+        recognise_export(file)
+    assert said in str(e.value)
+    ran = run("inspect", file)
+    assert ran.status == 2
+    assert "Traceback" not in ran.err
+    assert ": expected " in ran.err
+
+
+def test_an_empty_file(write: Written) -> None:
+    refused(write(b""), "an empty file (0 bytes)")
+
+
+def test_a_workbook_without_a_test(write: Written) -> None:
+    content = frames.workbook({"Addresses": [["name", "town"], ["synthetic", "nowhere"]]})
+    file = write(content, "addresses.xlsx")
+    assert not any(reader.recognise(file) for reader in READERS.values())
+    with pytest.raises(ReadError, match=r"addresses\.xlsx: expected an export of a known format"):
+        recognise_export(file)
+
+
+@pytest.mark.parametrize("dialect", TEXTS)
+def test_time_that_runs_backwards_is_refused(write: Written, dialect: str) -> None:
+    """Not read as another clock, nor sorted: two rows changed places."""
+    name, content = EXAMPLES[dialect]
+    whole = content()
+    wide = whole[1:2] == b"\0" or whole.startswith(b"\xff\xfe")
+    text = whole.decode("utf-16-le" if wide else "latin-1")
+    rows = text.split("\n")
+    at = len(rows) - 20
+    rows[at], rows[at + 4] = rows[at + 4], rows[at]
+    swapped = "\n".join(rows).encode("utf-16-le" if wide else "latin-1")
+    refused(write(swapped, name), "expected time that increases")
+
+
+def test_two_columns_of_one_name(write: Written) -> None:
+    """Told apart by their paths, or refused; never one in the place of the other."""
+    rows = frames.pull(TIME, TRAVEL, 2 * TRAVEL, FORCE)
+    names = ("Time", "Extension", "Extension", "Load")
+    content = frames.bluehill(names=names, units=("(s)", "(mm)", "(mm)", "(N)"), rows=rows)
+    recording = read_export(write(content))
+    paths = [each.path for each in recording.channels]
+    assert len(set(paths)) == 3
+    with pytest.raises(ReadError, match="only one channel"):
+        read_export(write(content), "load-frame", channels=["Extension"])
