@@ -131,7 +131,9 @@ def _verdict(found: MeanInterval, margin: float | None, p: float, *, share: str)
     if differs:
         return "different: the 95 % interval of the difference leaves zero out"
     said = (
-        "no margin is stated" if margin is None else f"nor that it is within {share} (p = {p:.2g})"
+        "no margin is stated"
+        if margin is None
+        else f"and it is not shown to lie within {share}: p = {p:.2g} in the two one-sided tests"
     )
     return f"cannot tell: the 95 % interval of the difference holds zero, {said}"
 

@@ -151,9 +151,9 @@ def loading_band(
 
     Returns
     -------
-    The band and notes. Over spool means unless the forces at the end of the common range say that
-    spools may be pooled: one decision for the whole curve. Without that the width of a band would
-    jump where the decision turns.
+    The band and notes. Over spool means unless the mean forces over the common range say that
+    spools may be pooled: one decision for the whole curve, since the width of a band that decides
+    at every displacement would jump.
     """
     drawn = [
         (key, sample)
@@ -171,7 +171,8 @@ def loading_band(
     spools = [sample.specimen.spool for _, sample in drawn]
     decision = _curve_decision(shared, spools, limits)
     if len(set(spools)) > 1:
-        notes.append(_note("curve_pooling", f"Mean curve, by its last force. {decision.decision}"))
+        by = "Mean curve, by the mean force of each sample over the common range."
+        notes.append(_note("curve_pooling", f"{by} {decision.decision}"))
     if decision.is_pooled:
         return mean_band(shared), notes
     return mean_band(_spool_curves(shared, spools), over="spool means"), notes
@@ -180,8 +181,8 @@ def loading_band(
 def _curve_decision(
     shared: CommonCurves, spools: Sequence[str], limits: PoolingLimits
 ) -> NestedMean:
-    last = shared.force[:, -1]
-    by_spool = {spool: last[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
+    level = shared.force.mean(axis=1)
+    by_spool = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
     return nested_mean(by_spool, limits)
 
 

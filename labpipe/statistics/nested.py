@@ -21,7 +21,7 @@ class PoolingLimits:
     ----------
     min_p : smallest p-value of the k-sample Anderson-Darling test that allows it; 0.05 is custom
     max_spool_share : largest share of the variance that may lie between spools; at 0.1 and three
-        samples a spool the pooled interval is at most 14 % too short
+        samples a spool the pooled interval is at most 9 % too short
     confidence : how sure the data must be that the share is below; at 0.999 spools are pooled for
         want of evidence so rarely that the interval still covers in 95 % of groups
     """
@@ -137,12 +137,10 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> str:
             f" (spools scatter {scatter.between / scatter.within:.3g} times as much as samples)"
         )
     upper = 100.0 * scatter.share_upper
-    sure = f"it is below {upper:.3g} % with {100 * limits.confidence:.4g} % confidence"
-    if upper >= 99.95:
-        sure = (
-            f"that it is any smaller is not known with {100 * limits.confidence:.4g} % confidence"
-        )
-    return f"{ratio}, {sure}, and {100 * limits.max_spool_share:.3g} % is allowed"
+    return (
+        f"{ratio}, it may be {upper:.3g} % (upper limit with {100 * limits.confidence:.4g} % "
+        f"confidence), and {100 * limits.max_spool_share:.3g} % is allowed"
+    )
 
 
 def _test_words(p: float, limits: PoolingLimits) -> str:

@@ -1,0 +1,101 @@
+"""Every 95 % interval and band of a group covers the truth as often as it says.
+
+Seeded simulations of groups whose true mean is known; hits are held against 95 % by an exact
+binomial test at 1 %. Intervals must agree with 95 %; a simultaneous band, whose chance is bounded
+from one side, must not cover less.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from labpipe.records.arrays import Floats
+from labpipe.statistics.bands import CommonCurves, mean_band
+from labpipe.statistics.comparison import difference_of_means
+from labpipe.statistics.means import mean_interval
+from labpipe.statistics.nested import nested_mean
+
+RUNS = 1000
+PATH = np.linspace(0.0, 1.0, 101)
+
+
+def nested_hits(counts: tuple[int, ...], share: float) -> int:
+    """How often the chosen interval holds a true mean of 50; samples scatter by 1."""
+    rng, spread, hits = np.random.default_rng(sum(counts)), np.sqrt(share / (1.0 - share)), 0
+    for _ in range(RUNS):
+        spools = {
+            f"s{spool}": rng.normal(rng.normal(50.0, spread), 1.0, count)
+            for spool, count in enumerate(counts)
+        }
+        found = nested_mean(spools).chosen.interval
+        assert found is not None
+        hits += found.lower <= 50.0 <= found.upper
+    return hits
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 5, 6])
+def test_one_spool(n: int) -> None:
+    hits = nested_hits((n,), 0.0)
+    # The interval is about this spool, and all its samples share what the spool adds.
+    assert binomtest(hits, RUNS, 0.95).pvalue > 0.01, hits
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.1, 0.3, 0.5, 0.8, 0.98])
+@pytest.mark.parametrize("counts", [(3, 3), (2, 2, 2), (2, 3), (1, 2, 3)])
+def test_nested(counts: tuple[int, ...], share: float) -> None:
+    hits = nested_hits(counts, share)
+    assert binomtest(hits, RUNS, 0.95).pvalue > 0.01, hits
+
+
+def modes(kind: str) -> Floats:
+    """Shapes whose random sum is the scatter of a curve, shape (modes, points)."""
+    distance = PATH[:, None] - PATH
+    smooth = np.exp(-0.5 * (distance / 0.2) ** 2)
+    made: dict[str, Floats] = {
+        "slope": PATH[None] + 0.05,
+        "slope and zero": np.array([PATH, np.full(len(PATH), 0.2)]),
+        "slope, zero, bend": np.array(
+            [PATH, np.full(len(PATH), 0.1), 0.3 * np.maximum(PATH - 0.5, 0)]
+        ),
+        "slope and noise": np.vstack([PATH, 0.02 * np.eye(len(PATH))]),
+        "slow waves": np.linalg.cholesky(smooth + 1e-9 * np.eye(len(PATH))).T,
+        "random walk": np.tril(np.ones((len(PATH), len(PATH)))).T / 10.0,
+    }
+    return made[kind]
+
+
+KINDS = ["slope", "slope and zero", "slope, zero, bend", "slope and noise", "slow waves"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [3, 5, 6])
+@pytest.mark.parametrize("kind", [*KINDS, "random walk"])
+def test_bands(kind: str, n: int) -> None:
+    rng, shapes, truth = np.random.default_rng(n), modes(kind), 20.0 * PATH
+    held = held_all = 0
+    for _ in range(RUNS):
+        curves = truth + rng.normal(size=(n, len(shapes))) @ shapes
+        band = mean_band(CommonCurves(PATH, curves))
+        held += bool(band.lower[50] <= truth[50] <= band.upper[50])
+        held_all += bool(np.all((band.lower_all <= truth) & (truth <= band.upper_all)))
+    assert binomtest(held, RUNS, 0.95).pvalue > 0.01, held
+    assert binomtest(held_all, RUNS, 0.95, alternative="less").pvalue > 0.01, held_all
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("ratio", [1.0, 2.0])
+@pytest.mark.parametrize("counts", [(3, 3), (5, 5), (6, 6), (3, 6)])
+def test_differences(counts: tuple[int, int], ratio: float) -> None:
+    rng, hits = np.random.default_rng(sum(counts)), 0
+    for _ in range(RUNS):
+        first = mean_interval(rng.normal(10.0, 1.0, counts[0]))
+        second = mean_interval(rng.normal(12.0, ratio, counts[1]))
+        found = difference_of_means(first, second).interval
+        assert found is not None
+        hits += found.lower <= 2.0 <= found.upper
+    # Welch's degrees of freedom are approximate: at n = 3 the interval may cover a little more.
+    assert binomtest(hits, RUNS, 0.95, alternative="less").pvalue > 0.01, hits

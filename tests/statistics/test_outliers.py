@@ -1,0 +1,73 @@
+"""Outliers are marked by a named test."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from labpipe.statistics.outliers import mark_outliers, too_few_for_outliers
+
+
+def one_spool(values: list[float]) -> tuple[dict[str, float], dict[str, str]]:
+    names = [f"t{number}" for number in range(len(values))]
+    return dict(zip(names, values, strict=True)), dict.fromkeys(names, "a")
+
+
+def test_marks_what_lies_far_out() -> None:
+    (found,) = mark_outliers(*one_spool([1.0, 1.1, 0.9, 1.05, 5.0]))
+    assert (found.sample, found.value, found.method) == ("t4", 5.0, "Grubbs' test")
+    assert found.p < 1e-3
+
+
+def test_grubbs_of_a_table() -> None:
+    # Two-sided 5 % point for n = 5 is 1.715 (Grubbs and Beck, Technometrics 14 (1972) 847).
+    base = np.array([-1.0, -0.5, 0.0, 0.5])
+    chances = {}
+    for far in np.linspace(1.0, 10.0, 2000):
+        values = np.append(base, far)
+        ratio = (far - values.mean()) / values.std(ddof=1)
+        found = mark_outliers(*one_spool(values.tolist()), level=1.1)
+        chances[float(ratio)] = found[0].p
+    at = min(chances, key=lambda ratio: abs(ratio - 1.715))
+    assert chances[at] == pytest.approx(0.05, abs=0.002)
+
+
+def test_spools_that_differ_hold_no_outliers() -> None:
+    values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9}
+    assert not mark_outliers(values, {name: name[0] for name in values})
+    values["b3"] = 5.0
+    (found, *_) = mark_outliers(values, {name: name[0] for name in values})
+    assert found.method == "Grubbs' test within spools"
+
+
+def test_too_few_samples_are_said() -> None:
+    assert not mark_outliers(*one_spool([1.0, 100.0]))
+    assert not mark_outliers({}, {})
+    assert too_few_for_outliers(["a", "a", "a"]) == ""
+    assert too_few_for_outliers(["a", "a", "b"]) == (
+        "too_few_samples: 3 samples of 2 spools, an outlier can be told from 4 on"
+    )
+
+
+def test_equal_values_and_nan() -> None:
+    assert not mark_outliers(*one_spool([2.0, 2.0, 2.0, 2.0]))
+    assert not mark_outliers(*one_spool([1.0, 2.0, 3.0, float("nan")]))
+
+
+def test_an_exact_fit_but_for_one() -> None:
+    (found,) = mark_outliers(*one_spool([2.0, 2.0, 2.0, 2.0, 3.0]))
+    assert found.sample == "t4"
+
+
+@pytest.mark.parametrize("counts", [(3,), (6,), (3, 3), (20,)])
+def test_false_marks_are_as_rare_as_said(counts: tuple[int, ...]) -> None:
+    rng, runs, marked = np.random.default_rng(4), 2000, 0
+    names = [f"{spool}-{each}" for spool, count in enumerate(counts) for each in range(count)]
+    spools = {name: name.partition("-")[0] for name in names}
+    for _ in range(runs):
+        marked += bool(
+            mark_outliers(dict(zip(names, rng.normal(size=len(names)), strict=True)), spools)
+        )
+    # Bonferroni's bound: at most 5 %.
+    assert binomtest(marked, runs, 0.05, alternative="greater").pvalue > 0.01, marked
