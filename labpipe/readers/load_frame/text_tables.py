@@ -108,7 +108,7 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     several = len(groups) > 1
     tables = []
     for group, part in zip(groups, _parts(header, groups), strict=True):
-        own = {i - group[0]: columns[i] for i in group if i in columns}
+        own = {i - group[0]: columns[i] for i in group if i in columns and _is_column(header, i)}
         if several:
             own = _without_padding(own)
         names = tuple(header.names[i] for i in group)
@@ -116,6 +116,11 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
         tables.append(Table(part, names, units, own))
     about = preamble(header.above) | _words(content.data, start, header, card)
     return Export(tuple(tables), about, tuple(notes), head)
+
+
+def _is_column(header: Header, i: int) -> bool:
+    """Tell a column from the blank one that parts two specimens."""
+    return bool(header.names[i] or header.units[i])
 
 
 def _decimal(head: str, place: Place) -> str:
@@ -190,7 +195,8 @@ def _read_blocks(text: str, place: Place) -> Export:
         if header is None:
             about += [split_line(line, "\t") for line in _lines(block)]
             continue
-        about += header.above
+        blanks = header.separator == " "  # words of one key, not cells
+        about += [[" ".join(row)] for row in header.above] if blanks else header.above
         table, found = _table_of_block(block, header, first_line, decimal, place)
         samples.append(table)
         lines.append(first_line + header.first)

@@ -93,6 +93,14 @@ def test_specimens_side_by_side(tmp_path: Path) -> None:
         load_frame.read(file, part="C37")
 
 
+def test_a_blank_column_between_specimens(tmp_path: Path) -> None:
+    text = '"A",,,"B",\n"Time","Force",,"Time","Force"\n"s","N",,"s","N"\n'
+    text += "".join(f'"{i}","{i}",,"{i}","{2 * i}"\n' for i in range(12))
+    recording = load_frame.read(written(tmp_path / "a.csv", text))
+    assert [channel.path for channel in recording.channels] == ["A/Force", "B/Force"]
+    assert recording.channels[1].values[-1] == 22.0
+
+
 BLOCK = "Datenerfassung\t\t\tZeit:\t1,5\ts\t28.01.2015 10:35:28\n"
 COLUMNS = "Laufzeit\tCh 1 Weg\tCh 1 Kraft\ns\tmm\tkN\n"
 
@@ -140,6 +148,7 @@ def test_names_and_columns_parted_by_blanks(tmp_path: Path, names: str, called: 
     text = f"MTS793|BTW|ENG|1|0|.|/|:|44|1|1|A\n\nData Header:   Time: 1 Sec\n{block}{body}\n"
     recording = load_frame.read(written(tmp_path / "a.dat", text.replace("\n", "\r\n")))
     assert [channel.name for channel in recording.channels] == called
+    assert recording.metadata["Station Name"] == "a"
 
 
 def test_a_decimal_sign_that_is_not_stated(tmp_path: Path) -> None:
