@@ -148,7 +148,7 @@ class _Noise:
         information = ((1.0 / spectra) @ products).reshape(-1, spent, spent)
         inverse: Floats = np.linalg.inv(information)
         score = (residuals / spectra) @ waves
-        shifts: Floats = np.einsum("gij,gj->gi", inverse, score)
+        shifts = np.asarray(np.einsum("gij,gj->gi", inverse, score), dtype=np.float64)
         squares = (1.0 / spectra) @ residuals**2 - np.einsum("gi,gi->g", shifts, score)
         squares = np.maximum(squares, np.finfo(float).tiny)
         likelihood = -0.5 * (
