@@ -79,7 +79,8 @@ def italian_suite() -> bytes:
     return (head + lines([*table, *body], ";", decimal=",")).encode("utf-8-sig")
 
 
-def _mts_block(title: str, table: Sequence[Row], decimal: str) -> str:
+def mts_block(title: str, table: Sequence[Row], decimal: str) -> str:
+    """One block of MTS 793 with its title line."""
     return f"{title}\t\t\tZeit:\t4,1\ts\t01.09.2014 13:30:25\r\n" + lines(
         table, "\t", decimal=decimal
     )
@@ -94,8 +95,8 @@ def mts_793(*, split_at: int | None = None, extremes: str = "", first_line: str 
     head: list[Row] = [["Laufzeit", "Ch 1 Kraft", "Ch 1 Weg"], ["s", "kN", "mm"]]
     rows = pull(TIME, np.round(FORCE / 1e3, 7), TRAVEL)
     cuts = [rows] if split_at is None else [rows[:split_at], rows[split_at:]]
-    blocks = [_mts_block("Datenerfassung", [*head, *cut], ",") for cut in cuts]
-    summary = _mts_block("Datenerfassung", EXTREMES, ",")
+    blocks = [mts_block("Datenerfassung", [*head, *cut], ",") for cut in cuts]
+    summary = mts_block("Datenerfassung", EXTREMES, ",")
     if extremes == "before":
         blocks.insert(0, summary)
     elif extremes == "after":

@@ -226,6 +226,107 @@ def test_microtest_stopped_in_mid_test_keeps_its_last_row(write: Written) -> Non
     assert "last_row_left_out" not in codes(recording)
 
 
+ENGLISH_NAMES = {
+    "Ch 1 Count Ch 1 Displacement Ch 1 Force Time": ("Ch 1 Count", "Ch 1 Displacement"),
+    "Axial Count Axial Displacement Axial Force Running Time": (
+        *("Axial Count", "Axial Displacement"),
+    ),
+}
+
+
+@pytest.mark.parametrize("names", ENGLISH_NAMES)
+def test_793_english_with_a_counter(write: Written, names: str) -> None:
+    """Names are parted by single blanks and hold blanks; there are as many as units."""
+    lines = frames.mts_793_english(names).decode().splitlines()
+    at = lines.index(names)
+    lines[at + 1] = f"segments        {lines[at + 1]}"
+    lines[at + 2 :] = [f"{2 * i} {line}" if line else "" for i, line in enumerate(lines[at + 2 :])]
+    recording = read_export(write("\r\n".join(lines).encode()))
+    assert [each.name for each in recording.channels][:2] == list(ENGLISH_NAMES[names])
+    np.testing.assert_allclose(time(recording), TIME)
+
+
+def test_793_english_names_that_cannot_be_told_apart(write: Written) -> None:
+    """Names that no list knows may be refused or told, never replaced without a word."""
+    names = "Ch 1 Displacement Deflectometer Ch 1 Force Time"
+    lines = frames.mts_793_english(names).decode().splitlines()
+    at = lines.index(names)
+    lines[at + 1] = f"mm        {lines[at + 1]}"
+    lines[at + 2 :] = [f"0.5 {line}" if line else "" for line in lines[at + 2 :]]
+    file = write("\r\n".join(lines).encode())
+    try:
+        recording = read_export(file, "load-frame")
+    except ReadError:
+        refused(file, "names")
+        return
+    found = {each.name for each in recording.channels}
+    said = {note.code for note in recording.notes if note.severity.value != "info"}
+    assert found == {"Ch 1 Displacement", "Deflectometer", "Ch 1 Force"} or said
+
+
+def test_793_blocks_of_other_columns_are_not_joined(write: Written) -> None:
+    """Column by name: a second block in another order does not swap force and travel."""
+    rows = frames.pull(TIME, FORCE / 1e3, TRAVEL)
+    swapped = [[t, s, f] for t, f, s in rows]
+    head: list[frames.Row] = [["Laufzeit", "Ch 1 Kraft", "Ch 1 Weg"], ["s", "kN", "mm"]]
+    other: list[frames.Row] = [["Laufzeit", "Ch 1 Weg", "Ch 1 Kraft"], ["s", "mm", "kN"]]
+    first = frames.mts_block("Datenerfassung", [*head, *rows[:20]], ",")
+    second = frames.mts_block("Datenerfassung", [*other, *swapped[20:]], ",")
+    text = f"MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A\r\n\r\n{first}\r\n{second}"
+    recording = read_export(write(text.encode("cp1252")))
+    for name, truth in (("Ch 1 Kraft", FORCE / 1e3), ("Ch 1 Weg", TRAVEL)):
+        parts = [each.values for each in recording.channels if each.name == name]
+        np.testing.assert_allclose(np.concatenate(parts), truth, rtol=1e-6)
+
+
+def test_microtest_codes_of_direction_changes_are_samples(write: Written) -> None:
+    rows = frames.microtest().decode().split("\n")
+    for at, code in ((10, "3"), (15, "4"), (20, "99")):
+        rows[at] = rows[at].replace(",0,100,", f",{code},100,")
+    recording = read_export(write("\n".join(rows).encode()))
+    assert len(time(recording)) == N
+    assert {3.0, 4.0, 99.0} <= {*channel(recording, "Code").values}
+
+
+def test_suite_exported_to_a_server(write: Written) -> None:
+    content = frames.mts_suite().replace(b"C:\\Synthetic", b"\\\\server\\share")
+    assert read_export(write(content)).program == "MTS TestSuite"
+
+
+TITLES: dict[str, list[list[object]]] = {
+    "round brackets": [["Time (s)", "Load (lbf)", "Position (in)"]],
+    "square brackets": [["Time [s]", "Load [lbf]", "Position [in]"]],
+    "row of units": [["Time", "Load", "Position"], ["s", "lbf", "in"]],
+    "other words": [["Elapsed Time (sec)", "Axial Force (lbf)", "Axial Displacement (in)"]],
+    "rows above": [["Specimen", "synthetic"], [], ["Time (s)", "Load (lbf)", "Position (in)"]],
+}
+
+
+@pytest.mark.parametrize("dialect", [None, ["testresources"]])
+@pytest.mark.parametrize("kind", TITLES)
+def test_a_workbook_in_pounds_and_inches(
+    write: Written, run: Run, kind: str, dialect: list[str] | None
+) -> None:
+    """The layout of an R-Controller is not known: the header is found by its words."""
+    rows = frames.pull(TIME, FORCE, TRAVEL)
+    file = write(frames.workbook({"Sheet1": [*TITLES[kind], *rows]}), "synthetic.xlsx")
+    recording = read_export(file, "load-frame", dialect=dialect)
+    assert [each.unit_in_file for each in recording.channels] == ["lbf", "in"]
+    np.testing.assert_allclose(time(recording), TIME)
+    (stream,) = json.loads(run("inspect", file, "--json").out)["streams"]
+    force, travel = stream["channels"]
+    assert (force["unit"], travel["unit"]) == ("N", "m")
+    assert force["max"] == pytest.approx(4.4482216152605 * FORCE.max())
+    assert travel["last"] == pytest.approx(0.0254 * TRAVEL[-1])
+
+
+def test_a_workbook_that_says_no_units_is_refused_not_assumed(write: Written) -> None:
+    rows = frames.pull(TIME, FORCE, TRAVEL)
+    sheet: list[frames.Row] = [["Time", "Load", "Position"], *rows]
+    file = write(frames.workbook({"Sheet1": sheet}), "synthetic.xlsx")
+    refused(file, "unit", dialect=["testresources"])
+
+
 def test_catman_code_for_no_sensor(write: Written) -> None:
     recording = read_export(write(frames.catman()))
     assert [each.name for each in recording.channels] == ["Kraft", "Weg", "Pyrometer"]
@@ -314,6 +415,29 @@ def test_regrouped_thousands_far_down_are_refused(write: Written) -> None:
     rows: list[list[object]] = [[0.1 * i, f"{0.001 * i:.3f}", 1.0] for i in range(3000)]
     rows += [[300.0, "1,110,797", 1.0]]
     refused(write(frames.bluehill(preamble=0, rows=rows)), "line 3003", "Extension", "1,110,797")
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("sign", [",", "."])
+def test_regrouped_thousands_of_any_locale_are_refused(
+    write: Written, separator: str, sign: str
+) -> None:
+    decimal = "," if sign == "." and separator != "," else "."
+    grouped = [0.5, f"1{sign}063", f"1{sign}110{sign}797", f"1{sign}162"]
+    rows = [[0.1 * i, cell, 1.0 + i] for i, cell in enumerate(grouped)]
+    head = frames.lines([["Time", "Extension", "Load"], ["(s)", "(mm)", "(N)"]], separator)
+    content = head + frames.lines(rows, separator, decimal=decimal)
+    text = refused(write(content.encode()), "Extension")
+    assert re.search(r"line [45]\b", text)
+
+
+def test_regrouped_thousands_in_a_workbook_are_refused(write: Written) -> None:
+    sheet: list[frames.Row] = [
+        ["Time (s)", "Load (lbf)", "Position (in)"],
+        *([0.1, 1.0, "1,063"], [0.2, 2.0, "1,110,797"]),
+    ]
+    file = write(frames.workbook({"Sheet1": sheet}), "synthetic.xlsx")
+    refused(file, "row 2", "Position", "1,063")
 
 
 @pytest.mark.parametrize("row", [2, 30])
