@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import load_frames
 from labpipe.processing.filtering import moving_average
 
 LABPIPE = str(Path(sys.executable).with_name("labpipe"))
@@ -86,6 +87,32 @@ def filters() -> None:
     show("moving average / cumulative sum, 3.18 M", statistics.median(ratios), "at most 3")
 
 
+def load_frame_exports(folder: Path) -> None:
+    """A large csv end to end, and a workbook read, against the library alone."""
+    csv = load_frames.write_csv_test(folder / "csv")
+    command = [LABPIPE, "process", str(csv.parent), "--no-figures", "--out", str(folder / "out")]
+    ratio, seconds, memory = paired(command, [sys.executable, "-c", load_frames.READ_CSV, str(csv)])
+    show("process 18 MB csv / pandas.read_csv", ratio, "at most 2", f"{seconds:.2f} s")
+    show("  peak memory, MB", memory, "")
+    xlsx = load_frames.write_xlsx_test(folder / "xlsx")
+    inspect = [LABPIPE, "inspect", str(xlsx)]
+    ratio, seconds, _ = paired(inspect, [sys.executable, "-c", load_frames.READ_XLSX, str(xlsx)])
+    show("inspect xlsx of 60 000 rows / calamine", ratio, "at most 1.5", f"{seconds:.2f} s")
+
+
+def lab_report(folder: Path) -> None:
+    """A report over 100 tests against opening their files, and its memory against that of 25."""
+    result = folder / "out" / "csv" / "result.h5"
+    tests = load_frames.copies(result, folder / "many", 100)
+    command = [LABPIPE, "report", str(folder / "many"), "--out", str(folder / "report")]
+    opened = [sys.executable, "-c", load_frames.OPEN_ALL, *map(str, tests)]
+    ratio, seconds, memory = paired(command, opened, runs=3)
+    show("report of 100 tests / opening them", ratio, "under 10", f"{seconds:.2f} s")
+    few = load_frames.copies(result, folder / "few", 25)
+    _, least = timed([LABPIPE, "report", str(few[0].parents[1]), "--out", str(folder / "report")])
+    show("  memory of 100 tests / of 25", memory / least, "flat", f"{memory:.0f} MB")
+
+
 def show(what: str, value: float, bound: str, remark: str = "") -> None:
     print(f"{what:<44}{value:>8.2f}   ({bound})  {remark}", flush=True)
 
@@ -93,6 +120,9 @@ def show(what: str, value: float, bound: str, remark: str = "") -> None:
 def main() -> None:
     start_up()
     filters()
+    with tempfile.TemporaryDirectory() as folder:
+        load_frame_exports(Path(folder))
+        lab_report(Path(folder))
     with tempfile.TemporaryDirectory() as folder:
         full_size_test(Path(folder))
 

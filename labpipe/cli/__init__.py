@@ -28,6 +28,7 @@ first steps:
   labpipe new raw/A2/A2-085-1       write the test.yaml of a test
   labpipe check raw/A2              is everything there, and spelt right?
   labpipe process raw/A2/A2-085-1   numbers and figures
+  labpipe report processed/A2       means, bands and tables of many tests
 """
 
 
@@ -73,6 +74,7 @@ def _parser() -> argparse.ArgumentParser:
     _new(_command(commands, "new", "write a test.yaml, or one per row of a campaign sheet"))
     _check(_command(commands, "check", "protocols and tests against each other and the files"))
     _process(_command(commands, "process", "exports to result.h5, summary.json and figures"))
+    _report(_command(commands, "report", "processed tests to one page, figures and a workbook"))
     _simulate(_command(commands, "simulate", "synthetic exports of a test, with known truth"))
     return parser
 
@@ -123,6 +125,14 @@ def _process(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="write to DIR/<test> instead")
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
+
+
+def _report(parser: argparse.ArgumentParser) -> None:
+    what = "folder with processed tests, or a result.h5"
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help=what)
+    where = "folder of the report (default: report, beside the tests)"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:

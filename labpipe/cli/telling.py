@@ -5,16 +5,30 @@ from __future__ import annotations
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from labpipe.pipeline.process import Processed
+from labpipe.records.group import GroupNumber
 from labpipe.records.result import Result, Status
 from labpipe.units import si_factor
+
+if TYPE_CHECKING:
+    from labpipe.pipeline.reporting import Reported
 
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 _MOST_CYCLES = 8
-_QUANTITY = {"m": "displacement", "N": "force", "N/m": "stiffness", "J": "energy", "s": "time"}
+_QUANTITY = {
+    "m": "displacement",
+    "N": "force",
+    "N/m": "stiffness",
+    "J": "energy",
+    "s": "time",
+    "Pa": "pressure",
+    "m/N": "compliance",
+}
 
 
 def progress(tests: list[Path]) -> Iterator[tuple[Path, Callable[[str], None]]]:
@@ -47,6 +61,66 @@ def progress(tests: list[Path]) -> Iterator[tuple[Path, Callable[[str], None]]]:
             yield test, say
 
 
+@contextmanager
+def reading(count: int) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal which test is being read; in a pipe, nothing.
+
+    Parameters
+    ----------
+    count : of tests
+
+    Yields
+    ------
+    say : to be called with the name of each test
+    """
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=count + 1, unit="test", leave=False, delay=1.0) as bar:
+
+        def say(name: str) -> None:
+            bar.set_description(name)
+            bar.update()
+
+        yield say
+
+
+def report_table(reported: Reported) -> str:
+    """Lay out the main numbers of a report for a terminal.
+
+    Parameters
+    ----------
+    reported : the report
+
+    Returns
+    -------
+    A heading per group, one line per number with its interval, then where the files are.
+    """
+    lines: list[str] = []
+    for group in reported.campaign.groups:
+        spools = {sample.specimen.spool for sample in group.samples}
+        count = f"{len(group.samples)} samples from {len(spools)} spools"
+        lines.append(f"{group.name}  ({group.protocol}): {count}")
+        display = dict(group.samples[0].display) if group.samples else {}
+        lines += [_mean_line(number, display) for number in group.numbers]
+        lines.append("")
+    lines.append(f"report: {reported.files[0]}" if reported.files else "report: nothing written")
+    return "\n".join(lines)
+
+
+def _mean_line(number: GroupNumber, display: dict[str, str]) -> str:
+    mean = number.mean.chosen if number.mean is not None else None
+    value = mean.mean if mean is not None else None
+    interval = mean.interval if mean is not None else None
+    status = Status.FAILED if value is None else Status.OK
+    reason = "no sample has it" if value is None else ""
+    as_result = Result(number.name, value, number.unit, interval, status, reason)
+    missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
+    return f"{_line(as_result, display)}{missing}"
+
+
 def table(processed: Processed) -> str:
     """Lay out the results of one test for a terminal.
 
@@ -59,9 +133,7 @@ def table(processed: Processed) -> str:
     A heading, one line per result, then what is doubtful or failed with its reason.
     """
     result = processed.result
-    counts = Counter(each.status for each in result.results)
-    said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    lines = [f"{result.test}  ({result.protocol}): {said}  ->  {processed.folder}"]
+    lines = [headline(processed)]
     for several in _by_quantity(result.results):
         lines += _lines(several, dict(result.display))
     reasons: dict[str, list[str]] = {}
@@ -72,6 +144,19 @@ def table(processed: Processed) -> str:
     warnings = [note for note in result.quality if note.severity != "info"]
     lines += [f"  {note.severity}: {note.where}: {note.message}" for note in warnings]
     return "\n".join(lines)
+
+
+def headline(processed: Processed) -> str:
+    """Say in one line what became of a test.
+
+    Parameters
+    ----------
+    processed : the test
+    """
+    result = processed.result
+    counts = Counter(each.status for each in result.results)
+    said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+    return f"{result.test}  ({result.protocol}): {said}  ->  {processed.folder}"
 
 
 def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:

@@ -6,9 +6,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.failure import FailurePoint
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Shape
+from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Shape
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.slips import Slip
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,8 +25,10 @@ class Signal:
     clock : name of the clock that `time` belongs to
     relative_error : standard uncertainty of the scale, from the protocol
     zero_error : standard error of the zero, in `unit`
-    alternative : shape (n,), the same quantity from a shape with one term more; what a number
-        changes when it is computed from this instead tells how far the fit can be trusted
+    alternative : shape (n,), the same quantity under another assumption as good as this one (a
+        shape with one term more, another machine compliance); what a number changes when it is
+        computed from this instead tells how far it can be trusted
+    time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
     """
 
     time: Floats
@@ -33,6 +38,12 @@ class Signal:
     relative_error: float = 0.0
     zero_error: float = 0.0
     alternative: Floats | None = None
+    time_unit: str = "s"
+
+    @property
+    def has_time(self) -> bool:
+        """Whether the samples have times, not just numbers."""
+        return self.time_unit == "s"
 
 
 @dataclass(slots=True)
@@ -50,6 +61,11 @@ class Bench:
     doubts : why results that rest on a quantity (``clock``, ``force``, ``displacement``) are
         doubtful
     zeroed : by signal, the stretch (s, on its own clock) that its zero was taken from
+    failure : where the specimen broke; None where it did not, or nobody asked
+    slips : the slip ledger
+    slack : displacement before the specimen was taut, m; None where nobody asked
+    stiffnesses : by name of the result, without the uncertainty of the force's scale
+    lines : the straight lines that they were read from
     notes : quality notes so far
     """
 
@@ -64,6 +80,11 @@ class Bench:
     blocked: str = ""
     doubts: dict[str, str] = field(default_factory=dict)
     zeroed: dict[str, tuple[float, float]] = field(default_factory=dict)
+    failure: FailurePoint | Failure | None = None
+    slips: tuple[Slip, ...] = ()
+    slack: Estimate | Failure | None = None
+    stiffnesses: dict[str, Estimate] = field(default_factory=dict)
+    lines: list[FittedLine] = field(default_factory=list)
     notes: list[QualityNote] = field(default_factory=list)
 
     def note(self, code: str, severity: Severity, where: str, message: str) -> None:

@@ -6,10 +6,13 @@ which may be that of another shape of the specimen; what cannot be had is a fail
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from labpipe.fitting.corners import fit_corner, value_at_turn
 from labpipe.fitting.estimates import Estimate, Failure, widened
+from labpipe.fitting.failure import FailurePoint, peak_before_failure
 from labpipe.fitting.loops import (
     loop_energy,
     residual_after_unloading,
@@ -26,9 +29,19 @@ _PEAK_WINDOW = 2.0
 
 
 def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
-    """Force where the motion turns from loading to unloading, N."""
+    """Force where the motion turns from loading to unloading, or before the specimen broke, N."""
     del displacement
-    force = bench.raw[bench.force]
+    found = unscaled_peak(bench, branches)
+    return found if isinstance(found, Failure) else _scaled(found, bench.raw[bench.force])
+
+
+def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
+    """Largest force of a cycle, N, without the uncertainty of zero and scale."""
+    force, failure = bench.raw[bench.force], bench.failure
+    if isinstance(failure, FailurePoint) and branches[0].start <= failure.sample < branches[0].stop:
+        curve, loading = curve_of(bench), bench.within(branches[0])
+        point = replace(failure, sample=failure.sample - loading.start)
+        return peak_before_failure(curve.displacement[loading], curve.force[loading], point)
     if _is_sharp(bench, branches):
         at = branches[0].stop_time
         at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
@@ -38,16 +51,14 @@ def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) ->
         )
         if corner is None:
             return Failure("no_corner", f"the force has no corner near {at:.3f} s of its clock")
-        estimate = Estimate(corner.value, corner.value_error, corner.n)
-    else:
-        curve, stretch = curve_of(bench), _cycle(branches)
-        # One sense for all cycles: the force may run ahead of the motion by a quarter of a cycle.
-        sense = _sense(curve.force, slice(curve.branches[0].start, None))
-        found = smooth_peak(curve.time[stretch], sense * curve.force[stretch], share=0.05)
-        if isinstance(found, Failure):
-            return found
-        estimate = Estimate(sense * found.value, found.error, found.n)
-    return _scaled(estimate, force)
+        return Estimate(corner.value, corner.value_error, corner.n)
+    curve, stretch = curve_of(bench), _cycle(branches)
+    # One sense for all cycles: the force may run ahead of the motion by a quarter of a cycle.
+    sense = _sense(curve.force, slice(curve.branches[0].start, None))
+    found = smooth_peak(curve.time[stretch], sense * curve.force[stretch], share=0.05)
+    if isinstance(found, Failure):
+        return found
+    return Estimate(sense * found.value, found.error, found.n)
 
 
 def peak_displacement_of(

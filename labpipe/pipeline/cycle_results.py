@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from labpipe.fitting.estimates import Estimate, Failure, widened
+from labpipe.fitting.failure import FailurePoint
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.cycle_numbers import (
     curve_of,
@@ -126,7 +127,9 @@ def _broken_off(bench: Bench, branches: list[Branch]) -> str:
     """Why a number is doubtful whose branches the record does not hold to their end."""
     if not branches or branches[-1].stop < len(curve_of(bench).time):
         return ""
-    part = branches[-1]
+    part, failure = branches[-1], bench.failure
+    if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
+        return ""  # it broke, so there is no more to come
     return f"partial_cycle: the record ends at {part.stop_time:.3f} s, while still {part.direction}"
 
 

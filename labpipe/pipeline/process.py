@@ -166,6 +166,8 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         quality=tuple(bench.notes),
         display=dict(protocol.report.display),
         figures=protocol.report.figures,
+        slips=bench.slips,
+        lines=tuple(bench.lines),
     )
 
 

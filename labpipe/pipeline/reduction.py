@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import align_clocks, turning_points
+from labpipe.pipeline.corrections import correct_curve
 from labpipe.pipeline.cycle_results import (
     clock_results,
     energy,
@@ -24,17 +25,36 @@ from labpipe.pipeline.layout import lay_out
 from labpipe.pipeline.marker_steps import MarkerBench
 from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
 from labpipe.pipeline.steps import take_step
+from labpipe.pipeline.tensile_results import (
+    compliance_result,
+    energy_to_break_result,
+    failure_results,
+    line_stiffness,
+    modulus_result,
+    normalised_stiffness,
+    slack_result,
+    slip_results,
+    two_segments,
+)
 from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
 from labpipe.protocol.results import (
     ClockResult,
+    ComplianceResult,
     Energy,
+    EnergyToBreak,
+    FailureResult,
     InitialStiffness,
+    Modulus,
+    NormalisedStiffness,
     PeakDisplacement,
     PeakForce,
     ResidualDisplacement,
     ResultEntry,
+    SlackResult,
+    SlipResults,
     Stiffness,
     TipTravel,
+    TwoSegments,
     UnloadingStiffness,
 )
 from labpipe.protocol.rig import AlignTurningPoints
@@ -68,7 +88,7 @@ def reduce_recordings(
     _take_steps(bench, markers, protocol)
     if protocol.curve is not None:
         _make_curve(bench, protocol)
-    results = [result for entry in protocol.results for result in _results(bench, entry)]
+    results = [result for entry in protocol.results for result in _results(bench, entry, protocol)]
     return bench, tuple(results)
 
 
@@ -107,6 +127,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
     if not bench.blocked:
         bench.aligned = _aligned(bench)
         bench.curve = _curve(bench, motion.time, branches)
+        correct_curve(bench, protocol.curve)
 
 
 def _aligned(bench: Bench) -> Aligned:
@@ -117,7 +138,7 @@ def _aligned(bench: Bench) -> Aligned:
         words.get(name, name): Series(_at(bench, signal, time), signal.unit)
         for name, signal in bench.raw.items()
     }
-    return Aligned(time, series, bench.clock_fit)
+    return Aligned(time, series, bench.clock_fit, bench.signals[bench.displacement].time_unit)
 
 
 def _curve(bench: Bench, motion_time: Floats, branches: tuple[Branch, ...]) -> Curve | None:
@@ -134,7 +155,7 @@ def _curve(bench: Bench, motion_time: Floats, branches: tuple[Branch, ...]) -> C
         return None
     moved = tuple(_on_clock(branch, motion_time, time) for branch in branches)
     branch, cycle = branch_numbers(len(time), moved)
-    return Curve(time, displacement.values, force, branch, cycle, moved)
+    return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit)
 
 
 def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
@@ -158,8 +179,8 @@ def _at(bench: Bench, signal: Signal, time: Floats) -> Floats:
     return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
 
-def _results(  # noqa: C901, PLR0911  one case per entry of the union
-    bench: Bench, entry: ResultEntry
+def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union
+    bench: Bench, entry: ResultEntry, protocol: Protocol
 ) -> list[Result]:
     match entry:
         case ClockResult():
@@ -172,7 +193,25 @@ def _results(  # noqa: C901, PLR0911  one case per entry of the union
             name = "initial_stiffness"
             return loading_stiffness(bench, name=name, low=entry.start, high=entry.stop)
         case Stiffness():
-            return loading_stiffness(bench, name=entry.name, low=entry.start, high=entry.stop)
+            seen_by_cameras = bench.shape is not None
+            stiffness = loading_stiffness if seen_by_cameras else line_stiffness
+            return stiffness(bench, name=entry.name, low=entry.start, high=entry.stop)
+        case TwoSegments():
+            return two_segments(bench, low=entry.start, high=entry.stop)
+        case NormalisedStiffness():
+            return normalised_stiffness(bench, of=entry.of)
+        case Modulus():
+            return modulus_result(bench, entry, protocol.specimen)
+        case FailureResult():
+            return failure_results(bench)
+        case EnergyToBreak():
+            return energy_to_break_result(bench)
+        case SlipResults():
+            return slip_results(bench)
+        case SlackResult():
+            return slack_result(bench)
+        case ComplianceResult():
+            return compliance_result(bench, low=entry.start, high=entry.stop)
         case UnloadingStiffness():
             return unloading_stiffness(bench, over=entry.over)
         case Energy():

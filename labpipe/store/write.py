@@ -274,7 +274,7 @@ def _wide_enough(kind: str, cells: list[Any]) -> str:
 
 def _cell(record: object, column: str, kind: str) -> object:
     name, _, end = column.rpartition("_")
-    if end in layout.INTERVAL_NUMBERS:
+    if name and end in layout.INTERVAL_NUMBERS:
         return getattr(getattr(record, f"{name}_interval"), end)
     value = getattr(record, column)
     return str(value).encode() if kind.startswith("S") else value

@@ -1,0 +1,199 @@
+"""Corrections of the curve: what frame, grips and slack add to it, and where the specimen broke.
+
+They follow one another in the order of the protocol's keys, on the curve as it was split into
+branches; the aligned signals stay as measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.fitting.compliance import correct_displacement
+from labpipe.fitting.estimates import Failure
+from labpipe.fitting.failure import FailurePoint, find_failure
+from labpipe.fitting.slips import add_back, find_slips, samples_before
+from labpipe.fitting.toe import fit_slack
+from labpipe.pipeline.bench import Bench
+from labpipe.protocol.rig import CurveBlock, MachineCompliance
+from labpipe.protocol.rig import Slack as SlackBlock
+from labpipe.protocol.rig import Slips as SlipsBlock
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.quality import Severity
+from labpipe.records.slips import Slip, SlipDecision
+
+
+def correct_curve(bench: Bench, block: CurveBlock) -> None:
+    """Correct the curve as the protocol says.
+
+    Parameters
+    ----------
+    bench : its curve and displacement are replaced; gets failure, slips and slack
+    block : of the protocol
+    """
+    if block.compliance is not None:
+        _take_off_give(bench, block.compliance)
+    if block.failure is not None:
+        bench.failure = _failure(bench, block.failure.force_below)
+    if block.slips is not None:
+        _treat_slips(bench, block.slips)
+    if block.slack is not None:
+        _take_off_slack(bench, block.slack)
+
+
+def loading_branch(bench: Bench, *, last: bool = False) -> Branch | None:
+    """The first loading branch of the curve, or the last one; None where there is none."""
+    branches = bench.curve.branches if bench.curve is not None else ()
+    loading = [each for each in branches if each.direction is Direction.LOADING]
+    return loading[-1 if last else 0] if loading else None
+
+
+def loading_stretch(bench: Bench) -> slice:
+    """Samples of the first loading branch, up to the failure if it lies there; may be empty."""
+    branch = loading_branch(bench)
+    if branch is None:
+        return slice(0, 0)
+    if isinstance(bench.failure, FailurePoint) and bench.failure.sample < branch.stop:
+        return slice(branch.start, max(bench.failure.sample + 1, branch.start))
+    return slice(branch.start, branch.stop)
+
+
+def _take_off_give(bench: Bench, compliance: MachineCompliance) -> None:
+    """Displacement of the specimen alone; the other assumption is a compliance wrong by 1 sigma."""
+    curve = bench.curve
+    if curve is None:
+        return
+    value = compliance.value
+    # What another assumption changes is divided by sqrt(3) later; a standard error must not be.
+    other = value * (1.0 + np.sqrt(3.0) * compliance.uncertainty)
+    taken = [
+        correct_displacement(curve.displacement, curve.force, compliance=each)
+        for each in (value, other)
+    ]
+    _set_displacement(bench, curve, taken[0], taken[1] if compliance.uncertainty else None)
+    most = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
+    message = (
+        f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
+    )
+    bench.note("compliance_removed", Severity.INFO, bench.displacement, message)
+
+
+def _failure(bench: Bench, share: float) -> FailurePoint | Failure | None:
+    curve, branch = bench.curve, loading_branch(bench, last=True)
+    if curve is None or branch is None:
+        return None
+    after = slice(branch.start, None)
+    found = find_failure(curve.displacement[after], curve.force[after], force_below=share)
+    if isinstance(found, FailurePoint):
+        return replace(found, sample=found.sample + branch.start)
+    return found
+
+
+def _treat_slips(bench: Bench, block: SlipsBlock) -> None:
+    curve, stretch = bench.curve, loading_stretch(bench)
+    if curve is None or stretch.stop <= stretch.start:
+        return
+    decision = SlipDecision(block.decision)
+    displacement, force = curve.displacement[stretch], curve.force[stretch]
+    found = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
+    if isinstance(found, Failure):
+        bench.note("slips_not_looked_for", Severity.WARNING, bench.force, found.message)
+        return
+    bench.slips = tuple(
+        replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
+        for slip in found
+    )
+    for slip in bench.slips:
+        bench.note(f"slip_{decision}", Severity.WARNING, bench.force, _told(slip))
+    if bench.slips and decision is SlipDecision.REPAIRED:
+        _repair(bench, curve)
+    elif bench.slips and decision is SlipDecision.CUT:
+        _cut(bench, curve)
+
+
+def _told(slip: Slip) -> str:
+    done = {
+        SlipDecision.MARKED: "the curve stays as measured",
+        SlipDecision.REPAIRED: "added back to all that follows",
+        SlipDecision.CUT: "the curve ends before it",
+    }
+    where = f"{1e3 * slip.position:.4g} mm"
+    return (
+        f"the force falls by {slip.drop:.3g} N at {where}: slipped in the grips; "
+        + done[slip.decision]
+    )
+
+
+def _repair(bench: Bench, curve: Curve) -> None:
+    """Add the drops back; what is left once the specimen broke is not raised."""
+    force = add_back(curve.force, bench.slips)
+    if isinstance(bench.failure, FailurePoint):
+        broken = slice(bench.failure.sample + 1, None)
+        force[broken] = curve.force[broken]
+        raised = float(force[bench.failure.sample] - curve.force[bench.failure.sample])
+        before = bench.failure.force
+        interval = before.interval and replace(
+            before.interval,
+            lower=before.interval.lower + raised,
+            upper=before.interval.upper + raised,
+        )
+        moved = replace(before, value=before.value + raised, interval=interval)
+        bench.failure = replace(bench.failure, force=moved)
+    bench.curve = replace(curve, force=force)
+
+
+def _cut(bench: Bench, curve: Curve) -> None:
+    """Nothing counts from the first slip on."""
+    kept = samples_before(bench.slips, len(curve.force))
+    force = np.where(np.arange(len(curve.force)) < kept, curve.force, np.nan)
+    branches = tuple(
+        replace(each, stop=min(each.stop, kept), stop_time=float(curve.time[kept - 1]))
+        if each.stop > kept
+        else each
+        for each in curve.branches
+        if each.start < kept
+    )
+    bench.curve = replace(curve, force=force, branches=branches)
+    bench.failure = None if bench.failure is None else Failure("cut", "the curve ends at a slip")
+
+
+def _take_off_slack(bench: Bench, block: SlackBlock) -> None:
+    curve, stretch = bench.curve, loading_stretch(bench)
+    if curve is None:
+        return
+    shares = {"start_share": block.start, "stop_share": block.stop}
+    bench.slack = fit_slack(curve.displacement[stretch], curve.force[stretch], **shares)
+    if isinstance(bench.slack, Failure):
+        message = f"slack not found, so not taken off ({bench.slack.message})"
+        bench.doubt("displacement", "slack_unknown", message, where=bench.displacement)
+        return
+    slack, alternative = bench.slack.value, bench.signals[bench.displacement].alternative
+    other = None if alternative is None else alternative - slack
+    _set_displacement(bench, curve, curve.displacement - slack, other)
+    bench.slips = tuple(_moved(slip, slack) for slip in bench.slips)
+    if isinstance(bench.failure, FailurePoint):
+        at = bench.failure.displacement
+        interval = at.interval and replace(
+            at.interval, lower=at.interval.lower - slack, upper=at.interval.upper - slack
+        )
+        moved = replace(at, value=at.value - slack, interval=interval)
+        bench.failure = replace(bench.failure, displacement=moved)
+    message = f"{1e3 * slack:.4g} mm of slack taken off: displacement counts from where it is taut"
+    bench.note("slack_removed", Severity.INFO, bench.displacement, message)
+
+
+def _moved(slip: Slip, slack: float) -> Slip:
+    interval = slip.position_interval
+    moved = replace(interval, lower=interval.lower - slack, upper=interval.upper - slack)
+    return replace(slip, position=slip.position - slack, position_interval=moved)
+
+
+def _set_displacement(
+    bench: Bench, curve: Curve, displacement: Floats, alternative: Floats | None
+) -> None:
+    signal = bench.signals[bench.displacement]
+    signal = replace(signal, values=displacement, alternative=alternative)
+    bench.signals[bench.displacement] = signal
+    bench.curve = replace(curve, displacement=displacement)

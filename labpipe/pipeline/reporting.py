@@ -1,0 +1,260 @@
+"""From processed tests to the report of a campaign."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.errors import LabpipeError, UsageError, complaint
+from labpipe.pipeline.process import RESULT_FILE
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.rig import Groups
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Direction
+from labpipe.records.group import Campaign, Difference, Group, Sample, SampleCurve
+from labpipe.records.result import TestResult
+from labpipe.report.lab_report import write_report
+from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.store.lock import locked
+from labpipe.store.read import read_outcome
+from labpipe.store.replace import replacing_together
+
+_POINTS = 500
+"""Points of a branch that a report keeps: each the mean of its samples."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reported:
+    """A report and where it was written.
+
+    Parameters
+    ----------
+    folder : holds report.html, tables.xlsx and figures
+    campaign : what it shows
+    files : all of them, the page first
+    """
+
+    folder: Path
+    campaign: Campaign
+    files: tuple[Path, ...]
+
+
+def report_tests(
+    targets: Sequence[Path],
+    *,
+    out: Path | None = None,
+    title: str = "",
+    say: Callable[[str], None] = lambda _: None,
+) -> Reported:
+    """Put processed tests together into one report.
+
+    Parameters
+    ----------
+    targets : result.h5 files, or folders that hold some
+    out : folder of the report; None for ``report`` in the folder that all tests share
+    title : of the report; the name of that folder if empty
+    say : told the name of each test as it is read
+
+    Returns
+    -------
+    The report and its files.
+
+    Raises
+    ------
+    LabpipeError
+        If there is no processed test, none can be read, or the report cannot be written; an
+        earlier report is then as it was.
+    """
+    files = find_results(targets)
+    shared = _shared_folder(files)
+    campaign = make_campaign(files, title or shared.resolve().name, say)
+    folder = shared / "report" if out is None else out
+    with locked(folder), replacing_together(folder) as stage:
+        say("report")
+        written = write_report(campaign, stage)
+    return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
+
+
+def find_results(targets: Sequence[Path]) -> list[Path]:
+    """Find the processed tests below some paths.
+
+    Parameters
+    ----------
+    targets : result.h5 files, or folders that hold some
+
+    Returns
+    -------
+    result.h5 files, sorted, each once.
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist or holds no processed test.
+    """
+    found: list[Path] = []
+    for target in targets:
+        below = [target] if target.is_file() else sorted(target.rglob(RESULT_FILE))
+        if not below:
+            message = complaint(
+                target,
+                "",
+                expected=f"a {RESULT_FILE}, or a folder with processed tests",
+                found="none" if target.exists() else "nothing of that name",
+                remedy="`labpipe process` makes them from the exports of a test.",
+            )
+            raise UsageError(message)
+        found.extend(below)
+    return list(dict.fromkeys(found))
+
+
+def make_campaign(
+    files: Sequence[Path], title: str, say: Callable[[str], None] = lambda _: None
+) -> Campaign:
+    """Read processed tests one after the other and put them into groups.
+
+    Parameters
+    ----------
+    files : result.h5 files; one that cannot be read is left out, with the reason
+    title : of the report
+    say : told the name of each test as it is read
+
+    Returns
+    -------
+    Groups of one specimen type and one protocol each, and how they differ.
+
+    Raises
+    ------
+    LabpipeError
+        If no file can be read.
+    """
+    members: dict[tuple[str, str], list[Sample]] = {}
+    settings: dict[str, Groups] = {}
+    left_out: dict[str, str] = {}
+    for file in files:
+        say(file.parent.name)
+        try:
+            result = read_outcome(file)
+            # What concerns a group is said by its protocol, as each result stored it.
+            settings[result.protocol] = parse_protocol(result.protocol_yaml, str(file)).groups
+        except LabpipeError as error:
+            left_out[str(file)] = str(error)
+            continue
+        key = (result.specimen.type, result.protocol)
+        members.setdefault(key, []).append(sample_of(result, str(file)))
+    if not members:
+        raise UsageError("\n".join(left_out.values()))
+    groups = {key: _group(key, members, settings[key[1]]) for key in sorted(members)}
+    return Campaign(
+        title=title,
+        groups=tuple(groups.values()),
+        differences=tuple(_differences(groups, settings)),
+        left_out=left_out,
+        labpipe_version=__version__,
+    )
+
+
+def sample_of(result: TestResult, source: str) -> Sample:
+    """Keep of a processed test what a report needs.
+
+    Parameters
+    ----------
+    result : with or without recordings
+    source : file it was read from
+    """
+    return Sample(
+        test=result.test,
+        specimen=result.specimen,
+        protocol=result.protocol,
+        loading=_branches(result, Direction.LOADING),
+        unloading=_branches(result, Direction.UNLOADING),
+        results=result.results,
+        slips=result.slips,
+        lines=result.lines,
+        quality=result.quality,
+        display=dict(result.display),
+        source=source,
+    )
+
+
+def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
+    branches = result.curve.branches if result.curve is not None else ()
+    return tuple(_thin(result, branch) for branch in branches if branch.direction is direction)
+
+
+def _thin(result: TestResult, branch: Branch) -> SampleCurve:
+    """A branch as means over equal numbers of samples, up to the failure."""
+    curve = result.curve
+    if curve is None:
+        message = "a branch without a curve"
+        raise ValueError(message)
+    part = slice(branch.start, _stop_before_failure(result, branch, curve.displacement))
+    force = curve.force[part]
+    measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
+    order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
+    return SampleCurve(
+        displacement=_means(curve.displacement[part][order]),
+        force=_means(force[order]),
+        as_measured=_means(measured[order]),
+        cycle=branch.cycle,
+    )
+
+
+def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
+    """Where a branch ends: at its last sample, or at the last one before the specimen broke."""
+    at = next((each.value for each in result.results if each.name == "failure_displacement"), None)
+    if at is None or branch.direction is not Direction.LOADING:
+        return branch.stop
+    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
+    return branch.start + int(beyond[0]) if len(beyond) else branch.stop
+
+
+def _means(values: Floats) -> Floats:
+    """Means over consecutive samples; what does not fill the last block joins it."""
+    size = max(1, len(values) // _POINTS)
+    starts = np.arange(0, max(len(values) - size + 1, 1), size)
+    if not len(values):
+        return values
+    counts = np.diff(np.append(starts, len(values)))
+    means: Floats = np.add.reduceat(values, starts) / counts
+    return means
+
+
+def _group(
+    key: tuple[str, str], members: dict[tuple[str, str], list[Sample]], settings: Groups
+) -> Group:
+    kind, protocol = key
+    shared = sum(other == kind for other, _ in members) > 1
+    group = build_group(
+        f"{kind}, {protocol}" if shared else kind,
+        protocol,
+        members[key],
+        limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
+        scaled=settings.scaled,
+    )
+    numbers = {number.name: number for number in group.numbers}
+    first = [numbers.pop(name) for name in settings.main if name in numbers]
+    return replace(group, numbers=(*first, *numbers.values()))
+
+
+def _differences(
+    groups: dict[tuple[str, str], Group], settings: dict[str, Groups]
+) -> list[Difference]:
+    """How groups of one protocol differ in the numbers that the protocol calls main."""
+    found: list[Difference] = []
+    for (first, one), (second, other) in combinations(groups.items(), 2):
+        said = settings[first[1]]
+        if first[1] == second[1]:
+            found += compare_groups(one, other, names=said.main, margin=said.margin)
+    return found
+
+
+def _shared_folder(files: Sequence[Path]) -> Path:
+    """The deepest folder that holds all tests; of one test, the folder around it."""
+    tests = [file.parent.parent for file in files]
+    return Path(os.path.commonpath([os.path.abspath(folder) for folder in tests]))  # noqa: PTH100
