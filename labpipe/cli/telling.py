@@ -101,13 +101,17 @@ def report_table(reported: Reported) -> str:
     lines: list[str] = []
     for group in reported.campaign.groups:
         spools = {sample.specimen.spool for sample in group.samples}
-        count = f"{len(group.samples)} samples from {len(spools)} spools"
+        count = f"{_several(len(group.samples), 'sample')} from {_several(len(spools), 'spool')}"
         lines.append(f"{group.name}  ({group.protocol}): {count}")
         display = dict(group.samples[0].display) if group.samples else {}
         lines += [_mean_line(number, display) for number in group.numbers]
         lines.append("")
     lines.append(f"report: {reported.files[0]}" if reported.files else "report: nothing written")
     return "\n".join(lines)
+
+
+def _several(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def _mean_line(number: GroupNumber, display: dict[str, str]) -> str:

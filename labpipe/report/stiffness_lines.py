@@ -8,27 +8,33 @@ import numpy as np
 
 from labpipe.records.curve import Direction, FittedLine
 from labpipe.records.result import Result, TestResult
-from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, put_key, say
+from labpipe.report.page import DOUBLE_COLUMN, GREY, put_key, say, titled_page
 from labpipe.report.thinning import extremes
-from labpipe.report.wording import Scale, scale, why_missing
+from labpipe.report.wording import Scale, footnote, scale, title, why_missing
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
 
 _BINS = 1500
+_COLUMNS = 3
+_MOST_OTHERS = 4
+"""Entries of the key beside the lines: loading, as measured, break point or slip, failure."""
 
 
 def draw(result: TestResult) -> Figure:
     """Draw the first loading branch with the lines that stiffnesses were read from."""
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=96, has_key=True)
-    axes = page.subplots()
-    curve = result.curve
-    loading = (
-        [each for each in curve.branches if each.direction is Direction.LOADING] if curve else []
+    rows = -(-(_MOST_OTHERS + len(result.lines)) // _COLUMNS)
+    page = titled_page(
+        title(result),
+        footnote(result),
+        width_mm=DOUBLE_COLUMN,
+        height_mm=92 + 4 * rows,
+        key_rows=rows,
     )
-    if curve is None or not loading:
+    axes = page.subplots()
+    branches = result.curve.branches if result.curve is not None else ()
+    if not any(each.direction is Direction.LOADING for each in branches):
         say(axes, why_missing(result, "loading branch"))
         return page
     plot_branch(result, axes)
@@ -37,8 +43,7 @@ def draw(result: TestResult) -> Figure:
     across, up = _scales(result)
     axes.set_xlabel(across.label("Displacement"))
     axes.set_ylabel(up.label("Force"))
-    handles: list[Line2D] = axes.get_legend_handles_labels()[0]  # type: ignore[assignment]
-    put_key(page, handles)
+    put_key(page, axes.get_legend_handles_labels()[0], columns=_COLUMNS)
     return page
 
 
