@@ -9,6 +9,7 @@ import numpy as np
 from labpipe.records.group import Band, Group, Sample, SampleCurve
 from labpipe.report.concerns import split_reason
 from labpipe.report.group_look import (
+    FAINT_POINTS,
     RED,
     first_loading,
     group_page,
@@ -33,7 +34,7 @@ _ALL: dict[str, Any] = {
 }  # fmt: skip
 _FAINT = 0.28
 _PEAK = "peak_force.1"
-_BAND_POINTS = 160
+_BAND_POINTS = 80
 _ROOM = 0.5
 """Height left for a band above and below the curves, as a share of theirs."""
 
@@ -61,7 +62,7 @@ def _draw(group: Group, band: Band, *, is_scaled: bool) -> Figure:
         say(page.subplots(), what)
         return page
     note = _reason(band)
-    page = group_page(group, _keys(group, band), height_mm=_HEIGHT, note=note)
+    page = group_page(group, _keys(group, band, is_scaled=is_scaled), height_mm=_HEIGHT, note=note)
     axes = page.subplots()
     plot_samples(group, axes, is_scaled=is_scaled)
     plot_band(group, band, axes, is_scaled=is_scaled)
@@ -78,22 +79,21 @@ def plot_samples(group: Group, axes: Axes, *, is_scaled: bool = False) -> None:
     ----------
     group : colour and dash tell its spools apart
     axes : to draw on
-    is_scaled : divide the force of each sample by its peak force
+    is_scaled : divide the force of each sample by its peak force, first loading only
     """
     looks = spool_looks(group)
-    curves = sum(len(sample.loading) + len(sample.unloading) for sample in group.samples)
     across = group_scale(group, "displacement").factor
     for sample in group.samples:
         look = looks[sample.specimen.spool]
         up = _factor(group, sample, is_scaled=is_scaled)
+        for curve in () if is_scaled else _others(sample):
+            x, y = thin(curve, curve.force, points=FAINT_POINTS)
+            axes.plot(x * across, y * up, color=look.colour, alpha=_FAINT, linewidth=0.5)
         first = first_loading(sample)
-        for curve in (*sample.unloading, *sample.loading):
-            x, y = thin(curve, curve.force, curves=curves)
-            own: dict[str, Any] = {"color": look.colour, "linestyle": look.dash, "linewidth": 0.7}
-            if curve is not first:
-                own |= {"alpha": _FAINT, "linewidth": 0.5, "linestyle": "-"}
-            axes.plot(x * across, y * up, **own)
-        _mark_failure(sample, axes, across, up)
+        if first is not None:
+            x, y = thin(first, first.force)
+            axes.plot(x * across, y * up, color=look.colour, linestyle=look.dash, linewidth=0.7)
+        _mark_failure(sample, axes, across, up, size=4.5 if len(group.samples) <= 12 else 2.5)
 
 
 def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) -> None:
@@ -115,11 +115,11 @@ def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) 
     up = 1.0 if is_scaled else group_scale(group, "force").factor
     axes.plot(x, band.mean[kept] * up, **_MEAN)
     if _has_band(band):
-        drawn = axes.dataLim.intervaly
+        low, high = map(float, axes.dataLim.intervaly)  # now: the limits grow with what follows
         axes.fill_between(x, band.lower[kept] * up, band.upper[kept] * up, **_POINTWISE)
         for edge in (band.lower_all, band.upper_all):
             axes.plot(x, edge[kept] * up, **_ALL)
-        _keep_in_view(float(drawn[0]), float(drawn[1]), axes)
+        _keep_in_view(low, high, axes)
 
 
 def _keep_in_view(low: float, high: float, axes: Axes) -> None:
@@ -135,10 +135,10 @@ def _factor(group: Group, sample: Sample, *, is_scaled: bool) -> float:
     return 1.0 / peak if peak else float("nan")
 
 
-def _mark_failure(sample: Sample, axes: Axes, across: float, up: float) -> None:
+def _mark_failure(sample: Sample, axes: Axes, across: float, up: float, *, size: float) -> None:
     at, force = value_of(sample, "failure_displacement"), value_of(sample, "failure_force")
     if at is not None and force is not None:
-        axes.plot(at * across, force * up, "x", color=RED, markersize=4.5, zorder=5)
+        axes.plot(at * across, force * up, "x", color=RED, markersize=size, zorder=5)
 
 
 def _has_band(band: Band) -> bool:
@@ -152,7 +152,7 @@ def _reason(band: Band) -> str:
     return f"No {what}: {split_reason(band.reason)[1]}"
 
 
-def _keys(group: Group, band: Band) -> list[Artist]:
+def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -165,7 +165,7 @@ def _keys(group: Group, band: Band) -> list[Artist]:
         if _has_band(band):
             keys.append(Patch(label="95 % band, point by point", **_POINTWISE))
             keys.append(Line2D([], [], label="95 % band, whole curve", **_ALL))
-    if any(_others(sample) for sample in group.samples):
+    if not is_scaled and any(_others(sample) for sample in group.samples):
         keys.append(Line2D([], [], color=GREY, alpha=_FAINT, label="unloading, later cycles"))
     if any(value_of(sample, "failure_force") is not None for sample in group.samples):
         keys.append(Line2D([], [], color=RED, marker="x", linestyle="", label="failure"))

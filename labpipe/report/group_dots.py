@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from labpipe.records.curve import Interval
-from labpipe.records.group import Group, GroupNumber
+from labpipe.records.group import Group, GroupNumber, MeanInterval
 from labpipe.records.result import Status
 from labpipe.report.group_look import RED, group_page, spool_looks
 from labpipe.report.numbers import display_of, in_words, is_main, shown_in, unit_words
@@ -19,6 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_NUMBERS = 6
+MOST_ROWS = 24
+"""Samples that get a row each; in larger groups those of a spool share one."""
 _ROW = 3.7
 _PANEL = 17.0
 _COLUMNS = 2
@@ -33,6 +37,7 @@ class Row:
 
     Parameters
     ----------
+    height : of the row, counted from 0 at the top
     label : at its left
     value : in SI; NaN for none
     interval : 95 %
@@ -42,6 +47,7 @@ class Row:
     note : written where there is no dot
     """
 
+    height: float
     label: str
     value: float
     interval: Interval | None
@@ -73,7 +79,7 @@ def draw_dots(group: Group) -> Figure:
     drawn = {number.name for number in numbers}
     left_out = [each.name for each in group.numbers if each.name not in drawn | _single(group)]
     rows = math.ceil(len(numbers) / _COLUMNS)
-    lines = max(len(rows_of(group, number)) for number in numbers)
+    lines = _next(rows_of(group, numbers[0]))
     note = f"In the tables only: {', '.join(map(in_words, left_out))}." if left_out else ""
     page = group_page(
         group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
@@ -98,11 +104,12 @@ def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
     """
     shown = shown_in(number.name, number.unit, display_of(group))
     rows = rows_of(group, number)
-    for height, row in enumerate(rows):
-        _plot_row(row, height, shown.factor, axes)
-    axes.set_yticks(range(len(rows)), [row.label for row in rows])
+    for row in rows:
+        _plot_row(row, shown.factor, axes)
+    labels = {math.floor(row.height + 0.5): row.label for row in rows}
+    axes.set_yticks(list(labels), list(labels.values()))
     axes.tick_params(axis="y", length=0, labelsize=7)
-    axes.set_ylim(len(rows) - 0.4, -0.6)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.set_title(in_words(number.name), loc="left", size=8)
     axes.set_xlabel(unit_words(shown.unit))
     _keep_in_view(rows, shown.factor, axes)
@@ -118,48 +125,66 @@ def rows_of(group: Group, number: GroupNumber) -> list[Row]:
 
     Returns
     -------
-    The same number of rows for every number of a group.
+    The same heights for every number of a group. In a group of more than `MOST_ROWS` samples those
+    of a spool share a row, beside each other and without intervals.
     """
     rows: list[Row] = []
-    marked = {outlier.sample for outlier in number.outliers}
     for spool, look in spool_looks(group).items():
-        for sample in group.samples:
-            if sample.specimen.spool == spool:
-                rows.append(_sample_row(number, sample.test, look.colour, sample.test in marked))
+        own = [sample.test for sample in group.samples if sample.specimen.spool == spool]
+        rows += _sample_rows(number, own, _next(rows), look.colour, len(group.samples) > MOST_ROWS)
         mean = number.mean.spool_means.get(spool) if number.mean is not None else None
-        if mean is None:
-            rows.append(Row(f"mean of {spool}", math.nan, None, look.colour, "D"))
-        else:
-            rows.append(Row(f"mean of {spool}", mean.mean, mean.interval, look.colour, "D"))
-    if number.mean is not None:
-        chosen = number.mean.chosen
-        rows.append(Row("mean", chosen.mean, chosen.interval, "black", "D"))
-    return rows
+        label = f"mean of {spool}"
+        rows.append(_mean_row(_next(rows), label, mean, look.colour))
+    chosen = number.mean.chosen if number.mean is not None else None
+    return [*rows, _mean_row(_next(rows), "mean", chosen, "black")]
 
 
-def _sample_row(number: GroupNumber, test: str, colour: str, is_marked: bool) -> Row:
+def _next(rows: list[Row]) -> float:
+    return math.floor(rows[-1].height + 0.5) + 1.0 if rows else 0.0
+
+
+def _sample_rows(
+    number: GroupNumber, tests: list[str], top: float, colour: str, is_crowded: bool
+) -> list[Row]:
+    if not is_crowded:
+        return [_sample_row(number, test, top + at, colour) for at, test in enumerate(tests)]
+    label = f"{len(tests)} samples"
+    return [
+        replace(_sample_row(number, test, top + step, colour), label=label, interval=None, note="")
+        for test, step in zip(tests, np.linspace(-0.35, 0.35, len(tests)), strict=True)
+    ]
+
+
+def _mean_row(height: float, label: str, mean: MeanInterval | None, colour: str) -> Row:
+    if mean is None:
+        return Row(height, label, math.nan, None, colour, "D")
+    return Row(height, label, mean.mean, mean.interval, colour, "D")
+
+
+def _sample_row(number: GroupNumber, test: str, height: float, colour: str) -> Row:
     result = number.values.get(test)
     if result is None or result.value is None:
-        return Row(test, math.nan, None, colour, "o", note="no number")
+        return Row(height, test, math.nan, None, colour, "o", note="no number")
+    is_marked = any(outlier.sample == test for outlier in number.outliers)
     is_open = result.status is Status.DOUBTFUL
-    return Row(test, result.value, result.interval, colour, "o", is_open, is_marked)
+    return Row(height, test, result.value, result.interval, colour, "o", is_open, is_marked)
 
 
-def _plot_row(row: Row, height: int, factor: float, axes: Axes) -> None:
+def _plot_row(row: Row, factor: float, axes: Axes) -> None:
     if math.isnan(row.value):
         axes.text(
-            0.5, height, row.note, transform=axes.get_yaxis_transform(), ha="center",
+            0.5, row.height, row.note, transform=axes.get_yaxis_transform(), ha="center",
             va="center", size=7, color=GREY,
         )  # fmt: skip
         return
     if row.interval is not None:
         ends = [factor * row.interval.lower, factor * row.interval.upper]
         width = 1.6 if row.marker == "D" else 0.9
-        axes.plot(ends, [height, height], color=row.colour, linewidth=width, solid_capstyle="butt")
+        axes.plot(ends, [row.height] * 2, color=row.colour, linewidth=width)
     face = "white" if row.is_open else row.colour
-    axes.plot(factor * row.value, height, row.marker, color=row.colour, markerfacecolor=face)
+    axes.plot(factor * row.value, row.height, row.marker, color=row.colour, markerfacecolor=face)
     if row.is_marked:
-        axes.plot(factor * row.value, height, **_RING)
+        axes.plot(factor * row.value, row.height, **_RING)
 
 
 def _keep_in_view(rows: list[Row], factor: float, axes: Axes) -> None:

@@ -17,7 +17,7 @@ from labpipe.report.group_dots import draw_dots, numbers_to_draw
 from labpipe.report.group_lines import draw_lines, has_lines
 from labpipe.report.group_look import count_words, finite_end, group_scale
 from labpipe.report.group_slips import draw_slips, with_slips
-from labpipe.report.inline_svg import inline_svg
+from labpipe.report.inline_svg import Inline, inline_svg
 from labpipe.report.numbers import in_words
 from labpipe.report.page import finish_layout, style
 
@@ -51,12 +51,12 @@ class SavedFigure:
 
     Parameters
     ----------
-    svg : the drawing as an element of a page
+    drawing : as an element of a page
     caption : how to read it
     files : SVG, PNG and PDF
     """
 
-    svg: str
+    drawing: Inline
     caption: str
     files: tuple[Path, ...]
 
@@ -104,8 +104,8 @@ _LINES = (
 )
 _DOTS = (
     "A dot and its 95 % interval for each sample, for the mean of each spool and for the mean that"
-    " holds (the last row). Intervals that are wider than the panel are cut by its edge; the"
-    " tables have their ends."
+    " holds (the last row). In large groups the samples of a spool share a row, without intervals."
+    " Intervals that are wider than the panel are cut by its edge; the tables have their ends."
 )
 
 

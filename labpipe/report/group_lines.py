@@ -62,11 +62,8 @@ def plot_lines(group: Group, axes: Axes) -> None:
     for sample in group.samples:
         curve = first_loading(sample)
         if curve is not None:
-            x, y = thin(
-                curve,
-                np.where(curve.displacement <= end, curve.force, np.nan),
-                curves=len(group.samples),
-            )
+            seen = np.where(curve.displacement <= end, curve.force, np.nan)
+            x, y = thin(curve, seen)
             axes.plot(x * across, y * up, color=_CURVES, linewidth=0.5, zorder=1)
         for line in sample.lines:
             ends = np.array([line.start, line.stop])

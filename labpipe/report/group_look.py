@@ -25,9 +25,8 @@ if TYPE_CHECKING:
 WIDTH = 120.0
 """mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 RED = "#b2182b"
-MOST_POINTS = 6000
-"""Points that the curves of one figure share, so that thirty tests stay below 1 MB."""
-_FEWEST, _MOST = 40, 280
+POINTS, FAINT_POINTS = 110, 40
+"""Points that a curve is drawn with at the most, so that a page of thirty tests is below 1 MB."""
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _KEY_COLUMNS = 3
 _NOTE_WIDTH = 96
@@ -86,7 +85,7 @@ def group_page(
         f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}",
         "\n".join(lines),
         width_mm=WIDTH,
-        height_mm=height_mm + 4.6 * rows + 3.2 * len(lines),
+        height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
         key_rows=rows,
     )
     if keys:
@@ -94,16 +93,15 @@ def group_page(
     return page
 
 
-def thin(curve: SampleCurve, values: Floats, *, curves: int) -> tuple[Floats, Floats]:
+def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:
     """Displacement and values of a curve at the points that are drawn.
 
     Parameters
     ----------
     curve : of a sample
     values : shape (n,), along it
-    curves : how many the figure shows: they share `MOST_POINTS`
+    points : how many at the most; its extremes are among them
     """
-    points = min(max(MOST_POINTS // max(curves, 1), _FEWEST), _MOST)
     kept = extremes(values, bins=points // 4)
     x: Floats = curve.displacement[kept]
     y: Floats = values[kept]

@@ -78,9 +78,9 @@ def plot_slips(group: Group, sample: Sample, axes: Axes) -> None:
     across = group_scale(group, "displacement").factor
     up = group_scale(group, "force").factor
     if _is_repaired(sample):
-        x, y = thin(curve, curve.as_measured, curves=2 * MOST_PANELS)
+        x, y = thin(curve, curve.as_measured)
         axes.plot(x * across, y * up, **_MEASURED)
-    x, y = thin(curve, curve.force, curves=2 * MOST_PANELS)
+    x, y = thin(curve, curve.force)
     axes.plot(x * across, y * up, color=spool_looks(group)[sample.specimen.spool].colour)
     for slip in sample.slips:
         height = _height(curve, slip.position)

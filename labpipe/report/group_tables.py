@@ -79,14 +79,17 @@ def key_numbers(group: Group) -> Table:
     """Make the table of means: interval, what was averaged, standard deviation."""
     rows = tuple(_mean_row(group, each) for each in group.numbers if is_main(each.name))
     heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
-    notes = tuple(
-        dict.fromkeys(
-            f"{in_words(each.name)}, no interval: {split_reason(each.mean.chosen.reason)[1]}"
-            for each in group.numbers
-            if is_main(each.name) and each.mean is not None and each.mean.chosen.reason
-        )
-    )
-    return Table(f"{group.name}: means", heads, rows, notes)
+    return Table(f"{group.name}: means", heads, rows, _no_intervals(group))
+
+
+def _no_intervals(group: Group) -> tuple[str, ...]:
+    """Why means have no interval; those that share a reason stand together."""
+    reasons: dict[str, list[str]] = {}
+    for each in group.numbers:
+        if is_main(each.name) and each.mean is not None and each.mean.chosen.reason:
+            reason = split_reason(each.mean.chosen.reason)[1]
+            reasons.setdefault(reason, []).append(in_words(each.name))
+    return tuple(f"No interval: {why} ({'; '.join(names)})" for why, names in reasons.items())
 
 
 def _mean_row(group: Group, number: GroupNumber) -> tuple[Cell, ...]:
@@ -238,10 +241,17 @@ def difference_table(campaign: Campaign) -> Table | None:
     return Table("Differences between groups", heads, tuple(rows)) if rows else None
 
 
-def method_table(group: Group) -> Table:
-    """Make the table that says how each number and its interval were made."""
+def method_tables(campaign: Campaign) -> list[Table]:
+    """Make a table per protocol that says how each number and its interval were made."""
+    samples: dict[str, list[Sample]] = {}
+    for group in campaign.groups:
+        samples.setdefault(group.protocol, []).extend(group.samples)
+    return [_method_table(protocol, own) for protocol, own in samples.items() if own]
+
+
+def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
     methods: dict[str, dict[str, None]] = {}
-    for sample in group.samples:
+    for sample in samples:
         for result in sample.results:
             known = methods.setdefault(result.name, {})
             if result.method:
@@ -250,7 +260,7 @@ def method_table(group: Group) -> Table:
         (Cell(in_words(name), name), Cell("; ".join(each) or "No sample has this number."))
         for name, each in methods.items()
     )
-    return Table(f"{group.name}: how each number was made", ("Number", "Method"), rows)
+    return Table(f"Protocol {protocol}: how each number was made", ("Number", "Method"), rows)
 
 
 def table_of_tests(campaign: Campaign) -> Table:

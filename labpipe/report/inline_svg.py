@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import zlib
+from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
 _SVG = "http://www.w3.org/2000/svg"
@@ -13,7 +15,14 @@ _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
 _FONT = "STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif"
 
 
-def inline_svg(drawing: bytes, *, prefix: str, title: str) -> str:
+class Inline(NamedTuple):
+    """A drawing as an element of a page, and the classes that it is drawn with."""
+
+    element: str
+    classes: dict[str, str]
+
+
+def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     """Turn a drawing by matplotlib into an element of a page.
 
     Parameters
@@ -25,7 +34,8 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> str:
     Returns
     -------
     One ``svg`` element: as wide as the page lets it be, coordinates to 0.01 pt, without metadata
-    and without ids that nothing refers to.
+    and without ids that nothing refers to. Its looks are classes, as drawings share most of them;
+    equal looks have equal names in all drawings.
     """
     ET.register_namespace("", _SVG)
     ET.register_namespace("xlink", "http://www.w3.org/1999/xlink")
@@ -33,11 +43,14 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> str:
     for metadata in root.findall(f"{{{_SVG}}}metadata"):
         root.remove(metadata)
     wanted = _references(root)
+    classes: dict[str, str] = {}
     for element in root.iter():
         _slim(element, wanted, prefix)
+        _classify(element, classes)
+    _unwrap(root)
     _name(root, title)
     text = ET.tostring(root, encoding="unicode", short_empty_elements=True)
-    return re.sub(r">\s+<", "><", text).strip()
+    return Inline(re.sub(r">\s+<", "><", text).strip(), classes)
 
 
 def _references(root: ET.Element) -> set[str]:
@@ -65,8 +78,24 @@ def _slim(element: ET.Element, wanted: set[str], prefix: str) -> None:
         own[key] = " ".join(_LONG_NUMBER.sub(_two_places, own[key]).split())
     if "d" in own:  # numbers that follow a line are ends of further lines
         own["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", own["d"])
-    if "style" in own:
-        own["style"] = own["style"].replace("'STIXGeneral'", _FONT).replace("; ", ";")
+
+
+def _classify(element: ET.Element, classes: dict[str, str]) -> None:
+    """Put the look of an element under a name made of it."""
+    look = element.attrib.pop("style", "").replace("'STIXGeneral'", _FONT)
+    if look:
+        name = f"s{zlib.crc32(look.encode()):x}"
+        classes[name] = look
+        element.set("class", name)
+
+
+def _unwrap(parent: ET.Element) -> None:
+    """Take away groups that say nothing about what is in them."""
+    for child in list(parent):
+        _unwrap(child)
+        if child.tag == f"{{{_SVG}}}g" and not child.attrib:
+            at = list(parent).index(child)
+            parent[at : at + 1] = list(child)
 
 
 def _two_places(found: re.Match[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
@@ -15,12 +15,15 @@ from labpipe.report.group_tables import (
     concern_tables,
     difference_table,
     key_numbers,
-    method_table,
+    method_tables,
     sample_tables,
     slip_table,
     spool_means,
     table_of_tests,
 )
+
+if TYPE_CHECKING:
+    from markupsafe import Markup
 
 _TEMPLATE = "lab_report.html"
 
@@ -58,8 +61,23 @@ def render_page(
         groups=groups,
         differences=difference_table(campaign),
         protocols=", ".join(sorted({group.protocol for group in campaign.groups})) or "none",
+        methods=method_tables(campaign),
         tests=table_of_tests(campaign),
+        classes=_classes(figures),
     )
+
+
+def _classes(figures: Sequence[Sequence[SavedFigure]]) -> Markup:
+    """The looks of all drawings, each once; made by matplotlib, none of it said by a person."""
+    from markupsafe import Markup
+
+    every = {
+        name: look
+        for group in figures
+        for each in group
+        for name, look in each.drawing.classes.items()
+    }
+    return Markup("\n".join(f".{name} {{{look}}}" for name, look in every.items()))
 
 
 def _summary(campaign: Campaign) -> str:
@@ -96,9 +114,10 @@ def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str,
         "samples": sample_tables(group),
         "slips": slip_table(group),
         # Made by matplotlib, with every text escaped: a drawing, not text to be shown.
-        "figures": [{"svg": Markup(each.svg), "caption": each.caption} for each in figures],
+        "figures": [
+            {"svg": Markup(each.drawing.element), "caption": each.caption} for each in figures
+        ],
         "remarks": _remarks(group),
-        "methods": method_table(group),
     }
 
 

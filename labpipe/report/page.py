@@ -82,7 +82,7 @@ def titled_page(
     figure.text(_EDGE, 1 - 0.3 * line, words, va="top", size=8, color=GREY)
     if note:
         figure.text(_EDGE, 0.3 * line, note, va="bottom", size=7, color=GREY)
-    low = line * (0.25 + 0.75 * (note.count("\n") + 1)) if note else 0.0
+    low = line * (0.1 + 0.9 * (note.count("\n") + 1)) if note else 0.0
     high = 1 - (1.3 + 1.1 * key_rows) * line
     pad = 1.2 / _MM_PER_INCH
     figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)

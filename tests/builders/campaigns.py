@@ -181,7 +181,13 @@ def build_group(name: str, samples: Sequence[Sample], *, scaled: bool = True) ->
     if scaled and samples:
         tops = [
             replace(
-                sample, loading=(replace(sample.loading[0], force=sample.loading[0].force / 134),)
+                sample,
+                loading=(
+                    replace(
+                        sample.loading[0],
+                        force=sample.loading[0].force / sample.loading[0].force.max(),
+                    ),
+                ),
             )
             for sample in samples
             if sample.loading

@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+from labpipe.records.group import Campaign
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Status
+from labpipe.records.slips import SlipDecision
+from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
+from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
+
+
+def only(concerns: tuple[Concern, ...], kind: Kind) -> list[Concern]:
+    return [each for each in concerns if each.kind is kind]
+
+
+def test_everything_that_is_not_fine_is_found_worst_first() -> None:
+    concerns = find_concerns(build_campaign())
+    assert [each.kind for each in concerns] == sorted(
+        (each.kind for each in concerns), key=list(Kind).index
+    )
+    assert only(concerns, Kind.UNREADABLE)[0].reason.startswith("result.h5: expected an HDF5 file")
+    failed = only(concerns, Kind.FAILED)
+    assert [(each.test, each.code) for each in failed] == [("tt-s2b", "too_few_samples")]
+    assert failed[0].what.startswith("Peak force, cycle 1; Stiffness, first region; ")
+    assert failed[0].reason == "3 samples where 8 are needed."
+    doubtful = only(concerns, Kind.DOUBTFUL)
+    assert [(each.test, each.what) for each in doubtful] == [("tt-s1a", "Stiffness, first region")]
+    assert only(concerns, Kind.OUTLIER)[0].reason == (
+        "5.400 N/mm stands apart from the other samples by Grubbs' test (p = 0.013)."
+    )
+    assert [each.what for each in only(concerns, Kind.SLIP)] == [
+        "6.00 N (5.50 to 6.50) lost at 12.000 mm (11.990 to 12.010)"
+    ]
+    warnings = only(concerns, Kind.WARNING)
+    assert [(each.test, each.what) for each in warnings] == [
+        ("tt-s2b", "frame"),
+        ("", "empty group"),
+    ]
+
+
+def test_nothing_to_look_at() -> None:
+    group = build_group("A", six_samples(slips=0))
+    assert find_concerns(Campaign("Synthetic", (group,))) == ()
+
+
+def test_numbers_without_interval_and_samples_left_out() -> None:
+    sample = build_sample("s1", "a")
+    bare = replace(sample.results[0], interval=None, reason="one_point: a single point.")
+    sample = replace(sample, results=(bare, *sample.results[1:]))
+    group = build_group("A", [sample])
+    number = replace(group.numbers[1], left_out={"tt-s1a": "no_result: no result of that name."})
+    note = QualityNote("short_overlap", Severity.WARNING, "curves", "They share 2 mm only.")
+    group = replace(group, numbers=(number,), notes=(note,))
+    concerns = find_concerns(Campaign("Synthetic", (group,)))
+    assert [(each.kind, each.test, each.what) for each in concerns] == [
+        (Kind.LEFT_OUT, "tt-s1a", "Stiffness, first region"),
+        (Kind.WARNING, "", "curves"),
+        (Kind.NO_INTERVAL, "tt-s1a", "Peak force, cycle 1"),
+    ]
+
+
+def test_a_failed_result_is_told_once() -> None:
+    concerns = find_concerns(build_campaign())
+    assert not only(concerns, Kind.LEFT_OUT)
+    campaign = build_campaign()
+    first = campaign.groups[0]
+    assert first.numbers[0].left_out.keys() == {"tt-s2b"}
+    assert any(each.status is Status.FAILED for each in first.samples[4].results)
+
+
+def test_reasons() -> None:
+    assert split_reason("not_reached: the end.") == ("not_reached", "The end.")
+    assert split_reason("Expected: a word.") == ("", "Expected: a word.")
+    assert split_reason("no code here") == ("", "No code here")
+    assert split_reason("") == ("", "")
+    assert all(decision_words(each).endswith(".") for each in SlipDecision)

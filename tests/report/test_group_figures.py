@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from labpipe.report.group_figures import drawings, save_drawings, stems
+from tests.builders.campaigns import build_group, build_sample, six_samples
+
+
+def test_figures_that_a_group_has_data_for() -> None:
+    full = build_group("A", six_samples())
+    assert [each.name for each in drawings(full)] == [
+        "curves", "scaled", "slips", "lines", "numbers",
+    ]  # fmt: skip
+    bare = [replace(build_sample("s1", "a"), lines=())]
+    assert [each.name for each in drawings(build_group("A", bare, scaled=False))] == ["curves"]
+    assert [each.name for each in drawings(build_group("A", []))] == ["curves"]
+
+
+def test_every_figure_can_be_told_without_being_seen() -> None:
+    told = {each.name: each for each in drawings(build_group("A", six_samples()))}
+    assert told["curves"].alt == (
+        "Force against displacement: A, 6 samples from 2 spools."
+        " The mean reaches 134 N; it is known up to 40 mm."
+    )
+    assert "the mean of 6 samples" in told["curves"].caption
+    assert told["slips"].alt == "Slips of tt-s1b, tt-s2b on their curves."
+    assert told["lines"].alt == (
+        "Fitted lines on the curves of A: Stiffness, first region; Stiffness, second region."
+    )
+    lone = next(drawings(build_group("A", [build_sample("s1", "a")])))
+    assert "There is no band; the figure says why." in lone.caption
+
+
+def test_saved_three_times_with_the_same_bytes(tmp_path: Path) -> None:
+    sample = replace(build_sample("s1", "a"), lines=())
+    group = build_group("A", [sample], scaled=False)
+    runs = []
+    for name in "ab":
+        folder = tmp_path / name
+        folder.mkdir()
+        runs.append(save_drawings(group, folder, stem="a"))
+    files = runs[0][0].files
+    assert [path.name for path in files] == ["a-curves.svg", "a-curves.png", "a-curves.pdf"]
+    for one, other in zip(files, runs[1][0].files, strict=True):
+        assert one.read_bytes() == other.read_bytes()
+    assert files[1].read_bytes().startswith(b"\x89PNG")
+    assert files[2].read_bytes().startswith(b"%PDF")
+    assert b"<text" in files[0].read_bytes()  # words stay words
+
+
+def test_names_with_signs_of_mathematics_are_drawn_as_they_are(tmp_path: Path) -> None:
+    sample = replace(build_sample("$x_$", "a"), test="$\\frac{$")
+    (saved, *_) = save_drawings(build_group("_A$_{$", [sample]), tmp_path, stem="a")
+    assert "_A$_{$" in saved.drawing.element
+
+
+def test_file_names() -> None:
+    assert stems(["A2 85 mm", "a2/85/mm", "\u00b5"]) == ["a2-85-mm", "a2-85-mm-2", "group"]
+    assert stems(["A" * 200])[0] == "a" * 60

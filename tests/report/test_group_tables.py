@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+from labpipe.records.group import Campaign
+from labpipe.report.group_tables import (
+    Cell,
+    Table,
+    concern_tables,
+    difference_table,
+    key_numbers,
+    method_tables,
+    sample_tables,
+    slip_table,
+    spool_means,
+    table_of_tests,
+)
+from tests.builders.campaigns import (
+    build_campaign,
+    build_difference,
+    build_group,
+    build_sample,
+    six_samples,
+    troubled_samples,
+)
+
+
+def row(table: Table, head: str) -> tuple[Cell, ...]:
+    return next(cells for cells in table.rows if cells[0].text.startswith(head))
+
+
+def test_concerns_are_counted_in_their_captions() -> None:
+    tables = concern_tables(build_campaign())
+    assert [table.caption for table in tables] == [
+        "Tests that could not be read (1)",
+        "Failed: numbers that could not be computed (1)",
+        "Doubtful: numbers to be checked (1)",
+        "Marked as outliers (they stay in every mean) (1)",
+        "Slips in the grips (1)",
+        "Warnings (2)",
+    ]
+
+
+def test_means_say_what_was_averaged() -> None:
+    table = key_numbers(build_group("A", troubled_samples()))
+    first = row(table, "Stiffness, first region (N/mm)")
+    assert first[0].small == "stiffness_first"
+    assert first[3] == Cell("2 spool means", "without tt-s2b")
+    assert row(table, "Stiffness, second region (N/mm)")[3].text == "5 samples"
+    assert " to " in first[2].text
+
+
+def test_reasons_without_interval_stand_once() -> None:
+    table = key_numbers(build_group("A", [build_sample("s1", "a")]))
+    assert len(table.notes) == 1
+    assert table.notes[0].startswith("No interval: One value has no spread to make an interval of.")
+    assert all(cells[2].text == "\u2013" and cells[4].text == "\u2013" for cells in table.rows)
+
+
+def test_a_number_that_no_sample_has() -> None:
+    group = build_group("A", [troubled_samples()[4]])
+    assert [cell.text for cell in key_numbers(group).rows[0][1:]] == [
+        "\u2013", "\u2013", "no sample has it", "\u2013",
+    ]  # fmt: skip
+    assert spool_means(group).rows == ()
+
+
+def test_spool_means_with_the_decision() -> None:
+    table = spool_means(build_group("A", six_samples()))
+    assert table.heads == ("Number", "Spool s1", "Spool s2", "Decision")
+    cells = row(table, "Stiffness, first region (N/mm)")
+    assert cells[1].small.endswith("n = 3")
+    assert cells[3].text.startswith("Not pooled: the spools differ")
+
+
+def test_samples_with_marks_for_doubtful_and_reasons_for_failed() -> None:
+    first, second = sample_tables(build_group("A", troubled_samples()))
+    assert len(first.heads) == 5
+    assert second.caption == "A: every sample, part 2 of 2"
+    doubtful, failed = row(first, "tt-s1a"), row(first, "tt-s2b")
+    assert [cell.mark for cell in doubtful] == ["", "", "?", "", ""]
+    assert failed[1] == Cell("\u2013", "too few samples")
+    assert first.notes == (
+        "? tt-s1a: A slip at 5.2 mm.",
+        "\u2013 tt-s2b: 3 samples where 8 are needed.",
+    )
+
+
+def test_a_result_that_a_sample_was_not_asked_for() -> None:
+    samples = six_samples()
+    samples[1] = replace(samples[1], results=samples[1].results[1:])
+    group = build_group("A", six_samples())
+    table = sample_tables(replace(group, samples=tuple(samples)))[0]
+    assert row(table, "tt-s1b")[1] == Cell("\u2013", "not asked for")
+
+
+def test_slips() -> None:
+    table = slip_table(build_group("A", six_samples()))
+    assert table is not None
+    assert table.heads[1:3] == ("Displacement (mm)", "Force lost (N)")
+    assert table.rows[0][1] == Cell("12.000", "11.990 to 12.010")
+    assert slip_table(build_group("A", six_samples(slips=0))) is None
+
+
+def test_differences() -> None:
+    table = difference_table(build_campaign())
+    assert table is not None
+    assert [cell.text for cell in table.rows[0]] == [
+        "Stiffness, first region (N/mm)", "-1.42", "-1.60 to -1.24", "0.500",
+        "They differ by more than the margin of 10 %.",
+    ]  # fmt: skip
+    unknown = replace(build_difference(), margin=None)
+    unknown = replace(unknown, difference=replace(unknown.difference, interval=None))
+    table = difference_table(Campaign("Synthetic", (), (unknown,)))
+    assert table is not None
+    assert [cell.text for cell in table.rows[0][2:4]] == ["\u2013", "\u2013"]
+    assert difference_table(Campaign("Synthetic", ())) is None
+
+
+def test_methods_and_tests() -> None:
+    campaign = build_campaign()
+    (methods,) = method_tables(campaign)
+    assert methods.caption == "Protocol twist-tube: how each number was made"
+    assert row(methods, "Peak force, cycle 1")[1].text == "parabola through the top of the curve"
+    tests = table_of_tests(campaign)
+    assert len(tests.rows) == 7
+    assert [cell.text for cell in tests.rows[0]] == [
+        "tt-s1a", "twist-tube-10", "length 75 mm", "twist-tube",
+        "processed/synthetic/tt-s1a/result.h5",
+    ]  # fmt: skip

@@ -1,0 +1,52 @@
+from __future__ import annotations
+
+from xml.etree import ElementTree as ET
+
+from labpipe.report.inline_svg import inline_svg
+
+DRAWING = b"""<?xml version="1.0"?>
+<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"
+ width="100pt" height="50pt" viewBox="0 0 100 50" version="1.1">
+ <metadata><x>made today</x></metadata>
+ <defs><path id="mark" d="M 0 1.23456 L -2.5 3" style="stroke: #000"/></defs>
+ <g id="figure_1"><g id="axes_1">
+  <path d="M 1.23456 2
+L 3 4
+L 5.00001 -6.5
+" clip-path="url(#clip)" style="fill: none; stroke: #0072b2"/>
+  <use xlink:href="#mark" x="10.98765" y="2" style="stroke: #000"/>
+  <text style="font: 9px 'STIXGeneral', serif">a &lt; b</text>
+ </g></g>
+ <defs><clipPath id="clip"><rect x="0" y="0" width="9.87654" height="1"/></clipPath></defs>
+</svg>"""
+
+
+def test_small_and_named() -> None:
+    inline = inline_svg(DRAWING, prefix="a2", title='Force <of> "A2"')
+    root = ET.fromstring(inline.element)
+    assert root.get("role") == "img"
+    assert root.get("aria-label") == 'Force <of> "A2"'
+    assert root.get("viewBox") == "0 0 100 50"
+    assert root.get("width") is None
+    for gone in ("made today", "<?xml", "style=", "figure_1", "<g"):
+        assert gone not in inline.element
+    assert 'd="M 1.23 2 3 4 5 -6.5"' in inline.element
+    assert "a &lt; b" in inline.element
+
+
+def test_ids_belong_to_the_drawing_and_references_follow() -> None:
+    one, other = (inline_svg(DRAWING, prefix=name, title="").element for name in ("one", "other"))
+    assert 'id="one-mark"' in one
+    assert 'href="#one-mark"' in one
+    assert 'clip-path="url(#one-clip)"' in one
+    assert "one-" not in other
+
+
+def test_equal_looks_share_a_class() -> None:
+    inline = inline_svg(DRAWING, prefix="one", title="")
+    assert sorted(inline.classes.values()) == [
+        "fill: none; stroke: #0072b2",
+        "font: 9px STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif, serif",
+        "stroke: #000",
+    ]
+    assert inline.classes == inline_svg(DRAWING, prefix="other", title="").classes

@@ -1,0 +1,62 @@
+from __future__ import annotations
+
+import re
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import StoreError
+from labpipe.records.group import Campaign
+from labpipe.report.lab_report import write_report
+from tests.builders.campaigns import build_campaign, build_group, build_sample
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]:
+    folder = tmp_path_factory.mktemp("report")
+    return folder, write_report(build_campaign(), folder)
+
+
+def test_files(written: tuple[Path, list[Path]]) -> None:
+    folder, files = written
+    assert [path.relative_to(folder).as_posix() for path in files[:3]] == [
+        "report.html", "tables.xlsx", "figures/twist-tube-10-curves.svg",
+    ]  # fmt: skip
+    assert {path for path in folder.rglob("*") if path.is_file()} == set(files)
+    kinds = Counter(path.suffix for path in files[2:])
+    assert kinds == {".svg": 8, ".png": 8, ".pdf": 8}
+
+
+def test_every_figure_stands_in_the_page_with_ids_of_its_own(
+    written: tuple[Path, list[Path]],
+) -> None:
+    page = written[1][0].read_text(encoding="utf-8")
+    assert page.count('role="img" aria-label="') == page.count("<svg") == 8
+    ids = re.findall(r' id="([^"]+)"', page)
+    assert len(ids) == len(set(ids))
+    assert set(re.findall(r"url\(#([^)]+)\)", page)) <= set(ids)
+    assert not re.findall(r"https?://(?!www\.w3\.org/)", page)
+
+
+@pytest.mark.parametrize("samples", [1, 15])
+def test_page_of_thirty_tests_is_below_a_megabyte(samples: int, tmp_path: Path) -> None:
+    groups = 30 // samples
+    shown = 1 if samples > 1 else 3  # groups that are drawn; the others are as large
+    made = [
+        build_group(
+            f"type {number}",
+            [build_sample(f"s{n % 3}", str(n), cycles=3, slips=1, seed=n) for n in range(samples)],
+        )
+        for number in range(shown)
+    ]
+    page = write_report(Campaign("Synthetic", tuple(made)), tmp_path)[0]
+    empty = write_report(Campaign("Synthetic", ()), tmp_path / "empty")[0]
+    own = (page.stat().st_size - empty.stat().st_size) / shown
+    assert groups * own + empty.stat().st_size < 1e6
+
+
+def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "x").write_text("")
+    with pytest.raises(StoreError, match=r"x: expected a folder that a report can be written to, "):
+        write_report(Campaign("Synthetic", ()), tmp_path / "x")
