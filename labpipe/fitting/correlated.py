@@ -145,19 +145,20 @@ class _Noise:
         terms, spent = waves.shape
         freedom = terms - spent
         products = (waves[:, :, None] * waves[:, None, :]).reshape(terms, -1)
-        information = ((1.0 / spectra) @ products).reshape(-1, spent, spent)
-        inverse: Floats = np.linalg.inv(information)
+        information: Floats = ((1.0 / spectra) @ products).reshape(-1, spent, spent)
+        inverse: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
         score = (residuals / spectra) @ waves
-        shifts = np.asarray(np.einsum("gij,gj->gi", inverse, score), dtype=np.float64)
+        shifts = np.einsum("gij,gj->gi", inverse, score)
         squares = (1.0 / spectra) @ residuals**2 - np.einsum("gi,gi->g", shifts, score)
-        squares = np.maximum(squares, np.finfo(float).tiny)
+        squares = np.asarray(np.maximum(squares, np.finfo(float).tiny), dtype=np.float64)
         likelihood = -0.5 * (
             np.log(spectra).sum(axis=1)
             + np.linalg.slogdet(information)[1]
             + freedom * np.log(squares)
         )
         chances = prior * np.exp(likelihood - likelihood.max())
-        return cls(spectra, chances / chances.sum(), squares / freedom, freedom, shifts, inverse)
+        variances: Floats = np.asarray(squares / freedom, dtype=np.float64)
+        return cls(spectra, chances / chances.sum(), variances, freedom, shifts, inverse)
 
     def weighted_fit(self) -> tuple[Floats, Floats]:
         """Generalised least squares for each spectrum: change of coefficients, unit covariance."""

@@ -169,8 +169,9 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
     Notes
     -----
     Trapezoids to the last sample before the loss, plus half a step at the force there, since the
-    specimen broke somewhere in that step; its error has the noise of both channels
-    (`labpipe.fitting.loops.loop_energy`) and the step.
+    specimen broke somewhere in that step. Its error has the step and the noise: of both channels
+    (`labpipe.fitting.loops.loop_energy`), or that of the force with a correlation over up to a
+    twenty-fifth of the curve, whichever is greater.
     """
     upto = slice(0, point.sample + 1)
     count = point.sample + 1
@@ -180,5 +181,20 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
     if isinstance(work, Failure):
         return work
     more = point.force.value * point.step
-    error = float(np.hypot(work.error, more / np.sqrt(12.0)))
+    noise = np.sqrt(_slow_noise(force[upto]) * float(np.sum(np.gradient(displacement[upto]) ** 2)))
+    error = float(np.hypot(max(work.error, float(noise)), more / np.sqrt(12.0)))
     return Estimate(work.value + 0.5 * more, error, work.n)
+
+
+def _slow_noise(f: Floats) -> float:
+    """Long-run variance of the force about cubics through fifths of the curve, N^2.
+
+    The median of the fifths: one of them may hold a kink.
+    """
+    pieces = [piece for piece in np.array_split(f, 5) if len(piece) >= _LEAST]
+    powers = []
+    for piece in pieces:
+        x = np.linspace(-1.0, 1.0, len(piece))
+        basis = np.linalg.qr(np.vander(x, 4, increasing=True))[0]
+        powers.append(float(fit_linear(basis, piece).covariance[0, 0]))
+    return float(np.median(powers)) if powers else 0.0

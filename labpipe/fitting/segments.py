@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from labpipe.fitting.correlated import LinearFit, fit_linear
 from labpipe.fitting.estimates import Estimate, Failure
@@ -117,7 +116,7 @@ class _Scan:
     """Sums of squares of all two-segment lines through sorted samples, from cumulative sums.
 
     d, y : shape (n,), as measured; x : d centred and scaled; r : residuals of one straight line, so
-    that the sums do not cancel; sums : shape (n + 1, 5), running sums of 1, x, x^2, r, x r.
+    that the sums do not cancel; sums : shape (5, n + 1), running sums of 1, x, x^2, r, x r.
     """
 
     d: Floats
@@ -129,10 +128,11 @@ class _Scan:
     @classmethod
     def of(cls, d: Floats, y: Floats) -> _Scan:
         x = (d - 0.5 * (d[0] + d[-1])) * (2.0 / (d[-1] - d[0]))
-        design = np.column_stack([np.ones_like(x), x])
-        r = y - design @ np.linalg.lstsq(design, y, rcond=None)[0]
-        rows = np.column_stack([np.ones_like(x), x, x * x, r, x * r])
-        return cls(d, y, x, r, np.vstack([np.zeros(5), np.cumsum(rows, axis=0)]))
+        lever = x - x.mean()
+        r = y - y.mean() - lever * ((lever @ y) / (lever @ lever))
+        sums = np.zeros((5, len(x) + 1))
+        np.cumsum([np.ones_like(x), x, x * x, r, x * r], axis=1, out=sums[:, 1:])
+        return cls(d, y, x, r, sums)
 
     def d_of(self, x: float) -> float:
         """Displacement of a place, m."""
@@ -153,8 +153,9 @@ class _Scan:
 
     def squares_at(self, at: Floats) -> Floats:
         """Least sum of squares with the break held, shape of `at`."""
-        below, total = self.sums[np.searchsorted(self.x, at, side="right")], self.sums[-1]
-        n, sx, sxx, sr, sxr = np.moveaxis(total - below, -1, 0)
+        below = self.sums[:, np.searchsorted(self.x, at, side="right")]
+        total = self.sums[:, -1]
+        n, sx, sxx, sr, sxr = total[:, None] - below
         # Sums with h = max(x - c, 0).
         sh, sxh, shr = sx - at * n, sxx - at * sx, sxr - at * sr
         shh = sxx - 2.0 * at * sx + at * at * n
@@ -168,8 +169,8 @@ class _Scan:
 
     def crossings(self) -> Floats:
         """Where the separate lines before and behind each gap between samples meet inside it."""
-        below = self.sums[_SIDE : len(self.x) - _SIDE + 1]
-        first, second = _lines(below), _lines(self.sums[-1] - below)
+        below = self.sums[:, _SIDE : len(self.x) - _SIDE + 1]
+        first, second = _lines(below), _lines(self.sums[:, -1:] - below)
         with np.errstate(divide="ignore", invalid="ignore"):
             meet = (second[0] - first[0]) / (first[1] - second[1])
         low = self.x[_SIDE - 1 : len(self.x) - _SIDE]
@@ -202,19 +203,19 @@ class _Scan:
         return Interval(self.d_of(ends[0]), self.d_of(ends[1]))
 
     def _crossing(self, inner: float, outer: float, height: float) -> float:
-        """Where the sum of squares passes a height between two places."""
-
-        def over(at: float) -> float:
-            return float(self.squares_at(np.array([at]))[0]) - height
-
-        if over(inner) >= 0.0 or over(outer) <= 0.0:
-            return inner if over(inner) >= 0.0 else outer
-        return float(brentq(over, inner, outer, xtol=1e-12))
+        """Where the sum of squares passes a height between two places, to a millionth of them."""
+        for _ in range(3):
+            places = np.linspace(inner, outer, 101)
+            over = np.flatnonzero(self.squares_at(places) >= height)
+            if len(over) == 0 or over[0] == 0:
+                return outer if len(over) == 0 else inner
+            inner, outer = float(places[over[0] - 1]), float(places[over[0]])
+        return 0.5 * (inner + outer)
 
 
 def _lines(sums: Floats) -> tuple[Floats, Floats]:
-    """Level and slope of the least-squares line of each row of sums."""
-    n, sx, sxx, sr, sxr = np.moveaxis(sums, -1, 0)
+    """Level and slope of the least-squares line of each column of sums."""
+    n, sx, sxx, sr, sxr = sums
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (n * sxr - sx * sr) / (n * sxx - sx * sx)
         return (sr - slope * sx) / n, slope

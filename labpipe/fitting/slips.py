@@ -200,7 +200,8 @@ def _costs(
 ) -> tuple[Floats, float]:
     """Whitened sum of squares of each pair, and the variance of one term.
 
-    A sample between start and stop has a level of its own, at the price of four variances.
+    A sample between start and stop has a level of its own, at the price of ten variances:
+    a sample half-way down is far off both lines, one that is merely noisy is not.
     """
     rows = np.arange(*bounds)
     d, f = d[rows] - d[rows[0]], f[rows]
@@ -213,7 +214,7 @@ def _costs(
         left = target - white @ np.linalg.lstsq(white, target, rcond=None)[0]
         squares.append(float(left @ left))
     variance = min(squares) / max(len(rows) - 5, 1)
-    prices = np.array([4.0 * variance * (stop - start - 1) for start, stop in pairs])
+    prices = np.array([10.0 * variance * (stop - start - 1) for start, stop in pairs])
     return np.array(squares) + prices, variance
 
 

@@ -1,0 +1,115 @@
+"""The 95 % intervals of the tensile fitters hold the truth 95 times in a hundred.
+
+Seeded runs, white noise and autoregressive noise with a correlation time of 1 to 10 % of the
+window, each held against 95 % by an exact two-sided binomial test at 1 %. A few hundred runs by
+default, a thousand in the slow study.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binomtest
+
+from labpipe.fitting.correlated import fit_linear
+from labpipe.fitting.segments import TwoSegments, fit_two_segments
+from labpipe.fitting.slips import find_slips
+from labpipe.records.arrays import Floats
+from labpipe.records.slips import SlipDecision
+
+QUICK, FULL = 200, 1000
+
+
+def noise(seed: int, count: int, memory: float) -> Floats:
+    """First-order autoregressive noise of variance 1; memory in samples."""
+    factor = np.exp(-1.0 / memory) if memory > 0.0 else 0.0
+    kicks = np.random.default_rng(seed).normal(size=count) * np.sqrt(1.0 - factor**2)
+    kicks[0] /= np.sqrt(1.0 - factor**2)
+    return np.asarray(lfilter([1.0], [1.0, -factor], kicks), dtype=np.float64)
+
+
+def assert_covers(hits: int, runs: int) -> None:
+    assert binomtest(hits, runs, 0.95).pvalue > 0.01, f"{hits} of {runs}"
+
+
+def slope_hits(count: int, share: float, runs: int) -> int:
+    design = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    fits = (fit_linear(design, noise(seed, count, share * count)) for seed in range(runs))
+    return sum(abs(fit.coefficients[1]) <= fit.half_widths[1] for fit in fits)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1])
+def test_slope_quick(share: float) -> None:
+    assert_covers(slope_hits(200, share, QUICK), QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [60, 200, 1000, 4000])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.05, 0.1])
+def test_slope(count: int, share: float) -> None:
+    assert_covers(slope_hits(count, share, FULL), FULL)
+
+
+@pytest.mark.parametrize("memory", [0.0, 5.0, 20.0])
+def test_jump_by_generalised_least_squares(memory: float) -> None:
+    jump = (np.arange(120) >= 60).astype(np.float64)
+    design = np.column_stack([np.ones(120), np.linspace(-1.0, 1.0, 120), jump])
+    fits = [fit_linear(design, noise(seed, 120, memory), weighted=True) for seed in range(QUICK)]
+    assert_covers(sum(abs(fit.coefficients[2]) <= fit.half_widths[2] for fit in fits), QUICK)
+
+
+def segment_hits(count: int, share: float, runs: int) -> list[int]:
+    d = np.linspace(0.002, 0.020, count)
+    force = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
+    truth, hits = (5000.0, 2700.0, 0.0093), np.zeros(3, dtype=np.int64)
+    for seed in range(runs):
+        found = fit_two_segments(d, force + 0.4 * noise(seed, count, share * count))
+        assert isinstance(found, TwoSegments)
+        parts = (found.first, found.second, found.break_point)
+        for i, (part, true) in enumerate(zip(parts, truth, strict=True)):
+            assert part.interval is not None
+            hits[i] += part.interval.lower <= true <= part.interval.upper
+    return [int(hit) for hit in hits]
+
+
+def test_two_segments_quick() -> None:
+    for hits in segment_hits(200, 0.01, QUICK):
+        assert_covers(hits, QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [100, 400])
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.05])
+def test_two_segments(count: int, share: float) -> None:
+    for hits in segment_hits(count, share, FULL):
+        assert_covers(hits, FULL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [0.0, 2.0, 10.0])
+def test_slips(memory: float) -> None:
+    """The case of the corrugated tube; position and drop, and no slip where there is none."""
+    d = np.linspace(0.0, 0.05, 600)
+    smooth = 45.0 * (1.0 - np.exp(-d / 0.02)) / (1.0 - np.exp(-2.5))
+    hits, alarms, missed = np.zeros(2, dtype=np.int64), 0, 0
+    for seed in range(500):
+        jitter = np.random.default_rng(seed + 10_000).uniform(-1.5, 1.5) * d[1]
+        clean = smooth + 0.05 * noise(seed, len(d), memory)
+        slipped = clean - 0.47 * (d > 0.01875 + jitter) - 0.81 * (d > 0.03085)
+        none, found = (
+            find_slips(d, force, min_drop=0.2, decision=SlipDecision.REPAIRED)
+            for force in (clean, slipped)
+        )
+        assert isinstance(none, tuple)
+        assert isinstance(found, tuple)
+        alarms += len(none) > 0
+        if len(found) != 2:
+            missed += 1
+            continue
+        place, drop = found[0].position_interval, found[0].drop_interval
+        hits += [place.lower <= 0.01875 + jitter <= place.upper, drop.lower <= 0.47 <= drop.upper]
+    assert alarms <= 5
+    assert missed <= 15
+    for hit in hits:
+        assert_covers(int(hit), 500 - missed)

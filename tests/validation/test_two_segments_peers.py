@@ -1,0 +1,52 @@
+"""The two-segment fit against pwlf and piecewise-regression: one optimum, three programs."""
+
+from __future__ import annotations
+
+import warnings
+
+import numpy as np
+import piecewise_regression
+import pwlf
+import pytest
+
+from labpipe.fitting.segments import TwoSegments, fit_two_segments
+from labpipe.records.arrays import Floats
+
+
+def curve(seed: int) -> tuple[Floats, Floats]:
+    """Synthetic twist tube in mm and N."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(2.0, 20.0, 180)
+    return x, 45.0 + np.where(x < 9.3, 5.0, 2.7) * (x - 9.3) + rng.normal(0, 0.8, len(x))
+
+
+def ours(seed: int) -> TwoSegments:
+    found = fit_two_segments(*curve(seed))
+    assert isinstance(found, TwoSegments)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_pwlf(seed: int) -> None:
+    found, model = ours(seed), pwlf.PiecewiseLinFit(*curve(seed), seed=seed)
+    breaks = model.fit(2)
+    assert found.squares <= model.ssr * (1.0 + 1e-9)
+    assert found.squares == pytest.approx(model.ssr, rel=1e-5)
+    assert found.break_point.value == pytest.approx(breaks[1], abs=1e-2)
+    assert [found.first.value, found.second.value] == pytest.approx(model.slopes, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_piecewise_regression(seed: int) -> None:
+    found = ours(seed)
+    np.random.seed(seed)  # noqa: NPY002 (that library draws from the global generator)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit = piecewise_regression.Fit(*curve(seed), n_breakpoints=1, start_values=[9.0])
+    estimates = fit.get_results()
+    assert found.squares <= estimates["rss"] * (1.0 + 1e-9)
+    assert found.squares == pytest.approx(estimates["rss"], rel=1e-3)
+    theirs = estimates["estimates"]
+    assert found.break_point.value == pytest.approx(theirs["breakpoint1"]["estimate"], abs=5e-2)
+    assert found.first.value == pytest.approx(theirs["alpha1"]["estimate"], rel=5e-3)
+    assert found.second.value == pytest.approx(theirs["alpha2"]["estimate"], rel=5e-3)
