@@ -77,7 +77,8 @@ def split_reason(reason: str) -> tuple[str, str]:
     code, colon, rest = reason.partition(": ")
     is_code = bool(colon) and code.replace("_", "").isalnum() and code == code.lower()
     code, sentence = (code, rest) if is_code and " " not in code else ("", reason)
-    return code, sentence[:1].upper() + sentence[1:]
+    stop = "" if not sentence or sentence.endswith((".", "?", "!")) else "."
+    return code, sentence[:1].upper() + sentence[1:] + stop
 
 
 def decision_words(decision: SlipDecision) -> str:
@@ -108,7 +109,7 @@ def _of_group(group: Group) -> Iterator[Concern]:
         yield from _of_notes(group.name, sample.test, sample.quality)
     for number in group.numbers:
         yield from _of_number(group, number)
-    if not group.samples:
+    if not group.samples and not group.notes:
         reason = group.band.reason or "no sample in this group."
         code, sentence = split_reason(reason)
         yield Concern(Kind.WARNING, group.name, "", "empty group", sentence, code)
@@ -159,4 +160,5 @@ def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
 def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Concern]:
     for note in notes:
         if note.severity is not Severity.INFO:
-            yield Concern(Kind.WARNING, group, test, note.where, note.message, note.code)
+            sentence = split_reason(note.message)[1]
+            yield Concern(Kind.WARNING, group, test, note.where, sentence, note.code)

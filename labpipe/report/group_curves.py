@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, Group, Sample, SampleCurve
 from labpipe.report.concerns import split_reason
 from labpipe.report.group_look import (
@@ -114,11 +115,12 @@ def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) 
     x = band.displacement[kept] * group_scale(group, "displacement").factor
     up = 1.0 if is_scaled else group_scale(group, "force").factor
     axes.plot(x, band.mean[kept] * up, **_MEAN)
-    if _has_band(band):
+    if _is_known(band.lower):
         low, high = map(float, axes.dataLim.intervaly)  # now: the limits grow with what follows
         axes.fill_between(x, band.lower[kept] * up, band.upper[kept] * up, **_POINTWISE)
         for edge in (band.lower_all, band.upper_all):
-            axes.plot(x, edge[kept] * up, **_ALL)
+            if _is_known(edge):
+                axes.plot(x, edge[kept] * up, **_ALL)
         _keep_in_view(low, high, axes)
 
 
@@ -141,15 +143,17 @@ def _mark_failure(sample: Sample, axes: Axes, across: float, up: float, *, size:
         axes.plot(at * across, force * up, "x", color=RED, markersize=size, zorder=5)
 
 
-def _has_band(band: Band) -> bool:
-    return bool(np.isfinite(band.lower).any())
+def _is_known(edge: Floats) -> bool:
+    return bool(np.isfinite(edge).any())
 
 
 def _reason(band: Band) -> str:
     if not band.reason:
         return ""
-    what = "band" if len(band.displacement) else "mean curve"
-    return f"No {what}: {split_reason(band.reason)[1]}"
+    sentence = split_reason(band.reason)[1]
+    if _is_known(band.lower):
+        return sentence
+    return f"No {'band' if len(band.displacement) else 'mean curve'}: {sentence}"
 
 
 def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
@@ -162,8 +166,9 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
     ]
     if band.n >= 2 and len(band.displacement):
         keys.append(Line2D([], [], label=f"mean of {band.n} {band.over}", **_MEAN))
-        if _has_band(band):
+        if _is_known(band.lower):
             keys.append(Patch(label="95 % band, point by point", **_POINTWISE))
+        if _is_known(band.lower_all):
             keys.append(Line2D([], [], label="95 % band, whole curve", **_ALL))
     if not is_scaled and any(_others(sample) for sample in group.samples):
         keys.append(Line2D([], [], color=GREY, alpha=_FAINT, label="unloading, later cycles"))

@@ -59,11 +59,11 @@ class Row:
 
 
 def numbers_to_draw(group: Group) -> list[GroupNumber]:
-    """Numbers with a mean over at least two samples, in their order, at most `MOST_NUMBERS`."""
+    """Pick numbers with at least two samples, no later cycles, and `MOST_NUMBERS` at the most."""
     own = [
         each
         for each in group.numbers
-        if is_main(each.name) and each.mean is not None and each.mean.over_samples.n > 1
+        if _is_first(each.name) and each.mean is not None and each.mean.over_samples.n > 1
     ]
     return own[:MOST_NUMBERS]
 
@@ -77,10 +77,12 @@ def draw_dots(group: Group) -> Figure:
     """
     numbers = numbers_to_draw(group)
     drawn = {number.name for number in numbers}
-    left_out = [each.name for each in group.numbers if each.name not in drawn | _single(group)]
+    left_out = [
+        each.name for each in group.numbers if _is_first(each.name) and each.name not in drawn
+    ]
     rows = math.ceil(len(numbers) / _COLUMNS)
     lines = _next(rows_of(group, numbers[0]))
-    note = f"In the tables only: {', '.join(map(in_words, left_out))}." if left_out else ""
+    note = f"In the tables only: {'; '.join(map(in_words, left_out))}." if left_out else ""
     page = group_page(
         group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
     )
@@ -197,9 +199,9 @@ def _keep_in_view(rows: list[Row], factor: float, axes: Axes) -> None:
         axes.set_xlim(max(now[0], low - room), min(now[1], high + room))
 
 
-def _single(group: Group) -> set[str]:
-    """Names of numbers that concern a slip or the clocks."""
-    return {number.name for number in group.numbers if not is_main(number.name)}
+def _is_first(name: str) -> bool:
+    """Tell numbers of the specimen as a whole, or of its first cycle, from all others."""
+    return is_main(name) and name.partition(".")[2] in {"", "1"}
 
 
 def _keys(numbers: list[GroupNumber]) -> list[Artist]:

@@ -116,10 +116,12 @@ def _curve_caption(band: Band) -> str:
     )
     if band.n < 2 or not np.isfinite(band.lower).any():
         return f"{words} There is no band; the figure says why."
+    whole = " Dashed edges: hold the whole mean curve with 95 %."
     return (
         f"{words} Thick: the mean of {band.n} {band.over}, drawn only where all of them have data."
-        " Grey area: holds the mean at any one displacement with 95 %. Dashed edges: hold the whole"
-        " mean curve with 95 %. A band that is wider than the panel is cut by its edge."
+        " Grey area: holds the mean at any one displacement with 95 %."
+        f"{whole if np.isfinite(band.lower_all).any() else ''}"
+        " A band that is wider than the panel is cut by its edge."
     )
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 WIDTH = 120.0
 """mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 RED = "#b2182b"
-POINTS, FAINT_POINTS = 110, 40
+POINTS, FAINT_POINTS = 112, 56
 """Points that a curve is drawn with at the most, so that a page of thirty tests is below 1 MB."""
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _KEY_COLUMNS = 3

@@ -72,6 +72,6 @@ def test_a_failed_result_is_told_once() -> None:
 def test_reasons() -> None:
     assert split_reason("not_reached: the end.") == ("not_reached", "The end.")
     assert split_reason("Expected: a word.") == ("", "Expected: a word.")
-    assert split_reason("no code here") == ("", "No code here")
+    assert split_reason("no code here") == ("", "No code here.")
     assert split_reason("") == ("", "")
     assert all(decision_words(each).endswith(".") for each in SlipDecision)

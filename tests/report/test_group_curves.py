@@ -96,3 +96,13 @@ def test_a_band_far_wider_than_the_curves_is_cut_by_the_axis() -> None:
     plot_band(group, wide, axes)
     assert axes.get_ylim()[1] < 2 * group.band.mean.max()
     assert axes.get_ylim()[0] > -group.band.mean.max()
+
+
+def test_a_pointwise_band_alone_says_why_there_is_no_other() -> None:
+    group = build_group("A", six_samples())
+    nothing = np.full(len(group.band.mean), np.nan)
+    band = replace(group.band, lower_all=nothing, upper_all=nothing, reason="two: no whole band.")
+    page = draw_curves(replace(group, band=band))
+    assert page.texts[1].get_text() == "No whole band."
+    assert "95 % band, whole curve" not in labels(page)
+    assert "95 % band, point by point" in labels(page)

@@ -87,3 +87,10 @@ def test_spools_of_one_sample(count: int) -> None:
     group = build_group("A", [build_sample(f"s{n}", "a", seed=n) for n in range(count)])
     with style():
         assert len(draw_dots(group).axes) == MOST_NUMBERS
+
+
+def test_later_cycles_are_left_to_the_tables() -> None:
+    group = build_group("A", six_samples())
+    later = replace(group.numbers[0], name="peak_force.2")
+    names = [each.name for each in numbers_to_draw(replace(group, numbers=(later, *group.numbers)))]
+    assert names[0] == "peak_force.1"
