@@ -16,7 +16,7 @@ TERMS = 128
 """Cosines that the noise is judged by: half waves over the window."""
 _LONGEST = 0.2
 """Longest correlation time that is considered, as a share of the window."""
-_SPECTRA = 33
+_SPECTRA = 24
 _PRIOR = -0.4
 """Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
 correlation over a tenth of the window (the studies beside the tests)."""
@@ -86,7 +86,8 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     Notes
     -----
     The noise is taken for a first-order autoregressive process of unknown correlation time: white
-    at one end, a fifth of the window long at the other. In cosines over the window such noise is
+    in the middle, a fifth of the window long at one end, the mirror image of that at the other. In
+    cosines over the window such noise is
     uncorrelated to a good approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974)
     90), with the variance of its spectrum, so that each correlation time has a restricted
     likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the correlation
@@ -183,7 +184,11 @@ def _spectra(count: int, terms: int) -> tuple[Floats, Floats]:
     factors = np.append(0.0, np.exp(-1.0 / times))[:, None]
     turns = np.cos(np.pi * np.arange(terms) / count)
     spectra: Floats = (1.0 - factors) ** 2 / (1.0 - 2.0 * factors * turns + factors**2)
-    return spectra, np.append(1.0, (times / times[0]) ** _PRIOR)
+    prior = np.append(1.0, (times / times[0]) ** _PRIOR)
+    # The mirror images rise with frequency. Without them white noise would lie at the edge of what
+    # is allowed, and its intervals would come out too wide.
+    mirrored = slice(None, 0, -1)
+    return np.vstack([1.0 / spectra[mirrored], spectra]), np.append(prior[mirrored], prior)
 
 
 def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:
