@@ -53,7 +53,50 @@ def test_a_wrong_name_brings_the_nearest_first() -> None:
         find_channel("Out1", [], "force.mat")
 
 
+@pytest.mark.parametrize(
+    ("wanted", "index"),
+    [
+        (("ADC", "Out1"), 3),
+        (("Out1", "ADC"), 0),
+        (("Load", "Force", "ADC"), 3),
+        (("adc", "Out1"), 0),
+        (("Nothing", "Model Root/Load Cell/In1", "In1"), 2),
+        (("Out1",), 0),
+    ],
+)
+def test_of_several_names_the_first_that_is_there_counts(
+    wanted: tuple[str, ...], index: int
+) -> None:
+    assert find_channel(wanted, KNOWN, "force.mat") == index
+
+
+def test_a_name_of_several_channels_is_not_passed_over() -> None:
+    with pytest.raises(ReadError, match=r"channel 'In1': expected a name that only one channel"):
+        find_channel(("Load", "In1", "ADC"), KNOWN, "force.mat")
+
+
+def test_none_of_several_names() -> None:
+    expected = (
+        r"^frame\.csv, channel 'Lod' or 'Forse': expected one of the 3 channels of the file, found"
+        r" no such channel\. Nearest: 'Load', .*'Force'.*\. `labpipe inspect` lists them all\.$"
+    )
+    known = [(name, name) for name in ("Time", "Load", "Force")]
+    with pytest.raises(ReadError, match=expected):
+        find_channel(("Lod", "Forse"), known, "frame.csv")
+    with pytest.raises(ReadError, match=r"channel 'A' or 'B': .*The file holds no channels\.$"):
+        find_channel(("A", "B"), [], "frame.csv")
+
+
+def test_the_nearest_are_listed_once_and_not_all_of_many() -> None:
+    known = [(f"Load {number}", f"Load {number}") for number in range(9)]
+    with pytest.raises(ReadError, match="expected one of the 9 channels") as info:
+        find_channel(("Load", "Load x"), known, "frame.csv")
+    nearest = str(info.value).split("Nearest: ")[1].split(". `labpipe")[0].split(", ")
+    assert len(nearest) == len(set(nearest)) == 5
+
+
 def test_the_channel_itself() -> None:
     channels = tuple(Channel(name, path, np.zeros(2)) for name, path in KNOWN)
     recording = Recording(reader="dspace-mat", channels=channels)
     assert select_channel(recording, "ADC", "force.mat") is channels[3]
+    assert select_channel(recording, ("Load", "ADC"), "force.mat") is channels[3]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.records.curve import AT_REST, ClockFit, Curve, Interval, Series, Shape
+from labpipe.records.curve import AT_REST, Aligned, ClockFit, Curve, Interval, Series, Shape
 
 NUMBERS = st.floats(-1e6, 1e6)
 
@@ -54,6 +54,13 @@ def test_curve_of_uneven_lengths(name: str) -> None:
     wrong: dict[str, Any] = {name: np.zeros(5)}
     with pytest.raises(ValueError, match=r"expected .*shape"):
         replace(curve(), **wrong)
+
+
+def test_clocks_are_in_seconds_unless_rows_are_counted() -> None:
+    assert curve().time_unit == Aligned(np.arange(3.0), {}).time_unit == "s"
+    rows = replace(curve(), time_unit="1")
+    assert rows.time_unit == "1"
+    assert not rows.time.flags.writeable
 
 
 def shape() -> Shape:

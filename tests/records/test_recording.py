@@ -32,6 +32,13 @@ def test_clocks_by_name() -> None:
         recording.clock("c")
 
 
+def test_a_clock_is_in_seconds_unless_it_counts_rows() -> None:
+    assert Clock("time", np.arange(3.0)).unit == "s"
+    assert Clock("rows", np.arange(3.0), "1").unit == "1"
+    with pytest.raises(ValueError, match=r"expected an array of shape \(None,\), found \(3, 1\)"):
+        Clock("time", np.zeros((3, 1)))
+
+
 def test_arrays_are_read_only_and_of_one_length() -> None:
     channel = Channel("In1", "Model/In1", np.zeros(3))
     assert not channel.values.flags.writeable

@@ -7,7 +7,7 @@ mechanics.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,7 @@ from labpipe.records.curve import (
     ClockFit,
     Curve,
     Direction,
+    FittedLine,
     Interval,
     PointFlag,
     Series,
@@ -28,6 +29,7 @@ from labpipe.records.curve import (
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
+from labpipe.records.slips import Slip, SlipDecision
 
 LENGTH = 0.085
 STROKE = 0.050
@@ -88,6 +90,43 @@ def build_result(
         quality=_quality(),
         display={"displacement": "mm", "force": "N", "energy": "mJ", "time": "s"},
         figures=("force-displacement", "wire-shapes", "timeline", "marker-quality"),
+    )
+
+
+def with_slips(result: TestResult, decision: SlipDecision = SlipDecision.REPAIRED) -> TestResult:
+    """Give a test two slips and two lines, as a tensile test has them."""
+    slips = tuple(
+        Slip(
+            position=position,
+            drop=drop,
+            position_interval=Interval(position - 1e-5, position + 1e-5),
+            drop_interval=Interval(drop - 0.1, drop + 0.1),
+            decision=decision,
+            start=start,
+            stop=start + 2,
+        )
+        for position, drop, start in ((0.011, 1.5, 11), (0.023, 0.7, 23))
+    )
+    lines = (
+        FittedLine("stiffness_first", 1.2e4, 0.3, 0.002, 0.008),
+        FittedLine("stiffness_second", 2.3e3, 81.0, 0.010, 0.020),
+    )
+    return replace(result, slips=slips, lines=lines)
+
+
+def counted_in_rows(result: TestResult) -> TestResult:
+    """Give a test clocks that only count the rows of an export without times."""
+    if result.aligned is None or result.curve is None:
+        message = "expected a test with a curve"
+        raise ValueError(message)
+    rows: Floats = np.arange(len(result.curve.time), dtype=np.float64)
+    channel = Channel("Load", "Load", result.curve.force, "rows", "N", "kN")
+    recording = Recording("load-frame", clocks=(Clock("rows", rows, "1"),), channels=(channel,))
+    return replace(
+        result,
+        recordings={"frame": recording},
+        aligned=replace(result.aligned, time=rows, clock_fit=None, time_unit="1"),
+        curve=replace(result.curve, time=rows, time_unit="1"),
     )
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import shutil
 from contextlib import suppress
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import h5py
@@ -12,15 +12,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
-from labpipe.store.read import RawTest, read_raw, read_result
+from labpipe.records.slips import SlipDecision
+from labpipe.store.read import RawTest, read_outcome, read_raw, read_result
 from labpipe.store.write import write_result
-from tests.store.builders_result import build_result, differences
+from tests.store.builders_result import build_result, differences, with_slips
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("written") / "result.h5"
-    write_result(build_result(half_cycle=1.0), path)
+    write_result(with_slips(build_result(half_cycle=1.0)), path)
     return path
 
 
@@ -33,6 +34,44 @@ def test_raw_holds_all_that_processing_starts_from(written: Path) -> None:
     raw, result = read_raw(written), build_result(half_cycle=1.0)
     for field in fields(RawTest):
         assert differences(getattr(result, field.name), getattr(raw, field.name)) == []
+
+
+@pytest.mark.parametrize("decision", [None, *SlipDecision])
+def test_outcome_is_the_result_without_what_only_processing_needs(
+    decision: SlipDecision | None, tmp_path: Path
+) -> None:
+    result = build_result(half_cycle=1.0)
+    result = result if decision is None else with_slips(result, decision)
+    write_result(result, tmp_path / "result.h5")
+    kept = result.aligned if decision is SlipDecision.REPAIRED else None
+    wanted = replace(result, inputs=(), recordings={}, shape=None, aligned=kept)
+    assert differences(wanted, read_outcome(tmp_path / "result.h5")) == []
+
+
+def test_outcome_without_a_curve(tmp_path: Path) -> None:
+    bare = replace(build_result(half_cycle=1.0), curve=None, aligned=None, shape=None)
+    write_result(bare, tmp_path / "result.h5")
+    found = read_outcome(tmp_path / "result.h5")
+    assert (found.curve, found.slips, found.lines) == (None, (), ())
+    assert found.results == bare.results
+
+
+def test_outcome_is_read_with_the_recordings_damaged(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        del root["raw/force/Out1"]
+    assert read_outcome(path).curve is not None
+    with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
+        read_result(path)
+
+
+def test_a_decision_that_nobody_knows(tmp_path: Path) -> None:
+    write_result(with_slips(build_result(half_cycle=1.0)), tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5", "a") as root:
+        table = root["curve/slips"][()]
+        table["decision"] = b"mended"
+        root["curve/slips"][...] = table
+    with pytest.raises(StoreError, match=r"damaged one \('mended' is not a valid SlipDecision\)"):
+        read_outcome(tmp_path / "result.h5")
 
 
 def test_missing_file(tmp_path: Path) -> None:
@@ -90,6 +129,9 @@ def test_schema_that_never_was(path: Path) -> None:
     [
         ("curve/force", "unit", r"/curve/force: expected unit 'N', found 'mN'"),
         ("shape/positions", "axes", r"/shape/positions: expected axes 'frame, point, xyz', found"),
+        ("curve/slips", "unit", r"/curve/slips: expected unit 'm, N, m, m, N, N, text, sample, s"),
+        ("curve/lines", "axes", r"/curve/lines: expected axes 'line', found 'mN'"),
+        ("curve/time", "unit", r"/curve/branches: expected unit 'sample, sample, 1, text, mN, mN'"),
     ],
 )
 def test_wrong_label(name: str, attribute: str, text: str, path: Path) -> None:

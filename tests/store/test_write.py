@@ -15,18 +15,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
-from labpipe.records.curve import Aligned
+from labpipe.records.curve import Aligned, FittedLine, Interval
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import TestResult
-from labpipe.store import chunks, write
+from labpipe.records.slips import Slip, SlipDecision
+from labpipe.store import chunks, layout, write
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
-from tests.store.builders_result import build_result, differences
+from tests.store.builders_result import (
+    build_result,
+    counted_in_rows,
+    differences,
+    with_slips,
+)
 
 
 @pytest.fixture(scope="module")
 def result() -> TestResult:
-    return build_result(half_cycle=4.0)
+    return with_slips(build_result(half_cycle=4.0))
 
 
 def test_round_trip_is_exact(result: TestResult, tmp_path: Path) -> None:
@@ -49,6 +55,8 @@ def test_stages_that_are_not_there_stay_away(result: TestResult, tmp_path: Path)
         aligned=replace(result.aligned, clock_fit=None, series={}),
         curve=None,
         shape=None,
+        slips=(),
+        lines=(),
         results=(),
         quality=(),
         recordings={},
@@ -87,7 +95,7 @@ def test_empty_take_and_unfitted_shape(result: TestResult, tmp_path: Path) -> No
 
 def test_same_result_gives_same_bytes(result: TestResult, tmp_path: Path) -> None:
     write_result(result, tmp_path / "one.h5")
-    write_result(build_result(half_cycle=4.0), tmp_path / "other.h5")
+    write_result(with_slips(build_result(half_cycle=4.0)), tmp_path / "other.h5")
     assert (tmp_path / "one.h5").read_bytes() == (tmp_path / "other.h5").read_bytes()
 
 
@@ -132,6 +140,47 @@ def test_layout_is_the_documented_one(result: TestResult, tmp_path: Path) -> Non
         assert root["results/peak_force.1"].attrs["lower"] == 0.61
         assert np.isnan(root["results/initial_stiffness"].attrs["value"])
         assert root["quality/code"][0] == b"marker_filled"
+
+
+def test_slips_and_lines_are_tables_that_say_their_units(
+    result: TestResult, tmp_path: Path
+) -> None:
+    write_result(result, tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5") as root:
+        slips, lines = root["curve/slips"], root["curve/lines"]
+        assert slips.attrs["unit"] == "m, N, m, m, N, N, text, sample, sample"
+        assert slips.attrs["axes"] == "slip"
+        assert (slips["decision"][0], slips["drop"][1]) == (b"repaired", 0.7)
+        assert lines.attrs["unit"] == "text, N/m, N, m, m"
+        assert lines["result"][1] == b"stiffness_second"
+        for table in (slips, lines, root["curve/branches"]):
+            assert len(table.attrs["unit"].split(", ")) == len(table.dtype.names)
+
+
+def test_no_slips_and_no_lines_are_no_tables(result: TestResult, tmp_path: Path) -> None:
+    bare = replace(result, slips=(), lines=())
+    write_result(bare, tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5") as root:
+        assert not {"slips", "lines"} & set(root["curve"])
+    assert differences(bare, read_result(tmp_path / "result.h5")) == []
+
+
+def test_rows_without_time_are_not_called_seconds(result: TestResult, tmp_path: Path) -> None:
+    rows = counted_in_rows(result)
+    write_result(rows, tmp_path / "result.h5")
+    assert differences(rows, read_result(tmp_path / "result.h5")) == []
+    with h5py.File(tmp_path / "result.h5") as root:
+        for name in ("raw/frame/time", "aligned/time", "curve/time"):
+            assert root[name].attrs["unit"] == "1"
+        assert root["curve/branches"].attrs["unit"] == "sample, sample, 1, text, 1, 1"
+
+
+def test_a_name_longer_than_its_column_is_kept(result: TestResult, tmp_path: Path) -> None:
+    width = int(dict(layout.LINE_COLUMNS)["result"][1:])
+    long = FittedLine("s" * (width + 5), 1.0, 2.0, 3.0, 4.0)
+    given_result = replace(result, lines=(*result.lines, long))
+    write_result(given_result, tmp_path / "result.h5")
+    assert read_result(tmp_path / "result.h5").lines == given_result.lines
 
 
 def test_one_clock_is_called_time(result: TestResult, tmp_path: Path) -> None:
@@ -187,6 +236,34 @@ def test_any_names_and_numbers_come_back(
         display=texts,
         test_yaml="".join(names),
     )
+    write_result(given_result, path)
+    assert differences(given_result, read_result(path)) == []
+
+
+_NUMBERS = st.floats(allow_nan=False)
+_COUNTS = st.integers(-(2**63), 2**63 - 1)
+_INTERVALS = st.builds(Interval, _NUMBERS, _NUMBERS)
+_SLIPS = st.builds(
+    Slip,
+    _NUMBERS,
+    _NUMBERS,
+    _INTERVALS,
+    _INTERVALS,
+    st.sampled_from(SlipDecision),
+    _COUNTS,
+    _COUNTS,
+)
+_RESULT_NAMES = st.from_regex(r"[a-z][a-z0-9_]{0,80}(\.[1-9])?", fullmatch=True)
+_LINES = st.builds(FittedLine, _RESULT_NAMES, _NUMBERS, _NUMBERS, _NUMBERS, _NUMBERS)
+
+
+@settings(max_examples=15)
+@given(slips=st.lists(_SLIPS, max_size=4), lines=st.lists(_LINES, max_size=4))
+def test_any_slips_and_lines_come_back(
+    slips: list[Slip], lines: list[FittedLine], tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "result.h5"
+    given_result = replace(_SMALL, slips=tuple(slips), lines=tuple(lines))
     write_result(given_result, path)
     assert differences(given_result, read_result(path)) == []
 
