@@ -25,6 +25,9 @@ from labpipe.store.lock import locked
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import replacing_together
 
+_OF_THE_TEST = ("clock_", "slip_")
+"""How the names of results begin that speak of one test, and of which there is no mean."""
+
 _POINTS = 500
 """Points of a branch that a report keeps: each the mean of its samples."""
 
@@ -233,13 +236,21 @@ def _group(
     group = build_group(
         f"{kind}, {protocol}" if shared else kind,
         protocol,
-        members[key],
+        [_of_specimen(sample) for sample in members[key]],
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
     )
     numbers = {number.name: number for number in group.numbers}
     first = [numbers.pop(name) for name in settings.main if name in numbers]
-    return replace(group, numbers=(*first, *numbers.values()))
+    whole = {sample.source: sample for sample in members[key]}
+    samples = tuple(whole[sample.source] for sample in group.samples)
+    return replace(group, samples=samples, numbers=(*first, *numbers.values()))
+
+
+def _of_specimen(sample: Sample) -> Sample:
+    """The sample with those results alone that say something about the specimen."""
+    kept = [each for each in sample.results if not each.name.startswith(_OF_THE_TEST)]
+    return replace(sample, results=tuple(kept))
 
 
 def _differences(

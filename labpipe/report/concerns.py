@@ -12,6 +12,9 @@ from labpipe.records.result import Result, Status
 from labpipe.records.slips import Slip, SlipDecision
 from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_number
 
+_IN_LEDGER = frozenset(f"slip_{decision}" for decision in SlipDecision)
+"""Notes that only repeat what the slip ledger says."""
+
 
 class Kind(StrEnum):
     """Kinds of concern, in the order of the report."""
@@ -159,6 +162,7 @@ def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
 
 def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Concern]:
     for note in notes:
-        if note.severity is not Severity.INFO:
+        in_ledger = note.code in _IN_LEDGER
+        if note.severity is not Severity.INFO and not in_ledger:
             sentence = split_reason(note.message)[1]
             yield Concern(Kind.WARNING, group, test, note.where, sentence, note.code)
