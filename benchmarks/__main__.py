@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import load_frames
+from benchmarks import load_frames, two_segments
 from labpipe.processing.filtering import moving_average
 
 LABPIPE = str(Path(sys.executable).with_name("labpipe"))
@@ -120,6 +120,7 @@ def show(what: str, value: float, bound: str, remark: str = "") -> None:
 def main() -> None:
     start_up()
     filters()
+    two_segments.main()
     with tempfile.TemporaryDirectory() as folder:
         load_frame_exports(Path(folder))
         lab_report(Path(folder))

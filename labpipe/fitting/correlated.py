@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import lgamma
 
 import numpy as np
-from scipy.fft import dct
-from scipy.special import gammaln, stdtr, stdtrit
 
 from labpipe.fitting.estimates import Estimate
 from labpipe.records.arrays import Floats
@@ -109,6 +108,8 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     residuals = values - basis @ plain
     terms = count if weighted else min(count, TERMS)
     spectra, prior = _spectra(count, terms)
+    from scipy.fft import dct
+
     waves = dct(np.column_stack([basis, residuals]), axis=0, norm="ortho")[:terms]
     noise = _Noise.of(spectra, prior, waves[:, :spent], waves[:, spent])
     shifts, unit = noise.weighted_fit() if weighted else noise.plain_fit(waves[:, :spent])
@@ -196,6 +197,8 @@ def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:
 
     Newton's steps: the share that a half width holds is concave, so they do not overshoot.
     """
+    from scipy.special import stdtr, stdtrit
+
     deviations = np.sqrt(np.maximum(variances, 0.0))
     safe = np.where(deviations > 0.0, deviations, 1.0)
     half: Floats = float(stdtrit(noise.freedom, 0.975)) * np.exp(noise.chances @ np.log(safe))
@@ -215,7 +218,7 @@ def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:
 
 def _density(t: Floats, freedom: int) -> Floats:
     """Density of Student's t."""
-    log_top = gammaln(0.5 * (freedom + 1)) - gammaln(0.5 * freedom)
+    log_top = lgamma(0.5 * (freedom + 1)) - lgamma(0.5 * freedom)
     density: Floats = np.exp(log_top - 0.5 * (freedom + 1) * np.log1p(t * t / freedom))
     density /= np.sqrt(np.pi * freedom)
     return density

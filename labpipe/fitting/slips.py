@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Failure
@@ -125,6 +124,8 @@ class _Found:
 
 def _stands_alone(f: Floats) -> Flags:
     """Samples far off the median of five, whose neighbours agree with it."""
+    from scipy.ndimage import median_filter
+
     off = f - median_filter(f, 5, mode="nearest")
     spread = 1.4826 * np.median(np.abs(np.diff(f) - np.median(np.diff(f)))) if len(f) > 2 else 0.0
     alone: Flags = np.abs(off) > 6.0 * max(float(spread), 1e-9 * float(np.ptp(f)))
@@ -152,6 +153,8 @@ def _falls(f: Floats, min_drop: float) -> list[int]:
 
 def _sizes(f: Floats, window: int) -> Floats:
     """How much lower the window behind a sample lies than the one up to it, trend taken off."""
+    from scipy.ndimage import median_filter
+
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     ends = np.arange(window, len(f) - window + 1)
     inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
