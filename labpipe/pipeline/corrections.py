@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.fitting.compliance import correct_displacement
-from labpipe.fitting.estimates import Failure
+from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, find_failure
 from labpipe.fitting.slips import add_back, find_slips, samples_before
 from labpipe.fitting.toe import fit_slack
@@ -163,8 +163,10 @@ def _take_off_slack(bench: Bench, block: SlackBlock) -> None:
     curve, stretch = bench.curve, loading_stretch(bench)
     if curve is None:
         return
-    shares = {"start_share": block.start, "stop_share": block.stop}
-    bench.slack = fit_slack(curve.displacement[stretch], curve.force[stretch], **shares)
+    bench.slack = _slack(bench, curve, stretch, block)
+    if isinstance(bench.slack, Failure) and bench.slack.code == "no_toe":
+        bench.note("no_toe", Severity.WARNING, bench.displacement, bench.slack.message)
+        return
     if isinstance(bench.slack, Failure):
         message = f"slack not found, so not taken off ({bench.slack.message})"
         bench.doubt("displacement", "slack_unknown", message, where=bench.displacement)
@@ -182,6 +184,38 @@ def _take_off_slack(bench: Bench, block: SlackBlock) -> None:
         bench.failure = replace(bench.failure, displacement=moved)
     message = f"{1e3 * slack:.4g} mm of slack taken off: displacement counts from where it is taut"
     bench.note("slack_removed", Severity.INFO, bench.displacement, message)
+
+
+def _slack(bench: Bench, curve: Curve, stretch: slice, block: SlackBlock) -> Estimate | Failure:
+    """Slack with the error from the zero of the force: a line too high meets zero early."""
+    displacement, force = curve.displacement[stretch], curve.force[stretch]
+    off = bench.raw[bench.force].zero_error
+    found, raised, above = (
+        fit_slack(displacement, each, start_share=block.start, stop_share=block.stop)
+        for each in (force, force + off, force - force[0])
+    )
+    if isinstance(found, Failure):
+        return found
+    first = float(displacement[0])
+    if found.value < first and not _preload_explains(found, above, first):
+        return Failure(
+            "no_toe",
+            f"the line meets zero force at {1e3 * found.value:.4g} mm, before the first sample at "
+            f"{1e3 * first:.4g} mm and {force[0]:.4g} N: the curve is steepest where it begins",
+        )
+    change = 0.0 if isinstance(raised, Failure) else abs(raised.value - found.value)
+    return widened(found, change)
+
+
+def _preload_explains(slack: Estimate, above: Estimate | Failure, first: float) -> bool:
+    """Whether a line back to zero force goes below the first sample because that one has a load.
+
+    `above` is where the line reaches the force of the first sample: near that sample if the curve
+    is straight from there on, close to `slack` if the curve was steeper than the line.
+    """
+    if slack.interval is not None and slack.interval.upper >= first:
+        return True
+    return isinstance(above, Estimate) and above.value - slack.value >= 0.5 * (first - slack.value)
 
 
 def _moved(slip: Slip, slack: float) -> Slip:

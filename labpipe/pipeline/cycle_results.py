@@ -18,13 +18,12 @@ from labpipe.pipeline.cycle_numbers import (
     curve_of,
     energy_of,
     loading_stiffness_of,
-    peak_displacement_of,
-    peak_force_of,
     residual_of,
     unloading_stiffness_of,
 )
 from labpipe.pipeline.marker_steps import tip_travel
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
+from labpipe.pipeline.sharp_turns import peak_displacement_of_cycle, peak_force_of_cycle
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
 from labpipe.records.result import Result
@@ -52,15 +51,16 @@ def clock_results(bench: Bench) -> list[Result]:
 
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
-    method = "parabolas on both sides of the corner, unsmoothed force; else vertex of a parabola"
-    return _per_cycle(bench, Asked("peak_force", "N", ("force",), method, needs=1), peak_force_of)
+    method = "parabolas on both sides of a corner, on its near side on one clock; else their vertex"
+    asked = Asked("peak_force", "N", ("force",), method, needs=1)
+    return _per_cycle(bench, asked, peak_force_of_cycle)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
-    method = "parabolas on both sides of the turning point; else vertex of a parabola"
+    method = "parabolas on both sides of a corner, samples at its top on one clock; else a vertex"
     asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1)
-    return _per_cycle(bench, asked, peak_displacement_of)
+    return _per_cycle(bench, asked, peak_displacement_of_cycle)
 
 
 def energy(bench: Bench) -> list[Result]:
@@ -130,7 +130,9 @@ def _broken_off(bench: Bench, branches: list[Branch]) -> str:
     part, failure = branches[-1], bench.failure
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
         return ""  # it broke, so there is no more to come
-    return f"partial_cycle: the record ends at {part.stop_time:.3f} s, while still {part.direction}"
+    has_time = curve_of(bench).time_unit == "s"
+    at = f"{part.stop_time:.3f} s" if has_time else f"sample {part.stop}"
+    return f"partial_cycle: the record ends at {at}, while still {part.direction}"
 
 
 def _with_shape_error(

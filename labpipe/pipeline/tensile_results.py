@@ -24,8 +24,9 @@ from labpipe.fitting.moduli import (
 from labpipe.fitting.segments import TwoSegments, fit_two_segments
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch, loading_stretch
-from labpipe.pipeline.cycle_numbers import curve_of, unscaled_peak
+from labpipe.pipeline.cycle_numbers import curve_of
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
+from labpipe.pipeline.sharp_turns import unscaled_peak_force
 from labpipe.protocol.results import Modulus
 from labpipe.protocol.rig import SpecimenBlock
 from labpipe.records.arrays import Floats
@@ -108,7 +109,7 @@ def _normalised(bench: Bench, of: str) -> Estimate | Failure:
     stiffness = bench.stiffnesses.get(of)
     if stiffness is None:
         return blocked_or(bench, Failure("no_stiffness", f"{of} could not be had"))
-    peak = unscaled_peak(bench, bench.cycles()[0])
+    peak = unscaled_peak_force(bench, bench.cycles()[0])
     return peak if isinstance(peak, Failure) else stiffness_per_peak_force(stiffness, peak)
 
 
