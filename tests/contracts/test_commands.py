@@ -15,7 +15,7 @@ from labpipe import __version__
 from labpipe.cli import BAD_INPUT, DONE
 from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario
 
-COMMANDS = ("demo", "inspect", "new", "check", "process", "simulate")
+COMMANDS = ("demo", "inspect", "new", "check", "process", "report", "simulate")
 
 
 @pytest.fixture

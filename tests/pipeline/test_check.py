@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.pipeline.check import check_paths
+from labpipe.records.recording import Clock, Recording
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
 from tests.builders.motive import Layout, marker, rigid_body, write_table
 
@@ -131,6 +132,55 @@ def test_a_channel_that_the_export_does_not_have(say: Say) -> None:
         f"{FOLDER / 'force.mat'}, channel 'Model/Load/Out': expected one of the 2 channels"
     )
     assert "Nearest: 'Model/Load/Out1'" in message
+
+
+def test_the_first_of_several_names_is_enough(say: Say) -> None:
+    assert say((WIRE, "channel: Model/Load/Out1", "channel: [Force, Model/Load/Out1]")) == []
+
+
+def test_none_of_several_names_is_there(say: Say) -> None:
+    (message,) = say((WIRE, "channel: Model/Load/Out1", "channel: [Force, Model/Load/Out]"))
+
+    assert message.startswith(
+        f"{FOLDER / 'force.mat'}, channel 'Force' or 'Model/Load/Out': expected one of the 2"
+        " channels of the file, found no such channel. Nearest: 'Model/Load/Out1'"
+    )
+
+
+def test_a_part_without_samples_is_no_fault(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
+    monkeypatch.setattr("labpipe.pipeline.check.read_export", lambda *_, **__: nothing)
+
+    assert say() == []
+
+
+def test_dialect_and_part_go_to_the_reader(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[dict[str, object]] = []
+
+    def read(*_: object, **more: object) -> Recording:
+        asked.append(more)
+        return Recording("load-frame")
+
+    monkeypatch.setattr("labpipe.pipeline.check.read_export", read)
+    new = "{reader: load-frame, dialect: own, part: Specimen 2, channel: Load}"
+    say((WIRE, "{reader: dspace-mat, channel: Model/Load/Out1, unit: N}", new))
+
+    assert {"dialect": ("own",), "part": "Specimen 2"} in asked
+
+
+def test_swapped_columns(lab: Path, say: Say) -> None:
+    time = np.arange(50) * 0.001
+    signals = [Signal("", "Load", time, unit="mm"), Signal("", "Crosshead", time, unit="N")]
+    write_mat_v5(lab / FOLDER / "force.mat", [Axis(time)], signals)
+
+    channels = "channels: {force: {channel: Load}, displacement: {channel: Crosshead}}"
+    messages = say((WIRE, "channel: Model/Load/Out1, unit: N", channels))
+
+    assert [message.split(": expected ")[1] for message in messages] == [
+        f"a unit of the dimension of {unit}, found '{found}'. Name another channel, or give its"
+        " calibration."
+        for unit, found in (("N", "mm"), ("m", "N"))
+    ]
 
 
 def test_a_unit_that_nobody_says(say: Say) -> None:

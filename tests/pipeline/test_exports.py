@@ -1,18 +1,28 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.pipeline.exports import join_parts, read_inputs, read_role
-from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
+from labpipe.pipeline.exports import is_empty, join_parts, read_inputs, read_role
+from labpipe.protocol.load import (
+    load_test_sheet,
+    parse_protocol,
+    parse_test_sheet,
+    resolve,
+)
 from labpipe.protocol.schema import Protocol
-from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
 from tests.builders.small_tests import Lab
+
+ReadParts = Callable[..., Recording]
 
 TIME = np.arange(20) * 0.01
 VALUES = np.linspace(1.0, 2.0, 20)
@@ -97,6 +107,94 @@ def test_parts_that_overlap() -> None:
     said = r"b.mat, time: expected a start after 4.000000 s, where a.mat ends, found 3.0"
     with pytest.raises(ReadError, match=said):
         join_parts([part(0.0), part(3.0)], ["a.mat", "b.mat"])
+
+
+EMPTY = Recording(
+    "load-frame",
+    notes=(QualityNote("no_samples", Severity.WARNING, "table", "a header, and no rows"),),
+)
+HEADED = replace(EMPTY, clocks=(Clock("time", np.empty(0)),))
+
+
+def test_what_holds_nothing_is_empty() -> None:
+    marks = MarkerTracks(np.empty(0), np.empty(0), 50.0, (), np.empty((0, 0, 3)))
+    assert is_empty(EMPTY)
+    assert is_empty(HEADED)
+    assert not is_empty(part(0.0))
+    assert not is_empty(replace(HEADED, markers=marks))
+
+
+@pytest.fixture
+def read_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReadParts:
+    """Read a test whose exports, a.mat and so on, hold what is given."""
+
+    def read_parts(*parts: Recording) -> Recording:
+        files = dict(zip(("a.mat", "b.mat", "c.mat"), parts, strict=False))
+        for name in files:
+            (tmp_path / name).write_bytes(b"synthetic")
+        monkeypatch.setattr(
+            "labpipe.pipeline.exports.read_export", lambda path, *_, **__: files[path.name]
+        )
+        sheet = parse_test_sheet(
+            "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"
+            f"files: {{force: [{', '.join(files)}]}}\n",
+            "test.yaml",
+        )
+        asked = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}")
+        recordings, inputs = read_inputs(tmp_path, sheet, asked)
+        assert [each.file for each in inputs] == list(files)
+        return recordings["force"]
+
+    return read_parts
+
+
+@pytest.mark.parametrize("nothing", [EMPTY, HEADED], ids=["bare", "header"])
+def test_an_empty_part_leaves_its_note_alone(read_parts: ReadParts, nothing: Recording) -> None:
+    alone = read_parts(part(3.0), nothing)
+    assert alone.notes == EMPTY.notes
+    np.testing.assert_array_equal(alone.channels[0].values, 3.0 + np.arange(5.0))
+    np.testing.assert_array_equal(alone.clocks[0].time, 3.0 + np.arange(5.0))
+
+    between = read_parts(part(10.0), nothing, part(0.0))
+    assert between.notes == EMPTY.notes
+    expected = np.concatenate([np.arange(5.0), 10.0 + np.arange(5.0)])
+    np.testing.assert_array_equal(between.clocks[0].time, expected)
+
+
+@pytest.mark.parametrize(
+    ("parts", "found"),
+    [((EMPTY,), "none in this file"), ((HEADED, EMPTY), "none in any of the parts")],
+)
+def test_a_test_without_any_sample(
+    read_parts: ReadParts, parts: tuple[Recording, ...], found: str
+) -> None:
+    said = (
+        rf"a\.mat: expected samples, found {found}\. The test was aborted before its first "
+        r"sample; leave it out\.$"
+    )
+    with pytest.raises(ReadError, match=said):
+        read_parts(*parts)
+
+
+def test_a_part_that_lacks_the_channel_is_not_taken_for_empty(read_parts: ReadParts) -> None:
+    other = replace(part(10.0), channels=(replace(part(10.0).channels[0], path="x", name="x"),))
+    with pytest.raises(ReadError, match=r"b\.mat, channel 'Model/Out1': expected one of the 1 cha"):
+        read_parts(part(0.0), other)
+
+
+def test_the_first_of_several_names_that_an_export_has(tmp_path: Path) -> None:
+    source = protocol(
+        "{reader: dspace-mat, channel: [Model/Load, Model/Out2, Model/Out1], unit: N}"
+    )
+    recording = read_role(export(tmp_path), source.sources["force"])
+    assert recording.channels[0].path == "Model/Out2"
+
+
+def test_none_of_several_names_is_in_the_export(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: [Model/Load, Model/Otu2], unit: N}")
+    path = export(tmp_path)
+    with pytest.raises(ReadError, match=r"channel 'Model/Load' or 'Model/Otu2': .*'Model/Out2'"):
+        read_role(path, source.sources["force"])
 
 
 def test_a_part_without_samples() -> None:

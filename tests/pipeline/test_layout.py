@@ -68,11 +68,67 @@ def test_nothing_but_blanks() -> None:
         lay_out(recordings, PROTOCOL)
 
 
-@pytest.mark.parametrize(("time", "said"), [(TIME[:1], "found 1 of them"), (TIME[:0], "found 0")])
-def test_no_samples(time: np.ndarray, said: str) -> None:
-    recordings = force(np.zeros(len(time)), time)
-    with pytest.raises(ProcessingError, match=rf"force, time: expected samples, {said}"):
+@pytest.mark.parametrize("count", [0, 1, 3, 7])
+def test_an_aborted_recording(count: int) -> None:
+    recordings = force(np.zeros(count), TIME[:count])
+    said = (
+        rf"^force, time: expected at least 8 samples, found {count}\. The recording was aborted; "
+        r"leave this test out\.$"
+    )
+    with pytest.raises(ProcessingError, match=said):
         lay_out(recordings, PROTOCOL)
+
+
+def test_the_fewest_samples_that_are_taken() -> None:
+    bench, _ = lay_out(force(np.zeros(8), TIME[:8]), PROTOCOL)
+    assert len(bench.signals["force"].values) == 8
+
+
+def test_rows_without_time() -> None:
+    recordings = force(np.arange(10.0))
+    rows = Clock("time", np.arange(10.0), "1")
+    counted = {"force": replace(recordings["force"], clocks=(rows,))}
+    timed, _ = lay_out(recordings, PROTOCOL)
+    bench, _ = lay_out(counted, PROTOCOL)
+    assert timed.signals["force"].has_time
+    assert not bench.signals["force"].has_time
+
+
+PEAK = parse_protocol(
+    "version: 1\nname: p\nsources:\n"
+    "  force: {reader: dspace-mat, channel: A, unit: N,"
+    " plausible_peak: {from: 20 N, to: 2 kN}}\n",
+    "p.yaml",
+)
+
+
+@pytest.mark.parametrize("peak", [20.0, -150.0, 2000.0])
+def test_a_plausible_peak(peak: float) -> None:
+    bench, _ = lay_out(force(peak * np.arange(10.0) / 9.0), PEAK)
+    assert not bench.doubts
+    assert len(bench.notes) == 1
+
+
+@pytest.mark.parametrize(
+    ("peak", "said"), [(0.15, "0.15 N"), (2.5e3, "2500 N"), (-1.5e5, "1.5e+05 N"), (0.0, "0 N")]
+)
+def test_an_implausible_peak(peak: float, said: str) -> None:
+    bench, _ = lay_out(force(peak * np.arange(10.0) / 9.0), PEAK)
+    message = (
+        f"the largest value is {said}, plausible are 20 to 2000 N: is the unit right, and is it "
+        "this channel?"
+    )
+    assert bench.doubts == {"force": f"implausible_peak: {message}"}
+    note = QualityNote("implausible_peak", Severity.WARNING, "force", message)
+    assert note in bench.notes
+
+
+def test_a_plausible_peak_beside_blanks() -> None:
+    values = np.full(10, np.nan)
+    values[5] = 100.0
+    bench, _ = lay_out(force(values), PEAK)
+    assert bench.doubts["force"].startswith("missing_samples: 9 of 10")
+    assert not [note for note in bench.notes if note.code == "implausible_peak"]
 
 
 def test_time_that_runs_backwards() -> None:

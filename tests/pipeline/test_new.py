@@ -196,13 +196,20 @@ def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path)
     ],
 )
 def test_a_fault_names_its_cell_and_nothing_is_written(
-    old: str, new: str, message: str, table: Path, tmp_path: Path, repository: Path
+    old: str,
+    new: str,
+    message: str,
+    table: Path,
+    tmp_path: Path,
+    repository: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shipped = ("wire-cantilever", "force-displacement", "markers-only")
     own = tmp_path / "protocols"
     own.mkdir()
     for name in shipped:
         shutil.copy(repository / "protocols" / f"{name}.yaml", own)
+    monkeypatch.setattr("labpipe.protocol.shipped.protocol_folders", lambda _: (own,))
     table.write_text(TABLE.replace(old, new), encoding="utf-8")
 
     with pytest.raises(ReadError) as info:

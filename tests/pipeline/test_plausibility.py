@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from labpipe.errors import ReadError
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import turning_points
+from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
+from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Shape
+from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.records.result import Result, Status
 
 TIME = np.arange(0.0, 50.0, 0.02)
 
@@ -119,6 +125,144 @@ def test_length_of_the_specimen(protocol: Protocol, length: float, doubted: bool
     if doubted:
         assert made.doubts["displacement"].startswith("length_unexpected: ")
         assert "the sheet says 85 mm" in made.doubts["displacement"]
+
+
+def driven(speed: str, *, scale: float = 1.0) -> Bench:
+    """A motion of 20 mm in 20 s, the rig set to a speed, the numbers off by a factor."""
+    text = (
+        "version: 1\nname: p\nsources: {frame: {reader: dspace-csv, channels:"
+        " {displacement: {channel: a}, force: {channel: b}}}}\n"
+        f"rig: {{crosshead_speed: {speed}}}\n"
+        "curve: {force: force, displacement: displacement}\n"
+        "branches: {channel: displacement, min_stroke: 1 um}\n"
+    )
+    made = Bench()
+    made.raw["displacement"] = Signal(TIME, scale * SHARP, "m", "frame")
+    made.signals |= made.raw | {"force": Signal(TIME, SHARP, "N", "frame")}
+    strokes = find_strokes(TIME, scale * SHARP, min_stroke=5e-3 * scale)
+    check_rig(made, parse_protocol(text, "p.yaml"), split_branches(TIME, strokes))
+    return made
+
+
+@pytest.mark.parametrize("speed", ["1 mm/s", "0.9 mm/s", "1.15 mm/s"])
+def test_the_speed_of_the_rig(speed: str) -> None:
+    assert not driven(speed).doubts
+
+
+def test_another_speed_than_that_of_the_rig() -> None:
+    made = driven("1.3 mm/s")
+    assert re.fullmatch(
+        r"speed_unexpected: (0\.99|1\.0)\d* mm/s measured over the first branch, 1\.3 mm/s "
+        r"expected: look at rig\.crosshead_speed, and at unit and name of the displacement",
+        made.doubts["displacement"],
+    )
+    assert [(note.code, note.where) for note in made.notes] == [
+        ("speed_unexpected", "rig.crosshead_speed")
+    ]
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1 / 25.4, 25.4, 1e3])
+def test_another_unit_than_that_of_the_export(scale: float) -> None:
+    assert driven("1 mm/s", scale=scale).doubts["displacement"].startswith("speed_unexpected: ")
+
+
+def test_rows_without_time_have_no_speed() -> None:
+    made = bench(SHARP)
+    made.raw["travel"] = replace(made.raw["travel"], time_unit="1")
+    text = (
+        "version: 1\nname: p\nsources: {frame: {reader: dspace-csv, channels:"
+        " {travel: {channel: a}, force: {channel: b}}}}\nrig: {crosshead_speed: 9 m/s}\n"
+        "curve: {force: force, displacement: travel}\n"
+        "branches: {channel: travel, min_stroke: 1 mm}\n"
+    )
+    check_rig(made, parse_protocol(text, "p.yaml"), branches(SHARP))
+    assert not made.doubts
+
+
+FRAME = """\
+version: 1
+name: p
+sources:
+  frame:
+    reader: load-frame
+    channels:
+      force: {channel: Load, plausible_peak: {from: 20 N, to: 2 kN}}
+      displacement: {channel: Crosshead}
+rig: {crosshead_speed: 1 mm/s}
+curve: {force: force, displacement: displacement}
+branches: {channel: displacement, min_stroke: 1 mm}
+results:
+  - {result: peak-force}
+  - {result: peak-displacement}
+  - {result: stiffness, from: 1 mm, to: 4 mm}
+"""
+
+
+def exported(*, units: tuple[str, str], swapped: bool = False, scale: float = 1.0) -> Recording:
+    """What a load frame writes of 20 mm in 20 s along 10 N/mm: the numbers as in the file."""
+    random = np.random.default_rng(2)
+    mm = np.interp(TIME, (0, 5, 25, 50), (0, 0, 20, 20)) + random.normal(0, 0.01, len(TIME))
+    newton = 10.0 * mm + random.normal(0, 0.02, len(TIME))
+    columns = (mm, newton) if swapped else (scale * newton, mm)
+    channels = tuple(
+        Channel(name, name, values, unit_in_file=unit)
+        for name, values, unit in zip(("Load", "Crosshead"), columns, units, strict=True)
+    )
+    return Recording("load-frame", clocks=(Clock("time", TIME),), channels=channels)
+
+
+def results(recording: Recording, text: str = FRAME) -> dict[str, Result]:
+    protocol = parse_protocol(text, "p.yaml")
+    named = name_channels(recording, protocol.sources["frame"], Path("frame.csv"))
+    _, found = reduce_recordings({"frame": named}, protocol)
+    return {each.name: each for each in found}
+
+
+def test_a_tensile_test_as_it_should_be() -> None:
+    found = results(exported(units=("N", "mm")))
+    assert {each.status for each in found.values()} == {Status.OK}
+    assert found["stiffness"].value == pytest.approx(1e4, rel=0.01)
+
+
+def test_kilonewtons_taken_for_newtons() -> None:
+    found = results(exported(units=("N", "mm"), scale=1e-3))
+    for name in ("peak_force.1", "stiffness"):
+        assert found[name].status is Status.DOUBTFUL
+        assert found[name].reason.startswith("implausible_peak: the largest value is 0.20")
+    assert found["peak_displacement.1"].status is Status.OK
+
+
+@pytest.mark.parametrize("name", ["force", "displacement"])
+def test_swapped_columns_that_say_their_units_are_refused(name: str) -> None:
+    recording = exported(units=("mm", "N"), swapped=True)
+    text = FRAME if name == "force" else FRAME.replace("Load,", "Crosshead,")
+    protocol = parse_protocol(text, "p.yaml")
+    column, si_unit, unit = {
+        "force": ("Load", "N", "mm"),
+        "displacement": ("Crosshead", "m", "N"),
+    }[name]
+    said = (
+        rf"^frame\.csv, channel '{column}': expected a unit of the dimension of {si_unit}, found"
+        rf" '{unit}'\. Name another channel, or give its calibration\.$"
+    )
+    with pytest.raises(ReadError, match=said):
+        name_channels(recording, protocol.sources["frame"], Path("frame.csv"))
+
+
+def test_swapped_columns_without_units_are_doubted() -> None:
+    text = FRAME.replace("channel: Load,", "channel: Load, unit: N,")
+    text = text.replace("channel: Crosshead}", "channel: Crosshead, unit: mm}")
+    found = results(exported(units=("", ""), swapped=True), text)
+    for name in ("peak_displacement.1", "stiffness"):
+        assert found[name].status is Status.DOUBTFUL
+    assert found["peak_displacement.1"].reason.startswith("speed_unexpected: ")
+    assert "mm/s measured over the first branch, 1 mm/s expected" in found["stiffness"].reason
+    assert "implausible_peak: " not in found["peak_displacement.1"].reason
+
+
+def test_columns_without_units_are_refused() -> None:
+    with pytest.raises(ReadError, match="channel 'Load': expected a unit, found none in the file"):
+        results(exported(units=("", "")))
 
 
 @pytest.mark.parametrize(("name", "quantity"), [("force", "force"), ("deflection", "displacement")])

@@ -63,6 +63,99 @@ def test_error_of_the_zero_holds() -> None:
     assert np.std(pulls) == pytest.approx(1.0, abs=0.15)
 
 
+def ramp(start: float, speed: float, noise: float, seed: int = 0) -> Floats:
+    """A machine that moves from the first sample on."""
+    random = np.random.default_rng(seed)
+    values: Floats = start + speed * TIME + random.normal(0.0, noise, len(TIME))
+    return values
+
+
+def test_zero_by_a_line_is_what_the_first_sample_stood_at() -> None:
+    bench = after("{step: zero, channel: force, over: 0.5 s, by: line}", ramp(0.3, 2.0, 0.0))
+    np.testing.assert_allclose(bench.signals["force"].values, 2.0 * TIME, atol=1e-9)
+    np.testing.assert_allclose(bench.raw["force"].values, 2.0 * TIME, atol=1e-9)
+    assert bench.zeroed == {}  # that it moves is no fault
+    assert (
+        bench.notes[0].message == "zero at 0.3 N, the outer end of a line over 0.5 s at the start"
+    )
+
+
+def test_zero_by_a_line_at_the_end() -> None:
+    step = "{step: zero, channel: force, over: 0.5 s, by: line, at: end}"
+    values = after(step, ramp(0.3, 2.0, 0.0)).signals["force"].values
+    np.testing.assert_allclose(values, 2.0 * (TIME - TIME[-1]), atol=1e-9)
+
+
+def test_a_mean_in_motion_is_no_zero() -> None:
+    mean = after("{step: zero, channel: force, over: 0.5 s}", ramp(0.3, 2.0, 0.0))
+    assert mean.signals["force"].values[0] == pytest.approx(-0.5, abs=0.02)
+    assert "force" in mean.zeroed
+
+
+def test_a_line_takes_no_notice_of_blanks() -> None:
+    values = ramp(0.3, 0.0, 0.0)
+    values[5:9] = np.nan
+    bench = after("{step: zero, channel: force, over: 0.5 s, by: line}", values)
+    np.testing.assert_allclose(bench.signals["force"].values[20:], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_error_of_the_zero_by_a_line_holds(at: str) -> None:
+    pulls = []
+    step = f"{{step: zero, channel: force, over: 2 s, by: line, at: {at}}}"
+    for seed in range(200):
+        values = ramp(0.0, 2.0, 0.01, seed)
+        truth = 0.0 if at == "start" else 2.0 * TIME[-1]
+        signal = after(step, values).raw["force"]
+        pulls.append(((values - signal.values)[0] - truth) / signal.zero_error)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(pulls) == pytest.approx(0.0, abs=0.25)  # 3.5 standard errors
+
+
+def in_rows(step: str) -> Bench:
+    """Take a step on rows without times."""
+    made = protocol(step)
+    bench = Bench()
+    signal = Signal(np.arange(2000.0), VALUES, "N", "frame", time_unit="1")
+    bench.raw["force"] = bench.signals["force"] = signal
+    take_step(bench, MarkerBench(), made.steps[0], made)
+    return bench
+
+
+@pytest.mark.parametrize(
+    ("step", "said"),
+    [
+        ("{step: zero, channel: force, over: 2 s}", "a stretch in s"),
+        ("{step: zero, channel: force, over: 2 s, by: line}", "a stretch in s"),
+        ("{step: low-pass, channel: force, cutoff: 5 Hz, order: 2}", "a cutoff in Hz"),
+    ],
+)
+def test_seconds_where_there_are_only_rows(step: str, said: str) -> None:
+    with pytest.raises(ValueError, match=rf"^force: {said} needs times, and the export has none$"):
+        in_rows(step)
+
+
+@pytest.mark.parametrize(
+    ("span", "kind"), [("1 s", "time"), ("2 mm", "travel"), ("10 %", "branch")]
+)
+def test_spans_where_there_are_only_rows(span: str, kind: str) -> None:
+    step = f"{{step: smooth, channel: force, method: moving-average, span: {span}}}"
+    with pytest.raises(
+        ValueError, match=rf"a span of {kind} needs times, and the export has none$"
+    ):
+        in_rows(step)
+
+
+def test_rows_are_smoothed_by_counting() -> None:
+    step = "{step: smooth, channel: force, method: moving-average, span: 21 samples}"
+    bench = in_rows(step)
+    np.testing.assert_allclose(
+        bench.signals["force"].values, moving_average(VALUES, window=21), atol=1e-12
+    )
+    assert bench.notes[0].message == "moving average over 21 samples"
+    assert not in_rows("{step: decimate, channel: force, factor: 4}").signals["force"].has_time
+
+
 def test_zero_needs_samples() -> None:
     with pytest.raises(ValueError, match=r"force: 5 samples in the 0.045 s to zero on, not 8"):
         after("{step: zero, channel: force, over: 45 ms}")

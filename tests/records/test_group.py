@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ def test_a_sample_curve_is_read_only(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["force", "as_measured"])
 def test_a_sample_curve_of_uneven_lengths(name: str) -> None:
-    wrong = {name: np.zeros(COUNT + 1)}
+    wrong: dict[str, Any] = {name: np.zeros(COUNT + 1)}
     with pytest.raises(ValueError, match=r"expected an array of shape \(5,\), found \(6,\)"):
         replace(sample_curve(), **wrong)
 
@@ -64,13 +65,14 @@ def test_a_band_is_read_only(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_band_of_uneven_lengths(name: str) -> None:
+    wrong: dict[str, Any] = {name: np.zeros(COUNT - 1)}
     with pytest.raises(ValueError, match=r"expected an array of shape \(5,\), found \(4,\)"):
-        replace(band(), **{name: np.zeros(4)})
+        replace(band(), **wrong)
 
 
 def test_a_band_without_a_curve_is_empty() -> None:
-    nothing = np.empty(0)
-    made = Band(*([nothing] * 6), n=0, over="samples", reason="no_overlap: of nothing")
+    nothing: dict[str, Any] = {name: np.empty(0) for name in ("displacement", *NAMES)}
+    made = Band(**nothing, n=0, over="samples", reason="no_overlap: of nothing")
     assert len(made.mean) == 0
 
 

@@ -1,0 +1,54 @@
+from __future__ import annotations
+
+from typing import get_args
+
+import pytest
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.results import ResultEntry, result_names
+
+
+def _entries() -> tuple[type[Block], ...]:
+    union, _ = get_args(ResultEntry)
+    entries: tuple[type[Block], ...] = get_args(union)
+    return entries
+
+
+def _tag(entry: type[Block]) -> str:
+    (tag,) = get_args(entry.model_fields["result"].annotation)
+    return str(tag)
+
+
+@pytest.mark.parametrize("entry", _entries(), ids=_tag)
+def test_every_result_says_what_it_is_called(entry: type[Block]) -> None:
+    names = result_names(_tag(entry), {"of": "stiffness"})
+
+    assert names
+    told = str(entry.__doc__)
+    for name in names:
+        stem = name.removesuffix(".1")
+        assert stem in told or "name" in entry.model_fields or "_per_peak_force" in told
+
+
+def test_no_two_results_share_a_tag_or_a_name() -> None:
+    tags = [_tag(entry) for entry in _entries()]
+    names = [name for tag in tags for name in result_names(tag, {"of": "stiffness"})]
+
+    assert len(tags) == len(set(tags))
+    assert len(names) == len(set(names))
+
+
+@pytest.mark.parametrize(
+    ("tag", "entry", "names"),
+    [
+        ("stiffness", {}, ("stiffness",)),
+        ("stiffness", {"name": "stiffness_second"}, ("stiffness_second",)),
+        ("modulus", {"name": "modulus_annulus"}, ("modulus_annulus",)),
+        ("normalised-stiffness", {"of": "break"}, ("break_per_peak_force",)),
+        ("failure", {"name": "ignored"}, ("failure_displacement", "failure_force")),
+        ("peak-force", {}, ("peak_force.1",)),
+        ("no-such-result", {}, ()),
+    ],
+)
+def test_names_in_the_summary(tag: str, entry: dict[str, object], names: tuple[str, ...]) -> None:
+    assert result_names(tag, entry) == names
