@@ -17,6 +17,7 @@ from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Recording
+from tests.builders import load_frames as frames
 from tests.builders.controldesk import (
     Axis,
     Signal,
@@ -61,6 +62,18 @@ def write_rows(path: Path, version: str) -> Path:
     return write_row_style(path, TIME, [body], version=version)
 
 
+def write_suite(path: Path) -> Path:
+    path.write_bytes(frames.mts_suite(rows=frames.pull(TIME, np.sin(TIME), 1.0 + TIME)))
+    return path
+
+
+def write_frame_workbook(path: Path) -> Path:
+    names = ["Time (s)", "Force (N)", "Travel (mm)"]
+    rows = frames.pull(TIME, np.sin(40.0 * TIME), np.cos(40.0 * TIME))
+    path.write_bytes(frames.workbook({"synthetic": [names, *rows]}))
+    return path
+
+
 EXPORTS: dict[str, tuple[str, Callable[[Path], Path]]] = {
     "v5": ("dspace-mat", lambda path: write_mat_v5(path, [Axis(TIME)], SIGNALS)),
     "v73": ("dspace-mat", lambda path: write_mat_v73(path, [Axis(TIME)], SIGNALS)),
@@ -70,6 +83,8 @@ EXPORTS: dict[str, tuple[str, Callable[[Path], Path]]] = {
     "rows 1.0": ("motive-csv", lambda path: write_rows(path, "1.0")),
     "rows 1.1": ("motive-csv", lambda path: write_rows(path, "1.1")),
     "xlsx": ("motive-xlsx", write_xlsx_file),
+    "frame": ("load-frame", write_suite),
+    "frame xlsx": ("load-frame", write_frame_workbook),
 }
 
 
@@ -82,7 +97,7 @@ def exports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def samples(recording: Recording) -> int:
     if recording.markers is not None:
         return len(recording.markers.time)
-    return max(len(clock.time) for clock in recording.clocks)
+    return max((len(clock.time) for clock in recording.clocks), default=0)
 
 
 @pytest.mark.parametrize("kind", EXPORTS)
@@ -120,7 +135,7 @@ def test_what_no_reader_takes_is_named(tmp_path: Path) -> None:
     file = tmp_path / "walk.c3d"
     file.write_bytes(b"\x02\x50" + bytes(600))
     expected = (
-        r"walk\.c3d: expected an export of a known format \(dspace-mat, .*motive-xlsx\), found a"
+        r"walk\.c3d: expected an export of a known format \(dspace-mat, .*load-frame\), found a"
         r" C3D file \(motion capture\), which is recognised but not read\. Export the recording in"
     )
     with pytest.raises(ReadError, match=expected):
@@ -210,7 +225,9 @@ def test_mutated(exports: dict[str, Path], tmp_path: Path, kind: str, seed: int)
 
 @pytest.mark.slow
 @pytest.mark.realdata
-@pytest.mark.parametrize("folder", ["dspace", "motive"])
+@pytest.mark.parametrize(
+    "folder", ["dspace", "motive", "lloyd_nexygen", "instron", "zwick", "hbm_catman"]
+)
 def test_mutated_real_exports(realdata: Path, tmp_path: Path, folder: str) -> None:
     for original in sorted((realdata / folder).iterdir()):
         content = original.read_bytes()

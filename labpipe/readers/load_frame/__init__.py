@@ -27,6 +27,7 @@ from labpipe.readers.channels import Wanted
 from labpipe.readers.load_frame.assembly import assemble
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.content import read_content
+from labpipe.readers.load_frame.place import Place
 from labpipe.readers.load_frame.recognition import Named, chosen_card, recognised
 from labpipe.readers.load_frame.table import (
     Export,
@@ -35,7 +36,7 @@ from labpipe.readers.load_frame.table import (
     without_codes,
     without_last_row,
 )
-from labpipe.readers.load_frame.text_tables import Place, read_tables
+from labpipe.readers.load_frame.text_tables import read_tables
 from labpipe.readers.load_frame.workbook import forget_sheets, open_sheets, read_sheets
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Recording
@@ -93,15 +94,21 @@ def _tables(path: Path, card: Card, channels: Sequence[Wanted] | None) -> Export
 
 
 def _counted(export: Export, tables: Sequence[Table], card: Card) -> list[QualityNote]:
-    """Compare the number of samples that the export states with those that there are."""
-    stated = str(export.about.get(card.stated_rows, ""))
-    if not card.stated_rows or not stated.isdecimal() or len(export.tables) != 1:
+    """Compare the numbers of samples and of columns that the export states with those there are."""
+    if len(export.tables) != 1 or not tables:
         return []
-    rows = max((len(v) for v in tables[0].columns.values()), default=0)
-    if rows == int(stated):
-        return []
-    message = f"the header states {stated} rows, the file holds {rows}"
-    return [QualityNote("rows_differ", Severity.WARNING, "file", message)]
+    rows = max((len(values) for values in tables[0].columns.values()), default=0)
+    counts = (
+        ("rows", card.stated_rows, rows),
+        ("columns", card.stated_columns, len(tables[0].names)),
+    )
+    notes = []
+    for what, key, count in counts:
+        stated = str(export.about.get(key, ""))
+        if key and stated.isdecimal() and int(stated) != count:
+            message = f"the header states {stated} {what}, the file holds {count}"
+            notes.append(QualityNote(f"{what}_differ", Severity.WARNING, "file", message))
+    return notes
 
 
 def _generic(card: Card) -> list[QualityNote]:

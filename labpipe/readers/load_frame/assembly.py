@@ -22,6 +22,10 @@ FEW = 10
 """Fewer samples than this are no test that was carried through."""
 
 _MOST_NAMED = 3
+_SAY_UNIT = (
+    "Write it in a row below the names, or in brackets as in 'Time (s)', or say it in a card of"
+    " your own (time_unit); see docs/how-to/new-dialect.md."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +71,7 @@ def assemble(
         clocks=tuple(part.clock for part in kept),
         channels=tuple(chosen),
         metadata=_metadata(export, card, kept),
-        notes=(*export.notes, *_empty_note(export), *notes, *_channel_notes(chosen, card)),
+        notes=(*export.notes, *notes, *_channel_notes(chosen, card)),
     )
 
 
@@ -142,7 +146,7 @@ def _seconds(unit: str, name: str, path: object) -> float:
             f"column '{name}'",
             expected="a unit of time such as s",
             found=f"'{unit}'" if unit else "none",
-            remedy="Look at the row of units, or say the unit in a card (time_unit).",
+            remedy="Look at the row of units." if unit else _SAY_UNIT,
         )
         raise ReadError(text) from error
 
@@ -152,13 +156,6 @@ def _few_note(rows: int, name: str) -> list[QualityNote]:
         return []
     message = f"only {rows} samples: the test was not carried through, or not exported whole"
     return [QualityNote("few_samples", Severity.WARNING, f"clock {name}", message)]
-
-
-def _empty_note(export: Export) -> list[QualityNote]:
-    if export.tables:
-        return []
-    message = "a byte order mark and nothing else: a step of the test that took no samples"
-    return [QualityNote("no_samples", Severity.WARNING, "file", message)]
 
 
 def _channel_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:

@@ -54,7 +54,7 @@ class Card:
     missing : numbers that stand for a missing value
     last_zeros : columns that are zero in a last row that is no sample
     last_code : columns and what they hold in such a row
-    stated_rows : key of the preamble that states the number of samples
+    stated_rows, stated_columns : keys of the preamble that state the numbers of samples and columns
     layout : how specimens and blocks share the export
     source : file of the card, for messages
     """
@@ -86,6 +86,7 @@ class Card:
     last_zeros: tuple[str, ...] = ()
     last_code: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
     stated_rows: str = ""
+    stated_columns: str = ""
     layout: str = "one"
     source: str = ""
 
@@ -280,6 +281,7 @@ _CHECKS: Final[dict[str, _Check]] = {
     "last_zeros": _several(_text),
     "last_code": _by_name(_number),
     "stated_rows": _text,
+    "stated_columns": _text,
     "layout": _one_of(LAYOUTS),
 }
 """Every key of a card, and what it must be."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -16,12 +17,16 @@ from labpipe.readers.load_frame.content import (
     is_blank,
     read_beginning,
 )
-from labpipe.readers.load_frame.header import Header, find_header, header_of_rows
+from labpipe.readers.load_frame.header import find_header, header_of_rows
 from labpipe.readers.load_frame.table import time_column
+from labpipe.readers.load_frame.titles import Header
 from labpipe.readers.load_frame.workbook import as_text, is_workbook, open_sheets, sheet_head
 
 _LOOKED_AT = 16384
 """Signs in which the patterns of a card are looked for; the longest real header has 3300."""
+
+_SEPARATOR = re.compile(r"\A\"?sep=.\"?\n")
+"""A first line by which a spreadsheet is told the separator."""
 
 Named = str | Sequence[str] | None
 
@@ -143,16 +148,17 @@ class _Heads:
                 text = decode(data, self.content, card.encodings, self.path)
             except ReadError:
                 text = ""
-            self.decoded[card.encodings] = text.replace("\r\n", "\n")[:_LOOKED_AT]
+            text = _SEPARATOR.sub("", text.replace("\r\n", "\n"))
+            self.decoded[card.encodings] = text[:_LOOKED_AT]
         return self.decoded[card.encodings]
 
     def _reads(self, card: Card, text: str) -> bool:
-        """Tell whether a card of last resort finds names and units: words alone do not do."""
+        """Tell whether a card of last resort finds names: words somewhere do not do."""
         try:
             header = find_header(text.split("\n"), card, self.path)
         except ReadError:
             return False
-        return _has_units(header, card)
+        return _are_told(header, card)
 
     def _fit_sheets(self, card: Card) -> bool:
         try:
@@ -170,13 +176,16 @@ class _Heads:
             header = header_of_rows(text, card, self.path)
         except ReadError:
             return False
-        return _has_units(header, card)
+        return _are_told(header, card)
 
 
-def _has_units(header: Header, card: Card) -> bool:
-    """Tell whether there is time, and a unit beside that of time."""
+def _are_told(header: Header, card: Card) -> bool:
+    """Tell whether there is time, and a unit beside that of time or a name that is telling."""
     time = time_column(header.names, card)
-    return time is not None and any(u for i, u in enumerate(header.units) if i != time)
+    if time is None:
+        return False
+    has_units = any(unit for i, unit in enumerate(header.units) if i != time)
+    return has_units or _found(card, "\t".join(header.names))
 
 
 def _found(card: Card, text: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -10,9 +11,11 @@ import numpy as np
 from labpipe.errors import ReadError, complaint, nearest
 from labpipe.readers.channels import Wanted, find_channel
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.header import Rows
+from labpipe.readers.load_frame.titles import Rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
+
+_SEPARATOR = re.compile(r"sep=.?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,12 +123,13 @@ def preamble(rows: Rows) -> dict[str, object]:
 
     Returns
     -------
-    Values by key, a list where a key stands several times; rows without a key under ``lines``.
+    Values by key, a list where a key stands several times; rows without a key under ``lines``. A
+    line ``sep=;``, by which a spreadsheet is told the separator, says nothing and is left out.
     """
     found: dict[str, list[str]] = {}
     for row in rows:
         cells = [cell.strip() for cell in row if cell.strip()]
-        if cells:
+        if cells and not _SEPARATOR.fullmatch(cells[0]):
             key, value = _pair(cells)
             found.setdefault(key, []).append(value)
     return {
@@ -160,12 +164,12 @@ def without_last_row(table: Table, card: Card) -> Table:
 
 
 def without_codes(table: Table, card: Card) -> Table:
-    """Make the numbers that stand for missing values NaN, and infinities too."""
+    """Make the numbers that stand for missing values NaN."""
+    if not card.missing:
+        return table
     columns: dict[int, Floats] = {}
     for i, values in table.columns.items():
-        gone = np.isinf(values)
-        for code in card.missing:
-            gone |= values == code
+        gone = np.isin(values, card.missing)
         columns[i] = np.where(gone, np.nan, values) if gone.any() else values
     return _replaced(table, columns)
 

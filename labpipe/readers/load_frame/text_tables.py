@@ -2,47 +2,27 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
-from labpipe.readers.channels import Wanted
-from labpipe.readers.load_frame.body import Body, read_columns
+from labpipe.readers.load_frame.blocks import read_blocks
+from labpipe.readers.load_frame.body import read_columns
 from labpipe.readers.load_frame.card import Card
+from labpipe.readers.load_frame.cells import split_line
 from labpipe.readers.load_frame.content import HEAD, Content, decode, is_blank
-from labpipe.readers.load_frame.header import Header, find_header, is_number, split_line
+from labpipe.readers.load_frame.header import find_header
+from labpipe.readers.load_frame.place import Place, decimal_of, line_start, lines_of, no_samples
+from labpipe.readers.load_frame.rows import Body
 from labpipe.readers.load_frame.table import (
     Export,
     Table,
     preamble,
-    time_column,
     unique_names,
     wanted_columns,
     word_columns,
 )
-from labpipe.records.quality import QualityNote, Severity
-
-_BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
-
-
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Where a text export is read from.
-
-    Parameters
-    ----------
-    path : of the file, for messages
-    card : how it is read
-    channels : asked for, None for all
-    """
-
-    path: Path
-    card: Card
-    channels: Sequence[Wanted] | None = None
+from labpipe.readers.load_frame.titles import Header
 
 
 def read_tables(content: Content, place: Place) -> Export:
@@ -64,27 +44,13 @@ def read_tables(content: Content, place: Place) -> Export:
     """
     head = decode(content.data[:HEAD], content, place.card.encodings, place.path)
     if is_blank(content.data):
-        return Export((), head=head)
+        message = "a byte order mark and nothing else: a step of the test that took no samples"
+        return Export((), notes=(no_samples(message),), head=head)
     if place.card.layout == "blocks":
         text = decode(content.data, content, place.card.encodings, place.path)
-        return _read_blocks(text, place)
-    header = find_header(_lines(head), place.card, place.path)
+        return read_blocks(text, place)
+    header = find_header(lines_of(head), place.card, place.path)
     return _read_one(content, header, head, place)
-
-
-def _lines(text: str) -> list[str]:
-    return [line.rstrip("\r") for line in text.split("\n")]
-
-
-def _offset(data: bytes, lines: int) -> int:
-    """Where the line with this number, counted from 0, begins."""
-    at = 0
-    for _ in range(lines):
-        end = data.find(b"\n", at)
-        if end < 0:
-            return len(data)
-        at = end + 1
-    return at
 
 
 def _read_one(content: Content, header: Header, head: str, place: Place) -> Export:
@@ -92,7 +58,7 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     groups = _groups(header) if card.layout == "side by side" else [range(len(header.names))]
     asked = place.channels if len(groups) == 1 else None
     columns_read = wanted_columns(header.names, card, asked, place.path)
-    start = _offset(content.data, header.first)
+    start = line_start(content.data, header.first)
     body = Body(
         data=content.data,
         start=start,
@@ -102,7 +68,7 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
         columns=columns_read,
         first_line=header.first + 1,
         separator=header.separator,
-        decimal=_decimal(head, place),
+        decimal=decimal_of(head, place),
     )
     columns, notes = read_columns(body, place.path)
     several = len(groups) > 1
@@ -121,24 +87,6 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
 def _is_column(header: Header, i: int) -> bool:
     """Tell a column from the blank one that parts two specimens."""
     return bool(header.names[i] or header.units[i])
-
-
-def _decimal(head: str, place: Place) -> str:
-    """Decimal sign: of the card, or as the export states it."""
-    pattern = place.card.decimal_pattern
-    if pattern is None:
-        return place.card.decimal
-    match = pattern.search(head)
-    if match is not None and match[1] in {".", ","}:
-        return match[1]
-    text = complaint(
-        place.path,
-        "line 1",
-        expected="the decimal sign that this program states",
-        found=f"'{head[:60].splitlines()[0] if head else ''}'",
-        remedy="Export the test again, or name another dialect.",
-    )
-    raise ReadError(text)
 
 
 def _groups(header: Header) -> list[range]:
@@ -175,122 +123,9 @@ def _words(data: bytes, start: int, header: Header, card: Card) -> dict[str, obj
     if not columns:
         return {}
     found: dict[str, dict[str, None]] = {header.names[column]: {} for column in columns}
-    for line in _lines(data[start:].decode("utf-8", errors="replace")):
+    for line in lines_of(data[start:].decode("utf-8", errors="replace")):
         cells = split_line(line, header.separator)
         for column in columns:
             if column < len(cells):
                 found[header.names[column]].setdefault(cells[column].strip())
     return {name: list(texts)[:20] for name, texts in found.items()}
-
-
-def _read_blocks(text: str, place: Place) -> Export:
-    """Blocks parted by blank lines: forms without samples, samples, summaries."""
-    decimal = _decimal(text[:HEAD], place)
-    samples: list[Table] = []
-    lines: list[int] = []
-    notes: list[QualityNote] = []
-    about: list[Sequence[str]] = []
-    for first_line, block in _blocks(text):
-        header = _header_of_block(block, first_line, place)
-        if header is None:
-            about += [split_line(line, "\t") for line in _lines(block)]
-            continue
-        blanks = header.separator == " "  # words of one key, not cells
-        about += [[" ".join(row)] for row in header.above] if blanks else header.above
-        table, found = _table_of_block(block, header, first_line, decimal, place)
-        samples.append(table)
-        lines.append(first_line + header.first)
-        notes += found
-    _refuse_none(samples, text, place)
-    samples, lines, summaries, left_out = _without_summaries(samples, lines, place.card)
-    joined, together = _joined(samples, lines)
-    metadata = preamble(about) | ({"summaries": summaries} if summaries else {})
-    return Export(tuple(joined), metadata, (*notes, *left_out, *together), text[:HEAD])
-
-
-def _blocks(text: str) -> Iterator[tuple[int, str]]:
-    """Blocks with the number of their first line."""
-    at = 0
-    for gap in _BLANK_LINE.finditer(text):
-        yield text.count("\n", 0, at) + 1, text[at : gap.start() + 1]
-        at = gap.end()
-    if text[at:].strip():
-        yield text.count("\n", 0, at) + 1, text[at:]
-
-
-def _header_of_block(block: str, first_line: int, place: Place) -> Header | None:
-    """Header of a block with samples, None for any other."""
-    head = _lines(block[:HEAD])
-    for separator in place.card.separators:
-        rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
-        if any(len(row) > 1 and all(is_number(cell) for cell in row) for row in rows):
-            return find_header(head, place.card, place.path, first_line)
-    return None
-
-
-def _table_of_block(
-    block: str, header: Header, first_line: int, decimal: str, place: Place
-) -> tuple[Table, list[QualityNote]]:
-    data = block.encode("utf-8")
-    body = Body(
-        data=data[_offset(data, header.first) :],
-        names=unique_names(header.names),
-        columns=wanted_columns(header.names, place.card, None, place.path),
-        first_line=first_line + header.first,
-        separator=header.separator,
-        decimal=decimal,
-    )
-    columns, notes = read_columns(body, place.path)
-    return Table("", header.names, header.units, columns), notes
-
-
-def _refuse_none(samples: Sequence[Table], text: str, place: Place) -> None:
-    if samples:
-        return
-    lines = text.count("\n") + 1
-    message = complaint(
-        place.path,
-        f"lines 1 to {lines}",
-        expected="a block of names, units and numbers",
-        found="none",
-        remedy="Export the test again, or name another dialect.",
-    )
-    raise ReadError(message)
-
-
-def _without_summaries(
-    tables: list[Table], lines: list[int], card: Card
-) -> tuple[list[Table], list[int], list[dict[str, list[float]]], list[QualityNote]]:
-    """Leave out blocks without time beside blocks with time: extremes, not samples."""
-    timed = [time_column(table.names, card) is not None for table in tables]
-    if not any(timed) or all(timed):
-        return tables, lines, [], []
-    summaries, notes = [], []
-    for table, line, has_time in zip(tables, lines, timed, strict=True):
-        if not has_time:
-            rows = max(len(values) for values in table.columns.values())
-            message = f"{rows} rows from line {line} on have no time: a summary, not samples"
-            notes.append(QualityNote("summary_rows_left_out", Severity.INFO, "file", message))
-            summaries.append({table.names[i]: v.tolist() for i, v in table.columns.items()})
-    kept = [i for i, has_time in enumerate(timed) if has_time]
-    return [tables[i] for i in kept], [lines[i] for i in kept], summaries, notes
-
-
-def _joined(tables: list[Table], lines: list[int]) -> tuple[list[Table], list[QualityNote]]:
-    """Join blocks with the same columns; blocks with others become parts of their own."""
-    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
-    for i, table in enumerate(tables):
-        groups.setdefault((table.names, table.units), []).append(i)
-    joined, notes = [], []
-    for number, ((names, units), members) in enumerate(groups.items(), start=1):
-        columns = {
-            column: np.concatenate([tables[i].columns[column] for i in members])
-            for column in tables[members[0]].columns
-        }
-        part = f"block {number}" if len(groups) > 1 else ""
-        joined.append(Table(part, names, units, columns))
-        if len(members) > 1:
-            places = ", ".join(str(lines[i]) for i in members)
-            message = f"{len(members)} blocks of samples (from lines {places} on) are one recording"
-            notes.append(QualityNote("blocks_joined", Severity.INFO, "file", message))
-    return joined, notes

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from datetime import date, time, timedelta
 from functools import lru_cache
+from math import isfinite
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ import numpy as np
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.files import read_head, reading
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.header import Header, header_of_rows
+from labpipe.readers.load_frame.header import header_of_rows
+from labpipe.readers.load_frame.regrouped import LOST, is_grouped, lost_signs, regrouped_at
+from labpipe.readers.load_frame.rows import PLAIN
 from labpipe.readers.load_frame.table import (
     Export,
     Table,
@@ -20,6 +23,7 @@ from labpipe.readers.load_frame.table import (
     unique_names,
     word_columns,
 )
+from labpipe.readers.load_frame.titles import Header
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
@@ -27,6 +31,7 @@ Sheets = Mapping[str, Sequence[Sequence[object]]]
 
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _HEAD_ROWS = 60
+_AGAIN = "Export the test again; the cell may have been edited."
 _KEPT_ROWS = 50
 """A sheet that holds no samples is kept as metadata if it is no longer than this."""
 
@@ -216,15 +221,20 @@ def _column(
 ) -> Floats:
     """One column as numbers; a blank cell is NaN."""
     cells = [row[column] if column < len(row) else "" for row in body]
-    try:
-        return np.array(cells, dtype=np.float64)
-    except (ValueError, TypeError):
-        name, place, first = where
-        numbers = [
+    name, place, first = where
+    if {float, int}.issuperset(map(type, cells)):
+        values = np.array(cells, dtype=np.float64)
+    else:
+        numbers = (
             _number(cell, f"{place}, row {first + 1 + i}, column '{name}'", path)
             for i, cell in enumerate(cells)
-        ]
-        return np.array(numbers, dtype=np.float64)
+        )
+        values = np.fromiter(numbers, dtype=np.float64, count=len(cells))
+    rows = regrouped_at(values)
+    if rows is not None:
+        jump = f"{place}, row {first + 1 + rows[1]}, column '{name}'"
+        raise ReadError(lost_signs(path, jump, *(as_text(cells[row]) for row in rows)))
+    return values
 
 
 def _number(cell: object, place: str, path: Path) -> float:
@@ -233,13 +243,22 @@ def _number(cell: object, place: str, path: Path) -> float:
     if isinstance(cell, timedelta):
         return cell.total_seconds()
     text = as_text(cell)
-    try:
-        return float(text or "nan")
-    except ValueError as error:
-        remedy = "Export the test again; the cell may have been edited."
-        found = f"'{text[:40]}'"
-        message = complaint(path, place, expected="a number", found=found, remedy=remedy)
-        raise ReadError(message) from error
+    if not text:
+        return float("nan")
+    expected = "a number"
+    if PLAIN["."].fullmatch(text):
+        if isfinite(float(text)):
+            return float(text)
+        expected = "a number below 1.8e308"
+    raise ReadError(
+        complaint(
+            path,
+            place,
+            expected=expected,
+            found=f"'{text[:40]}'",
+            remedy=LOST if is_grouped(text) else _AGAIN,
+        )
+    )
 
 
 def _filled(columns: Mapping[int, Floats]) -> int:

@@ -4,27 +4,7 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers.load_frame.cards import shipped_cards
-from labpipe.readers.load_frame.header import find_header, is_number, is_unit, split_line
-
-
-@pytest.mark.parametrize("cell", ["1", "-.5", "5e-005", " 1,25 ", "1,110,797", "+2."])
-def test_numbers(cell: str) -> None:
-    assert is_number(cell)
-
-
-@pytest.mark.parametrize("cell", ["", "-", "1 mm", "nan", "5e", "2,,5", "15:01"])
-def test_other_cells(cell: str) -> None:
-    assert not is_number(cell)
-
-
-def test_units() -> None:
-    assert all(map(is_unit, ("mm", "kN", "lbf", "sec", "°C", "mm/mm", "%")))
-    assert not any(map(is_unit, ("Time", "Force", "Standard travel")))
-
-
-def test_a_quote_that_is_not_closed() -> None:
-    assert split_line('a,"b,c', ",") == ["a", "b,c"]
-    assert split_line("1   2.5", " ") == ["1", "2.5"]
+from labpipe.readers.load_frame.header import find_header
 
 
 @pytest.mark.parametrize(
@@ -62,8 +42,21 @@ def test_faults(card: str, lines: list[str], said: str) -> None:
         find_header(lines, shipped_cards()[card], "a.csv")
 
 
-def test_names_anyhow() -> None:
+def test_a_list_of_names() -> None:
+    lines = ["Nsig\t2", "Sig1\tTime (min)", "Sig2\tStrain", "StartOfData", "1\t2"]
+    found = find_header(lines, shipped_cards()["dma-q800"], "a")
+    assert (found.names, found.units, found.first) == (("Time", "Strain"), ("min", ""), 4)
+    with pytest.raises(
+        ReadError, match=r"a: expected a line '\^StartOfData.* found none in 3 line"
+    ):
+        find_header(lines[:3], shipped_cards()["dma-q800"], "a")
+    with pytest.raises(
+        ReadError, match=r"a, lines 1 to 1: expected names in lines '\^Sig.*found no"
+    ):
+        find_header(["Nsig\t2", *lines[3:]], shipped_cards()["dma-q800"], "a")
+
+
+def test_the_first_separator_that_gives_numbers() -> None:
     card = shipped_cards()["table"]
-    assert find_header(["Time,Force", "1,2"], card, "a").units == ("", "")
-    assert find_header(["Time (s),Force [kN]", "1,2"], card, "a").units == ("s", "kN")
-    assert find_header(["Time,Force", "(s),(kN)", "1,2"], card, "a").names == ("Time", "Force")
+    assert find_header(["a;b", "1,5;2,5"], card, "a").separator == ";"
+    assert find_header(["a,b", "1.5,2.5"], card, "a").separator == ","

@@ -49,10 +49,15 @@ def test_time_comes_with_what_is_asked_for() -> None:
     assert wanted_columns(["Time", "Load", "Crosshead"], card, ["Load"], "a") == [0, 1]
 
 
-def test_infinities_count_as_missing() -> None:
-    table = Table("", ("F",), ("N",), {0: np.array([1.0, np.inf])})
-    values = without_codes(table, shipped_cards()["dion"]).columns[0]
+def test_codes_of_missing_values() -> None:
+    table = Table("", ("F",), ("N",), {0: np.array([1.0, -1e6])})
+    values = without_codes(table, shipped_cards()["catman"]).columns[0]
     np.testing.assert_array_equal(values, [1.0, np.nan])
+    assert without_codes(table, shipped_cards()["dion"]) is table
+
+
+def test_a_hint_for_spreadsheets_is_no_word_of_the_export() -> None:
+    assert preamble([["sep=", ""], ["Date: 1"]]) == {"Date": "1"}
 
 
 def test_parts() -> None:

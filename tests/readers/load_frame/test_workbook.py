@@ -93,6 +93,44 @@ def test_faults(tmp_path: Path, rows: list[list[object]], said: str) -> None:
         load_frame.read(file, dialect="testxpert-xlsx")
 
 
+@pytest.mark.parametrize(
+    ("cell", "said"),
+    [
+        ("inf", r"row 5, column 'Strain': expected a number, found 'inf'\. Export the test again"),
+        ("nan", r"row 5, column 'Strain': expected a number, found 'nan'\. Export"),
+        ("1_000", r"expected a number, found '1_000'\. Export"),
+        (True, r"expected a number, found 'True'\. Export"),
+        ("1e999", r"expected a number below 1\.8e308, found '1e999'\. Export"),
+        (
+            "1,110,797",
+            r"expected a number, found '1,110,797'\. A spreadsheet took the decimal sign",
+        ),
+    ],
+)
+def test_cells_that_hold_no_number(tmp_path: Path, cell: object, said: str) -> None:
+    rows = [ROWS[0], (0.2, cell, 4.5), *ROWS[2:]]
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", rows)})
+    with pytest.raises(ReadError, match=said):
+        load_frame.read(file)
+
+
+def test_numbers_that_lost_their_signs(tmp_path: Path) -> None:
+    rows = [(0.1 * i, cell, 1.5) for i, cell in enumerate([999, 1063, 1110797, 1162])]
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", rows)})
+    expected = (
+        r"sheet 'v', row 6, column 'Strain': expected numbers that do not jump a thousandfold and"
+        r" back, found '1110797' after '1063'\. A spreadsheet took"
+    )
+    with pytest.raises(ReadError, match=expected):
+        load_frame.read(file)
+
+
+def test_numbers_written_as_text(tmp_path: Path) -> None:
+    rows = [("0.1", "-.5", 2.25), ("0.2", "1e-3", 4.5)]
+    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", rows)})
+    assert load_frame.read(file).channels[0].values.tolist() == [-0.5, 1e-3]
+
+
 def test_a_damaged_workbook(tmp_path: Path) -> None:
     file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A")})
     file.write_bytes(file.read_bytes()[:-300])

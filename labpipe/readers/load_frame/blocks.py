@@ -1,0 +1,172 @@
+"""Text exports in blocks parted by blank lines: forms without samples, samples, summaries."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.load_frame.body import read_columns
+from labpipe.readers.load_frame.card import Card
+from labpipe.readers.load_frame.cells import is_number, split_line
+from labpipe.readers.load_frame.content import HEAD
+from labpipe.readers.load_frame.header import find_header
+from labpipe.readers.load_frame.place import Place, decimal_of, line_start, lines_of, no_samples
+from labpipe.readers.load_frame.rows import Body
+from labpipe.readers.load_frame.table import (
+    Export,
+    Table,
+    preamble,
+    time_column,
+    unique_names,
+    wanted_columns,
+)
+from labpipe.readers.load_frame.titles import Header
+from labpipe.records.quality import QualityNote, Severity
+
+_BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
+
+
+def read_blocks(text: str, place: Place) -> Export:
+    """Read the blocks of a text export.
+
+    Parameters
+    ----------
+    text : all of it
+    place : file and card
+
+    Returns
+    -------
+    Blocks of samples with the same columns as one table; what the others say as metadata, with
+    the summaries. No table, and the note ``no_samples``, if there are summaries only.
+
+    Raises
+    ------
+    ReadError
+        If no block holds names, units and numbers.
+    """
+    decimal = decimal_of(text[:HEAD], place)
+    samples: list[Table] = []
+    lines: list[int] = []
+    notes: list[QualityNote] = []
+    about: list[Sequence[str]] = []
+    for first_line, block in _blocks(text):
+        header = _header_of_block(block, first_line, place)
+        if header is None:
+            about += [split_line(line, "\t") for line in lines_of(block)]
+            continue
+        blanks = header.separator == " "  # words of one key, not cells
+        about += [[" ".join(row)] for row in header.above] if blanks else header.above
+        table, found = _table_of_block(block, header, first_line, decimal, place)
+        samples.append(table)
+        lines.append(first_line + header.first)
+        notes += found
+    _refuse_none(samples, text, place)
+    samples, lines, summaries, left_out = _without_summaries(samples, lines, place.card)
+    if not samples:
+        left_out.append(no_samples("all rows are a summary: the test took no samples"))
+    joined, together = _joined(samples, lines)
+    metadata = preamble(about) | ({"summaries": summaries} if summaries else {})
+    return Export(tuple(joined), metadata, (*notes, *left_out, *together), text[:HEAD])
+
+
+def _blocks(text: str) -> Iterator[tuple[int, str]]:
+    """Blocks with the number of their first line."""
+    at = 0
+    for gap in _BLANK_LINE.finditer(text):
+        yield text.count("\n", 0, at) + 1, text[at : gap.start() + 1]
+        at = gap.end()
+    if text[at:].strip():
+        yield text.count("\n", 0, at) + 1, text[at:]
+
+
+def _header_of_block(block: str, first_line: int, place: Place) -> Header | None:
+    """Header of a block with samples, None for any other."""
+    head = lines_of(block[:HEAD])
+    for separator in place.card.separators:
+        rows = [[cell for cell in split_line(line, separator) if cell] for line in head]
+        if any(len(row) > 1 and all(is_number(cell) for cell in row) for row in rows):
+            return find_header(head, place.card, place.path, first_line)
+    return None
+
+
+def _table_of_block(
+    block: str, header: Header, first_line: int, decimal: str, place: Place
+) -> tuple[Table, list[QualityNote]]:
+    data = block.encode("utf-8")
+    body = Body(
+        data=data[line_start(data, header.first) :],
+        names=unique_names(header.names),
+        columns=wanted_columns(header.names, place.card, None, place.path),
+        first_line=first_line + header.first,
+        separator=header.separator,
+        decimal=decimal,
+    )
+    columns, notes = read_columns(body, place.path)
+    return Table("", header.names, header.units, columns), notes
+
+
+def _refuse_none(samples: Sequence[Table], text: str, place: Place) -> None:
+    if samples:
+        return
+    lines = text.count("\n") + 1
+    message = complaint(
+        place.path,
+        f"lines 1 to {lines}",
+        expected="a block of names, units and numbers",
+        found="none",
+        remedy="Export the test again, or name another dialect.",
+    )
+    raise ReadError(message)
+
+
+def _without_summaries(
+    tables: list[Table], lines: list[int], card: Card
+) -> tuple[list[Table], list[int], list[dict[str, list[float]]], list[QualityNote]]:
+    """Leave out blocks that hold extremes: without time beside those with time, or alone."""
+    are_summaries = _are_summaries(tables, card)
+    summaries, notes = [], []
+    for table, line, is_summary in zip(tables, lines, are_summaries, strict=True):
+        if is_summary:
+            rows = max(len(values) for values in table.columns.values())
+            message = f"{rows} rows from line {line} on have no time: a summary, not samples"
+            notes.append(QualityNote("summary_rows_left_out", Severity.INFO, "file", message))
+            summaries.append({table.names[i]: v.tolist() for i, v in table.columns.items()})
+    kept = [i for i, is_summary in enumerate(are_summaries) if not is_summary]
+    return [tables[i] for i in kept], [lines[i] for i in kept], summaries, notes
+
+
+def _are_summaries(tables: Sequence[Table], card: Card) -> list[bool]:
+    """Tell which blocks are summaries; where none has time, those of extremes.
+
+    Extremes are two rows, of which the first is nowhere the smaller one.
+    """
+    timed = [time_column(table.names, card) is not None for table in tables]
+    if any(timed):
+        return [not has_time for has_time in timed]
+    return [
+        all(len(values) == 2 and values[0] >= values[1] for values in table.columns.values())
+        for table in tables
+    ]
+
+
+def _joined(tables: list[Table], lines: list[int]) -> tuple[list[Table], list[QualityNote]]:
+    """Join blocks with the same columns; blocks with others become parts of their own."""
+    groups: dict[tuple[tuple[str, ...], tuple[str, ...]], list[int]] = {}
+    for i, table in enumerate(tables):
+        groups.setdefault((table.names, table.units), []).append(i)
+    joined, notes = [], []
+    for number, ((names, units), members) in enumerate(groups.items(), start=1):
+        columns = {
+            column: np.concatenate([tables[i].columns[column] for i in members])
+            for column in tables[members[0]].columns
+        }
+        part = f"block {number}" if len(groups) > 1 else ""
+        joined.append(Table(part, names, units, columns))
+        if len(members) > 1:
+            places = ", ".join(str(lines[i]) for i in members)
+            message = f"{len(members)} blocks of samples (from lines {places} on) are one recording"
+            notes.append(QualityNote("blocks_joined", Severity.INFO, "file", message))
+    return joined, notes

@@ -1,0 +1,169 @@
+"""What the columns of an export are called, and in which units: the rows above the samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from labpipe.errors import ReadError
+from labpipe.readers.load_frame.card import Card
+from labpipe.readers.load_frame.cells import (
+    are_units,
+    bare_unit,
+    is_number,
+    name_and_unit,
+    quoted,
+    without_brackets,
+)
+
+Rows = Sequence[Sequence[str]]
+Fault = Callable[[int, str, str], ReadError]
+"""Of the number of a row, what was expected there and what was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What stands above the samples.
+
+    Parameters
+    ----------
+    names : of the columns, as in the file but for blanks around them
+    units : of the columns, without brackets; empty where none is stated
+    first : number of the first row of samples, counted from 0
+    above : the rows above the names
+    separator : between cells
+    specimens : the row above the names where it holds specimens, else empty
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    first: int
+    above: Rows
+    separator: str = ""
+    specimens: tuple[str, ...] = ()
+
+
+def find_titles(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
+    """Find names and units where the card says they stand.
+
+    Parameters
+    ----------
+    rows : cells of the first rows of the export
+    first : number of the first row of samples, counted from 0
+    card : how the header is found
+    fault : words the error
+
+    Raises
+    ------
+    ReadError
+        If there is no row of names, or no units where there must be some.
+    """
+    if card.names == "alone":
+        return _alone(rows, first, card)
+    if card.names == "any":
+        return _anyhow(rows, first, fault)
+    if card.names == "with units":
+        return _with_units(rows, first, card.brackets, fault)
+    return _above_units(rows, first, card, fault)
+
+
+def put_names_together(rows: Rows, first: int, card: Card, fault: Fault) -> Rows:
+    """Put names together that blanks part and that hold blanks, by how names begin.
+
+    Parameters
+    ----------
+    rows, first, card, fault : as in `find_titles`
+
+    Raises
+    ------
+    ReadError
+        If there are more or fewer names than columns: one that the card does not know.
+    """
+    at = first - 2
+    if card.name_starts is None or at < 0:
+        return rows
+    text = " ".join(rows[at])
+    starts = [match.start() for match in card.name_starts.finditer(text)]
+    cuts = [0, *(start for start in starts if start), len(text)] if text else []
+    names = [text[a:b].strip() for a, b in pairwise(cuts)]
+    width = len(rows[first])
+    if len(names) != width:
+        found = f"{len(names)} in {quoted([text])}" if text else "none"
+        raise fault(at, f"{width} names, as there are columns", found)
+    return [*rows[:at], names, *rows[at + 1 :]]
+
+
+def _stripped(row: Sequence[str]) -> tuple[str, ...]:
+    """Cells without blanks around them, and without blank cells at the end."""
+    cells = [cell.strip() for cell in row]
+    while cells and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
+
+
+def _padded(cells: tuple[str, ...], width: int) -> tuple[str, ...]:
+    return cells + ("",) * (width - len(cells))
+
+
+def _alone(rows: Rows, first: int, card: Card) -> Header:
+    names = _stripped(rows[first - 1])
+    units = tuple(card.units.get(name, "") for name in names)
+    return Header(names, units, first, rows[: first - 1])
+
+
+def _with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
+    cells = _stripped(rows[first - 1]) if first else ()
+    pairs = [name_and_unit(cell, brackets) for cell in cells]
+    if not any(pairs):
+        expected = f"names with their units in {brackets} above the numbers"
+        raise fault(first - 1, expected, quoted(cells))
+    names = [pair[0] if pair else cell for pair, cell in zip(pairs, cells, strict=True)]
+    units = [pair[1] if pair else "" for pair in pairs]
+    return Header(tuple(names), tuple(units), first, rows[: first - 1])
+
+
+def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
+    units = _stripped(rows[first - 1]) if first else ()
+    kind = f"a row of units{f' in {card.brackets}' if card.brackets else ''} above the numbers"
+    bare = [bare_unit(cell, card.brackets) for cell in units if cell]
+    if not bare or None in bare or any(is_number(cell) for cell in units):
+        raise fault(first - 1, kind, quoted(units))
+    names = _stripped(rows[first - 2]) if first > 1 else ()
+    if _lacks_names(names, units):
+        expected = "a row of names, then a row of units, above the numbers"
+        raise fault(first - 1, expected, f"{quoted(names)} above {quoted(units)}")
+    width = max(len(names), len(units))
+    told = tuple(bare_unit(cell, card.brackets) or "" for cell in _padded(units, width))
+    specimens, above = _specimens(rows, first - 2, card)
+    return Header(_padded(names, width), told, first, above, specimens=specimens)
+
+
+def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
+    """Tell whether some unit has no name, or one word stands in the place of all names."""
+    beside = zip(_padded(names, len(units)), units, strict=False)
+    unnamed = any(unit and not name for name, unit in beside)
+    same = len(names) > 1 and len(set(names)) == 1
+    return unnamed or same or any(is_number(name) for name in names[:1])
+
+
+def _specimens(rows: Rows, names: int, card: Card) -> tuple[tuple[str, ...], Rows]:
+    """The row of specimens above the names, where the card says there is one, and what is above."""
+    if card.layout not in {"side by side", "specimen above"} or names < 1:
+        return (), rows[:names]
+    return tuple(cell.strip() for cell in rows[names - 1]), rows[: names - 1]
+
+
+def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
+    """Names with units in their cells, or above units, or without any."""
+    cells = _stripped(rows[first - 1]) if first else ()
+    if not any(cells) or any(is_number(cell) for cell in cells):
+        raise fault(first - 1, "a row of names above the numbers", quoted(cells))
+    above = _stripped(rows[first - 2]) if first > 1 else ()
+    if are_units(cells) and not _lacks_names(above, cells):
+        width = max(len(above), len(cells))
+        units = tuple(without_brackets(cell) for cell in _padded(cells, width))
+        return Header(_padded(above, width), units, first, rows[: first - 2])
+    pairs = [name_and_unit(cell) or (cell, "") for cell in cells]
+    names, told = zip(*pairs, strict=True)
+    return Header(names, told, first, rows[: first - 1])
