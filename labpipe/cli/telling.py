@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from labpipe.pipeline.process import Processed
 from labpipe.records.group import GroupNumber
 from labpipe.records.result import Result, Status
-from labpipe.units import si_factor
+from labpipe.report.numbers import shown_in
 
 if TYPE_CHECKING:
     from labpipe.pipeline.reporting import Reported
@@ -20,15 +20,6 @@ if TYPE_CHECKING:
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 _MOST_CYCLES = 8
-_QUANTITY = {
-    "m": "displacement",
-    "N": "force",
-    "N/m": "stiffness",
-    "J": "energy",
-    "s": "time",
-    "Pa": "pressure",
-    "m/N": "compliance",
-}
 
 
 def progress(tests: list[Path]) -> Iterator[tuple[Path, Callable[[str], None]]]:
@@ -179,22 +170,15 @@ def _lines(results: list[Result], display: dict[str, str]) -> list[str]:
     values = [result.value for result in rest if result.value is not None]
     lines = [_line(result, display) for result in results[: _MOST_CYCLES // 2]]
     if values:
-        unit, factor = _shown_in(results[0], display)
-        span = f"{factor * min(values):.5g} to {factor * max(values):.5g} {unit}"
+        shown = shown_in(results[0].name, results[0].unit, display)
+        low, high = shown.factor * min(values), shown.factor * max(values)
+        span = f"{low:.5g} to {high:.5g} {shown.unit}"
         lines.append(f"  {'... to ' + rest[-1].name:<26} {span} ({len(rest)} more in summary.json)")
     return lines
 
 
-def _shown_in(result: Result, display: dict[str, str]) -> tuple[str, float]:
-    """Unit that people see a result in, and the factor from SI."""
-    if result.name == "clock_drift":
-        return "ppm", 1e6
-    wanted = display.get(_QUANTITY.get(result.unit, ""))
-    return (result.unit, 1.0) if wanted is None else (wanted, si_factor(result.unit, wanted))
-
-
 def _line(result: Result, display: dict[str, str]) -> str:
-    unit, factor = _shown_in(result, display)
+    factor, unit = shown_in(result.name, result.unit, display)
     mark = _MARK[result.status]
     if result.value is None:
         return f"{mark} {result.name:<26}{'-':>12}"

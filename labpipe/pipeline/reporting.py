@@ -20,13 +20,11 @@ from labpipe.records.curve import Branch, Direction
 from labpipe.records.group import Campaign, Difference, Group, Sample, SampleCurve
 from labpipe.records.result import TestResult
 from labpipe.report.lab_report import write_report
+from labpipe.report.numbers import is_main
 from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
 from labpipe.store.lock import locked
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import replacing_together
-
-_OF_THE_TEST = ("clock_", "slip_")
-"""How the names of results begin that speak of one test, and of which there is no mean."""
 
 _POINTS = 500
 """Points of a branch that a report keeps: each the mean of its samples."""
@@ -249,7 +247,7 @@ def _group(
 
 def _of_specimen(sample: Sample) -> Sample:
     """The sample with those results alone that say something about the specimen."""
-    kept = [each for each in sample.results if not each.name.startswith(_OF_THE_TEST)]
+    kept = [each for each in sample.results if is_main(each.name)]
     return replace(sample, results=tuple(kept))
 
 
