@@ -1,0 +1,210 @@
+"""Synthetic tensile tests: on disk and in memory, and the true value of each of their results."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.records.result import Result
+from labpipe.virtual_lab import TensileObservation, TensileScenario, observe_tensile
+from labpipe.virtual_lab.tensile_exports import simulate_tensile
+from labpipe.virtual_lab.tensile_path import TensilePath
+
+SEGMENTS = {"twist-tube": (2e-3, 20e-3), "pet-tape": (1e-3, 35e-3)}
+"""Windows of the two-segment fits of the shipped protocols, m."""
+
+
+@dataclass(frozen=True, slots=True)
+class TensileLab:
+    """One test in ``raw/c/<name>`` of a lab's folder, and where its results come."""
+
+    home: Path
+    name: str
+
+    @property
+    def raw(self) -> Path:
+        return self.home / "raw" / "c" / self.name
+
+    @property
+    def sheet(self) -> Path:
+        return self.raw / "test.yaml"
+
+    @property
+    def processed(self) -> Path:
+        return self.home / "processed" / "c" / self.name
+
+    @property
+    def result(self) -> Path:
+        return self.processed / "result.h5"
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads((self.processed / "summary.json").read_text("utf-8"))
+        return found
+
+    @property
+    def results(self) -> dict[str, dict[str, Any]]:
+        return {each["name"]: each for each in self.summary["results"]}
+
+    @property
+    def notes(self) -> dict[str, str]:
+        return {each["code"]: each["message"] for each in self.summary["quality"]}
+
+    @property
+    def export(self) -> Path:
+        """The one export of the test."""
+        (found,) = (path for path in self.raw.iterdir() if path.suffix in {".txt", ".xlsx", ".csv"})
+        return found
+
+    def override(self, key: str, value: str) -> None:
+        """Add an override to the test sheet."""
+        text = self.sheet.read_text(encoding="utf-8")
+        text += "" if "overrides:" in text else "overrides:\n"
+        self.sheet.write_text(
+            f"{text}  {key}: {{value: {value}, because: a test of the software}}\n", "utf-8"
+        )
+
+    def edit(self, old: str, new: str) -> None:
+        """Replace the one occurrence of a text in the export."""
+        content = self.export.read_bytes()
+        assert content.count(old.encode()) == 1, (old, content.count(old.encode()))
+        self.export.write_bytes(content.replace(old.encode(), new.encode()))
+
+    def copy(self, home: Path) -> TensileLab:
+        shutil.copytree(self.home, home, dirs_exist_ok=True)
+        return TensileLab(home, self.name)
+
+
+def make_tensile(home: Path, scenario: TensileScenario, seed: int = 1) -> TensileLab:
+    lab = TensileLab(home, scenario.name)
+    simulate_tensile(scenario, lab.raw, seed)
+    return lab
+
+
+def write_pull(
+    lab: TensileLab, protocol: str, force: Floats, travel: Floats, *, rate: float = 20.0
+) -> None:
+    """A TestSuite export of given numbers (N, m), and its sheet; synthetic."""
+    lab.raw.mkdir(parents=True, exist_ok=True)
+    head = ["File Path: C:\\SYNTHETIC   ", "Test: SYNTHETIC", f"Test Run: {lab.name}"]
+    head += ["Date: 3/9/2026 10:05:00 AM", "", "", "Crosshead \tLoad \tTime ", "mm\tN\tsec"]
+    rows = [
+        f"{1e3 * d:.9G}\t{f:.9G}\t{(number + 1) / rate:.9G}"
+        for number, (d, f) in enumerate(zip(travel, force, strict=True))
+    ]
+    (lab.raw / "pull.txt").write_bytes("\r\n".join([*head, *rows, ""]).encode("utf-8-sig"))
+    lab.sheet.write_text(
+        f"test: {lab.name}\nprotocol: {protocol}\n"
+        'specimen: {type: synthetic, spool: "1", sample: "1", length: 75 mm}\n'
+        "files: {frame: pull.txt}\n",
+        encoding="utf-8",
+    )
+
+
+def shipped(repository: Path, name: str) -> Protocol:
+    """A shipped protocol; that of the stiff bar with the load cell's certificate in it."""
+    text = (repository / "protocols" / f"{name}.yaml").read_text(encoding="utf-8")
+    if name == "stiff-bar":
+        text = text.replace("Kraft]}", "Kraft], scale_uncertainty: 0.25 %}")
+    return parse_protocol(text, f"{name}.yaml")
+
+
+def reduced_in_memory(test: TensileObservation, protocol: Protocol) -> tuple[Result, ...]:
+    """Results of an observation, without files in between."""
+    record = test.record
+    channels = (
+        Channel("force", "Load", record.force, unit="N"),
+        Channel("displacement", "Crosshead", record.displacement, unit="m"),
+    )
+    frame = Recording("load-frame", clocks=(Clock("time", record.time),), channels=channels)
+    return reduce_recordings({"frame": frame}, protocol)[1]
+
+
+def true_results(scenario: TensileScenario, seed: int) -> dict[str, float]:
+    """True value of each result of the shipped protocols, by name."""
+    return true_values(observe_tensile(scenario, seed))
+
+
+def true_values(test: TensileObservation) -> dict[str, float]:
+    """As `true_results`, of a test that has been observed.
+
+    Displacements count from the first sample, or from the foot where slack is taken off. A repaired
+    curve ends higher by the drops of its slips. A slip is placed at the middle of its fall.
+    """
+    scenario, truth = test.scenario, test.truth
+    start = float(truth.displacement[0])
+    zero = truth.foot if scenario.protocol == "pet-tape" else start
+    peak = truth.peak_force + sum(slip.drop for slip in truth.slips)
+    values = {
+        "peak_force.1": peak,
+        "peak_displacement.1": truth.peak_displacement - start,
+        "slack": truth.foot - start,
+        "stiffness": truth.stiffness_first,
+        "stiffness_first": truth.stiffness_first,
+        "stiffness_second": truth.stiffness_second,
+        "stiffness_first_per_peak_force": truth.stiffness_first / peak,
+        "stiffness_second_per_peak_force": truth.stiffness_second / peak,
+        "compliance": 1.0 / truth.stiffness_first,
+        **_true_moduli(test),
+    }
+    for number, slip in enumerate(scenario.slips, start=1):
+        middle = slip.position + 0.5 * slip.duration * scenario.frame.speed
+        values |= {f"slip_position.{number}": middle - zero, f"slip_drop.{number}": slip.drop}
+    if truth.failure_displacement is None:
+        return values
+    assert truth.failure_force is not None
+    assert truth.energy_to_break is not None
+    return values | {
+        "failure_displacement": truth.failure_displacement - zero,
+        "failure_force": truth.failure_force,
+        "energy_to_break": truth.energy_to_break,
+        **_true_segments(test, zero),
+    }
+
+
+def _true_moduli(test: TensileObservation) -> dict[str, float]:
+    """Moduli for the sections that stand in the protocols."""
+    scaled = test.truth.stiffness_first * test.scenario.length
+    outer, inner, wall = 14.1e-3, 10.7e-3, 0.27e-3
+    return {
+        "modulus_thin_wall": scaled / (math.pi * (outer - wall) * wall),
+        "modulus_annulus": scaled / (0.25 * math.pi * (outer**2 - inner**2)),
+        "modulus": scaled / (18.79e-3 * 0.28e-3),
+    }
+
+
+def _true_segments(test: TensileObservation, zero: float) -> dict[str, float]:
+    """The best two segments of the true curve, which has a rounded knee: by plain search."""
+    low, high = SEGMENTS[test.scenario.protocol]
+    x = np.linspace(low, high, 1500)
+    y = TensilePath(test.scenario).force((x + zero) / test.scenario.frame.speed)
+
+    def fitted(at: float) -> tuple[Floats, float]:
+        design = np.column_stack([np.ones_like(x), np.minimum(x - at, 0), np.maximum(x - at, 0)])
+        coefficients = np.linalg.lstsq(design, y, rcond=None)[0]
+        return coefficients, float(np.sum((y - design @ coefficients) ** 2))
+
+    grid = np.linspace(x[5], x[-6], 60)
+    near = int(np.argmin([fitted(at)[1] for at in grid]))
+    bounds = (grid[max(near - 1, 0)], grid[min(near + 1, 59)])
+    found = minimize_scalar(
+        lambda at: fitted(at)[1], bounds=bounds, method="bounded", options={"xatol": 1e-9}
+    )
+    _, first, second = fitted(found.x)[0]
+    return {
+        "break_point": float(found.x),
+        "segment_stiffness_first": float(first),
+        "segment_stiffness_second": float(second),
+    }

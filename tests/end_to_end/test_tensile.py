@@ -1,0 +1,270 @@
+"""The main job on synthetic tensile tests: export to results, against the truth."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.cli import main
+from labpipe.records.slips import SlipDecision
+from labpipe.store.read import read_result
+from labpipe.virtual_lab import TensileScenario
+from labpipe.virtual_lab.tensile_campaign import (
+    TABLE_2_3,
+    corrugated_tube,
+    pet_tape,
+    stiff_bar,
+    twist_tube,
+)
+from labpipe.virtual_lab.tensile_scenario import GripSlip
+from tests.builders.small_tests import Run, state
+from tests.builders.tensile_tests import TensileLab, make_tensile, true_results
+
+SLIPS = (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81))
+"""Those of the source's specimen."""
+_TUBE, _TAPE = corrugated_tube("CT-10-slit-2", gain_error=0.002), pet_tape("1", gain_error=-0.003)
+KINDS: dict[str, TensileScenario] = {
+    "corrugated-tube": replace(_TUBE, slips=SLIPS),
+    "driven back": replace(
+        corrugated_tube("CT-10-3"), frame=replace(_TUBE.frame, unloads=True, overrun=0.0)
+    ),
+    "twist-tube": twist_tube("1b", gain_error=0.001),
+    "twist-tube, other spool": twist_tube("2a", slack=0.8e-3, peak_force=400.0),
+    "pet-tape": _TAPE,
+    "stiff-bar": stiff_bar(gain_error=0.001),
+}
+SEED = 1
+
+
+class Done:
+    """A test processed once by the command, and its truth."""
+
+    def __init__(self, home: Path, scenario: TensileScenario) -> None:
+        self.lab = make_tensile(home, scenario, SEED)
+        self.before = state(self.lab.home / "raw")
+        self.status = main(["process", str(self.lab.raw)])
+        self.truth = true_results(scenario, SEED)
+        self.scenario = scenario
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Done]:
+    return {kind: Done(tmp_path_factory.mktemp("lab"), KINDS[kind]) for kind in KINDS}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_is_there_and_raw_files_are_untouched(done: dict[str, Done], kind: str) -> None:
+    test = done[kind]
+    assert test.status == 0
+    assert state(test.lab.home / "raw") == test.before
+    found = {path.relative_to(test.lab.processed).as_posix() for path in files(test.lab)}
+    assert {"result.h5", "summary.json", "figures/force-displacement.svg"} <= found
+    assert len([name for name in found if name.endswith(".png")]) in (1, 3)
+    assert {each["status"] for each in test.lab.results.values()} == {"ok"}
+
+
+def files(lab: TensileLab) -> list[Path]:
+    return [path for path in lab.processed.rglob("*") if path.is_file()]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_number_against_its_truth(done: dict[str, Done], kind: str) -> None:
+    """A wide net of two half widths: coverage at 95 % is counted elsewhere, over many seeds."""
+    test = done[kind]
+    assert test.lab.results
+    for name, found in test.lab.results.items():
+        true = test.truth[name]
+        below, above = found["value"] - found["lower"], found["upper"] - found["value"]
+        assert found["level"] == 0.95
+        assert true - 2.0 * above <= found["value"] <= true + 2.0 * below, name
+
+
+TOLERANCES = {
+    # Relative; the load cell is off by up to 0.3 %, which nothing can see.
+    "peak_force.1": 0.006,
+    "stiffness": 0.01,
+    "stiffness_first": 0.02,
+    "stiffness_second": 0.01,
+    "stiffness_first_per_peak_force": 0.02,
+    "stiffness_second_per_peak_force": 0.01,
+    "segment_stiffness_first": 0.02,
+    "segment_stiffness_second": 0.01,
+    "modulus_thin_wall": 0.01,
+    "modulus_annulus": 0.01,
+    "modulus": 0.02,
+    "energy_to_break": 0.01,
+    "failure_force": 0.006,
+    "compliance": 0.01,
+}
+NEAR = {
+    # m; one sampling step of the twist tubes is 50 um, of the tapes 25 um, of the tubes 21 um
+    "peak_displacement.1": 1e-5,
+    "failure_displacement": 1.2e-4,
+    "break_point": 1.5e-4,
+    "slack": 1e-4,
+    "slip_position.1": 6e-5,
+    "slip_position.2": 6e-5,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_number_within_a_tolerance(done: dict[str, Done], kind: str) -> None:
+    test = done[kind]
+    for name, found in test.lab.results.items():
+        if name in TOLERANCES:
+            assert found["value"] == pytest.approx(test.truth[name], rel=TOLERANCES[name]), name
+        elif name in NEAR:
+            assert abs(found["value"] - test.truth[name]) < NEAR[name], name
+        else:
+            assert name.startswith("slip_drop."), name
+            assert abs(found["value"] - test.truth[name]) < 0.1, name
+
+
+def test_units_of_the_workbook_are_pounds_and_inches(done: dict[str, Done]) -> None:
+    result = read_result(done["corrugated-tube"].lab.result)
+    units = {each.name: each.unit_in_file for each in result.recordings["frame"].channels}
+    assert units == {"force": "lbf", "displacement": "in"}
+    assert done["corrugated-tube"].lab.results["peak_force.1"]["unit"] == "N"
+
+
+def test_slips_are_in_the_ledger_and_repaired(done: dict[str, Done]) -> None:
+    test = done["corrugated-tube"]
+    result = read_result(test.lab.result)
+    assert [slip.decision for slip in result.slips] == [SlipDecision.REPAIRED] * 2
+    curve, aligned = result.curve, result.aligned
+    assert curve is not None
+    assert aligned is not None
+    added = curve.force - aligned.series["force"].values
+    drops = [slip.drop for slip in result.slips]
+    before, between, behind = (
+        added[: result.slips[0].start],
+        added[result.slips[0].stop : result.slips[1].start],
+        added[result.slips[1].stop :],
+    )
+    np.testing.assert_allclose(before, 0.0)
+    np.testing.assert_allclose(between, drops[0])
+    np.testing.assert_allclose(behind, sum(drops))
+    assert test.lab.notes["slip_repaired"].endswith(
+        "slipped in the grips; added back to all that follows"
+    )
+
+
+def test_other_tests_have_no_slips(done: dict[str, Done]) -> None:
+    for kind in set(KINDS) - {"corrugated-tube"}:
+        assert not read_result(done[kind].lab.result).slips
+
+
+def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: dict[str, Done]) -> None:
+    """The bar's own stretch is counted in: 3 % of what was found."""
+    found = done["stiff-bar"].lab.results["compliance"]["value"]
+    lab = make_tensile(tmp_path, KINDS["twist-tube"], SEED)
+    lab.override("curve.compliance", f"{{value: {1e6 * found:.6g} um/N, uncertainty: 5 %}}")
+    assert run("process", lab.raw, "--no-figures").status == 0
+    plain, corrected = done["twist-tube"].lab.results, lab.results
+    truth = lab_truth(lab)
+    for region in ("first", "second"):
+        name = f"stiffness_{region}"
+        assert corrected[name]["value"] > plain[name]["value"]
+        true = truth[f"specimen_stiffness_{region}"]
+        assert corrected[name]["value"] == pytest.approx(true, rel=0.006)
+    said = f"{1e6 * found:.4g} um/N x force taken off the displacement, "
+    assert lab.notes["compliance_removed"].startswith(said)
+
+
+def lab_truth(lab: TensileLab) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((lab.raw / "truth.json").read_text("utf-8"))
+    return found
+
+
+def test_parts_out_of_order_and_one_without_samples(tmp_path: Path, run: Run) -> None:
+    """Two parts are the whole but for the two samples that the program loses between them."""
+    whole = twist_tube("2b")
+    parts = replace(whole, export=replace(whole.export, in_parts=True, part_at=4.5))
+    labs = [make_tensile(tmp_path / name, each) for name, each in (("1", whole), ("2", parts))]
+    for lab in labs:
+        assert run("process", lab.raw, "--no-figures").status == 0
+    (one, two), (first, second) = (lab.results for lab in labs), labs
+    assert len(second.summary["inputs"]) == 3
+    assert len(first.summary["inputs"]) == 1
+    assert second.notes["no_samples"].startswith("a byte order mark and nothing else")
+    assert set(one) == set(two)
+    for name in set(one) - {"energy_to_break"}:
+        assert two[name]["value"] == pytest.approx(one[name]["value"], rel=1e-9), name
+    # The trapezoids bridge the two samples that are gone.
+    assert two["energy_to_break"]["value"] == pytest.approx(
+        one["energy_to_break"]["value"], rel=1e-4
+    )
+
+
+def test_processing_the_result_again_gives_the_same(
+    done: dict[str, Done], tmp_path: Path, run: Run
+) -> None:
+    """With the exports gone."""
+    for kind in ("corrugated-tube", "twist-tube", "pet-tape"):
+        lab = done[kind].lab
+        kept = tmp_path / kind / "result.h5"
+        kept.parent.mkdir()
+        shutil.copy(lab.result, kept)
+        assert run("process", kept, "--out", tmp_path / "again", "--no-figures").status == 0
+        again = tmp_path / "again" / lab.name
+        assert (again / "result.h5").read_bytes() == lab.result.read_bytes()
+        assert json.loads((again / "summary.json").read_text("utf-8")) == lab.summary
+
+
+ACME = """\
+program = "Acme Bench"
+about = "Synthetic: semicolons and decimal comma, names above units."
+recognise = ['\\AACME Bench export']
+encodings = ["utf-8"]
+separators = [";"]
+decimal = ","
+names = "above units"
+time = ["Zeit"]
+"""
+
+
+def test_a_card_of_the_lab(
+    done: dict[str, Done], tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same numbers in a layout that only the lab's own card knows give the same results."""
+    lab = make_tensile(tmp_path, KINDS["pet-tape"], SEED)
+    rows = [
+        line.split("\t") for line in lab.export.read_text("utf-8-sig").splitlines() if "\t" in line
+    ]
+    lab.export.unlink()
+    names = {"Crosshead ": "Querhaupt", "Load ": "Zugkraft", "Time ": "Zeit", "sec": "s"}
+    body = [";".join(names.get(cell, cell).replace(".", ",") for cell in row) for row in rows]
+    (lab.raw / "pull.csv").write_text("\n".join(["ACME Bench export", *body, ""]), encoding="utf-8")
+    sheet = lab.sheet.read_text("utf-8")
+    start = sheet.index("files:")
+    lab.sheet.write_text(sheet[:start] + "files: {frame: pull.csv}\n", encoding="utf-8")
+    for word, name in (("force", "Zugkraft"), ("displacement", "Querhaupt")):
+        lab.override(f"sources.frame.channels.{word}.channel", name)
+    lab.override("sources.frame.dialect", "acme")
+    monkeypatch.chdir(tmp_path)
+    ran = run("process", lab.raw, "--no-figures")
+    assert ran.status == 2
+    assert "acme" in ran.err
+    (tmp_path / "dialects").mkdir()
+    (tmp_path / "dialects" / "acme.toml").write_text(ACME, encoding="utf-8")
+    assert run("process", lab.raw, "--no-figures").status == 0
+    usual = done["pet-tape"].lab.results
+    for name, found in lab.results.items():
+        assert found["value"] == pytest.approx(usual[name]["value"], rel=1e-9), name
+
+
+def test_table_2_3_comes_back(tmp_path: Path, run: Run) -> None:
+    """Stiffness over peak force of all six twist tubes; a gain error cancels."""
+    for number, (sample, (first, second)) in enumerate(TABLE_2_3.items(), start=1):
+        lab = make_tensile(tmp_path, twist_tube(sample, gain_error=0.01), number)
+        assert run("process", lab.raw, "--no-figures").status == 0
+        found = [lab.results[f"stiffness_{each}_per_peak_force"] for each in ("first", "second")]
+        assert found[0]["value"] == pytest.approx(first, rel=0.012), sample
+        assert found[1]["value"] == pytest.approx(second, rel=0.012), sample
+        assert found[0]["unit"] == "1/m"
