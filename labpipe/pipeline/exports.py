@@ -17,6 +17,7 @@ from labpipe.protocol.sheet import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import select_channel
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 from labpipe.units import si_factor
@@ -133,7 +134,23 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     )
     clocks = {channel.clock for channel in channels}
     kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
-    return replace(recording, channels=channels, clocks=kept)
+    named = zip(channels, source.all_channels.values(), strict=True)
+    notes = [note for channel, said in named for note in _unit_notes(channel, said)]
+    return replace(recording, channels=channels, clocks=kept, notes=(*recording.notes, *notes))
+
+
+def _unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
+    """Say where the protocol's unit goes before another one that the export states."""
+    said, stated = source.unit, channel.unit_in_file
+    if said is None or not stated or said == stated or channel.unit is None:
+        return []
+    try:
+        if si_factor(said, channel.unit) == si_factor(stated, channel.unit):
+            return []
+    except ValueError:
+        pass  # a unit of another dimension is no reason to say less
+    message = f"the export says {stated!r}, the protocol {said!r}: the protocol was followed"
+    return [QualityNote("unit_overridden", Severity.WARNING, channel.name, message)]
 
 
 def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
@@ -161,6 +178,15 @@ def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
                 expected="a part of a recording: channels on one clock",
                 found="marker tracks" if part.markers is not None else f"{len(part.clocks)} clocks",
                 remedy="Name one export for this role.",
+            )
+            raise ReadError(message)
+        if part.clocks[0].unit != "s":
+            message = complaint(
+                name,
+                "",
+                expected="a part of a recording with times, by which parts are put in order",
+                found="rows without time",
+                remedy="Export the test in one piece, or with its time.",
             )
             raise ReadError(message)
     order = sorted(range(len(parts)), key=lambda index: float(parts[index].clocks[0].time[0]))

@@ -43,6 +43,8 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
         If a clock runs backwards, a channel has no finite sample, or a number is impossibly large.
     """
     bench, markers = Bench(), MarkerBench()
+    curve = protocol.curve
+    words = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
     for role, recording in recordings.items():
         bench.notes.extend(replace(note, where=_at(role, note.where)) for note in recording.notes)
         if recording.markers is not None:
@@ -54,9 +56,10 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
             _check_clock(clock.time, role, fewest=_FEWEST)
             signal = _signal(channel, source, clock, role)
             bench.raw[channel.name] = bench.signals[channel.name] = signal
-            _note_missing(bench, channel)
-            _note_saturation(bench, channel)
-            _check_peak(bench, signal, channel.name, source.peak_range)
+            quantity = words.get(channel.name, channel.name)
+            _note_missing(bench, channel, quantity)
+            _note_saturation(bench, channel, quantity)
+            _check_peak(bench, signal, (channel.name, quantity), source.peak_range)
     return bench, markers
 
 
@@ -89,7 +92,7 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
 
 
 def _check_peak(
-    bench: Bench, signal: Signal, name: str, peak_range: tuple[float, float] | None
+    bench: Bench, signal: Signal, names: tuple[str, str], peak_range: tuple[float, float] | None
 ) -> None:
     """Doubt a channel whose peak no such specimen has: a unit that is not what the file says."""
     if peak_range is None:
@@ -100,7 +103,8 @@ def _check_peak(
             f"the largest value is {peak:.4g} {signal.unit}, plausible are {least:.4g} to "
             f"{most:.4g} {signal.unit}: is the unit right, and is it this channel?"
         )
-        bench.doubt(name, "implausible_peak", message, where=name)
+        name, quantity = names
+        bench.doubt(quantity, "implausible_peak", message, where=name)
 
 
 def _check_markers(tracks: MarkerTracks, role: str) -> None:
@@ -126,14 +130,14 @@ def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
     raise ProcessingError(message)
 
 
-def _note_missing(bench: Bench, channel: Channel) -> None:
+def _note_missing(bench: Bench, channel: Channel, quantity: str) -> None:
     missing = int(np.isnan(channel.values).sum())
     if missing:
         message = f"{missing} of {len(channel.values)} samples are blank or not finite"
-        bench.doubt(channel.name, "missing_samples", message, where=channel.name)
+        bench.doubt(quantity, "missing_samples", message, where=channel.name)
 
 
-def _note_saturation(bench: Bench, channel: Channel) -> None:
+def _note_saturation(bench: Bench, channel: Channel, quantity: str) -> None:
     """A converter at its end repeats its largest or smallest number."""
     values = channel.values
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -151,8 +155,8 @@ def _note_saturation(bench: Bench, channel: Channel) -> None:
                 f"{int(runs.max())} samples in a row stand at {end:.6g} {channel.unit}, the end of "
                 "the channel: saturated?"
             )
-            for quantity in (channel.name, "clock"):
-                bench.doubt(quantity, "saturation", message, where=channel.name)
+            for rests_on in (quantity, "clock"):
+                bench.doubt(rests_on, "saturation", message, where=channel.name)
 
 
 def _check_clock(time: Floats, role: str, *, fewest: int) -> None:

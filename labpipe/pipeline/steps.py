@@ -107,7 +107,9 @@ def _mean_level(values: Floats) -> tuple[float, float]:
 def _end_level(values: Floats) -> tuple[float, float]:
     """First value of a straight line through evenly sampled values, with its standard error."""
     blocks = _blocks(values)
-    design = np.column_stack([np.ones(len(blocks)), np.arange(len(blocks))])
+    size = len(values) // len(blocks)
+    middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
+    design = np.column_stack([np.ones(len(blocks)), middles])
     coefficients = np.linalg.lstsq(design, blocks, rcond=None)[0]
     variance = long_run_variance(blocks - design @ coefficients, parameters=2)
     error = float(np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0]))

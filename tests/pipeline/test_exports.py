@@ -202,3 +202,29 @@ def test_a_part_without_samples() -> None:
     said = r"b.mat: expected a part of a recording: channels on one clock, found 0 clocks"
     with pytest.raises(ReadError, match=said):
         join_parts([part(0.0), nothing], ["a.mat", "b.mat"])
+
+
+def test_a_unit_of_the_protocol_that_contradicts_the_file_is_told(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}").sources["force"]
+    recording = read_role(export(tmp_path, unit="kN"), source)
+    np.testing.assert_allclose(recording.channels[0].values, VALUES)
+    told = [note for note in recording.notes if note.code == "unit_overridden"]
+    message = "the export says 'kN', the protocol 'N': the protocol was followed"
+    assert told == [QualityNote("unit_overridden", Severity.WARNING, "force", message)]
+
+
+@pytest.mark.parametrize("unit", ["", "N", "newton"])
+def test_a_unit_that_means_the_same_is_not_told(tmp_path: Path, unit: str) -> None:
+    source = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}").sources["force"]
+    recording = read_role(export(tmp_path, unit=unit), source)
+    assert "unit_overridden" not in {note.code for note in recording.notes}
+
+
+def test_parts_without_time_have_no_order() -> None:
+    rows = replace(part(0.0), clocks=(Clock("time", np.arange(20.0), "1"),))
+    said = (
+        r"b\.txt: expected a part of a recording with times, by which parts are put in order, "
+        r"found rows without time\. Export the test in one piece, or with its time\."
+    )
+    with pytest.raises(ReadError, match=said):
+        join_parts([part(0.0), rows], ["a.txt", "b.txt"])

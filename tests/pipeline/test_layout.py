@@ -191,3 +191,22 @@ def test_a_quiet_channel_is_not_saturated() -> None:
     for volts in (noisy(2000), np.maximum(at_rest, 0.0), np.zeros(2000)):
         bench, _ = lay_out(force(volts, time), PROTOCOL)
         assert not bench.doubts
+
+
+def test_a_doubt_holds_for_the_curve_whatever_the_channel_is_called() -> None:
+    pull = parse_protocol(
+        "version: 1\nname: p\nsources:\n  force:\n    reader: dspace-mat\n    channels:\n"
+        "      pull: {channel: A, unit: N, quantity: force, plausible_peak: {from: 20 N, to: 2 kN}}\n"
+        "      way: {channel: B, unit: m, quantity: displacement}\n"
+        "curve: {force: pull, displacement: way}\n"
+        "branches: {channel: way, min_stroke: 1 mm}\n",
+        "p.yaml",
+    )
+    channels = (
+        Channel("pull", "A", np.arange(10.0), unit="N"),
+        Channel("way", "B", np.arange(10.0), unit="m"),
+    )
+    recording = Recording("dspace-mat", clocks=(Clock("time", TIME),), channels=channels)
+    bench, _ = lay_out({"force": recording}, pull)
+    assert set(bench.doubts) == {"force"}
+    assert [note.where for note in bench.notes if note.code == "implausible_peak"] == ["pull"]

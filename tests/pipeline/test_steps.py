@@ -189,3 +189,14 @@ def test_decimate(method: str) -> None:
     np.testing.assert_allclose(signal.values, expected)
     np.testing.assert_array_equal(signal.time, TIME[::4])
     assert bench.notes[0].message == f"every 4th sample kept ({method})"
+
+
+@pytest.mark.parametrize("count", [1000, 2000, 50_000])
+def test_zero_by_a_line_is_exact_however_many_samples(count: int) -> None:
+    made = protocol("{step: zero, channel: force, over: 0.5 s, by: line}")
+    time = np.linspace(0.0, 0.5, count)
+    bench = Bench()
+    signal = Signal(time, 3.0 + 100.0 * time, "N", "frame")
+    bench.raw["force"] = bench.signals["force"] = signal
+    take_step(bench, MarkerBench(), made.steps[0], made)
+    assert bench.signals["force"].values[0] == pytest.approx(0.0, abs=1e-9)
