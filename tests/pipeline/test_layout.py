@@ -196,7 +196,8 @@ def test_a_quiet_channel_is_not_saturated() -> None:
 def test_a_doubt_holds_for_the_curve_whatever_the_channel_is_called() -> None:
     pull = parse_protocol(
         "version: 1\nname: p\nsources:\n  force:\n    reader: dspace-mat\n    channels:\n"
-        "      pull: {channel: A, unit: N, quantity: force, plausible_peak: {from: 20 N, to: 2 kN}}\n"
+        "      pull: {channel: A, unit: N, quantity: force,"
+        " plausible_peak: {from: 20 N, to: 2 kN}}\n"
         "      way: {channel: B, unit: m, quantity: displacement}\n"
         "curve: {force: pull, displacement: way}\n"
         "branches: {channel: way, min_stroke: 1 mm}\n",
