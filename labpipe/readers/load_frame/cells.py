@@ -17,6 +17,13 @@ _MARKED = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)(\S+)")
 """A unit behind a comma, ``Force, N``, or as ISO 80000 writes it, ``Force / N``."""
 _SI = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
 _NO_DIMENSION = frozenset({"-", "count", "°C"})
+_COMMON = frozenset(
+    (
+        *("s", "ms", "sec", "min", "h", "mm", "µm", "cm", "m", "in", "mm/s"),
+        *("N", "kN", "mN", "lbf", "MPa", "GPa", "kPa", "%", "mm/mm", "V"),
+    )
+)
+"""Told at once; whatever else could be a unit is looked up with pint, which is slow to load."""
 _SHOWN = 60
 
 
@@ -38,7 +45,8 @@ def split_line(line: str, separator: str) -> list[str]:
 
 def is_unit(text: str) -> bool:
     """Tell whether labpipe knows a text as a unit."""
-    return text in _NO_DIMENSION or any(_is_like(text, unit) for unit in _SI)
+    known = text in _COMMON or text in _NO_DIMENSION
+    return known or any(_is_like(text, unit) for unit in _SI)
 
 
 def _is_like(text: str, unit: str) -> bool:

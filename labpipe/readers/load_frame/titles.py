@@ -159,11 +159,18 @@ def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
     cells = _stripped(rows[first - 1]) if first else ()
     if not any(cells) or any(is_number(cell) for cell in cells):
         raise fault(first - 1, "a row of names above the numbers", quoted(cells))
+    has_both = any(_is_name_with_unit(cell) for cell in cells)
     above = _stripped(rows[first - 2]) if first > 1 else ()
-    if are_units(cells) and not _lacks_names(above, cells):
+    if not has_both and are_units(cells) and not _lacks_names(above, cells):
         width = max(len(above), len(cells))
         units = tuple(without_brackets(cell) for cell in _padded(cells, width))
         return Header(_padded(above, width), units, first, rows[: first - 2])
     pairs = [name_and_unit(cell) or (cell, "") for cell in cells]
     names, told = zip(*pairs, strict=True)
     return Header(names, told, first, rows[: first - 1])
+
+
+def _is_name_with_unit(cell: str) -> bool:
+    """Tell whether a cell holds a name and behind it a unit in brackets."""
+    pairs = (name_and_unit(cell, brackets) for brackets in ("()", "[]"))
+    return any(pair is not None and pair[0] for pair in pairs)

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pytest
 
+from labpipe.readers.load_frame import cells
 from labpipe.readers.load_frame.cells import (
     are_units,
     bare_unit,
@@ -28,6 +29,11 @@ def test_units() -> None:
     assert not any(map(is_unit, ("Time", "Force", "Standard travel")))
     assert are_units(["(mm)", "", "[kN]", "s"])
     assert not are_units(["", ""])
+
+
+@pytest.mark.parametrize("unit", sorted(cells._COMMON))
+def test_units_told_at_once_are_units(unit: str) -> None:
+    assert any(cells._is_like(unit, si) for si in cells._SI)
 
 
 def test_a_quote_that_is_not_closed() -> None:
