@@ -117,13 +117,13 @@ def _per_cycle(bench: Bench, asked: Asked, of_cycle: _Numbers) -> list[Result]:
             asked,
             _with_shape_error(bench, branches, of_cycle),
             part=f".{branches[0].cycle}",
-            doubt=_broken_off(bench, branches[: asked.needs]),
+            doubt=broken_off(bench, branches[: asked.needs]),
         )
         for branches in cycles
     ]
 
 
-def _broken_off(bench: Bench, branches: list[Branch]) -> str:
+def broken_off(bench: Bench, branches: list[Branch]) -> str:
     """Why a number is doubtful whose branches the record does not hold to their end."""
     if not branches or branches[-1].stop < len(curve_of(bench).time):
         return ""

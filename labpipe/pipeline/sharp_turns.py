@@ -69,6 +69,9 @@ def find_sharp_end(displacement: Floats, *, length: int) -> SharpEnd | None:
     first = int(np.argmax(branch >= branch.max() - near))
     if first < 4 * size or near > step or not _as_fast(branch, first, size):
         return None
+    if (displacement[length : length + 2] > branch.max() + near).any():  # cut off, it went on
+        last = int(np.argmax(branch))
+        return SharpEnd(last, Estimate(float(branch[last]), noise, 1), 0.0)
     there = displacement[first : first + _stays(displacement[first:], branch.max() - near)]
     if len(there) >= _PLATEAU:
         stood = there[1:]

@@ -25,6 +25,7 @@ from labpipe.fitting.segments import TwoSegments, fit_two_segments
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch, loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of
+from labpipe.pipeline.cycle_results import broken_off
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
 from labpipe.pipeline.sharp_turns import unscaled_peak_force
 from labpipe.protocol.results import Modulus
@@ -102,7 +103,9 @@ def normalised_stiffness(bench: Bench, *, of: str) -> list[Result]:
     """A stiffness over the largest force of the same sample (1/m); a gain error cancels."""
     method = f"{of} / peak force of the same sample, errors independent, scale error cancelled"
     asked = Asked(f"{of}_per_peak_force", "1/m", _CURVE, method)
-    return [to_result(bench, asked, _normalised(bench, of))]
+    doubts = [_doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[:1])]
+    doubt = "; ".join(filter(None, doubts))
+    return [to_result(bench, asked, _normalised(bench, of), doubt=doubt)]
 
 
 def _normalised(bench: Bench, of: str) -> Estimate | Failure:
@@ -127,7 +130,7 @@ def modulus_result(bench: Bench, entry: Modulus, specimen: SpecimenBlock) -> lis
         outcome = area
     else:
         outcome = modulus(_scaled(bench, stiffness), gauge_length=specimen.length, area=area)
-    return [to_result(bench, asked, outcome)]
+    return [to_result(bench, asked, outcome, doubt=_doubt_of(bench, entry.of))]
 
 
 def _area(kind: str, specimen: SpecimenBlock) -> float | Failure:
@@ -259,6 +262,19 @@ def _scaled(bench: Bench, estimate: Estimate) -> Estimate:
 
 def _slack_error(bench: Bench) -> float:
     return bench.slack.error if isinstance(bench.slack, Estimate) else 0.0
+
+
+def _doubt_of(bench: Bench, stiffness: str) -> str:
+    """Why a number is doubtful that is made of a stiffness: for the reason that this one is."""
+    segments = stiffness.startswith("segment_stiffness_")  # one slip bends both
+    lines = [
+        line
+        for line in bench.lines
+        if line.result == stiffness or (segments and line.result.startswith("segment_stiffness_"))
+    ]
+    if not lines:
+        return ""
+    return _marked_slip(bench, min(line.start for line in lines), max(line.stop for line in lines))
 
 
 def _marked_slip(bench: Bench, start: float, stop: float) -> str:
