@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,9 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers import READERS, read_export, recognise_export
+from labpipe.pipeline.exports import read_role
+from labpipe.protocol.source import Source
+from labpipe.readers import READERS, load_frame, read_export, recognise_export
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Recording
 from tests.builders import load_frames as frames
@@ -193,6 +196,14 @@ def test_rows_of_extremes_are_no_samples(
     assert "summary_rows_left_out" in codes(recording)
 
 
+def test_nothing_but_extremes_leaves_no_samples(write: Written) -> None:
+    block = frames.mts_block("Datenerfassung", frames.EXTREMES, ",")
+    recording = read_export(write(f"MTS793|MPT|DEU|1|2|,|.|:|49|1|1|A\r\n\r\n{block}".encode()))
+    assert (recording.clocks, recording.channels) == ((), ())
+    assert codes(recording) == {"summary_rows_left_out", "no_samples"}
+    assert "0.131" in about(recording)
+
+
 def test_793_with_umlauts_lost(write: Written) -> None:
     content = frames.mts_793().replace(b"Pr\xfcfer", b"Pr\xef\xbf\xbdfer")
     recording = read_export(write(content))
@@ -327,6 +338,62 @@ def test_a_workbook_that_says_no_units_is_refused_not_assumed(write: Written) ->
     refused(file, "unit", dialect=["testresources"])
 
 
+@pytest.mark.parametrize("dialect", [None, ["table-workbook"]])
+def test_a_workbook_without_units_is_told_where_they_belong(
+    write: Written, dialect: list[str] | None
+) -> None:
+    rows = frames.pull(TIME, FORCE, TRAVEL)
+    sheet: list[frames.Row] = [["Time", "Load", "Position"], *rows]
+    file = write(frames.workbook({"Sheet1": sheet}), "synthetic.xlsx")
+    refused(
+        *(file, "column 'Time'", "unit", "a row below the names", "in brackets", "time_unit"),
+        dialect=dialect,
+    )
+
+
+def test_units_that_a_protocol_and_a_card_say(
+    write: Written, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A workbook without units: channels take theirs from the protocol, time from a lab's card."""
+    rows = frames.pull(TIME, FORCE, TRAVEL)
+    sheet: list[frames.Row] = [["Time", "Load", "Position"], *rows]
+    file = write(frames.workbook({"Sheet1": sheet}), "synthetic.xlsx")
+    (tmp_path / "dialects").mkdir()
+    text = (resources.files(load_frame) / "dialects" / "testresources.toml").read_text("utf-8")
+    card = f'time_unit = "s"\n{text}'
+    (tmp_path / "dialects" / "our-frame.toml").write_text(card, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    source = Source.model_validate(
+        {
+            "reader": "load-frame",
+            "dialect": "our-frame",
+            "channels": {
+                "force": {"channel": ["Axial Force", "Load"], "unit": "lbf"},
+                "displacement": {"channel": "Position", "unit": "in"},
+            },
+        }
+    ).in_role("frame")
+    recording = read_role(file, source)
+    np.testing.assert_allclose(time(recording), TIME)
+    force, travel = recording.channels
+    assert (force.name, force.unit, travel.unit) == ("force", "N", "m")
+    np.testing.assert_allclose(force.values, 4.4482216152605 * FORCE)
+    np.testing.assert_allclose(travel.values, 0.0254 * TRAVEL)
+
+
+@pytest.mark.parametrize("mark", ["{}, {}", "{} / {}", "{},{}"])
+def test_units_behind_a_comma_or_a_slash(write: Written, mark: str) -> None:
+    pairs = (("Time", "s"), ("Force", "lbf"), ("Displacement", "in"))
+    names: frames.Row = [mark.format(*pair) for pair in pairs]
+    rows = frames.pull(TIME, FORCE, TRAVEL)
+    held = {"force": ("Force", "lbf", 1.0), "travel": ("Displacement", "in", 1.0)}
+    book = frames.workbook({"Sheet1": [names, *rows]})
+    holds(read_export(write(book, "synthetic.xlsx")), **held)
+    text = frames.lines([names, *rows], ";")
+    holds(read_export(write(text.encode())), **held)
+    holds(read_export(write(f"sep=;\r\n{text}".encode())), **held)
+
+
 def test_catman_code_for_no_sensor(write: Written) -> None:
     recording = read_export(write(frames.catman()))
     assert [each.name for each in recording.channels] == ["Kraft", "Weg", "Pyrometer"]
@@ -343,6 +410,16 @@ def test_micrometres(write: Written, run: Run, micro: str) -> None:
     travel = next(each for each in stream["channels"] if each["name"] == "Displacement")
     assert (stream["start"], stream["end"]) == (pytest.approx(0.1), pytest.approx(4.0))
     assert (travel["unit"], travel["first"]) == ("m", pytest.approx(-0.25e-3))
+
+
+def test_q800_that_lacks_one_of_its_names(write: Written) -> None:
+    content = frames.dma_q800().decode("utf-16").replace("Nsig\t3", "Nsig\t4")
+    recording = read_export(write(content.encode("utf-16")))
+    (note,) = (note for note in recording.notes if note.code == "columns_differ")
+    assert note.message == "the header states 4 columns, the file holds 3"
+    assert note.severity.value == "warning"
+    rows = [f"{line}\t1.5" if "." in line[:3] else line for line in content.split("\r\n")]
+    refused(write("\r\n".join(rows).encode("utf-16")), "3 cells as in the header, found 4")
 
 
 def test_index_without_time(write: Written) -> None:
@@ -431,6 +508,33 @@ def test_regrouped_thousands_of_any_locale_are_refused(
     assert re.search(r"line [45]\b", text)
 
 
+@pytest.mark.parametrize("kind", ["text", "workbook"])
+def test_regrouped_thousands_whose_signs_are_gone_are_refused(write: Written, kind: str) -> None:
+    """Whole numbers that jump a thousandfold and back, as zeros at their ends are not written."""
+    whole = [935, 999, 1063, 1110797, 1162]
+    rows: list[list[object]] = [[0.1 * i, cell, 1.5] for i, cell in enumerate(whole)]
+    if kind == "text":
+        file = write(frames.bluehill(preamble=0, rows=rows))
+        refused(file, "line 6", "Extension", "'1110797' after '1063'", "digits are lost")
+        return
+    names: frames.Row = ["Time (s)", "Extension (mm)", "Load (N)"]
+    file = write(frames.workbook({"Sheet1": [names, *rows]}), "synthetic.xlsx")
+    refused(file, "row 5", "Extension", "'1110797' after '1063'", "digits are lost")
+
+
+def test_a_spike_is_no_regrouped_number(write: Written) -> None:
+    rows = frames.pull(TIME, TRAVEL, FORCE)
+    rows[20][2] = 1000 * FORCE[20]
+    recording = read_export(write(frames.bluehill(preamble=0, rows=rows)))
+    assert channel(recording, "Load").values[20] == pytest.approx(1000 * FORCE[20])
+
+
+def test_a_number_too_large_is_not_counted_as_missing(write: Written) -> None:
+    rows = frames.pull(TIME, TRAVEL, FORCE)
+    rows[20][2] = "1e999"
+    refused(write(frames.bluehill(preamble=0, rows=rows)), "line 23", "Load", "1e999", "too large")
+
+
 def test_regrouped_thousands_in_a_workbook_are_refused(write: Written) -> None:
     sheet: list[frames.Row] = [
         ["Time (s)", "Load (lbf)", "Position (in)"],
@@ -509,6 +613,19 @@ def test_cut_off_in_a_number(write: Written, dialect: str) -> None:
     assert max(len(clock.time) for clock in recording.clocks) <= rows
     warned = [note for note in recording.notes if note.severity.value != "info"]
     assert warned, "a row with fewer cells than names is worth a warning"
+
+
+def test_resaved_without_a_line_end_and_without_zeros_loses_no_sample(write: Written) -> None:
+    """Numbers as short as they can be written: the last one may have fewer digits than others."""
+    rows = frames.pull(TIME, TRAVEL, np.round(FORCE, 2))
+    rows[10][2] = rows[-1][2] = 40.5
+    whole = frames.bluehill(preamble=0, rows=rows).replace(b'"', b"").rstrip(b"\r\n")
+    recording = read_export(write(whole))
+    assert len(time(recording)) == N
+    assert "truncated" not in codes(recording)
+    cut = read_export(write(whole.removesuffix(b"0.5")))
+    assert len(time(cut)) == N - 1
+    assert "truncated" in codes(cut)
 
 
 @pytest.mark.parametrize("dialect", sorted(WORKBOOKS))
