@@ -13,7 +13,7 @@ _BRACKETED = {
     "()": re.compile(r"(.*?)\s*\(([^()]*(?:\([^()]*\))?[^()]*)\)"),
     "[]": re.compile(r"(.*?)\s*\[([^\[\]]*)\]"),
 }
-_MARKED = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)(\S+)")
+_MARKED = re.compile(r"(.*\S)(?:\s*,\s*|\s+/\s+)([^\W\d]\S*|%|°\S*)")
 """A unit behind a comma, ``Force, N``, or as ISO 80000 writes it, ``Force / N``."""
 _SI = ("s", "m", "N", "Pa", "1", "V", "N*m", "rad", "K", "Hz", "m/s", "kg")
 _NO_DIMENSION = frozenset({"-", "count", "°C"})

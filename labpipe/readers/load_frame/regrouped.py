@@ -63,28 +63,28 @@ def regrouped_at(values: Floats) -> tuple[int, int] | None:
 
     Returns
     -------
-    Rows of the numbers before and behind the first such jump; None for any column that holds a
-    number with decimals, and for whole numbers without such jumps.
+    Rows of the numbers before and behind the first such jump; None for a column of which more than
+    half of the numbers have decimals, and for whole numbers without such jumps.
 
     Notes
     -----
     A jump counts if what lies between it and the one back, divided (or multiplied) by the thousand,
     falls among the two numbers beside it, as it does for a curve that lost its decimal signs. A
     spike or an overflow of a counter lies anywhere, and a multiple of a thousand lost no sign.
+    Numbers with decimals in between are passed over: 0.5 and 1.25 have no group of three digits,
+    and a spreadsheet leaves them as they are.
     """
-    rows = np.flatnonzero(~np.isnan(values))
-    if len(rows) < 3 or not _are_whole(values[rows[:_LOOK]]):
+    if not _are_mostly_whole(values[:_LOOK]) or not _are_mostly_whole(values):
         return None
-    filled = values[rows]
-    if not _are_whole(filled):
-        return None
-    found = (_first_jump(filled, factor) for factor in _FACTORS)
+    rows = np.flatnonzero(values == np.rint(values))
+    found = (_first_jump(values[rows], factor) for factor in _FACTORS)
     firsts = [at for at in found if at is not None]
     return (int(rows[min(firsts)]), int(rows[min(firsts) + 1])) if firsts else None
 
 
-def _are_whole(values: Floats) -> bool:
-    return bool(np.all(values == np.rint(values)))
+def _are_mostly_whole(values: Floats) -> bool:
+    whole = int(np.count_nonzero(values == np.rint(values)))
+    return 0 < whole and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
 
 
 def _first_jump(values: Floats, factor: float) -> int | None:

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from labpipe.readers.load_frame.regrouped import is_grouped, regrouped_at
@@ -18,6 +18,7 @@ def test_the_example_of_the_format() -> None:
     assert regrouped_at(np.array([999.0, 1063.0, 1110797.0, 1162.0])) == (1, 2)
     assert regrouped_at(np.array([935.0, np.nan, 1063.0, np.nan, 1110797.0, 1162.0])) == (2, 4)
     assert regrouped_at(np.array([1110797.0, 1115.0, 1120334.0])) == (0, 1)
+    assert regrouped_at(np.array([0.5, 801.0, 1063.0, 1.11, 1110797.0, 1162.0])) == (2, 4)
 
 
 @given(
@@ -46,6 +47,27 @@ def test_spikes_in_numbers_with_decimals_are_none(seed: int, size: float, spikes
     values[chance.integers(0, 400, spikes)] *= size
     values[0] = 0.5
     assert regrouped_at(values) is None
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    level=st.floats(100.0, 1e6),
+    size=st.floats(2.0, 1e7),
+    digits=st.integers(3, 6),
+)
+def test_spikes_in_numbers_with_few_digits_are_none(
+    seed: int, level: float, size: float, digits: int
+) -> None:
+    """Numbers as %g writes them are whole where they are large, and some are in between.
+
+    Only of a spike of just a thousand could nobody tell that no sign was lost.
+    """
+    assume(not any(0.5 < size / factor < 2.0 for factor in (1e3, 1e6)))
+    chance = np.random.default_rng(seed)
+    values = level * (1.0 + 0.3 * chance.standard_normal(400).cumsum() / 20.0)
+    values[chance.integers(0, 400, 3)] *= size
+    written = np.array([float(f"{value:.{digits}g}") for value in values])
+    assert regrouped_at(written) is None
 
 
 @given(seed=st.integers(0, 2**32 - 1), top=st.sampled_from([2047, 32767, 65535, 8388607]))
