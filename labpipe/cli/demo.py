@@ -40,9 +40,8 @@ def run(options: argparse.Namespace) -> int:
 def _told(processed: Sequence[Processed]) -> str:
     """The first test of each kind in full, the others in a line."""
     firsts = _firsts(processed)
-    return "\n".join(
-        f"\n{table(each)}\n" if each in firsts else headline(each) for each in processed
-    ).strip()
+    told = [f"\n{table(each)}\n" if each in firsts else headline(each) for each in processed]
+    return "\n".join(told).replace("\n\n\n", "\n\n").strip()
 
 
 def _firsts(processed: Sequence[Processed]) -> list[Processed]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 _MOST_CYCLES = 8
+_LEAST_WIDTH = 26
 
 
 def progress(tests: list[Path]) -> Iterator[tuple[Path, Callable[[str], None]]]:
@@ -95,9 +96,12 @@ def report_table(reported: Reported) -> str:
         count = f"{_several(len(group.samples), 'sample')} from {_several(len(spools), 'spool')}"
         lines.append(f"{group.name}  ({group.protocol}): {count}")
         display = dict(group.samples[0].display) if group.samples else {}
-        lines += [_mean_line(number, display) for number in group.numbers]
+        width = _width(number.name for number in group.numbers)
+        lines += [_mean_line(number, display, width) for number in group.numbers]
         lines.append("")
-    lines.append(f"report: {reported.files[0]}" if reported.files else "report: nothing written")
+    lines.append(
+        f"report: {_from_here(reported.files[0])}" if reported.files else "report: nothing written"
+    )
     return "\n".join(lines)
 
 
@@ -105,7 +109,7 @@ def _several(count: int, what: str) -> str:
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
-def _mean_line(number: GroupNumber, display: dict[str, str]) -> str:
+def _mean_line(number: GroupNumber, display: dict[str, str], width: int) -> str:
     mean = number.mean.chosen if number.mean is not None else None
     value = mean.mean if mean is not None else None
     interval = mean.interval if mean is not None else None
@@ -113,7 +117,7 @@ def _mean_line(number: GroupNumber, display: dict[str, str]) -> str:
     reason = "no sample has it" if value is None else ""
     as_result = Result(number.name, value, number.unit, interval, status, reason)
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
-    return f"{_line(as_result, display)}{missing}"
+    return f"{_line(as_result, display, width)}{missing}"
 
 
 def table(processed: Processed) -> str:
@@ -128,9 +132,9 @@ def table(processed: Processed) -> str:
     A heading, one line per result, then what is doubtful or failed with its reason.
     """
     result = processed.result
-    lines = [headline(processed)]
+    lines, width = [headline(processed)], _width(each.name for each in result.results)
     for several in _by_quantity(result.results):
-        lines += _lines(several, dict(result.display))
+        lines += _lines(several, dict(result.display), width)
     reasons: dict[str, list[str]] = {}
     for each in result.results:
         if each.reason:
@@ -151,7 +155,18 @@ def headline(processed: Processed) -> str:
     result = processed.result
     counts = Counter(each.status for each in result.results)
     said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    return f"{result.test}  ({result.protocol}): {said}  ->  {processed.folder}"
+    return f"{result.test}  ({result.protocol}): {said}  ->  {_from_here(processed.folder)}"
+
+
+def _from_here(path: Path) -> Path:
+    """A path as seen from the working folder, if it lies below."""
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
+def _width(names: Iterable[str]) -> int:
+    """Room for the names of a table."""
+    return max(_LEAST_WIDTH, *(len(name) for name in names), 0)
 
 
 def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:
@@ -162,27 +177,28 @@ def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:
     return list(groups.values())
 
 
-def _lines(results: list[Result], display: dict[str, str]) -> list[str]:
+def _lines(results: list[Result], display: dict[str, str], width: int) -> list[str]:
     """One line each; of many cycles only the first ones and the range of the rest."""
     if len(results) <= _MOST_CYCLES:
-        return [_line(result, display) for result in results]
+        return [_line(result, display, width) for result in results]
     rest = results[_MOST_CYCLES // 2 :]
     values = [result.value for result in rest if result.value is not None]
-    lines = [_line(result, display) for result in results[: _MOST_CYCLES // 2]]
+    lines = [_line(result, display, width) for result in results[: _MOST_CYCLES // 2]]
     if values:
         shown = shown_in(results[0].name, results[0].unit, display)
         low, high = shown.factor * min(values), shown.factor * max(values)
         span = f"{low:.5g} to {high:.5g} {shown.unit}"
-        lines.append(f"  {'... to ' + rest[-1].name:<26} {span} ({len(rest)} more in summary.json)")
+        name = f"... to {rest[-1].name}"
+        lines.append(f"  {name:<{width}} {span} ({len(rest)} more in summary.json)")
     return lines
 
 
-def _line(result: Result, display: dict[str, str]) -> str:
+def _line(result: Result, display: dict[str, str], width: int) -> str:
     factor, unit = shown_in(result.name, result.unit, display)
     mark = _MARK[result.status]
     if result.value is None:
-        return f"{mark} {result.name:<26}{'-':>12}"
-    shown = f"{mark} {result.name:<26}{factor * result.value:>12.5g} {unit:<6}"
+        return f"{mark} {result.name:<{width}}{'-':>12}"
+    shown = f"{mark} {result.name:<{width}}{factor * result.value:>12.5g} {unit:<6}"
     if result.interval is None:
         return shown
     low, high = factor * result.interval.lower, factor * result.interval.upper

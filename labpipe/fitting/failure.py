@@ -67,7 +67,7 @@ def find_failure(
         found = f"the force ends at {f[-1]:.4g} N, {f[-1] / f[top]:.0%} of its peak {f[top]:.4g} N"
         return Failure("no_failure", f"{found}; below {force_below:.0%} counts as lost")
     if d[last + 1] < d[top]:
-        found = f"from {d[top]:.4g} m to {d[last + 1]:.4g} m"
+        found = f"from {1e3 * d[top]:.4g} mm to {1e3 * d[last + 1]:.4g} mm"
         return Failure(
             "no_failure", f"the force goes down while the displacement goes back, {found}"
         )

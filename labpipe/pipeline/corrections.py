@@ -121,8 +121,8 @@ def _told(slip: Slip) -> str:
     }
     where = f"{1e3 * slip.position:.4g} mm"
     return (
-        f"the force falls by {slip.drop:.3g} N at {where}: slipped in the grips; "
-        + done[slip.decision]
+        f"the force falls suddenly by {slip.drop:.3g} N at {where}, as when a specimen slips in "
+        f"the grips: {done[slip.decision]}"
     )
 
 

@@ -7,6 +7,7 @@ from typing import assert_never
 
 import numpy as np
 
+from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.noise import long_run_variance
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.marker_steps import MarkerBench, fit_shapes, repair, turn_into_specimen
@@ -30,6 +31,7 @@ from labpipe.protocol.steps import (
     Zero,
 )
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
 from labpipe.records.quality import Severity
 
 
@@ -110,10 +112,10 @@ def _end_level(values: Floats) -> tuple[float, float]:
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    coefficients = np.linalg.lstsq(design, blocks, rcond=None)[0]
-    variance = long_run_variance(blocks - design @ coefficients, parameters=2)
-    error = float(np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0]))
-    return float(coefficients[0]), error
+    fit = fit_linear(design, blocks)
+    # As wide as the t-based interval: a stretch for a zero holds few samples.
+    interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
+    return float(fit.coefficients[0]), interval.standard_error
 
 
 def _need_time(signal: Signal, name: str, what: str) -> None:

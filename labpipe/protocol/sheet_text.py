@@ -19,10 +19,12 @@ _COMMENTS = {
     "files": "role: file in this folder, or a list of the parts of one recording",
     "overrides": "values of the protocol that this test changes, and why",
 }
-_EXAMPLE = """\
-# overrides:                # values of the protocol that this test changes, and why
-#   sources.force.channel: {value: Model Root/Load Cell/Out1, because: other cabling}
-"""
+_EXAMPLE = "# overrides:                # values of the protocol that this test changes, and why\n"
+_EXAMPLES = {
+    "force": "sources.force.channel: {value: Model Root/Load Cell/Out1, because: other cabling}",
+    "frame": "sources.frame.channels.force.unit: {value: N, because: the export says none}",
+}
+"""An override that makes sense, by the role of an export."""
 
 
 def test_sheet_faults(data: Mapping[str, object]) -> list[Fault]:
@@ -55,7 +57,13 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
     The text; reading it gives the same values.
     """
     parts = [_HEAD, *(_entry(key, value) for key, value in data.items())]
-    return "".join(parts if "overrides" in data else [*parts, _EXAMPLE])
+    return "".join(parts if "overrides" in data else [*parts, _example(data)])
+
+
+def _example(data: Mapping[str, object]) -> str:
+    files = data.get("files")
+    roles = [role for role in _EXAMPLES if isinstance(files, Mapping) and role in files]
+    return f"{_EXAMPLE}#   {_EXAMPLES[roles[0] if roles else 'force']}\n"
 
 
 def _entry(key: str, value: object) -> str:
