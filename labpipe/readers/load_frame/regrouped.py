@@ -84,7 +84,7 @@ def regrouped_at(values: Floats) -> tuple[int, int] | None:
 
 def _are_mostly_whole(values: Floats) -> bool:
     whole = int(np.count_nonzero(values == np.rint(values)))
-    return 0 < whole and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
+    return whole > 0 and 2 * whole >= int(np.count_nonzero(~np.isnan(values)))
 
 
 def _first_jump(values: Floats, factor: float) -> int | None:

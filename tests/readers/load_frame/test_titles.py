@@ -24,6 +24,7 @@ def together(names: str, width: int) -> tuple[str, ...]:
         ("Axial Segment Count", "Axial Force", "Time of Day"),
         ("Running Time", "Segments", "Count", "Channel 12 Force"),
         ("Aux Input 5", "Torsional Rotation", "Laufzeit"),
+        ("Axial Force", "Axial Displacement", "Elapsed Time"),
         ("Deflectometer", "Ch 1 Force", "Time"),
     ],
 )
