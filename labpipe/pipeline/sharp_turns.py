@@ -19,7 +19,7 @@ _LEAST = 24
 _AS_FAST = 0.6
 """Speed of the last hundredth of a branch over that of the three before: 1 at a corner, 0.2 where a
 parabola turns."""
-_PLATEAU = 4
+_PLATEAU = 3
 """Samples at the top from which on the frame has stood there; at the first it may still arrive."""
 
 

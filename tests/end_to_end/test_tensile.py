@@ -150,9 +150,7 @@ def test_slips_are_in_the_ledger_and_repaired(done: dict[str, Done]) -> None:
     np.testing.assert_allclose(before, 0.0)
     np.testing.assert_allclose(between, drops[0])
     np.testing.assert_allclose(behind, sum(drops))
-    assert test.lab.notes["slip_repaired"].endswith(
-        "slipped in the grips; added back to all that follows"
-    )
+    assert test.lab.notes["slip_repaired"].endswith(": added back to all that follows")
 
 
 def test_other_tests_have_no_slips(done: dict[str, Done]) -> None:

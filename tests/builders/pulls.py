@@ -1,0 +1,77 @@
+"""Pulls in memory on one clock, reduced by a protocol whose curve block and results are given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.records.result import Result
+
+NOISE = 0.02
+STEP = 2e-5
+"""m per sample."""
+
+
+def pull(
+    *, length: float = 0.02, stiffness: float = 5e3, slack: float = 0.0, seed: int = 0
+) -> tuple[Floats, Floats]:
+    """Displacement (m) and force (N) of a straight pull to a length; white noise of 20 mN."""
+    travel: Floats = np.arange(0.0, length, STEP)
+    force = stiffness * np.maximum(travel - slack, 0.0)
+    return travel, force + np.random.default_rng(seed).normal(0.0, NOISE, len(travel))
+
+
+def broken(travel: Floats, force: Floats, *, at: float) -> Floats:
+    """The force, lost but for a hundredth from a displacement on."""
+    return np.where(travel <= at, force, 0.01 * force)
+
+
+def slipped(travel: Floats, force: Floats, *slips: tuple[float, float]) -> Floats:
+    """The force, lower from each displacement on by a drop."""
+    lower = force.copy()
+    for at, drop in slips:
+        lower[travel > at] -= drop
+    return lower
+
+
+def pulled(
+    travel: Floats,
+    force: Floats,
+    *,
+    curve: str = "",
+    results: Sequence[str] = (),
+    specimen: str = "{length: 100 mm}",
+    time: bool = True,
+    scale: str = "0 %",
+) -> tuple[Bench, dict[str, Result]]:
+    """Bench and results of a pull sampled at 10 Hz, or of its rows without times."""
+    listed = "".join(f"  - {{result: {each}}}\n" for each in results)
+    text = (
+        "version: 1\nname: p\nsources:\n  frame:\n    reader: load-frame\n    channels:\n"
+        f"      force: {{channel: F, scale_uncertainty: {scale}}}\n"
+        "      displacement: {channel: D}\n"
+        f"specimen: {specimen}\n"
+        f"curve: {{force: force, displacement: displacement{curve and ', '}{curve}}}\n"
+        "branches: {channel: displacement, min_stroke: 1 mm}\n"
+    )
+    text += f"results:\n{listed}" if listed else ""
+    count = np.arange(len(travel), dtype=np.float64)
+    clock = Clock("time", 0.1 * count) if time else Clock("rows", count, unit="1")
+    channels = (
+        Channel("force", "F", force, unit="N", clock=clock.name),
+        Channel("displacement", "D", travel, unit="m", clock=clock.name),
+    )
+    recording = Recording("load-frame", clocks=(clock,), channels=channels)
+    bench, found = reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"))
+    return bench, {each.name: each for each in found}
+
+
+def codes(bench: Bench) -> dict[str, str]:
+    """Messages of the notes, by code."""
+    return {note.code: note.message for note in bench.notes}

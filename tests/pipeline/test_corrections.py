@@ -1,0 +1,187 @@
+"""Corrections of the curve on pulls whose faults are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.failure import FailurePoint
+from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.corrections import loading_branch, loading_stretch
+from labpipe.records.quality import Severity
+from labpipe.records.slips import SlipDecision
+from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
+
+LINE = "stiffness, from: 2 mm, to: 10 mm"
+SLIPS = ((0.006, 3.0), (0.012, 2.0))
+
+
+def test_give_of_the_frame_is_taken_off() -> None:
+    """A pull through 1 um/N looks softer: 1 / (1 / 5000 + 1e-6)."""
+    travel, force = pull()
+    plain, before = pulled(travel, force, results=[LINE])
+    bench, after = pulled(travel, force, curve="compliance: {value: 1 um/N}", results=[LINE])
+    assert before["stiffness"].value == pytest.approx(5000.0, rel=1e-3)
+    assert after["stiffness"].value == pytest.approx(1.0 / (1.0 / 5000.0 - 1e-6), rel=1e-3)
+    assert bench.curve is not None
+    assert plain.curve is not None
+    given = plain.curve.displacement - bench.curve.displacement
+    np.testing.assert_allclose(given, 1e-6 * plain.curve.force, atol=1e-15)
+    said = codes(bench)["compliance_removed"]
+    assert said == "1 um/N x force taken off the displacement, 99.9 um at the most"
+
+
+def test_uncertain_give_widens_the_interval() -> None:
+    travel, force = pull()
+    curve = "compliance: {value: 10 um/N, uncertainty: 10 %}"
+    _, results = pulled(travel, force, curve=curve, results=[LINE])
+    found = results["stiffness"]
+    assert found.value is not None
+    assert found.interval is not None
+    # k = 1 / (1/5000 - C), so dk = k^2 dC
+    assert found.interval.standard_error == pytest.approx(found.value**2 * 1e-6, rel=0.05)
+
+
+def test_repaired_slips_add_up() -> None:
+    travel, force = pull()
+    curve = "slips: {decision: repaired, min_drop: 0.5 N}"
+    bench, results = pulled(travel, slipped(travel, force, *SLIPS), curve=curve, results=[LINE])
+    assert [slip.decision for slip in bench.slips] == [SlipDecision.REPAIRED] * 2
+    assert bench.curve is not None
+    assert bench.curve.force[-50:].mean() == pytest.approx(force[-50:].mean(), abs=0.1)
+    assert results["stiffness"].value == pytest.approx(5000.0, rel=2e-3)
+    assert results["stiffness"].status == "ok"
+    message = next(note.message for note in bench.notes if note.code == "slip_repaired")
+    assert message.startswith("the force falls suddenly by ")
+    assert message.endswith("as when a specimen slips in the grips: added back to all that follows")
+
+
+def test_marked_slips_stay() -> None:
+    travel, force = pull()
+    lower = slipped(travel, force, *SLIPS)
+    curve = "slips: {decision: marked, min_drop: 0.5 N}"
+    bench, _ = pulled(travel, lower, curve=curve)
+    assert bench.curve is not None
+    np.testing.assert_array_equal(bench.curve.force, lower)
+    assert len(bench.slips) == 2
+    assert codes(bench)["slip_marked"].endswith("the curve stays as measured")
+
+
+def test_cut_ends_the_curve_before_the_first_slip() -> None:
+    travel, force = pull()
+    curve = "failure: {force_below: 50 %}, slips: {decision: cut, min_drop: 0.5 N}"
+    bench, results = pulled(
+        travel,
+        slipped(travel, force, *SLIPS),
+        curve=curve,
+        results=["peak-force", "peak-displacement", LINE, "failure"],
+    )
+    assert bench.curve is not None
+    kept = bench.slips[0].start + 1
+    assert np.isnan(bench.curve.force[kept:]).all()
+    (branch,) = bench.curve.branches
+    assert branch.stop == kept
+    assert results["peak_displacement.1"].value == pytest.approx(0.006, abs=2 * STEP)
+    assert results["peak_force.1"].value == pytest.approx(30.0, abs=0.2)
+    assert results["stiffness"].reason.startswith("not_reached: the branch reaches 5.98 mm, ")
+    assert results["failure_force"].reason == "cut: the curve ends at a slip"
+    assert codes(bench)["slip_cut"].endswith("the curve ends before it")
+
+
+def test_failure_moves_up_with_what_was_added_back() -> None:
+    travel, force = pull()
+    torn = broken(travel, slipped(travel, force, (0.006, 3.0)), at=0.018)
+    curve = "failure: {force_below: 50 %}, slips: {decision: repaired, min_drop: 0.5 N}"
+    bench, _ = pulled(travel, torn, curve=curve)
+    assert isinstance(bench.failure, FailurePoint)
+    assert bench.failure.force.value == pytest.approx(90.0, abs=0.3)
+    assert bench.failure.force.interval is not None
+    assert bench.failure.force.interval.lower < 90.0 < bench.failure.force.interval.upper
+    assert bench.curve is not None
+    # What is left of the broken specimen is not raised.
+    assert bench.curve.force[-1] == pytest.approx(torn[-1])
+
+
+def test_too_short_for_slips_is_said() -> None:
+    travel, force = pull(length=0.0012)
+    bench, _ = pulled(travel, force, curve="slips: {decision: marked, min_drop: 0.5 N}")
+    assert codes(bench)["slips_not_looked_for"] == "60 samples in the branch, 64 are needed"
+
+
+def test_slack_moves_all_displacements() -> None:
+    travel, force = pull(slack=0.003)
+    torn = broken(travel, force, at=0.016)
+    curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 30 %}"
+    bench, _ = pulled(travel, torn, curve=curve)
+    assert isinstance(bench.slack, Estimate)
+    assert bench.slack.value == pytest.approx(0.003, abs=1e-5)
+    assert bench.curve is not None
+    np.testing.assert_allclose(bench.curve.displacement, travel - bench.slack.value)
+    assert isinstance(bench.failure, FailurePoint)
+    assert bench.failure.displacement.value == pytest.approx(0.013, abs=2 * STEP)
+    said = f"{1e3 * bench.slack.value:.4g} mm of slack taken off: displacement counts from where"
+    assert codes(bench)["slack_removed"] == f"{said} it is taut"
+
+
+def test_slack_that_cannot_be_found_makes_displacements_doubtful() -> None:
+    travel, force = pull(slack=0.003)
+    torn = broken(travel, force, at=0.016)
+    curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 10.1 %}"
+    bench, results = pulled(travel, torn, curve=curve, results=["failure", "slack"])
+    assert isinstance(bench.slack, Failure)
+    assert results["slack"].reason.startswith("too_few_samples: ")
+    assert results["failure_displacement"].status == "doubtful"
+    assert results["failure_displacement"].reason.startswith(
+        "slack_unknown: slack not found, so not taken off ("
+    )
+
+
+def test_a_curve_without_a_toe_is_not_moved() -> None:
+    """Steepest where it begins: the line at 10 to 30 % meets zero force far before the start."""
+    travel, force = pull()
+    bent = 100.0 * (1.0 - np.exp(-travel / 0.004)) + (force - 5e3 * travel)
+    bench, results = pulled(
+        travel + 0.001, bent, curve="slack: {from: 40 %, to: 70 %}", results=["slack"]
+    )
+    assert results["slack"].reason.startswith("no_toe: the line meets zero force at -")
+    assert "before the first sample at 1 mm and " in results["slack"].reason
+    assert bench.curve is not None
+    np.testing.assert_allclose(bench.curve.displacement, travel + 0.001)
+    assert not bench.doubts
+    (note,) = (each for each in bench.notes if each.code == "no_toe")
+    assert note.severity is Severity.WARNING
+
+
+def test_a_preload_is_no_missing_toe() -> None:
+    """A line that begins at 10 N is carried back to zero force, 2 mm before the start."""
+    travel, force = pull()
+    bench, results = pulled(
+        travel, force + 10.0, curve="slack: {from: 20 %, to: 50 %}", results=["slack"]
+    )
+    assert results["slack"].value == pytest.approx(-0.002, abs=2e-5)
+    assert bench.curve is not None
+    assert bench.curve.displacement[0] == pytest.approx(0.002, abs=2e-5)
+
+
+def test_zero_of_the_force_is_in_the_interval_of_the_slack() -> None:
+    """0.05 N of zero over 5000 N/m are 10 um of slack."""
+    from dataclasses import replace
+
+    from labpipe.pipeline.corrections import correct_curve
+    from labpipe.protocol.rig import CurveBlock
+
+    travel, force = pull(slack=0.003)
+    bench, _ = pulled(travel, force)
+    bench.raw["force"] = replace(bench.raw["force"], zero_error=0.05)
+    block = CurveBlock.model_validate(
+        {"force": "force", "displacement": "displacement", "slack": {"from": "10 %", "to": "30 %"}}
+    )
+    correct_curve(bench, block)
+    assert isinstance(bench.slack, Estimate)
+    assert bench.slack.error == pytest.approx(1e-5, rel=0.1)
+
+
+def test_nothing_to_correct() -> None:
+    assert loading_branch(Bench()) is None
+    assert loading_stretch(Bench()) == slice(0, 0)
