@@ -66,6 +66,7 @@ class Bench:
     slack : displacement before the specimen was taut, m; None where nobody asked
     stiffnesses : by name of the result, without the uncertainty of the force's scale
     lines : the straight lines that they were read from
+    is_full_stroke : whether the motion went as far as the rig was told to
     notes : quality notes so far
     """
 
@@ -85,6 +86,7 @@ class Bench:
     slack: Estimate | Failure | None = None
     stiffnesses: dict[str, Estimate] = field(default_factory=dict)
     lines: list[FittedLine] = field(default_factory=list)
+    is_full_stroke: bool = False
     notes: list[QualityNote] = field(default_factory=list)
 
     def note(self, code: str, severity: Severity, where: str, message: str) -> None:

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.errors import ProcessingError, complaint
 from labpipe.fitting.compliance import correct_displacement
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, find_failure
@@ -41,6 +42,8 @@ def correct_curve(bench: Bench, block: CurveBlock) -> None:
         _treat_slips(bench, block.slips)
     if block.slack is not None:
         _take_off_slack(bench, block.slack)
+    for slip in bench.slips:  # told last: slack moves the place that displacement counts from
+        bench.note(f"slip_{slip.decision}", Severity.WARNING, bench.force, _told(slip))
 
 
 def loading_branch(bench: Bench, *, last: bool = False) -> Branch | None:
@@ -72,12 +75,35 @@ def _take_off_give(bench: Bench, compliance: MachineCompliance) -> None:
         correct_displacement(curve.displacement, curve.force, compliance=each)
         for each in (value, other)
     ]
+    _refuse_backwards(bench, curve, taken[0], value)
     _set_displacement(bench, curve, taken[0], taken[1] if compliance.uncertainty else None)
     most = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     message = (
         f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
     )
     bench.note("compliance_removed", Severity.INFO, bench.displacement, message)
+
+
+def _refuse_backwards(bench: Bench, curve: Curve, corrected: Floats, value: float) -> None:
+    """Refuse a compliance that is more than frame and specimen give way together."""
+    branch = loading_branch(bench)
+    if branch is None:
+        return
+    top = branch.start + int(np.nanargmax(curve.force[branch.start : branch.stop]))
+    loading = slice(branch.start, top + 1)
+    blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
+    if np.all(np.diff([np.nanmean(each) for each in blocks]) > 0.0):
+        return
+    way = float(curve.displacement[top] - curve.displacement[branch.start])
+    pull = float(curve.force[top] - curve.force[branch.start])
+    message = complaint(
+        "curve.compliance",
+        "",
+        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N on the way up",
+        found=f"{1e6 * value:.4g} um/N, with which the specimen would get shorter",
+        remedy="Look at its unit, and at the test of the stiff bar it comes from.",
+    )
+    raise ProcessingError(message)
 
 
 def _failure(bench: Bench, share: float) -> FailurePoint | Failure | None:
@@ -105,8 +131,6 @@ def _treat_slips(bench: Bench, block: SlipsBlock) -> None:
         replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
         for slip in found
     )
-    for slip in bench.slips:
-        bench.note(f"slip_{decision}", Severity.WARNING, bench.force, _told(slip))
     if bench.slips and decision is SlipDecision.REPAIRED:
         _repair(bench, curve)
     elif bench.slips and decision is SlipDecision.CUT:
@@ -155,6 +179,7 @@ def _cut(bench: Bench, curve: Curve) -> None:
         for each in curve.branches
         if each.start < kept
     )
+    bench.slips = bench.slips[:1]
     bench.curve = replace(curve, force=force, branches=branches)
     bench.failure = None if bench.failure is None else Failure("cut", "the curve ends at a slip")
 

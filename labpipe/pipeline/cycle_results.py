@@ -130,6 +130,8 @@ def broken_off(bench: Bench, branches: list[Branch]) -> str:
     part, failure = branches[-1], bench.failure
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
         return ""  # it broke, so there is no more to come
+    if bench.is_full_stroke and len(curve_of(bench).branches) == 1:
+        return ""  # the rig was told to go no further
     has_time = curve_of(bench).time_unit == "s"
     at = f"{part.stop_time:.3f} s" if has_time else f"sample {part.stop}"
     return f"partial_cycle: the record ends at {at}, while still {part.direction}"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
@@ -56,27 +56,29 @@ def read_inputs(
 def _read_roles(folder: Path, sheet: TestSheet, protocol: Protocol) -> dict[str, Recording]:
     recordings: dict[str, Recording] = {}
     for role, source in protocol.sources.items():
-        parts = {name: read_role(folder / name, source) for name in sheet.files[role]}
-        recordings[role] = _joined(parts, folder)
+        names = sheet.files[role]
+        recordings[role] = _joined(
+            [read_role(folder / name, source) for name in names], names, folder
+        )
     return recordings
 
 
-def _joined(parts: Mapping[str, Recording], folder: Path) -> Recording:
+def _joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
     """One recording of all parts; those that took no samples only leave their notes."""
-    filled = {name: part for name, part in parts.items() if not is_empty(part)}
+    filled = [number for number, part in enumerate(parts) if not is_empty(part)]
     if not filled:
         message = complaint(
-            folder / next(iter(parts)),
+            folder / names[0],
             "",
             expected="samples",
             found="none in this file" if len(parts) == 1 else "none in any of the parts",
             remedy="The test was aborted before its first sample; leave it out.",
         )
         raise ReadError(message)
-    whole = next(iter(filled.values()))
+    whole = parts[filled[0]]
     if len(filled) > 1:
-        whole = join_parts(list(filled.values()), list(filled))
-    notes = [note for part in parts.values() if is_empty(part) for note in part.notes]
+        whole = join_parts([parts[i] for i in filled], [names[i] for i in filled])
+    notes = [note for part in parts if is_empty(part) for note in part.notes]
     return replace(whole, notes=(*whole.notes, *notes))
 
 
@@ -242,7 +244,8 @@ def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Ch
             f"channel {channel.path!r}",
             expected=f"a unit of the dimension of {si_unit}",
             found=repr(unit),
-            remedy="Name another channel, or give its calibration.",
+            remedy=f"Write unit: under the channel {name} in the protocol or the test sheet, name "
+            "another channel, or give its calibration.",
         )
         raise ReadError(message) from error
     calibration = source.calibration.gain if source.calibration is not None else ""

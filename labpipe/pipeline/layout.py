@@ -58,7 +58,8 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
             bench.raw[channel.name] = bench.signals[channel.name] = signal
             quantity = words.get(channel.name, channel.name)
             _note_missing(bench, channel, quantity)
-            _note_saturation(bench, channel, quantity)
+            if not (role == "frame" and signal.unit == "m"):  # a frame may stand still
+                _note_saturation(bench, channel, quantity)
             _check_peak(bench, signal, (channel.name, quantity), source.peak_range)
     return bench, markers
 

@@ -10,6 +10,7 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench
 from labpipe.records.curve import Interval
 from labpipe.records.result import Result, Status
+from labpipe.records.slips import SlipDecision
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,10 @@ class Asked:
     quantities: tuple[str, ...]
     method: str
     needs: int = 0
+
+
+_TO_THE_TOP = frozenset({"peak_force", "failure_force", "energy", "energy_to_break"})
+"""Numbers that a repaired slip anywhere on the way has raised."""
 
 
 def blocked_or(bench: Bench, otherwise: Failure) -> Failure:
@@ -58,6 +63,7 @@ def to_result(
     if isinstance(outcome, Failure):
         reason = f"{outcome.code}: {outcome.message}"
         return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
+    method = f"{asked.method}{_added_back(bench)}" if asked.name in _TO_THE_TOP else asked.method
     doubts = [bench.doubts[quantity] for quantity in asked.quantities if quantity in bench.doubts]
     doubts += [doubt] if doubt else []
     return Result(
@@ -67,6 +73,12 @@ def to_result(
         interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
         status=Status.DOUBTFUL if doubts else Status.OK,
         reason="; ".join(dict.fromkeys(doubts)),
-        method=asked.method,
+        method=method,
         n=outcome.n,
     )
+
+
+def _added_back(bench: Bench) -> str:
+    """What repaired slips have added to the force, for the method of what rests on it."""
+    drops = [slip.drop for slip in bench.slips if slip.decision is SlipDecision.REPAIRED]
+    return f"; {sum(drops):.3g} N of slips added back" if drops else ""

@@ -51,7 +51,8 @@ def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) ->
 
 def _check_stroke(bench: Bench, motion: Signal, expected: float) -> None:
     stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
-    if abs(stroke - expected) > 0.02 * expected:
+    bench.is_full_stroke = abs(stroke - expected) <= 0.02 * expected
+    if not bench.is_full_stroke:
         message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * expected:.4g} mm expected"
         bench.note("stroke_unexpected", Severity.WARNING, "rig.stroke", message)
 

@@ -81,7 +81,11 @@ def _zero(bench: Bench, step: Zero) -> None:
     rest = signal.values[first : np.searchsorted(signal.time, start + step.over, side="right")]
     known = rest[~np.isnan(rest)]
     if len(known) < 8:
-        message = f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, not 8"
+        apart = float(np.median(np.diff(signal.time)))
+        message = (
+            f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, 8 are needed:"
+            f" at {1.0 / apart:.4g} per second 'over' must be {8.5 * apart:.2g} s or more"
+        )
         raise ValueError(message)
     if step.by == "mean":
         bench.zeroed[step.channel] = (start, start + step.over)
@@ -95,7 +99,9 @@ def _zero(bench: Bench, step: Zero) -> None:
     )
     bench.signals[step.channel] = zeroed
     how = "the mean" if step.by == "mean" else "the outer end of a line"
-    said = f"zero at {level:.6g} {signal.unit}, {how} over {step.over:g} s at the {step.at}"
+    said = (
+        f"zero at {round(level, 12):.6g} {signal.unit}, {how} over {step.over:g} s at the {step.at}"
+    )
     bench.note("zeroed", Severity.INFO, step.channel, said)
 
 

@@ -57,7 +57,8 @@ def line_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[
     level = line.intercept.value + line.slope.value * line.start
     bench.lines.append(FittedLine(name, slope.value, level, line.start, line.stop))
     bench.stiffnesses[name] = slope
-    doubt = _marked_slip(bench, line.start, line.stop)
+    fall = "negative_slope: the force falls where the frame pulls" if slope.value <= 0.0 else ""
+    doubt = "; ".join(filter(None, [fall, _marked_slip(bench, line.start, line.stop)]))
     return [to_result(bench, asked, _scaled(bench, slope), doubt=doubt)]
 
 
@@ -100,10 +101,10 @@ def _segments(bench: Bench, low: float, high: float) -> TwoSegments | Failure:
 
 
 def normalised_stiffness(bench: Bench, *, of: str) -> list[Result]:
-    """A stiffness over the largest force of the same sample (1/m); a gain error cancels."""
+    """A stiffness over the largest force of all cycles (1/m); a gain error cancels."""
     method = f"{of} / peak force of the same sample, errors independent, scale error cancelled"
     asked = Asked(f"{of}_per_peak_force", "1/m", _CURVE, method)
-    doubts = [_doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[:1])]
+    doubts = [_doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[-1:])]
     doubt = "; ".join(filter(None, doubts))
     return [to_result(bench, asked, _normalised(bench, of), doubt=doubt)]
 
@@ -112,8 +113,21 @@ def _normalised(bench: Bench, of: str) -> Estimate | Failure:
     stiffness = bench.stiffnesses.get(of)
     if stiffness is None:
         return blocked_or(bench, Failure("no_stiffness", f"{of} could not be had"))
-    peak = unscaled_peak_force(bench, bench.cycles()[0])
-    return peak if isinstance(peak, Failure) else stiffness_per_peak_force(stiffness, peak)
+    peak = _largest_peak(bench)
+    if isinstance(peak, Failure):
+        return peak
+    if peak.value <= 3.0 * peak.error:
+        return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
+    return stiffness_per_peak_force(stiffness, peak)
+
+
+def _largest_peak(bench: Bench) -> Estimate | Failure:
+    """Largest force of all cycles, N, with the uncertainty of its zero but not of its scale."""
+    peaks = [unscaled_peak_force(bench, branches) for branches in bench.cycles()]
+    known = [peak for peak in peaks if isinstance(peak, Estimate)]
+    if not known:
+        return next(peak for peak in peaks if isinstance(peak, Failure))
+    return widened(max(known, key=lambda peak: peak.value), bench.raw[bench.force].zero_error)
 
 
 def modulus_result(bench: Bench, entry: Modulus, specimen: SpecimenBlock) -> list[Result]:

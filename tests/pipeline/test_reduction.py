@@ -56,7 +56,7 @@ def test_decimated_displacement_carries_the_branches() -> None:
 
 def test_a_step_that_cannot_be_done_is_named() -> None:
     step = "steps:\n  - {step: zero, channel: force, over: 30 ms}\n"
-    said = r"steps.0 \(zero\): force: 2 samples in the 0.03 s to zero on, not 8. Look at the exp"
+    said = r"steps.0 \(zero\): force: 2 samples in the 0.03 s to zero on, 8 are needed"
     with pytest.raises(ProcessingError, match=said):
         reduced(*loop(), more=step)
 

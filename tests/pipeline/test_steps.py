@@ -157,7 +157,10 @@ def test_rows_are_smoothed_by_counting() -> None:
 
 
 def test_zero_needs_samples() -> None:
-    with pytest.raises(ValueError, match=r"force: 5 samples in the 0.045 s to zero on, not 8"):
+    with pytest.raises(
+        ValueError,
+        match=r"force: 5 samples in the 0.045 s to zero on, 8 are .* must be 0.085 s or more$",
+    ):
         after("{step: zero, channel: force, over: 45 ms}")
 
 
