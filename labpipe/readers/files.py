@@ -25,6 +25,7 @@ BROKEN: tuple[type[Exception], ...] = (
     MemoryError,  # a damaged length asks for more than there is
     RuntimeError,  # h5py; NotImplementedError and RecursionError too
     ExpatError,  # damaged XML inside an MF4
+    SyntaxError,  # as ElementTree calls damaged XML inside a workbook
     struct.error,
     zlib.error,
     zipfile.BadZipFile,
