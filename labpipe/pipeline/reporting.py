@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,6 +14,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import LabpipeError, UsageError, complaint
 from labpipe.pipeline.process import RESULT_FILE
+from labpipe.pipeline.settings import Settings, setting_notes, settings_of, unlike_words
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.rig import Groups
 from labpipe.records.arrays import Floats
@@ -22,6 +24,7 @@ from labpipe.records.result import TestResult
 from labpipe.report.lab_report import write_report
 from labpipe.report.numbers import is_main
 from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.statistics.methods import PROTOCOLS_DIFFER
 from labpipe.store.lock import locked
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import replacing_together
@@ -135,26 +138,30 @@ def make_campaign(
         If no file can be read.
     """
     members: dict[tuple[str, str], list[Sample]] = {}
-    settings: dict[str, Groups] = {}
+    wishes: dict[str, Groups] = {}
+    settings: dict[str, Settings] = {}
     left_out: dict[str, str] = {}
     for file in files:
         say(file.parent.name)
         try:
             result = read_outcome(file)
             # What concerns a group is said by its protocol, as each result stored it.
-            settings[result.protocol] = parse_protocol(result.protocol_yaml, str(file)).groups
+            protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             left_out[str(file)] = str(error)
             continue
         key = (result.specimen.type, result.protocol)
+        wishes[result.protocol], settings[str(file)] = protocol.groups, settings_of(protocol)
         members.setdefault(key, []).append(sample_of(result, str(file)))
     if not members:
         raise UsageError("\n".join(left_out.values()))
-    groups = {key: _group(key, members, settings[key[1]]) for key in sorted(members)}
+    groups = {
+        key: _noted(_group(key, members, wishes[key[1]]), settings) for key in sorted(members)
+    }
     return Campaign(
         title=title,
         groups=tuple(groups.values()),
-        differences=tuple(_differences(groups, settings)),
+        differences=tuple(_differences(groups, wishes, settings)),
         left_out=left_out,
         labpipe_version=__version__,
     )
@@ -252,15 +259,36 @@ def _of_specimen(sample: Sample) -> Sample:
 
 
 def _differences(
-    groups: dict[tuple[str, str], Group], settings: dict[str, Groups]
+    groups: dict[tuple[str, str], Group],
+    wishes: dict[str, Groups],
+    settings: dict[str, Settings],
 ) -> list[Difference]:
     """How groups of one protocol differ in the numbers that the protocol calls main."""
     found: list[Difference] = []
     for (first, one), (second, other) in combinations(groups.items(), 2):
-        said = settings[first[1]]
+        said = wishes[first[1]]
         if first[1] == second[1]:
-            found += compare_groups(one, other, names=said.main, margin=said.margin)
+            unlike = unlike_words(_settings((*one.samples, *other.samples), settings))
+            compared = compare_groups(one, other, names=said.main, margin=said.margin)
+            found += [replace(each, verdict=each.verdict + unlike) for each in compared]
     return found
+
+
+def _noted(group: Group, settings: dict[str, Settings]) -> Group:
+    """The group with a warning, before all others, for what was not set alike in its tests."""
+    told = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
+    return replace(
+        group, notes=(*setting_notes(_settings(group.samples, settings), told), *group.notes)
+    )
+
+
+def _settings(samples: Sequence[Sample], settings: dict[str, Settings]) -> dict[str, Settings]:
+    """Settings by test; of tests of one name, by file."""
+    times = Counter(sample.test for sample in samples)
+    return {
+        sample.test if times[sample.test] == 1 else sample.source: settings[sample.source]
+        for sample in samples
+    }
 
 
 def _shared_folder(files: Sequence[Path]) -> Path:

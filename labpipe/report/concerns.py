@@ -10,7 +10,15 @@ from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Result, Status
 from labpipe.records.slips import Slip, SlipDecision
-from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_number
+from labpipe.report.numbers import (
+    display_of,
+    in_words,
+    shown_in,
+    unit_words,
+    with_names_in_words,
+    write_number,
+)
+from labpipe.statistics.methods import PROTOCOLS_DIFFER
 
 _IN_LEDGER = frozenset(f"slip_{decision}" for decision in SlipDecision)
 """Notes that only repeat what the slip ledger says."""
@@ -20,6 +28,7 @@ class Kind(StrEnum):
     """Kinds of concern, in the order of the report."""
 
     UNREADABLE = "Tests that could not be read"
+    UNLIKE = "Means over tests that were not processed alike"
     FAILED = "Failed: numbers that could not be computed"
     DOUBTFUL = "Doubtful: numbers to be checked"
     LEFT_OUT = "Samples that do not enter a mean"
@@ -72,6 +81,8 @@ def find_concerns(campaign: Campaign) -> tuple[Concern, ...]:
 def split_reason(reason: str) -> tuple[str, str]:
     """Part a reason into its code and its sentence; the code is empty if there is none.
 
+    Names of results in the sentence are worded as in the tables.
+
     Examples
     --------
     >>> split_reason("not_reached: the branch ends at 4.2 mm.")
@@ -80,6 +91,7 @@ def split_reason(reason: str) -> tuple[str, str]:
     code, colon, rest = reason.partition(": ")
     is_code = bool(colon) and code.replace("_", "").isalnum() and code == code.lower()
     code, sentence = (code, rest) if is_code and " " not in code else ("", reason)
+    sentence = with_names_in_words(sentence)
     stop = "" if not sentence or sentence.endswith((".", "?", "!")) else "."
     return code, sentence[:1].upper() + sentence[1:] + stop
 
@@ -161,8 +173,11 @@ def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
 
 
 def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Concern]:
+    together: dict[tuple[str, str], list[str]] = {}
     for note in notes:
-        in_ledger = note.code in _IN_LEDGER
-        if note.severity is not Severity.INFO and not in_ledger:
-            sentence = split_reason(note.message)[1]
-            yield Concern(Kind.WARNING, group, test, note.where, sentence, note.code)
+        if note.severity is not Severity.INFO and note.code not in _IN_LEDGER:
+            together.setdefault((note.code, note.message), []).append(note.where)
+    for (code, message), places in together.items():
+        kind = Kind.UNLIKE if code == PROTOCOLS_DIFFER else Kind.WARNING
+        what = "; ".join(with_names_in_words(place) for place in places)
+        yield Concern(kind, group, test, what, split_reason(message)[1], code)

@@ -16,10 +16,13 @@ from labpipe.report.numbers import (
     is_main,
     shown_in,
     unit_words,
+    with_names_in_words,
     write_number,
 )
+from labpipe.statistics.methods import mixed
 
 DASH = "\u2013"
+_NO_METHOD = "No sample has this number."
 _COLUMNS = 4
 """Numbers side by side in a table of samples: as many as a page and a phone can take."""
 
@@ -77,7 +80,12 @@ def _concern_row(concern: Concern) -> tuple[Cell, ...]:
 
 def key_numbers(group: Group) -> Table:
     """Make the table of means: interval, what was averaged, standard deviation."""
-    rows = tuple(_mean_row(group, each) for each in group.numbers if is_main(each.name))
+    ways = {name: len(own) for name, own in mixed(group.numbers).items()}
+    rows = tuple(
+        _mean_row(group, each, ways.get(each.name, 1))
+        for each in group.numbers
+        if is_main(each.name)
+    )
     heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
     return Table(f"{group.name}: means", heads, rows, _no_intervals(group))
 
@@ -92,7 +100,7 @@ def _no_intervals(group: Group) -> tuple[str, ...]:
     return tuple(f"No interval: {why} ({'; '.join(names)})" for why, names in reasons.items())
 
 
-def _mean_row(group: Group, number: GroupNumber) -> tuple[Cell, ...]:
+def _mean_row(group: Group, number: GroupNumber, ways: int) -> tuple[Cell, ...]:
     shown = shown_in(number.name, number.unit, display_of(group))
     head = Cell(heading(number.name, shown.unit), number.name)
     if number.mean is None:
@@ -104,7 +112,7 @@ def _mean_row(group: Group, number: GroupNumber) -> tuple[Cell, ...]:
         head,
         Cell(written.value),
         Cell(written.interval or DASH),
-        Cell(_over(number), _missing(number)),
+        Cell(_over(number), "; ".join(filter(None, (_missing(number), _mixed(ways))))),
         Cell(deviation.value),
     )
 
@@ -115,6 +123,10 @@ def _over(number: GroupNumber) -> str:
         return DASH
     what = "sample" if mean.is_pooled else "spool mean"
     return f"{mean.chosen.n} {what}{'s' * (mean.chosen.n != 1)}"
+
+
+def _mixed(ways: int) -> str:
+    return f"made in {ways} ways: see What needs a look" if ways > 1 else ""
 
 
 def _missing(number: GroupNumber) -> str:
@@ -257,7 +269,7 @@ def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
             if result.method:
                 known[result.method] = None
     rows = tuple(
-        (Cell(in_words(name), name), Cell("; ".join(each) or "No sample has this number."))
+        (Cell(in_words(name), name), Cell(with_names_in_words("; ".join(each)) or _NO_METHOD))
         for name, each in methods.items()
     )
     return Table(f"Protocol {protocol}: how each number was made", ("Number", "Method"), rows)

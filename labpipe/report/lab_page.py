@@ -21,6 +21,7 @@ from labpipe.report.group_tables import (
     spool_means,
     table_of_tests,
 )
+from labpipe.report.numbers import with_names_in_words
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -127,5 +128,6 @@ def _remarks(group: Group) -> list[str]:
     notes = [(sample.test, note) for sample in group.samples for note in sample.quality]
     for test, note in (*notes, *(("", note) for note in group.notes)):
         if note.severity is Severity.INFO:
-            said.setdefault(f"{note.where}: {note.message}", []).append(test)
+            words = with_names_in_words(f"{note.where}: {note.message}")
+            said.setdefault(words, []).append(test)
     return [f"{', '.join(filter(None, tests))} \u00b7 {words}" for words, tests in said.items()]

@@ -92,6 +92,34 @@ def in_words(name: str) -> str:
     return f"{words} {part}" if stem in _ONE_BY_ONE else f"{words}, cycle {part}"
 
 
+_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
+_OPEN_ENDED = ("stiffness_", "modulus_")
+"""Names that a protocol goes on with as it likes."""
+
+
+def with_names_in_words(sentence: str) -> str:
+    """Word the names of results that stand in a sentence.
+
+    Parameters
+    ----------
+    sentence : names of files and keys of a protocol in it stay as they are
+
+    Examples
+    --------
+    >>> with_names_in_words("no modulus, as stiffness_second failed")
+    'no modulus, as stiffness, second region failed'
+    """
+
+    def word(found: re.Match[str]) -> str:
+        stem = found[0].partition(".")[0].removesuffix(_PER_PEAK)
+        if stem not in _WORDS and not stem.startswith(_OPEN_ENDED):
+            return found[0]
+        words = in_words(found[0])
+        return words if found.start() == 0 else words[0].lower() + words[1:]
+
+    return _NAME.sub(word, sentence)
+
+
 def is_main(name: str) -> bool:
     """Tell numbers of the specimen from those of a single slip or of the clocks."""
     return not name.startswith(("slip_", "clock_"))

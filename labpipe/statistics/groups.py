@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from re import ASCII, split
 
 import numpy as np
@@ -14,6 +15,7 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Result, Status
 from labpipe.statistics.bands import CommonCurves, common_curves, mean_band
 from labpipe.statistics.comparison import compare
+from labpipe.statistics.methods import apart, method_notes
 from labpipe.statistics.nested import USUAL, PoolingLimits, nested_mean
 from labpipe.statistics.outliers import mark_outliers, too_few_for_outliers
 
@@ -49,8 +51,10 @@ def build_group(
     numbers = tuple(group_number(each, ordered, limits) for each in names)
     band, notes = loading_band(ordered, limits)
     scaled_band, scaled_notes = _scaled_band(ordered, limits) if scaled else (None, [])
-    told = [*_sample_notes(ordered), *_number_notes(numbers), *notes, *scaled_notes]
-    return Group(name, protocol, ordered, numbers, band, scaled_band, tuple(told))
+    told = [*method_notes(numbers, ordered), *_sample_notes(ordered), *_number_notes(numbers)]
+    return Group(
+        name, protocol, ordered, numbers, band, scaled_band, (*told, *notes, *scaled_notes)
+    )
 
 
 def _order(sample: Sample) -> list[list[tuple[int, str]]]:
@@ -290,11 +294,11 @@ def _number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     ]
     notes = []
     if doubtful:
-        message = f"doubtful values are in the means of {'; '.join(doubtful)}"
+        message = f"doubtful values are in the means of: {'; '.join(doubtful)}"
         notes.append(_note("doubtful_in_mean", message, Severity.WARNING))
     few = [number.name for number in numbers if number.values and _too_few(number)]
     if few:
-        message = f"too few samples for a test of outliers: {_list(few)}"
+        message = f"too few samples for a test of outliers: {'; '.join(few)}"
         notes.append(_note("outliers_not_tested", message))
     return notes
 
@@ -325,7 +329,8 @@ def compare_groups(
     Returns
     -------
     One per result that has a mean in both groups and one unit, in the order of `names`. The margin
-    in the unit of the result is taken as known, though the mean behind it was measured.
+    in the unit of the result is taken as known, though the mean behind it was measured. The verdict
+    says so where the numbers of the two were not made alike.
     """
     one = {number.name: number for number in first.numbers}
     two = {number.name: number for number in second.numbers}
@@ -341,4 +346,5 @@ def _difference(
         return None
     size = abs(one.mean.chosen.mean)
     room = None if margin is None or size == 0 else margin * size
-    return compare(one.name, one.unit, (first, one.mean), (second, two.mean), room)
+    found = compare(one.name, one.unit, (first, one.mean), (second, two.mean), room)
+    return replace(found, verdict=found.verdict + apart(one, two))

@@ -7,7 +7,13 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status
 from labpipe.records.slips import SlipDecision
 from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
-from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
+from tests.builders.campaigns import (
+    build_campaign,
+    build_group,
+    build_sample,
+    six_samples,
+    troubled_samples,
+)
 
 
 def only(concerns: tuple[Concern, ...], kind: Kind) -> list[Concern]:
@@ -75,3 +81,26 @@ def test_reasons() -> None:
     assert split_reason("no code here") == ("", "No code here.")
     assert split_reason("") == ("", "")
     assert all(decision_words(each).endswith(".") for each in SlipDecision)
+
+
+def test_tests_that_were_not_processed_alike_come_before_all_numbers() -> None:
+    notes = [
+        QualityNote("protocols_differ", Severity.WARNING, where, "line to 8 mm (a) and 9 mm (b)")
+        for where in ("stiffness_first", "stiffness_first_per_peak_force", "curve.failure.from")
+    ]
+    group = replace(build_group("A", troubled_samples()), notes=tuple(notes))
+    first = find_concerns(Campaign("Synthetic", (group,)))[0]
+    assert first.kind is Kind.UNLIKE
+    assert first.what == (
+        "Stiffness, first region; Stiffness, first region, per peak force; curve.failure.from"
+    )
+    assert (first.reason, first.code) == ("Line to 8 mm (a) and 9 mm (b).", "protocols_differ")
+
+
+def test_names_of_results_in_a_sentence_are_words() -> None:
+    assert split_reason("no_stiffness: stiffness_second could not be had") == (
+        "no_stiffness", "Stiffness, second region could not be had."
+    )  # fmt: skip
+    assert split_reason("doubtful values are in the means of: peak_force.1 (tt-a)")[1] == (
+        "Doubtful values are in the means of: peak force, cycle 1 (tt-a)."
+    )

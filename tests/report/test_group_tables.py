@@ -128,3 +128,15 @@ def test_methods_and_tests() -> None:
         "tt-s1a", "twist-tube-10", "length 75 mm", "twist-tube",
         "processed/synthetic/tt-s1a/result.h5",
     ]  # fmt: skip
+
+
+def test_a_mean_over_numbers_made_in_two_ways_says_so() -> None:
+    samples = six_samples()
+    results = list(samples[0].results)
+    results[1] = replace(results[1], method="straight line over 1 mm to 9 mm")
+    samples[0] = replace(samples[0], results=tuple(results))
+    table = key_numbers(build_group("A", samples))
+    assert row(table, "Stiffness, first region (N/mm)")[3].small == (
+        "made in 2 ways: see What needs a look"
+    )
+    assert row(table, "Stiffness, second region (N/mm)")[3].small == ""

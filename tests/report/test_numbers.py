@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.curve import Interval
-from labpipe.report.numbers import heading, in_words, is_main, shown_in, unit_words, write_number
+from labpipe.report.numbers import (
+    heading,
+    in_words,
+    is_main,
+    shown_in,
+    unit_words,
+    with_names_in_words,
+    write_number,
+)
 
 
 @pytest.mark.parametrize(
@@ -74,3 +82,17 @@ def test_words() -> None:
     assert is_main("stiffness")
     assert not is_main("slip_drop.1")
     assert not is_main("clock_drift")
+
+
+@pytest.mark.parametrize(
+    ("sentence", "expected"),
+    [
+        ("stiffness_third / peak force", "Stiffness third / peak force"),
+        ("from peak_force.2.", "from peak force, cycle 2."),
+        ("results.stiffness_first.from", "results.stiffness_first.from"),
+        ("raw/peak_force/energy_to_break.csv", "raw/peak_force/energy_to_break.csv"),
+        ("its force_below, and slack", "its force_below, and slack"),
+    ],
+)
+def test_names_are_worded_and_files_and_keys_are_not(sentence: str, expected: str) -> None:
+    assert with_names_in_words(sentence) == expected

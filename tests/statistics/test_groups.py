@@ -106,7 +106,7 @@ def test_doubtful_values_enter_and_are_listed() -> None:
     group = built(members)
     assert group.numbers[0].values["s1-1"].status is Status.DOUBTFUL
     assert said(group)["doubtful_in_mean"] == (
-        "doubtful values are in the means of stiffness (s1-1)"
+        "doubtful values are in the means of: stiffness (s1-1)"
     )
 
 
@@ -122,7 +122,7 @@ def test_outliers_stay_in_the_mean() -> None:
 def test_too_few_samples_for_outliers() -> None:
     group = built(samples()[2:4])
     assert said(group)["outliers_not_tested"] == (
-        "too few samples for a test of outliers: stiffness, peak_force.1"
+        "too few samples for a test of outliers: stiffness; peak_force.1"
     )
 
 

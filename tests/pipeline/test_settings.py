@@ -1,0 +1,57 @@
+"""Tests of one protocol that were processed otherwise are told apart."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from labpipe.pipeline.settings import setting_notes, settings_of, unlike_words
+from labpipe.protocol.load import dump_protocol, load_protocol, parse_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.shipped import find_protocol
+
+
+@pytest.fixture(scope="module")
+def tube() -> Protocol:
+    path = find_protocol("twist-tube", beside=Path())
+    assert isinstance(path, Path)
+    return load_protocol(path)
+
+
+def changed(protocol: Protocol, old: str, new: str) -> Protocol:
+    text = dump_protocol(protocol)
+    assert old in text
+    return parse_protocol(text.replace(old, new, 1), "synthetic")
+
+
+def test_windows_go_by_the_name_of_their_result(tube: Protocol) -> None:
+    found = settings_of(tube)
+    assert found["results.stiffness_first.from"] == "2 mm"
+    assert found["steps"].startswith("zero, zero 2")
+    assert not any(key.startswith(("sources", "specimen", "report", "groups")) for key in found)
+
+
+def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
+    own = settings_of(tube)
+    other = settings_of(changed(tube, "force_below: 50 %", "force_below: 20 %"))
+    (note,) = setting_notes({"a": own, "b": own, "c": other})
+    assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
+    assert note.message == "set otherwise from test to test: 20 % (c) and 50 % (a, b)"
+    assert unlike_words({"a": own, "c": other}) == (
+        "; the tests were processed otherwise: curve.failure.force_below differ"
+    )
+    assert not unlike_words({"a": own, "b": own})
+
+
+def test_what_is_told_of_a_result_is_not_told_again(tube: Protocol) -> None:
+    other = settings_of(changed(tube, "from: 2 mm", "from: 1 mm"))
+    settings = {"a": settings_of(tube), "b": other}
+    assert [note.where for note in setting_notes(settings)] == ["results.stiffness_first.from"]
+    assert not setting_notes(settings, ["stiffness_first"])
+
+
+def test_a_result_that_is_missing_is_told_once(tube: Protocol) -> None:
+    less = tube.model_copy(update={"results": tube.results[:-1]})
+    found = setting_notes({"a": settings_of(tube), "b": settings_of(less)})
+    assert [note.where for note in found] == ["results"]
