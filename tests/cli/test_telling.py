@@ -6,11 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.cli.telling import progress, table
+from labpipe.cli.telling import progress, reading, report_table, table
 from labpipe.pipeline.process import Processed
+from labpipe.pipeline.reporting import Reported
 from labpipe.records.curve import Interval
+from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Result, Specimen, Status, TestResult
+from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples
 
 TESTS = [Path("raw/A/test.yaml"), Path("raw/B/test.yaml")]
 EMPTY = TestResult(
@@ -92,3 +95,50 @@ def test_a_bar_on_a_terminal(
         seen.append(test)
     assert seen == TESTS
     assert "1/2" not in capsys.readouterr().err
+
+
+def of_group(*numbers: GroupNumber) -> list[str]:
+    """What is said of a report with one group of six samples from two spools."""
+    group = replace(build_group("tube", six_samples()), numbers=numbers)
+    campaign = Campaign("Synthetic", (group,))
+    return report_table(Reported(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
+
+
+def test_means_in_the_display_unit() -> None:
+    heading, line, blank, where = of_group(build_number("stiffness_first", six_samples()))
+    assert heading == "tube  (twist-tube): 6 samples from 2 spools"
+    name, value, unit, *interval = line.split()
+    assert (name, unit, interval[:2]) == ("stiffness_first", "N/mm", ["95", "%:"])
+    assert 4.0 < float(value) < 6.0
+    assert blank == ""
+    assert where.startswith("report: ")
+    assert where.endswith("report.html")
+
+
+def test_means_of_some_samples_and_of_none() -> None:
+    some = build_number("stiffness_second", troubled_samples())
+    none = replace(some, name="slack", mean=None)
+    _, line, missing, *_ = of_group(some, none)
+    assert line.endswith("  (1 without)")
+    assert missing.split()[:3] == ["!", "slack", "-"]
+
+
+def test_one_of_each_is_singular() -> None:
+    group = build_group("tube", six_samples()[:1])
+    campaign = Campaign("Synthetic", (group,))
+    said = report_table(Reported(Path("r"), campaign, ()))
+    assert "tube  (twist-tube): 1 sample from 1 spool\n" in said
+    assert said.endswith("report: nothing written")
+
+
+def test_reading_is_shown_on_a_terminal_only(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with reading(2) as say:
+        say("A")
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with reading(2) as say:
+        say("A")
+        say("B")
+    assert "\n1/2" not in capsys.readouterr().err

@@ -1,0 +1,65 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe.cli.report import status_of
+from labpipe.pipeline.reporting import Reported
+from labpipe.records.group import Campaign
+from tests.builders.campaigns import build_group, six_samples, troubled_samples
+from tests.builders.pulls import broken, pull
+from tests.builders.small_tests import Run
+from tests.builders.tensile_tests import TensileLab, write_pull
+
+
+def reported(*groups: object, **more: object) -> Reported:
+    campaign = replace(Campaign("Synthetic", groups), **more)  # type: ignore[arg-type]
+    return Reported(Path("report"), campaign, (Path("report/report.html"),))
+
+
+def test_status_0_when_all_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of(reported(build_group("tube", six_samples()))) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_status_1_when_a_result_failed() -> None:
+    assert status_of(reported(build_group("tube", troubled_samples()))) == 1
+
+
+def test_status_2_when_a_test_was_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    left_out = {"a/result.h5": "a/result.h5: expected this, found that. Do so."}
+    assert status_of(reported(build_group("tube", troubled_samples()), left_out=left_out)) == 2
+    assert capsys.readouterr().err == (
+        "labpipe report: left out: a/result.h5: expected this, found that. Do so.\n"
+    )
+
+
+@pytest.fixture
+def processed(tmp_path: Path, run: Run) -> Path:
+    for seed, name in enumerate(("P-1", "P-2")):
+        lab = TensileLab(tmp_path, name)
+        travel, force = pull(slack=0.001, seed=seed)
+        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+    assert run("process", tmp_path / "raw", "--out", tmp_path / "out", "--no-figures").status == 0
+    return tmp_path / "out"
+
+
+def test_options_and_what_is_said(run: Run, processed: Path, tmp_path: Path) -> None:
+    goal = tmp_path / "told"
+    ran = run("report", processed / "P-1", processed, "--out", goal, "--title", "Two pulls")
+    assert (ran.status, ran.err) == (0, "")
+    heading, first, *_ = ran.out.splitlines()
+    assert heading == "synthetic  (tensile): 2 samples from 1 spool"
+    assert first.split()[0] == "peak_force.1"
+    assert first.split()[2] == "N"
+    assert "95 %:" in first
+    assert ran.out.splitlines()[-1].endswith("report.html")
+    assert "<title>Two pulls" in (goal / "report.html").read_text(encoding="utf-8")
+
+
+def test_no_path(run: Run) -> None:
+    ran = run("report")
+    assert ran.status == 2
+    assert "PATH" in ran.err

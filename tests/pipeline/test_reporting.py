@@ -1,0 +1,180 @@
+"""From results on disk to the groups of a report."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import UsageError
+from labpipe.pipeline.process import process_test
+from labpipe.pipeline.reporting import find_results, make_campaign, report_tests, sample_of
+from labpipe.records.result import TestResult
+from labpipe.store.read import read_result
+from tests.builders.pulls import broken, pull, slipped
+from tests.builders.tensile_tests import TensileLab, write_pull
+
+KINDS = {"T-1": ("tube", 5e3), "T-2": ("tube", 5.1e3), "H-1": ("hose", 4e3), "H-2": ("hose", 4.1e3)}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two tubes and two hoses, pulled by `tensile` until they broke, one with a slip."""
+    home = tmp_path_factory.mktemp("done")
+    for seed, (name, (kind, stiffness)) in enumerate(KINDS.items()):
+        lab = TensileLab(home, name)
+        travel, force = pull(stiffness=stiffness, slack=0.001, seed=seed)
+        force = slipped(travel, force, (0.012, 3.0)) if name == "T-2" else force
+        write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+        text = lab.sheet.read_text("utf-8").replace("type: synthetic", f"type: {kind}")
+        lab.sheet.write_text(text, "utf-8")
+        lab.override("curve.slips.decision", "repaired")
+        process_test(lab.sheet, figures=False)
+    return home / "processed"
+
+
+@pytest.fixture
+def results(done: Path, tmp_path: Path) -> Path:
+    shutil.copytree(done, tmp_path / "processed")
+    return tmp_path / "processed"
+
+
+def test_results_are_found_once_and_in_order(done: Path) -> None:
+    one = done / "c" / "T-1" / "result.h5"
+    assert find_results([one]) == [one]
+    names = [file.parent.name for file in find_results([done, one, done / "c"])]
+    assert names == sorted(KINDS)
+
+
+def test_no_results(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=r"expected a result.h5, or a folder with .*, found none"):
+        find_results([tmp_path])
+    with pytest.raises(UsageError, match=r"found nothing of that name\. `labpipe process` makes"):
+        find_results([tmp_path / "nowhere"])
+
+
+def test_groups(done: Path) -> None:
+    said: list[str] = []
+    campaign = make_campaign(find_results([done]), "Pulls", said.append)
+    assert said == sorted(KINDS)
+    assert campaign.title == "Pulls"
+    assert [group.name for group in campaign.groups] == ["hose", "tube"]
+    assert [group.protocol for group in campaign.groups] == ["tensile", "tensile"]
+    hose, tube = campaign.groups
+    assert [sample.test for sample in tube.samples] == ["T-1", "T-2"]
+    stiffness = {number.name: number for number in hose.numbers}["stiffness"]
+    assert stiffness.mean is not None
+    assert stiffness.mean.chosen.mean == pytest.approx(4050.0, rel=0.01)
+    assert not campaign.left_out
+
+
+def test_what_speaks_of_one_test_has_no_mean(done: Path) -> None:
+    """The first slip of one sample is no other sample's first slip."""
+    tube = make_campaign(find_results([done]), "").groups[1]
+    assert not [number.name for number in tube.numbers if number.name.startswith("slip_")]
+    assert [len(sample.slips) for sample in tube.samples] == [0, 1]
+    names = {each.name for each in tube.samples[1].results}
+    assert {"slip_position.1", "slip_drop.1"} <= names
+
+
+def stored_protocol(results: Path, old: str, new: str) -> None:
+    """Change the protocol that every result has stored."""
+    import h5py
+
+    for file in results.rglob("result.h5"):
+        with h5py.File(file, "r+") as opened:
+            text = str(opened.attrs["protocol_yaml"])
+            assert old in text
+            opened.attrs["protocol_yaml"] = text.replace(old, new)
+
+
+def test_main_numbers_come_first_and_are_compared(results: Path) -> None:
+    said = "main: [energy_to_break, stiffness]\n  margin: 5 %"
+    stored_protocol(results, "main: []", said)
+    campaign = make_campaign(find_results([results]), "")
+    assert [number.name for number in campaign.groups[0].numbers][:2] == [
+        "energy_to_break",
+        "stiffness",
+    ]
+    assert {each.name for each in campaign.differences} == {"energy_to_break", "stiffness"}
+    (difference,) = (each for each in campaign.differences if each.name == "stiffness")
+    assert (difference.first, difference.second) == ("hose", "tube")
+    assert difference.difference.mean == pytest.approx(1000.0, rel=0.05)
+    assert difference.margin == pytest.approx(0.05 * 4050.0, rel=0.01)
+
+
+def test_a_result_that_cannot_be_read_is_left_out(results: Path) -> None:
+    bad = results / "c" / "T-1" / "result.h5"
+    bad.write_bytes(b"nothing")
+    campaign = make_campaign(find_results([results]), "")
+    assert [len(group.samples) for group in campaign.groups] == [2, 1]
+    assert list(campaign.left_out) == [str(bad)]
+    assert "expected a result file, found a file that is not HDF5" in campaign.left_out[str(bad)]
+
+
+def test_no_result_can_be_read(results: Path) -> None:
+    files = find_results([results])
+    for file in files:
+        file.write_bytes(b"nothing")
+    with pytest.raises(UsageError, match=r"H-1.*\n.*H-2.*\n.*T-1.*\n.*T-2"):
+        make_campaign(files, "")
+
+
+def test_a_report_lies_beside_the_tests(results: Path) -> None:
+    reported = report_tests([results])
+    assert reported.folder == results / "c" / "report"
+    assert reported.campaign.title == "c"
+    assert reported.files[0] == reported.folder / "report.html"
+    assert all(file.is_file() for file in reported.files)
+    one = report_tests([results / "c" / "T-1"], title="One")
+    assert one.folder == results / "c" / "report"
+    assert one.campaign.title == "One"
+
+
+def read(done: Path, name: str) -> TestResult:
+    return read_result(done / "c" / name / "result.h5")
+
+
+def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:
+    result = read(done, "T-1")
+    sample = sample_of(result, "here")
+    assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
+    (branch,) = sample.loading
+    assert not sample.unloading
+    assert 400 < len(branch.displacement) <= 1000
+    assert (np.diff(branch.displacement) > 0.0).all()
+    failure = next(each.value for each in result.results if each.name == "failure_displacement")
+    assert failure is not None
+    assert branch.displacement[-1] == pytest.approx(failure, abs=4e-5)
+    assert branch.force.min() > -0.1
+    line = 5e3 * np.maximum(branch.displacement, 0.0)
+    np.testing.assert_allclose(branch.force, line, atol=0.15)
+    np.testing.assert_array_equal(branch.force, branch.as_measured)
+
+
+def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
+    sample = sample_of(read(done, "T-2"), "")
+    (branch,), (slip,) = sample.loading, sample.slips
+    added = branch.force - branch.as_measured
+    at = branch.displacement
+    assert np.abs(added[at < slip.position - 1e-4]).max() == 0.0
+    np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
+
+
+def test_unloading_grows_too(done: Path) -> None:
+    result = read(done, "T-1")
+    curve = result.curve
+    assert curve is not None
+    back = replace(curve.branches[0], direction=type(curve.branches[0].direction).UNLOADING)
+    turned = replace(curve, displacement=-curve.displacement, branches=(back,))
+    sample = sample_of(replace(result, curve=turned), "")
+    assert not sample.loading
+    assert (np.diff(sample.unloading[0].displacement) > 0.0).all()
+
+
+def test_a_test_without_a_curve(done: Path) -> None:
+    sample = sample_of(replace(read(done, "T-1"), curve=None), "")
+    assert sample.loading == sample.unloading == ()
