@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,8 @@ GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"
 ESD = "generalised ESD test"
 ESD_WITHIN = "generalised ESD test within spools"
+_ALIKE = 1.001
+"""p-values whose ratio is below are equal but for rounding."""
 
 
 def mark_outliers(
@@ -35,7 +38,9 @@ def mark_outliers(
 
     Returns
     -------
-    Furthest first. Empty where `too_few_for_outliers` says why nothing can be marked.
+    Furthest first. Empty where `too_few_for_outliers` says why nothing can be marked. Values that
+    lie equally far out are all marked and the method says so: the two samples of a spool always
+    are, since each lies as far from their mean as the other.
 
     Notes
     -----
@@ -52,14 +57,26 @@ def mark_outliers(
     allowed = max(1, len(names) // 10) if most is None else most
     steps = _steps(number, spool, allowed)
     # A value is as sure as the surest step that it had to be set aside for.
-    chances = [min(p for _, p in steps[step:]) for step in range(len(steps))]
-    nested = len(set(spool.tolist())) > 1
-    method = _METHODS[allowed > 1, nested]
+    chances = [min(step.p for step in steps[at:]) for at in range(len(steps))]
+    method = _METHODS[allowed > 1, len(set(spool.tolist())) > 1]
+    marked = [pair for pair in zip(steps, chances, strict=True) if pair[1] < level]
+    alone = {step.where for step, _ in marked}
     return tuple(
-        Outlier(names[where], float(number[where]), method, chance)
-        for (where, _), chance in zip(steps, chances, strict=True)
-        if chance < level
+        Outlier(names[where], float(number[where]), method + _unless_told(others, names), chance)
+        for step, chance in marked
+        for where, others in _shared(step, alone)
     )
+
+
+def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
+    """The value of a step and those that the test cannot tell it from, each with the others."""
+    every = [step.where, *(twin for twin in step.twins if twin not in alone)]
+    return [(where, [other for other in every if other != where]) for where in every]
+
+
+def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
+    told = " and ".join(names[other] for other in others)
+    return f", which cannot tell it from {told}" if told else ""
 
 
 _METHODS = {
@@ -86,16 +103,27 @@ def too_few_for_outliers(spools: Sequence[str]) -> str:
     )
 
 
-def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[tuple[int, float]]:
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """The furthest value of those left, its p-value, and the values that lie as far out."""
+
+    where: int
+    p: float
+    twins: tuple[int, ...]
+
+
+def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:
     """The furthest value, its p-value, then the same without it, and so on."""
     left = np.arange(len(values))
-    found: list[tuple[int, float]] = []
+    found: list[_Step] = []
     for _ in range(most):
         chance = _chances(values[left], spool[left])
         if chance is None:
             break
         furthest = int(np.argmin(chance))
-        found.append((int(left[furthest]), float(chance[furthest])))
+        alike = np.flatnonzero(chance <= _ALIKE * chance[furthest])
+        twins = tuple(int(left[twin]) for twin in alike if twin != furthest)
+        found.append(_Step(int(left[furthest]), float(chance[furthest]), twins))
         left = np.delete(left, furthest)
     return found
 

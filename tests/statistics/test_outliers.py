@@ -37,8 +37,27 @@ def test_spools_that_differ_hold_no_outliers() -> None:
     values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9}
     assert not mark_outliers(values, {name: name[0] for name in values})
     values["b3"] = 5.0
-    (found, *_) = mark_outliers(values, {name: name[0] for name in values})
+    (found,) = mark_outliers(values, {name: name[0] for name in values})
     assert found.method == "Grubbs' test within spools"
+
+
+@pytest.mark.parametrize("shift", [0.0, 7.0, 1e6])
+def test_neither_of_a_spool_of_two_is_blamed_alone(shift: float) -> None:
+    pair = {"c1": 4.0 + shift, "c2": 9.0 + shift}
+    values = {"a1": 1.0, "a2": 1.1, "a3": 0.9, "b1": 9.0, "b2": 9.1, "b3": 8.9, **pair}
+    found = mark_outliers(values, {name: name[0] for name in values})
+    assert {each.sample for each in found} == {"c1", "c2"}
+    assert found[0].p == found[1].p
+    assert {each.method for each in found} == {
+        "Grubbs' test within spools, which cannot tell it from c1",
+        "Grubbs' test within spools, which cannot tell it from c2",
+    }
+
+
+def test_two_extremes_that_lie_equally_far_out_are_both_named() -> None:
+    found = mark_outliers(*one_spool([-5.0, *[-0.01, 0.0, 0.01] * 5, 5.0]), level=1.1)
+    assert [each.sample for each in found] == ["t0", "t16"]
+    assert found[0].method == "Grubbs' test, which cannot tell it from t16"
 
 
 def test_too_few_samples_are_said() -> None:
