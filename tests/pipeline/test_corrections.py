@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.errors import ProcessingError
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.failure import FailurePoint
 from labpipe.pipeline.bench import Bench
@@ -185,3 +186,31 @@ def test_zero_of_the_force_is_in_the_interval_of_the_slack() -> None:
 def test_nothing_to_correct() -> None:
     assert loading_branch(Bench()) is None
     assert loading_stretch(Bench()) == slice(0, 0)
+
+
+def test_more_give_than_the_test_has_is_refused() -> None:
+    """5 N/mm is 200 um/N in all: a frame of 300 um/N would leave the specimen shorter."""
+    said = (
+        r"curve\.compliance: expected a compliance below that of this test, 200\.?\d* um/N on the "
+        r"way up, found 300 um/N, with which the specimen would get shorter\. Look at its unit, "
+        r"and at the test of the stiff bar it comes from\."
+    )
+    with pytest.raises(ProcessingError, match=said):
+        pulled(*pull(), curve="compliance: {value: 300 um/N}")
+
+
+def test_a_slip_is_told_where_displacement_counts_from_in_the_end() -> None:
+    travel, force = pull(slack=0.003)
+    curve = "slips: {decision: marked, min_drop: 0.5 N}, slack: {from: 10 %, to: 30 %}"
+    bench, _ = pulled(travel, slipped(travel, force, (0.015, 3.0)), curve=curve)
+    message = codes(bench)["slip_marked"]
+    assert f"{1e3 * bench.slips[0].position:.4g} mm" in message
+    assert bench.slips[0].position == pytest.approx(0.012, abs=3e-4)
+
+
+def test_of_a_cut_curve_the_ledger_ends_where_the_curve_does() -> None:
+    travel, force = pull()
+    curve = "slips: {decision: cut, min_drop: 0.5 N}"
+    bench, _ = pulled(travel, slipped(travel, force, *SLIPS), curve=curve)
+    assert len(bench.slips) == 1
+    assert bench.slips[0].position == pytest.approx(0.006, abs=3 * STEP)

@@ -276,3 +276,48 @@ def test_rows_that_end_while_loading() -> None:
     assert results["peak_force.1"].reason == (
         "partial_cycle: the record ends at sample 1000, while still loading"
     )
+
+
+def test_stiffness_over_the_largest_peak_of_all_cycles() -> None:
+    """A way up to 10 mm, back, and up to 20 mm, where it tears."""
+    travel, _ = pull(length=0.01)
+    path = np.concatenate([travel, travel[-2:0:-1], pull()[0]])
+    noise = np.random.default_rng(1).normal(0, 0.02, len(path))
+    load = broken(path, 5e3 * path + noise, at=0.016)
+    asked = ["stiffness, from: 2 mm, to: 8 mm", "normalised-stiffness, of: stiffness"]
+    _, results = pulled(path, load, curve=BREAK, results=asked)
+    found = results["stiffness_per_peak_force"]
+    assert found.value == pytest.approx(5000.0 / 80.0, rel=5e-3)
+    assert found.status is Status.OK
+
+
+def test_a_force_that_falls_where_the_frame_pulls() -> None:
+    travel, force = pull()
+    _, results = pulled(travel, 200.0 - force, results=[LINE])
+    found = results["stiffness"]
+    assert found.value == pytest.approx(-5000.0, rel=1e-3)
+    assert found.reason == "negative_slope: the force falls where the frame pulls"
+
+
+def test_no_force_at_all() -> None:
+    travel, force = pull()
+    asked = [LINE, "normalised-stiffness, of: stiffness"]
+    _, results = pulled(travel, force - 5e3 * travel, results=asked)
+    found = results["stiffness_per_peak_force"]
+    assert found.value is None
+    assert found.reason.startswith("no_peak_force: a peak of ")
+
+
+def test_a_pull_to_the_stroke_of_the_rig_is_whole() -> None:
+    specimen = "{length: 100 mm}\nrig: {stroke: 20 mm}"
+    _, results = pulled(*pull(), results=["peak-force"], specimen=specimen)
+    assert results["peak_force.1"].status is Status.OK
+
+
+def test_what_was_added_back_is_said_of_the_peak() -> None:
+    travel, force = pull()
+    curve = "slips: {decision: repaired, min_drop: 0.5 N}"
+    lower = slipped(travel, force, (0.006, 3.0))
+    _, results = pulled(travel, lower, curve=curve, results=["peak-force", LINE])
+    assert results["peak_force.1"].method.endswith(" N of slips added back")
+    assert "added back" not in results["stiffness"].method
