@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from labpipe.records.group import Campaign, Group, GroupNumber, Sample
+from labpipe.records.group import Campaign, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.result import Result, Status
 from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
 from labpipe.report.numbers import (
@@ -87,7 +87,23 @@ def key_numbers(group: Group) -> Table:
         if is_main(each.name)
     )
     heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
-    return Table(f"{group.name}: means", heads, rows, _no_intervals(group))
+    notes = (*_no_intervals(group), *_why_so_wide(group))
+    return Table(f"{group.name}: means", heads, rows, notes)
+
+
+def _why_so_wide(group: Group) -> Iterator[str]:
+    """Why a mean over two spool means is so unsure, and what would help."""
+    if any(_is_over_two_spools(each) for each in group.numbers if is_main(each.name)):
+        yield (
+            "Intervals over two spool means are wide because two values leave one degree of"
+            " freedom, where Student's t is 12.7. More samples of these spools would hardly help;"
+            " a third spool brings t down to 4.3, a fourth to 3.2."
+        )
+
+
+def _is_over_two_spools(number: GroupNumber) -> bool:
+    mean = number.mean
+    return mean is not None and not mean.is_pooled and mean.chosen.n == 2
 
 
 def _no_intervals(group: Group) -> tuple[str, ...]:
@@ -134,15 +150,42 @@ def _missing(number: GroupNumber) -> str:
 
 
 def spool_means(group: Group) -> Table:
-    """Make the table of spool means, with the decision how to average them in words."""
+    """Make the table of spool means, with the decision how to average them in words.
+
+    What all decisions have in common stands once, below the table.
+    """
     spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
-    own = [each for each in group.numbers if is_main(each.name) and each.mean is not None]
-    rows = tuple(_spool_row(group, each, spools) for each in own)
-    return Table(
-        f"{group.name}: spool means, and how they are averaged",
-        ("Number", *(f"Spool {spool}" for spool in spools), "Decision"),
-        rows,
-    )
+    own = [each for each in group.numbers if is_main(each.name)]
+    decisions, shared = _decisions([each.mean for each in own if each.mean is not None])
+    rows = [_spool_row(group, each, spools) for each in own if each.mean is not None]
+    heads = ("Number", *(f"Spool {spool}" for spool in spools))
+    title = f"{group.name}: spool means, and how they are averaged"
+    if not any(decisions):
+        return Table(title, heads, tuple(rows), shared)
+    ends = [Cell(decision or "As below.") for decision in decisions]
+    decided = tuple((*row, end) for row, end in zip(rows, ends, strict=True))
+    return Table(title, (*heads, "Decision"), decided, shared)
+
+
+def _decisions(means: Sequence[NestedMean]) -> tuple[list[str], tuple[str, ...]]:
+    """What is special in each decision, and what is said in all of them."""
+    clauses = [_clauses(mean.decision) for mean in means]
+    shared = [each for each in clauses[0] if all(each in own for own in clauses)] if means else []
+    special = [_sentence([each for each in own if each not in shared]) for own in clauses]
+    if not any(special):
+        return special, (_sentence(shared),) if shared else ()
+    every = "; ".join(clause.removesuffix(":") for clause in shared)
+    return special, (f"Every number: {every[0].lower()}{every[1:]}.",) if shared else ()
+
+
+def _clauses(decision: str) -> list[str]:
+    done, colon, why = decision.removesuffix(".").partition(": ")
+    return [f"{done}:", *why.split("; ")] if colon else [done]
+
+
+def _sentence(clauses: Sequence[str]) -> str:
+    joined = "; ".join(clauses).replace(":; ", ": ").removesuffix(":")
+    return f"{joined[:1].upper()}{joined[1:]}." if joined else ""
 
 
 def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tuple[Cell, ...]:
@@ -157,7 +200,7 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
             continue
         written = write_number(mean.mean, mean.interval, shown.factor)
         cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
-    return Cell(heading(number.name, shown.unit)), *cells, Cell(number.mean.decision)
+    return Cell(heading(number.name, shown.unit)), *cells
 
 
 def sample_tables(group: Group) -> list[Table]:

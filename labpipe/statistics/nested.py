@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.group import MeanInterval, NestedMean
 from labpipe.statistics.means import mean_interval
-from labpipe.statistics.spools import SpoolScatter, equal_spools_p, spool_scatter
+from labpipe.statistics.spools import SpoolScatter, equal_spools_p, smallest_p, spool_scatter
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def nested_mean(
         over_samples=over_samples,
         over_spools=over_spools,
         is_pooled=is_pooled,
-        decision=_decision(over_samples.n, len(kept), scatter, p, limits, is_pooled=is_pooled),
+        decision=_decision(values, scatter, p, limits, is_pooled=is_pooled),
         spool_means=means,
         within=scatter.within,
         between=scatter.between,
@@ -109,8 +109,7 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
 
 
 def _decision(
-    samples: int,
-    spools: int,
+    spools: Sequence[Floats],
     scatter: SpoolScatter,
     p: float,
     limits: PoolingLimits,
@@ -118,34 +117,52 @@ def _decision(
     is_pooled: bool,
 ) -> str:
     """The decision in words: what was averaged, and the numbers that say so."""
+    counts = tuple(len(values) for values in spools)
     done = (
-        f"Pooled over {samples} samples of {spools} spools"
+        f"Pooled over {sum(counts)} samples of {len(counts)} spools"
         if is_pooled
-        else f"Over {spools} spool means, not pooled over {samples} samples"
+        else f"Over {len(counts)} spool means, not pooled over {sum(counts)} samples"
     )
-    return f"{done}: {_share_words(scatter, limits)}; {_test_words(p, limits)}."
+    if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
+        return f"{done}: all values are equal, so there is no scatter to tell spools apart by."
+    return f"{done}: {_share_words(scatter, limits)}; {_test_words(p, counts, limits)}."
 
 
 def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> str:
+    """How the variance is shared out; what is asked of it stands behind a semicolon."""
     if np.isnan(scatter.within):
         return "no spool has two samples, so the scatter within spools is not known"
-    if np.isnan(scatter.share):
-        return "all values are equal, so there is no scatter to share out"
-    ratio = f"{100 * scatter.share:.3g} % of the variance lies between spools"
-    if scatter.within > 0:
-        ratio += (
-            f" (spools scatter {scatter.between / scatter.within:.3g} times as much as samples)"
+    upper = f"{100.0 * scatter.share_upper:.3g} %"
+    if scatter.between == 0.0:
+        found = (
+            "the spools differ no more than their samples explain, "
+            f"yet up to {upper} of the variance may lie between them"
         )
-    upper = 100.0 * scatter.share_upper
+    else:
+        found = f"{100 * scatter.share:.3g} % of the variance lies between spools{_ratio(scatter)}"
+        found += f", and it may be up to {upper}"
     return (
-        f"{ratio}, it may be {upper:.3g} % (upper limit with {100 * limits.confidence:.4g} % "
-        f"confidence), and {100 * limits.max_spool_share:.3g} % is allowed"
+        f"{found}; pooling needs that share below {100 * limits.max_spool_share:.3g} % "
+        f"with {100 * limits.confidence:.4g} % confidence"
     )
 
 
-def _test_words(p: float, limits: PoolingLimits) -> str:
+def _ratio(scatter: SpoolScatter) -> str:
+    if scatter.within == 0.0:
+        return ""
+    return f" (spools scatter {scatter.between / scatter.within:.3g} times as much as samples)"
+
+
+def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
     if np.isnan(p):
         return "the Anderson-Darling test of equal spools needs two samples in each spool"
+    least = smallest_p(counts)
+    if least >= limits.min_p:
+        sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
+        return (
+            f"with {sizes} samples the Anderson-Darling test of equal spools cannot tell, "
+            f"as its p is never below {least:.2g}"
+        )
     verdict = "does not tell them apart" if p >= limits.min_p else "tells them apart"
     return (
         f"the Anderson-Darling test of equal spools {verdict} "

@@ -68,6 +68,7 @@ def test_a_number_that_no_sample_has() -> None:
 def test_spool_means_with_the_decision() -> None:
     table = spool_means(build_group("A", six_samples()))
     assert table.heads == ("Number", "Spool s1", "Spool s2", "Decision")
+    assert table.notes == ()
     cells = row(table, "Stiffness, first region (N/mm)")
     assert cells[1].small.endswith("n = 3")
     assert cells[3].text.startswith("Not pooled: the spools differ")
@@ -140,3 +141,41 @@ def test_a_mean_over_numbers_made_in_two_ways_says_so() -> None:
         "made in 2 ways: see What needs a look"
     )
     assert row(table, "Stiffness, second region (N/mm)")[3].small == ""
+
+
+def with_decisions(*decisions: str) -> Table:
+    group = build_group("A", six_samples())
+    numbers = [
+        replace(number, mean=replace(number.mean, decision=decision))
+        for number, decision in zip(group.numbers, decisions, strict=False)
+        if number.mean is not None
+    ]
+    return spool_means(replace(group, numbers=tuple(numbers)))
+
+
+def test_a_decision_that_holds_for_all_numbers_stands_once() -> None:
+    table = with_decisions(*["Over 3 samples of one spool: the type is not known."] * 2)
+    assert table.heads == ("Number", "Spool s1", "Spool s2")
+    assert len(table.rows[0]) == 3
+    assert table.notes == ("Over 3 samples of one spool: the type is not known.",)
+
+
+def test_what_decisions_share_stands_below_the_table() -> None:
+    table = with_decisions(
+        "Over 2 spool means: 90 % lies between; the test cannot tell.",
+        "Over 2 spool means: 80 % lies between; the test cannot tell.",
+    )
+    assert [cells[3].text for cells in table.rows] == ["90 % lies between.", "80 % lies between."]
+    assert table.notes == ("Every number: over 2 spool means; the test cannot tell.",)
+    table = with_decisions(
+        "Over 2 spool means: no scatter; no test.", "Over 2 spool means: no test."
+    )
+    assert [cells[3].text for cells in table.rows] == ["No scatter.", "As below."]
+
+
+def test_wide_intervals_over_two_spools_are_explained_once() -> None:
+    (note,) = key_numbers(build_group("A", six_samples())).notes
+    assert "one degree of freedom, where Student's t is 12.7" in note
+    assert "a third spool brings t down to 4.3" in note
+    one_spool = build_group("A", six_samples()[:3])
+    assert not key_numbers(one_spool).notes

@@ -55,14 +55,29 @@ def test_one_sample_a_spool() -> None:
 def test_equal_values_are_not_pooled() -> None:
     found = nested_mean({"a": [1.0, 1.0], "b": [1.0, 1.0]})
     assert not found.is_pooled
-    assert "all values are equal" in found.decision
+    assert found.decision == (
+        "Over 2 spool means, not pooled over 4 samples: "
+        "all values are equal, so there is no scatter to tell spools apart by."
+    )
 
 
 def test_two_spools_are_not_pooled_for_want_of_evidence() -> None:
     found = nested_mean({"a": [1.0, 2.0, 3.0], "b": [1.1, 2.1, 2.9]})
     assert found.spool_p > 0.5
     assert not found.is_pooled
-    assert "the Anderson-Darling test of equal spools does not tell them apart" in found.decision
+    assert found.decision == (
+        "Over 2 spool means, not pooled over 6 samples: the spools differ no more than their "
+        "samples explain, yet up to 99.7 % of the variance may lie between them; pooling needs "
+        "that share below 10 % with 99.9 % confidence; with 3 and 3 samples the Anderson-Darling "
+        "test of equal spools cannot tell, as its p is never below 0.1."
+    )
+
+
+def test_samples_enough_for_the_test() -> None:
+    near = nested_mean({"a": [1.0, 2.0, 3.0, 4.0], "b": [1.1, 2.1, 2.9, 4.2]})
+    assert "the Anderson-Darling test of equal spools does not tell them apart" in near.decision
+    far = nested_mean({"a": [1.0, 2.0, 3.0, 4.0], "b": [11.1, 12.1, 12.9, 14.2]})
+    assert "tells them apart (p = 0.029, pooling needs 0.05)" in far.decision
 
 
 def test_many_alike_spools_are_pooled() -> None:

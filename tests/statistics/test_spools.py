@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.statistics.spools import equal_spools_p, spool_scatter
+from labpipe.statistics.spools import equal_spools_p, smallest_p, spool_scatter
 
 
 @pytest.mark.parametrize("counts", [(3, 3), (2, 2, 2), (4, 3, 6, 5)])
@@ -61,3 +61,15 @@ def test_without_p() -> None:
     assert np.isnan(equal_spools_p([two]))
     assert np.isnan(equal_spools_p([one, two]))
     assert np.isnan(equal_spools_p([same, same]))
+
+
+@pytest.mark.parametrize(
+    ("counts", "expected"),
+    [((3, 3), 0.1), ((2, 3), 0.2), ((2, 2), 1 / 3), ((2, 2, 2), 1 / 15), ((9, 9), 0.001)],
+)
+def test_smallest_p_of_few_samples(counts: tuple[int, ...], expected: float) -> None:
+    assert smallest_p(counts) == pytest.approx(expected)
+
+
+def test_smallest_p_without_a_test() -> None:
+    assert np.isnan([smallest_p((1, 5)), smallest_p((4,))]).all()

@@ -40,9 +40,9 @@ def test_not_pooled_and_why() -> None:
     assert found.chosen == found.over_spools
     assert found.decision == (
         "Over 2 spool means, not pooled over 6 samples: 97.9 % of the variance lies between spools "
-        "(spools scatter 6.9 times as much as samples), it may be 100 % (upper limit with 99.9 % "
-        "confidence), and 10 % is allowed; the Anderson-Darling test of equal spools does not tell "
-        "them apart (p = 0.1, pooling needs 0.05)."
+        "(spools scatter 6.9 times as much as samples), and it may be up to 100 %; pooling needs "
+        "that share below 10 % with 99.9 % confidence; with 3 and 3 samples the Anderson-Darling "
+        "test of equal spools cannot tell, as its p is never below 0.1."
     )
 
 
