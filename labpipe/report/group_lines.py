@@ -15,7 +15,7 @@ from labpipe.report.group_look import (
     label_axes,
     thin,
 )
-from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_number
+from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_mean
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -105,7 +105,7 @@ def _slope(group: Group, name: str) -> str:
         return in_words(name)
     shown = shown_in(name, number.unit, display_of(group))
     mean = number.mean.chosen
-    words = write_number(mean.mean, mean.interval, shown.factor).text
+    words = write_mean(mean, shown.factor, number.mean.spool_means.values()).text
     over = "samples" if number.mean.is_pooled else "spool means"
     of = f", mean of {mean.n} {over}" if mean.n > 1 else ""
     return f"{in_words(name)}: {words} {unit_words(shown.unit)}{of}"

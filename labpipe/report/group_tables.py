@@ -17,6 +17,7 @@ from labpipe.report.numbers import (
     shown_in,
     unit_words,
     with_names_in_words,
+    write_mean,
     write_number,
 )
 from labpipe.statistics.methods import mixed
@@ -122,7 +123,7 @@ def _mean_row(group: Group, number: GroupNumber, ways: int) -> tuple[Cell, ...]:
     if number.mean is None:
         return head, Cell(DASH), Cell(DASH), Cell("no sample has it"), Cell(DASH)
     chosen = number.mean.chosen
-    written = write_number(chosen.mean, chosen.interval, shown.factor)
+    written = write_mean(chosen, shown.factor, number.mean.spool_means.values())
     deviation = write_number(chosen.deviation, None, shown.factor, digits=3)
     return (
         head,
@@ -198,7 +199,7 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
         if mean is None:
             cells.append(Cell(DASH, "no number"))
             continue
-        written = write_number(mean.mean, mean.interval, shown.factor)
+        written = write_mean(mean, shown.factor)
         cells.append(Cell(written.value, f"{written.interval} n = {mean.n}".strip()))
     return Cell(heading(number.name, shown.unit)), *cells
 

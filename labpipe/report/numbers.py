@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Group
+from labpipe.records.group import Group, MeanInterval
 from labpipe.report.wording import Scale
 from labpipe.units import si_factor
 
@@ -55,6 +55,7 @@ _PER_PEAK = "_per_peak_force"
 _ONE_BY_ONE = ("slip_position", "slip_drop")
 _DIGITS_ALONE = 4
 _DIGITS_OF_INTERVAL = 2
+_DIGITS_OF_MEAN, _BEYOND_INTERVAL = 3, 2
 _PLAIN = (1e-3, 1e6)
 """Sizes between which a number is written without a power of ten."""
 _SUPERSCRIPTS = str.maketrans(
@@ -210,14 +211,61 @@ def write_number(
     >>> write_number(1234.567, None).value
     '1235'
     """
-    if not math.isfinite(value):
-        return Written("\u2013")
+    return _written(value, interval, factor, _place(value, interval, factor, digits))
+
+
+def write_mean(
+    mean: MeanInterval, factor: float = 1.0, parts: Iterable[MeanInterval] = ()
+) -> Written:
+    """Write a mean with digits that can be compared with what it was averaged from.
+
+    Parameters
+    ----------
+    mean : in SI
+    factor : from SI to the display unit
+    parts : means of the spools
+
+    Returns
+    -------
+    As `write_number`, but with three significant digits of the mean at least and as many decimals
+    as the coarsest of the parts, however wide the interval; at the most two digits more than the
+    interval supports.
+
+    Examples
+    --------
+    >>> write_mean(MeanInterval(11.468, Interval(-31.2, 54.1), 4.7, 2)).text
+    '11.5 (-31.2 to 54.1)'
+    """
+    supported = _place(mean.mean, mean.interval, factor, _DIGITS_ALONE)
+    wanted = [_place_of_mean(each, factor) for each in parts]
+    place = min([_place_of_mean(mean, factor), *([max(wanted)] if wanted else [])])
+    kept = max(place, supported - _BEYOND_INTERVAL)
+    return _written(mean.mean, mean.interval, factor, kept)
+
+
+def _place_of_mean(mean: MeanInterval, factor: float) -> int:
+    supported = _place(mean.mean, mean.interval, factor, _DIGITS_ALONE)
+    if mean.mean == 0.0 or not math.isfinite(mean.mean):
+        return supported
+    return min(supported, _last_place(abs(factor * mean.mean), _DIGITS_OF_MEAN))
+
+
+def _place(value: float, interval: Interval | None, factor: float, digits: int) -> int:
+    """Power of ten of the last digit that an interval supports; of `digits` without one."""
     ends = (interval.lower, interval.upper) if interval is not None else ()
     shown = [factor * number for number in (value, *ends)]
     half = (max(shown[1:]) - min(shown[1:])) / 2.0 if ends else 0.0
     if not all(map(math.isfinite, shown)) or not half > 0.0:
-        return Written(*_alike(shown, _last_place(max(map(abs, shown)), digits)))
-    return Written(*_alike(shown, _last_place(half, _DIGITS_OF_INTERVAL)))
+        return _last_place(max(map(abs, shown)), digits)
+    return _last_place(half, _DIGITS_OF_INTERVAL)
+
+
+def _written(value: float, interval: Interval | None, factor: float, place: int) -> Written:
+    if not math.isfinite(value):
+        return Written("\u2013")
+    ends = (interval.lower, interval.upper) if interval is not None else ()
+    shown = [factor * number for number in (value, *ends)]
+    return Written(*_alike(shown, place))
 
 
 def _last_place(size: float, digits: int) -> int:

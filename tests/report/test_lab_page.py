@@ -99,3 +99,8 @@ def test_a_campaign_without_fault_says_so() -> None:
     assert "Differences between groups" not in page
     assert "tt-s1a, tt-s1b, tt-s1c, tt-s2a, tt-s2b, tt-s2c \u00b7 force: Moving average" in page
     assert ".s1 {fill: none}" in page
+
+
+def test_what_all_tests_share_is_not_in_an_interval_and_the_page_says_so(page: str) -> None:
+    assert page.count("Errors that all tests on one machine share") == 1
+    assert "A mean keeps three significant digits" in page

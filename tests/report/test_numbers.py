@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.curve import Interval
+from labpipe.records.group import MeanInterval
 from labpipe.report.numbers import (
     heading,
     in_words,
@@ -14,6 +15,7 @@ from labpipe.report.numbers import (
     shown_in,
     unit_words,
     with_names_in_words,
+    write_mean,
     write_number,
 )
 
@@ -96,3 +98,32 @@ def test_words() -> None:
 )
 def test_names_are_worded_and_files_and_keys_are_not(sentence: str, expected: str) -> None:
     assert with_names_in_words(sentence) == expected
+
+
+def mean(value: float, half: float | None) -> MeanInterval:
+    interval = None if half is None else Interval(value - half, value + half)
+    return MeanInterval(value, interval, 1.0, 2)
+
+
+@pytest.mark.parametrize(
+    ("value", "half", "expected"),
+    [
+        (11.468, 45.0, "11.5 (-33.5 to 56.5)"),
+        (9.342, 65.0, "9.34 (-55.66 to 74.34)"),
+        (52.284, 6.01, "52.3 (46.3 to 58.3)"),
+        (430.1, 127.0, "430 (303 to 557)"),
+        (0.0004, 1.0, "0.000 (-1.000 to 1.000)"),
+        (0.0, 1.0, "0.0 (-1.0 to 1.0)"),
+        (1.23456, None, "1.235"),
+        (math.nan, None, "\u2013"),
+    ],
+)
+def test_a_mean_keeps_three_digits_however_wide_its_interval(
+    value: float, half: float | None, expected: str
+) -> None:
+    assert write_mean(mean(value, half)).text == expected
+
+
+def test_a_mean_has_the_decimals_of_the_coarsest_spool_mean() -> None:
+    spools = [mean(57.44, 0.26), mean(47.1234, 0.0026)]
+    assert write_mean(mean(52.28, 65.6), 1.0, spools).text == "52.28 (-13.32 to 117.88)"
