@@ -1,0 +1,343 @@
+"""The cross-section of a wire: layers of strands in a bore, and the insulation around them.
+
+The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
+A layout places the strands and refuses what does not fit, with the overlap. Layers are told apart
+by their counts, not by gaps in the radius. The first strand of the first ring lies at angle 0, on
+the neutral axis of the source; `wire.moment_curvature` turns the whole for other orientations.
+Lengths in m, angles in rad.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.wire.laws import require_positive
+from labpipe.wire.materials import ANNEALED_COPPER, Material
+
+TOLERANCE = 1e-3
+"""Overlap that is let pass, as a share of the bore's radius."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layer:
+    """Strands at one distance from the axis, the core included (one strand, lay angle 0).
+
+    Parameters
+    ----------
+    count : strands
+    diameter : m, of one strand; of a compressed one, that of the circle with its area
+    lay_angle : rad, signed; 0 for the core
+    material : stress-strain curve of the strands
+    poisson : Poisson's ratio of the strands
+    """
+
+    count: int
+    diameter: float
+    lay_angle: float = 0.0
+    material: Material = ANNEALED_COPPER
+    poisson: float = 0.34
+
+    def __post_init__(self) -> None:
+        require_positive("diameter", self.diameter)
+        if self.count < 1:
+            message = f"count={self.count!r}: allowed are whole numbers >= 1"
+            raise ValueError(message)
+        if not abs(self.lay_angle) < np.pi / 2.0:
+            degrees = np.degrees(self.lay_angle)
+            message = f"lay_angle={degrees:.6g} deg: allowed are angles between -90 and 90 deg"
+            raise ValueError(message)
+        if not -1.0 < self.poisson <= 0.5:
+            message = f"poisson={self.poisson!r}: allowed are numbers above -1, up to 0.5"
+            raise ValueError(message)
+
+    @property
+    def area(self) -> float:
+        """Area of one strand across its own axis, m^2."""
+        return float(np.pi * self.diameter**2 / 4.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Insulation:
+    """The tube around the strands.
+
+    Parameters
+    ----------
+    bore_radius : R, m, wire diameter / 2 - wall
+    thickness : wall, m
+    modulus : Pa
+    """
+
+    bore_radius: float
+    thickness: float
+    modulus: float
+
+    def __post_init__(self) -> None:
+        for name in ("bore_radius", "thickness", "modulus"):
+            require_positive(name, getattr(self, name))
+
+    @property
+    def bending_stiffness(self) -> float:
+        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2."""
+        outer = self.bore_radius + self.thickness
+        return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
+
+    @property
+    def axial_stiffness(self) -> float:
+        """E times the area of the tube, N."""
+        outer = self.bore_radius + self.thickness
+        return float(self.modulus * np.pi * (outer**2 - self.bore_radius**2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CrossSection:
+    """Strands in place.
+
+    Parameters
+    ----------
+    kind : name of the layout
+    layers : from the axis outwards
+    x, y : shape (strands,), m, strand centres, layer by layer
+    layer : shape (strands,), index into `layers`
+    overlap : m, the deepest overlap of strands with each other or with the bore; 0 when none
+    insulation : the tube, or none
+    """
+
+    kind: str
+    layers: tuple[Layer, ...]
+    x: Floats = field(repr=False)
+    y: Floats = field(repr=False)
+    layer: Ints = field(repr=False)
+    overlap: float = 0.0
+    insulation: Insulation | None = None
+
+    def __post_init__(self) -> None:
+        strands = sum(layer.count for layer in self.layers)
+        object.__setattr__(self, "x", frozen(self.x, shape=(strands,)))
+        object.__setattr__(self, "y", frozen(self.y, shape=(strands,)))
+        index = np.repeat(np.arange(len(self.layers)), [layer.count for layer in self.layers])
+        if not np.array_equal(self.layer, index):
+            message = f"layer={self.layer}: allowed are strands in the order of the layers"
+            raise ValueError(message)
+        index.flags.writeable = False
+        object.__setattr__(self, "layer", index)
+
+    @property
+    def has_core(self) -> bool:
+        """Whether the innermost layer is a single strand on the axis, which has no lay."""
+        return self.layers[0].count == 1
+
+    @property
+    def radius(self) -> Floats:
+        """Distance of the strands from the axis, shape (strands,), m."""
+        return np.hypot(self.x, self.y)
+
+    @property
+    def angle(self) -> Floats:
+        """Angle of the strands from the x axis, shape (strands,), rad."""
+        return np.arctan2(self.y, self.x)
+
+
+def strand_diameter(conductor_area: float, n_strands: int) -> float:
+    """Diameter of equal round strands with a total area: sqrt(4 A / (pi N)), m."""
+    require_positive("conductor_area", conductor_area)
+    return float(np.sqrt(4.0 * conductor_area / (np.pi * n_strands)))
+
+
+def lay_up(
+    n_strands: int, diameter: float, lay_angles: Sequence[float], material: Material
+) -> tuple[Layer, ...]:
+    """Layers 1, 6, 12, 18 ... of equal strands, with one lay angle for each ring.
+
+    Raises
+    ------
+    ValueError
+        If the number of strands is not the sum for that many lay angles.
+    """
+    counts = [1, *(6 * ring for ring in range(1, len(lay_angles) + 1))]
+    if sum(counts) != n_strands:
+        message = (
+            f"n_strands={n_strands}: {len(lay_angles)} lay angles allow {sum(counts)} "
+            f"({' + '.join(map(str, counts))})"
+        )
+        raise ValueError(message)
+    angles = [0.0, *lay_angles]
+    return tuple(
+        Layer(count, diameter, angle, material) for count, angle in zip(counts, angles, strict=True)
+    )
+
+
+def hexagonal(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
+    """Equal strands on a lattice of triangles: 1, 6, 12, 18 ...
+
+    Raises
+    ------
+    ValueError
+        If the counts or diameters are not those of a hexagon, or it does not fit the bore.
+    """
+    counts = [layer.count for layer in layers]
+    if counts != [1, *(6 * ring for ring in range(1, len(layers)))]:
+        message = f"counts={counts}: a hexagon has 1, 6, 12, 18 ... strands"
+        raise ValueError(message)
+    diameters = {layer.diameter for layer in layers}
+    if len(diameters) > 1:
+        message = f"diameters={sorted(diameters)}: the strands of a hexagon are equal"
+        raise ValueError(message)
+    rings = [_hexagon_ring(ring) for ring in range(len(layers))]
+    return place("hexagonal", layers, np.concatenate(rings) * layers[0].diameter, insulation)
+
+
+def _hexagon_ring(ring: int) -> Floats:
+    """Lattice points of one ring in strand diameters, the first on the x axis, as complex sums."""
+    if ring == 0:
+        return np.zeros((1, 2))
+    corners = ring * np.exp(1j * np.pi / 3.0 * np.arange(7))
+    share = np.arange(ring) / ring
+    points = (corners[:-1, None] + share * np.diff(corners)[:, None]).ravel()
+    return np.column_stack([points.real, points.imag])
+
+
+def concentric(layers: tuple[Layer, ...], insulation: Insulation | None = None) -> CrossSection:
+    """Rings that touch: each at the radius where its strands lie on the ring inside.
+
+    Notes
+    -----
+    With equal strands the ring q lies at radius q d. Without a core the strands of the first ring
+    touch each other: r = d / (2 sin(pi / n)).
+
+    Raises
+    ------
+    ValueError
+        If the strands of a ring overlap each other, or the outermost ring overlaps the bore.
+    """
+    radii = [0.0 if layers[0].count == 1 else _touching_radius(layers[0])]
+    for inner, outer in pairwise(layers):
+        radii.append(radii[-1] + (inner.diameter + outer.diameter) / 2.0)
+    return place("concentric", layers, _rings(layers, radii), insulation)
+
+
+def _touching_radius(layer: Layer) -> float:
+    return float(layer.diameter / (2.0 * np.sin(np.pi / layer.count)))
+
+
+def _rings(layers: tuple[Layer, ...], radii: Sequence[float]) -> Floats:
+    """Evenly spread strands, the first of each ring at angle 0, shape (strands, 2)."""
+    turns = np.concatenate([np.arange(layer.count) / layer.count for layer in layers])
+    radius = np.repeat(radii, [layer.count for layer in layers])
+    angle = 2.0 * np.pi * turns
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def compressed(
+    layers: tuple[Layer, ...],
+    insulation: Insulation | None = None,
+    *,
+    radii: Sequence[float] | None = None,
+) -> CrossSection:
+    """Strands pressed into sectors without gaps, each with the area of its round strand.
+
+    Parameters
+    ----------
+    layers : `diameter` is that of the circle with a strand's area
+    insulation : the tube; its bore must hold the area of all strands
+    radii : m, of the strands' centroids, one per layer (0 for a core), where they are known; else
+        those of sectors of rings of equal area per strand
+
+    Notes
+    -----
+    The area of the strands fixes the rings' edges; the centroid of a sector of half-angle b
+    between the radii a and c lies at 2/3 (c^3 - a^3) / (c^2 - a^2) sin(b) / b. Across its own axis
+    a sector bends as the round strand of its area.
+
+    Raises
+    ------
+    ValueError
+        If the copper does not fit the bore, or `radii` is not one number per layer.
+    """
+    edges = np.sqrt(np.cumsum([0.0, *(lay.count * lay.area for lay in layers)]) / np.pi)
+    _require_room(insulation, float(edges[-1]))
+    if radii is None:
+        radii = [
+            _centroid(inner, outer, np.pi / layer.count)
+            for inner, outer, layer in zip(edges[:-1], edges[1:], layers, strict=True)
+        ]
+    if len(radii) != len(layers):
+        message = f"radii={list(radii)}: allowed is one for each of {len(layers)} layers"
+        raise ValueError(message)
+    x, y = _rings(layers, radii).T
+    return CrossSection("compressed", layers, x, y, _index(layers), 0.0, insulation)
+
+
+def _centroid(inner: float, outer: float, half_angle: float) -> float:
+    mean = 2.0 / 3.0 * (outer**3 - inner**3) / (outer**2 - inner**2)
+    return float(mean * np.sin(half_angle) / half_angle) if half_angle < np.pi else 0.0
+
+
+def _require_room(insulation: Insulation | None, needed: float) -> None:
+    if insulation is None or needed <= insulation.bore_radius * (1.0 + TOLERANCE):
+        return
+    message = (
+        f"bore_radius={insulation.bore_radius:.6g} m is {needed - insulation.bore_radius:.3g} m "
+        f"less than the {needed:.6g} m that the strands need without any gap"
+    )
+    raise ValueError(message)
+
+
+def place(
+    kind: str,
+    layers: tuple[Layer, ...],
+    centres: Floats,
+    insulation: Insulation | None,
+) -> CrossSection:
+    """Round strands at given centres, if they fit.
+
+    Parameters
+    ----------
+    kind : name of the layout
+    layers : from the axis outwards
+    centres : shape (strands, 2), m, layer by layer
+    insulation : the tube, or none
+
+    Raises
+    ------
+    ValueError
+        If strands overlap each other or the bore by more than 1e-3 of the bore's radius; the
+        message states the overlap.
+    """
+    radii = np.repeat([layer.diameter / 2.0 for layer in layers], [lay.count for lay in layers])
+    strands = largest_overlap(centres, radii)
+    reach = float((np.hypot(*centres.T) + radii).max())
+    bore = insulation.bore_radius if insulation else reach
+    wall = max(reach - bore, 0.0)
+    if max(strands, wall) > TOLERANCE * bore:
+        what = "each other" if strands >= wall else f"the bore of radius {bore:.6g} m"
+        message = (
+            f"the {kind} layout does not fit: strands overlap {what} by "
+            f"{max(strands, wall):.3g} m, allowed is {TOLERANCE * bore:.3g} m"
+        )
+        raise ValueError(message)
+    x, y = centres.T
+    return CrossSection(kind, layers, x, y, _index(layers), max(strands, wall), insulation)
+
+
+def _index(layers: tuple[Layer, ...]) -> Ints:
+    return np.repeat(np.arange(len(layers)), [layer.count for layer in layers])
+
+
+def largest_overlap(centres: Floats, radii: Floats) -> float:
+    """Deepest overlap of circles with each other, m; 0 when none overlap.
+
+    Parameters
+    ----------
+    centres : shape (n, 2), m
+    radii : shape (n,), m
+    """
+    first, second = np.triu_indices(len(radii), 1)
+    if not len(first):
+        return 0.0
+    gaps = np.hypot(*(centres[first] - centres[second]).T) - radii[first] - radii[second]
+    return max(float(-gaps.min()), 0.0)

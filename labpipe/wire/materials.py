@@ -1,0 +1,226 @@
+"""Stress-strain curves of strands: Ramberg-Osgood, a table, elastic-perfectly-plastic, elastic.
+
+Every curve is odd (PHYSICS 4: the same in tension and compression), starts with its modulus and
+carries a note of where it comes from. Strains are plain numbers, stresses Pa. A curve is not
+followed beyond its last strain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.laws import require_positive
+
+_MOST_NEWTON = 60
+
+
+class Material(Protocol):
+    """A stress-strain curve; hashable, so that what is computed from it can be kept."""
+
+    @property
+    def modulus(self) -> float:
+        """Slope at zero strain, Pa."""
+
+    @property
+    def largest_strain(self) -> float:
+        """Strain up to which the curve is known."""
+
+    @property
+    def source(self) -> str:
+        """Where the numbers come from."""
+
+    def stress(self, strain: Floats) -> Floats:
+        """Stress of the first loading at strains of any shape, Pa."""
+
+    def __hash__(self) -> int:
+        """Equal curves have equal hashes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Elastic:
+    """Hooke's law without an end.
+
+    Parameters
+    ----------
+    modulus : Pa
+    source : where the number comes from
+    """
+
+    modulus: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        require_positive("modulus", self.modulus)
+
+    @property
+    def largest_strain(self) -> float:
+        """No end."""
+        return np.inf
+
+    def stress(self, strain: Floats) -> Floats:
+        """E times strain, Pa; NaN stays NaN."""
+        return self.modulus * strain
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticPerfectlyPlastic:
+    """Hooke's law up to the yield stress, which then stays.
+
+    Parameters
+    ----------
+    modulus, yield_stress : Pa
+    source : where the numbers come from
+    """
+
+    modulus: float
+    yield_stress: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        require_positive("modulus", self.modulus)
+        require_positive("yield_stress", self.yield_stress)
+
+    @property
+    def largest_strain(self) -> float:
+        """No end."""
+        return np.inf
+
+    def stress(self, strain: Floats) -> Floats:
+        """E times strain between minus and plus the yield stress, Pa; NaN stays NaN."""
+        return np.clip(self.modulus * strain, -self.yield_stress, self.yield_stress)
+
+
+@dataclass(frozen=True, slots=True)
+class RambergOsgood:
+    """Strain = s / E + (s / K)^(1 / n).
+
+    Parameters
+    ----------
+    modulus : E, Pa
+    strength : K, Pa, stress at a plastic strain of one
+    exponent : n, between 0 and 1
+    source : where the numbers come from
+
+    Notes
+    -----
+    Ramberg and Osgood (1943), in Hollomon's form of the plastic part. The stress at a strain is
+    found by Newton's method from the smaller of E e and K e^n, both of which are too large: strain
+    is convex in stress, so that every step stays above the root.
+    """
+
+    modulus: float
+    strength: float
+    exponent: float
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        require_positive("modulus", self.modulus)
+        require_positive("strength", self.strength)
+        if not 0.0 < self.exponent < 1.0:
+            message = f"exponent={self.exponent!r}: allowed are numbers between 0 and 1"
+            raise ValueError(message)
+
+    @property
+    def largest_strain(self) -> float:
+        """No end."""
+        return np.inf
+
+    def strain(self, stress: Floats) -> Floats:
+        """Strain at stresses of any shape; odd, NaN stays NaN."""
+        plastic = (np.abs(stress) / self.strength) ** (1.0 / self.exponent)
+        return stress / self.modulus + np.copysign(plastic, stress)
+
+    def stress(self, strain: Floats) -> Floats:
+        """Stress to rounding, Pa; NaN stays NaN."""
+        size = np.abs(np.asarray(strain, dtype=np.float64))
+        stress = np.minimum(self.modulus * size, self.strength * size**self.exponent)
+        power = 1.0 / self.exponent
+        for _ in range(_MOST_NEWTON):
+            flow = (stress / self.strength) ** (power - 1.0) / self.strength
+            excess = stress / self.modulus + stress * flow - size
+            step = excess / (1.0 / self.modulus + power * flow)
+            stress = stress - step
+            if not np.any(np.abs(step) > 1e-14 * stress):
+                break
+        return np.copysign(stress, strain)
+
+
+@dataclass(frozen=True, slots=True)
+class StressTable:
+    """Straight lines between measured points, from zero on.
+
+    Parameters
+    ----------
+    strains : increasing, positive; zero strain at zero stress is understood
+    stresses : Pa, positive and never falling; the first slope is the modulus
+    source : where the numbers come from
+
+    Raises
+    ------
+    ValueError
+        If a point is out of order, or a later slope is above the first.
+    """
+
+    strains: tuple[float, ...]
+    stresses: tuple[float, ...]
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        if len(self.strains) != len(self.stresses) or not self.strains:
+            message = (
+                f"{len(self.strains)} strains and {len(self.stresses)} stresses: allowed are as "
+                f"many of both, at least one"
+            )
+            raise ValueError(message)
+        strains, stresses = self._from_zero()
+        slopes = np.diff(stresses) / np.diff(strains)
+        rises = np.all(np.isfinite(slopes)) and np.all(np.diff(strains) > 0.0)
+        if not (rises and slopes[0] > 0.0 and np.all(slopes >= 0.0)):
+            message = (
+                "the table turns back: allowed are strains that grow, stresses that never fall"
+            )
+            raise ValueError(message)
+        if np.any(slopes > slopes[0] * (1.0 + 1e-9)):
+            steep = int(np.argmax(slopes))
+            message = (
+                f"slope {slopes[steep]:.4g} Pa from strain={strains[steep]:.4g} is above the "
+                f"first, {slopes[0]:.4g} Pa: allowed are slopes up to the modulus"
+            )
+            raise ValueError(message)
+
+    def _from_zero(self) -> tuple[Floats, Floats]:
+        return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
+
+    @property
+    def modulus(self) -> float:
+        """First slope, Pa."""
+        return self.stresses[0] / self.strains[0]
+
+    @property
+    def largest_strain(self) -> float:
+        """The last strain of the table."""
+        return self.strains[-1]
+
+    def stress(self, strain: Floats) -> Floats:
+        """Stress on the lines, Pa; NaN beyond the last strain, and where the strain is NaN."""
+        lines = np.interp(np.abs(strain), *self._from_zero(), right=np.nan)
+        return np.copysign(lines, strain)
+
+
+ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
+"""Copper of the source's wires."""
+
+FIRMER_COPPER = RambergOsgood(110e9, 455e6, 0.343, "annealed copper, alternative handbook value")
+"""A firmer curve for annealed copper, proof stress 54 MPa: how much the choice matters."""
+
+
+def secant_modulus(material: Material, strain: Floats) -> Floats:
+    """Stress over strain, Pa, any shape; the modulus at zero strain, NaN where stress is NaN."""
+    at = np.asarray(strain, dtype=np.float64)
+    is_zero = at == 0.0
+    ratio = material.stress(at) / np.where(is_zero, 1.0, at)
+    return np.where(is_zero, material.modulus, ratio)

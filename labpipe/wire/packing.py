@@ -1,0 +1,159 @@
+"""Strands packed into a bore by least overlap energy, and the choice of a layout (PHYSICS 4).
+
+Eqs. (3.1)-(3.4) of the source: the energy is the sum of squared overlaps of strands with each other
+(each pair counted from both sides) and with the bore. From random starts this gives *a* packing,
+not *the* layout: seven strands nearly always end in the hexagon, 19 or 37 never do, and slack
+leaves a continuum of packings. Hence several seeded starts, some of them rings with jitter, of
+which the best is kept, and the hexagon as the usual choice.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.optimize import minimize
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.cross_section import (
+    CrossSection,
+    Insulation,
+    Layer,
+    compressed,
+    concentric,
+    hexagonal,
+    place,
+)
+
+Kind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
+
+
+def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tuple[float, Floats]:
+    """Energy of equal strands in a bore, and its gradient.
+
+    Parameters
+    ----------
+    flat : shape (2 n,), m, x and y of one strand after the other
+    strand_radius, bore_radius : m
+
+    Returns
+    -------
+    Sum over strands of squared overlaps, m^2, eq. (3.4); gradient, shape (2 n,), m.
+    """
+    centres = flat.reshape(-1, 2)
+    apart = centres[:, None] - centres[None]
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    depth = np.maximum(2.0 * strand_radius - distance, 0.0)
+    radius = np.hypot(*centres.T)
+    beyond = np.maximum(radius + strand_radius - bore_radius, 0.0)
+    pull = 2.0 * beyond / np.where(radius == 0.0, 1.0, radius)
+    push = -4.0 * depth / np.where(distance == 0.0, 1.0, distance)
+    gradient = pull[:, None] * centres + np.einsum("ij,ijk->ik", push, apart)
+    return float(np.sum(depth**2) + np.sum(beyond**2)), gradient.ravel()
+
+
+def packed(
+    layers: tuple[Layer, ...], insulation: Insulation, *, seed: int = 0, n_starts: int = 12
+) -> CrossSection:
+    """Equal strands where the overlap energy is least, out of several seeded starts.
+
+    Parameters
+    ----------
+    layers : their counts share the strands out by distance from the axis; equal diameters
+    insulation : the tube, whose bore bounds the strands
+    seed : of the random starts; same seed, same packing
+    n_starts : random starts and starts from rings with jitter, in turns
+
+    Raises
+    ------
+    ValueError
+        If the diameters differ, or the best packing overlaps too much; the message says how much.
+    """
+    diameters = {layer.diameter for layer in layers}
+    if len(diameters) > 1:
+        message = f"diameters={sorted(diameters)}: only equal strands are packed"
+        raise ValueError(message)
+    strand, bore = layers[0].diameter / 2.0, insulation.bore_radius
+    rng = np.random.default_rng(seed)
+    best, least = np.zeros(0), np.inf
+    for start in range(n_starts):
+        begin = _jittered_rings(layers, rng) if start % 2 else _scattered(layers, bore, rng)
+        # In units of the strand's radius, so that the tolerances mean something.
+        found = minimize(
+            overlap_energy,
+            begin.ravel() / strand,
+            args=(1.0, bore / strand),
+            jac=True,
+            method="L-BFGS-B",
+            options={"ftol": 1e-16, "gtol": 1e-10, "maxiter": 1000},
+        )
+        if found.fun < least:
+            best, least = found.x.reshape(-1, 2) * strand, float(found.fun)
+    return place("packed", layers, _by_distance(best, layers), insulation)
+
+
+def _scattered(layers: tuple[Layer, ...], bore: float, rng: np.random.Generator) -> Floats:
+    n_strands = sum(layer.count for layer in layers)
+    radius = (bore - layers[0].diameter / 2.0) * np.sqrt(rng.uniform(size=n_strands))
+    angle = rng.uniform(0.0, 2.0 * np.pi, n_strands)
+    return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+
+def _jittered_rings(layers: tuple[Layer, ...], rng: np.random.Generator) -> Floats:
+    rings = []
+    first = 0 if layers[0].count == 1 else 1
+    for number, layer in enumerate(layers, start=first):
+        turns = np.arange(layer.count) / layer.count + rng.uniform()
+        angle = 2.0 * np.pi * turns
+        rings.append(number * np.column_stack([np.cos(angle), np.sin(angle)]))
+    points = np.concatenate(rings) * layers[0].diameter
+    return points + rng.normal(scale=0.05 * layers[0].diameter, size=points.shape)
+
+
+def _by_distance(centres: Floats, layers: tuple[Layer, ...]) -> Floats:
+    """Strands in order of layer, then of angle, with the first of the first ring at angle 0."""
+    ordered = centres[np.argsort(np.hypot(*centres.T), kind="stable")]
+    ends = np.cumsum([layer.count for layer in layers])[:-1]
+    rings = [ring[np.argsort(np.arctan2(*ring.T[::-1]))] for ring in np.split(ordered, ends)]
+    first = rings[1 if layers[0].count == 1 and len(rings) > 1 else 0][0]
+    cosine, sine = first / np.hypot(*first)
+    return np.asarray(np.concatenate(rings) @ np.array([[cosine, -sine], [sine, cosine]]))
+
+
+def lay_out(
+    layers: tuple[Layer, ...],
+    insulation: Insulation,
+    *,
+    kind: Kind | None = None,
+    seed: int = 0,
+) -> CrossSection:
+    """Lay the strands out in one of the four ways.
+
+    Parameters
+    ----------
+    layers : from the axis outwards
+    insulation : the tube
+    kind : the layout; without one the hexagon where counts, diameters and bore allow it, else the
+        packing for equal strands and rings for others
+    seed : of the packing
+
+    Raises
+    ------
+    ValueError
+        If the layout does not fit; the message states the overlap.
+    """
+    match kind:
+        case "hexagonal":
+            return hexagonal(layers, insulation)
+        case "concentric":
+            return concentric(layers, insulation)
+        case "packed":
+            return packed(layers, insulation, seed=seed)
+        case "compressed":
+            return compressed(layers, insulation)
+    try:
+        return hexagonal(layers, insulation)
+    except ValueError:
+        is_equal = len({layer.diameter for layer in layers}) == 1
+        return packed(layers, insulation, seed=seed) if is_equal else concentric(layers, insulation)
