@@ -1,0 +1,227 @@
+"""The moment-curvature law of a stranded wire on first loading: stick, slip, plastic (PHYSICS 4).
+
+Eq. (3.17) of the source, with the cos(alpha) of its appendix in the moment of the axial forces:
+
+    M = sum F r sin(theta) cos(alpha) + sum m(kappa) helix factor + EI_ins kappa.
+
+The axial forces F are those of `wire.friction`, the strands' own moments m those of
+`wire.strand_bending`. The strands' axial stiffness stays elastic, as in the source.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines
+from labpipe.wire.strand_bending import helix_factor, strand_moment
+
+_CHUNK = 512  # curvatures at a time: what is worked on stays in the cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MomentCurve:
+    """A wire's moment against curvature, and what it is made of; arrays of shape (n,).
+
+    The moment is stick + slip + bending + plastic + insulation.
+
+    Parameters
+    ----------
+    curvature : 1/m
+    stick : N m, of the axial forces of strands that stick
+    slip : N m, of the axial forces of strands that slip
+    bending : N m, of the strands about their own axes, if they stayed elastic
+    plastic : N m, what yielding takes away from `bending`, of the other sign
+    insulation : N m
+    tangent_stiffness : dM / d(kappa), N m^2
+    stick_stiffness : N m^2, when nothing slips or yields
+    slip_stiffness : N m^2, of strands without any friction that do not yield
+    """
+
+    curvature: Floats
+    stick: Floats
+    slip: Floats
+    bending: Floats
+    plastic: Floats
+    insulation: Floats
+    tangent_stiffness: Floats
+    stick_stiffness: float
+    slip_stiffness: float
+
+    def __post_init__(self) -> None:
+        shape = (len(self.curvature),)
+        for name in (
+            *("curvature", "stick", "slip", "bending", "plastic", "insulation"),
+            "tangent_stiffness",
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+
+    @property
+    def moment(self) -> Floats:
+        """All parts together, N m."""
+        own = self.bending + self.plastic
+        return np.asarray(self.stick + self.slip + own + self.insulation)
+
+    @property
+    def secant_stiffness(self) -> Floats:
+        """M / kappa, N m^2; at zero curvature the tangent stiffness.
+
+        Neither this nor the tangent is eq. (3.23) of the source, which mixes the two and is not
+        offered.
+        """
+        is_zero = self.curvature == 0.0
+        ratio = self.moment / np.where(is_zero, 1.0, self.curvature)
+        return np.where(is_zero, self.tangent_stiffness, ratio)
+
+
+def stick_stiffness(section: CrossSection) -> float:
+    """Bending stiffness while nothing slips or yields, N m^2.
+
+    Notes
+    -----
+    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha), with theta from the x axis. It does not
+    change with the orientation when every ring has its strands evenly spread.
+    """
+    sine = sines(section, 0.0)
+    return slip_stiffness(section) + float(_rigidity(section) @ (section_arms(section) * sine) ** 2)
+
+
+def section_arms(section: CrossSection) -> Floats:
+    """Distance of the strands outside the core from the axis, shape (strands,), m."""
+    return section.radius[section.layer >= int(section.has_core)]
+
+
+def _rigidity(section: CrossSection) -> Floats:
+    """E A cos^3(alpha) of each strand outside the core, N."""
+    first = int(section.has_core)
+    values = [
+        layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
+        for layer in section.layers[first:]
+    ]
+    return np.repeat(values, [layer.count for layer in section.layers[first:]])
+
+
+def slip_stiffness(section: CrossSection) -> float:
+    """Bending stiffness of strands without friction that do not yield, and the insulation, N m^2.
+
+    Notes
+    -----
+    sum of E pi d^4 / 64 times the helix factor + E_ins pi / 64 (d_w^4 - (d_w - 2 t)^4).
+    """
+    strands = sum(
+        layer.count
+        * helix_factor(layer.lay_angle, layer.poisson)
+        * layer.material.modulus
+        * np.pi
+        * layer.diameter**4
+        / 64.0
+        for layer in section.layers
+    )
+    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    return float(strands + tube)
+
+
+def moment_curvature(
+    section: CrossSection,
+    contacts: Contacts,
+    curvature: Floats,
+    *,
+    tension: float = 0.0,
+    orientation: float = 0.0,
+) -> MomentCurve:
+    """Moment of a wire that was never bent before, at each of many curvatures.
+
+    Parameters
+    ----------
+    section : strands in place, with their materials
+    contacts : friction and pressure
+    curvature : shape (n,), 1/m, any order and sign; each is reached from zero without a turn
+    tension : of the whole wire, N, present before bending
+    orientation : rad, by which the section is turned against the neutral axis; at 0 a strand of
+        the first ring lies on it
+
+    Returns
+    -------
+    The law, its parts and stiffnesses; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If a strand is bent beyond the known part of its material's curve, if the contacts do not
+        match the rings, or if tension is negative.
+    """
+    bent = np.asarray(curvature, dtype=np.float64)
+    size = np.abs(bent)
+    stick, slip, friction = np.full((3, len(bent)), np.nan)
+    for side, turn in ((bent >= 0.0, 0.0), (bent < 0.0, np.pi)):
+        if side.any():
+            sine = sines(section, orientation + turn)
+            bundle = arrange(section, contacts, sine, tension=tension)
+            stick[side], slip[side], friction[side] = _axial_moments(bundle, size[side])
+    elastic, own, slope = _own_moments(section, bent)
+    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    return MomentCurve(
+        bent,
+        np.sign(bent) * stick,
+        np.sign(bent) * slip,
+        elastic * bent,
+        own - elastic * bent,
+        tube * bent,
+        friction + slope + tube,
+        stick_stiffness(section),
+        slip_stiffness(section),
+    )
+
+
+def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+    """Moments of sticking and of slipping strands, N m, and the slope of both together, N m^2."""
+    stick, total, slope = np.empty((3, len(curvature)))
+    for start in range(0, len(curvature), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        axial = axial_forces(bundle, curvature[part, None])
+        total[part] = axial.force @ bundle.lever
+        stick[part] = np.where(axial.stuck, axial.force, 0.0) @ bundle.lever
+        slope[part] = axial.slope @ bundle.lever
+    return stick, total - stick, slope
+
+
+def _own_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
+    """Elastic stiffness of the strands about their own axes, their moment and its slope."""
+    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    moment, slope = np.zeros((2, len(curvature)))
+    kinds = {(layer.material, layer.diameter) for layer in section.layers}
+    for material, diameter in kinds:
+        straight = strand_moment(material, diameter, curvature)
+        weight = sum(
+            layer.count * helix_factor(layer.lay_angle, layer.poisson)
+            for layer in section.layers
+            if (layer.material, layer.diameter) == (material, diameter)
+        )
+        moment += weight * straight.moment
+        slope += weight * straight.tangent
+    return slip_stiffness(section) - tube, moment, slope
+
+
+def orientation_range(
+    section: CrossSection,
+    contacts: Contacts,
+    curvature: Floats,
+    *,
+    tension: float = 0.0,
+    n_orientations: int = 24,
+) -> tuple[Floats, Floats]:
+    """Smallest and largest moment over a full turn of the section, N m, each of shape (n,).
+
+    Parameters
+    ----------
+    section, contacts, curvature, tension : as for `moment_curvature`
+    n_orientations : evenly spread over the full turn, the first at 0
+    """
+    moments = [
+        moment_curvature(section, contacts, curvature, tension=tension, orientation=turn).moment
+        for turn in 2.0 * np.pi * np.arange(n_orientations) / n_orientations
+    ]
+    return np.min(moments, axis=0), np.max(moments, axis=0)
