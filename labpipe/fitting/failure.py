@@ -9,12 +9,18 @@ import numpy as np
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.loops import loop_energy
-from labpipe.records.arrays import Floats
+from labpipe.fitting.strays import stray_samples
+from labpipe.fitting.summits import LEAST, height_at_end, height_of_top, short_median
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 
 _LEAST = 16
 _FALL = 5.0
 """A step down of more than this many deviations of the steps before belongs to the loss."""
+_SUDDEN = 0.005
+"""Share of the samples before the failure within which an earlier loss is sudden (4 at least)."""
+_NOTABLE = 0.02
+"""Share of the force carried below which an earlier loss is not told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,15 +31,19 @@ class FailurePoint:
     ----------
     displacement : m, of that sample; the specimen broke between it and the next one, which is what
         its lopsided interval says
-    force : N, carried half a step beyond the sample by a parabola through those before
+    force : N, carried half a step beyond the sample by a parabola through the smooth stretch before
     sample : number of the sample in the arrays given
     step : m, to the next sample
+    lost_before : largest share of the force that was suddenly lost earlier and after which the
+        force never came back to where it had been: the specimen failed in steps, and this point is
+        the last of them above the share; 0 where there was none of at least 2 %
     """
 
     displacement: Estimate
     force: Estimate
     sample: int
     step: float
+    lost_before: float = 0.0
 
 
 def find_failure(
@@ -49,32 +59,55 @@ def find_failure(
     Returns
     -------
     The point, or a failure: ``no_failure`` when the force is not lost, or goes down because the
-    frame goes back; ``too_few_samples`` (fewer than 16 before the loss).
+    frame goes back; ``no_tension`` when the force is nowhere above zero; ``too_few_samples`` (fewer
+    than 16 before the loss).
 
     Notes
     -----
-    From the last sample above the share the search goes back over steps down that are steeper than
-    five robust deviations of the steps before: the samples on the way down. Where the force decays
-    without a cliff, the point is the last sample above the share.
+    Stray samples (`labpipe.fitting.strays.stray_samples`) are left out, and the shares are those of
+    the median of five neighbours: neither a spike nor a dropout is a peak or a loss. From the last
+    sample above the share the search goes back over steps down that are steeper than five robust
+    deviations of the steps before: the samples on the way down. Where the force decays without a
+    cliff, the point is the last sample above the share.
     """
-    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    known = _sound(displacement, force)
     d, f = displacement[known], force[known]
     if len(d) < _LEAST:
         return Failure("too_few_samples", f"{len(d)} samples, {_LEAST} are needed")
-    top = int(np.argmax(f))
-    last = int(np.flatnonzero(f >= force_below * f[top])[-1])
-    if last == len(f) - 1:
-        found = f"the force ends at {f[-1]:.4g} N, {f[-1] / f[top]:.0%} of its peak {f[top]:.4g} N"
-        return Failure("no_failure", f"{found}; below {force_below:.0%} counts as lost")
+    level = short_median(f)
+    top = int(np.argmax(level))
+    if level[top] <= 0.0:
+        return Failure(
+            "no_tension", f"the force is nowhere above zero, at most {level[top] + 0.0:.4g} N"
+        )
+    last = int(np.flatnonzero(level >= force_below * level[top])[-1])
+    missing = _not_lost(d, level, top, last, force_below)
+    if missing is not None:
+        return missing
+    last = _before_cliff(f, last)
+    if last + 1 < _LEAST:
+        return Failure("too_few_samples", f"{last + 1} samples before the loss of force")
+    return _point(d, f, last, int(known[last]))
+
+
+def _sound(displacement: Floats, force: Floats) -> Ints:
+    """Numbers of the samples that are neither missing nor stray."""
+    is_sound = ~np.isnan(displacement) & ~np.isnan(force)
+    is_sound[stray_samples(force)] = False
+    return np.flatnonzero(is_sound).astype(np.int64)
+
+
+def _not_lost(d: Floats, level: Floats, top: int, last: int, share: float) -> Failure | None:
+    if last == len(level) - 1:
+        end, peak = float(level[-1]), float(level[top])
+        found = f"the force ends at {end:.4g} N, {end / peak:.0%} of its peak {peak:.4g} N"
+        return Failure("no_failure", f"{found}; below {share:.0%} counts as lost")
     if d[last + 1] < d[top]:
         found = f"from {1e3 * d[top]:.4g} mm to {1e3 * d[last + 1]:.4g} mm"
         return Failure(
             "no_failure", f"the force goes down while the displacement goes back, {found}"
         )
-    last = _before_cliff(f, last)
-    if last + 1 < _LEAST:
-        return Failure("too_few_samples", f"{last + 1} samples before the loss of force")
-    return _point(d, f, last, int(known[last]))
+    return None
 
 
 def _before_cliff(f: Floats, last: int) -> int:
@@ -90,28 +123,25 @@ def _point(d: Floats, f: Floats, last: int, sample: int) -> FailurePoint:
     step = max(float(d[last + 1] - d[last]), 0.0)
     at = float(d[last])
     place = Estimate(at, step / np.sqrt(12.0), 1, Interval(at, at + 0.95 * step))
-    count = int(np.clip((last + 1) // 5, 12, 200))
-    before = slice(last + 1 - count, last + 1)
-    height, slope = _carried(d[before], f[before], at + 0.5 * step)
-    return FailurePoint(place, _blurred(height, slope * step), sample, step)
+    upto = slice(0, last + 1)
+    height = height_at_end(d[upto], f[upto], step=step)
+    return FailurePoint(place, height, sample, step, _lost_before(f[upto]))
 
 
-def _carried(d: Floats, f: Floats, at: float) -> tuple[Estimate, float]:
-    """Height and slope of a parabola at a place."""
-    scale = float(np.ptp(d)) or 1.0
-    x = (d - at) / scale
-    fit = fit_linear(np.column_stack([np.ones_like(x), x, x * x]), f)
-    return fit.estimate(0), float(fit.coefficients[1]) / scale
-
-
-def _blurred(estimate: Estimate, width: float) -> Estimate:
-    """The estimate of a number that may lie anywhere in a range of a width around it."""
-    error = float(np.hypot(estimate.error, width / np.sqrt(12.0)))
-    if estimate.interval is None or estimate.error == 0.0:
-        return Estimate(estimate.value, error, estimate.n)
-    half = (estimate.interval.upper - estimate.value) * error / estimate.error
-    interval = Interval(estimate.value - half, estimate.value + half)
-    return Estimate(estimate.value, error, estimate.n, interval)
+def _lost_before(f: Floats) -> float:
+    """Largest share lost suddenly for good, of the highest force before that moment."""
+    width = max(4, int(_SUDDEN * len(f)))
+    if len(f) <= 2 * width:
+        return 0.0
+    level = short_median(f)
+    before = np.maximum.accumulate(level)[:-width]
+    later = np.maximum.accumulate(level[::-1])[::-1][width:]
+    falls = level[:-width] - level[width:]
+    spread = 1.4826 * float(np.median(np.abs(falls - np.median(falls))))
+    is_sudden = falls > np.maximum(6.0 * spread, _NOTABLE * before)
+    shares = np.where(is_sudden, (before - later) / np.where(before > 0.0, before, np.inf), 0.0)
+    largest = float(shares.max())
+    return largest if largest >= _NOTABLE else 0.0
 
 
 def peak_before_failure(
@@ -121,9 +151,11 @@ def peak_before_failure(
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N; as given to `find_failure`; NaN are left out
+    displacement, force : shape (n,), m, N; as given to `find_failure`; NaN and stray samples are
+        left out
     point : the failure
-    share : the top that is fitted: the last stretch with forces above (1 - share) of the largest
+    share : the top that is looked at: the stretch around the largest median of five in which this
+        median stays above (1 - share) of it
 
     Returns
     -------
@@ -131,27 +163,23 @@ def peak_before_failure(
 
     Notes
     -----
-    A parabola through the top, one-sided: its vertex when that lies inside, else its value half a
-    step beyond the last sample before the loss. The largest sample would be too large by the noise.
+    A parabola through the smooth stretch around the top: its vertex when that lies inside, else its
+    value at the higher end, half a step further where a cliff or the failure ends it. The stretch
+    ends at cliffs (steps of more than six robust deviations) and at kinks: as long as a change of
+    slope somewhere adds more than four standard errors to the parabola, in noise that knows its
+    neighbours, the stretch is cut there. Where the force rises up to the kink and falls behind it,
+    and the kink does better than a polynomial of degree four, the peak is the corner in which both
+    sides meet. Where fewer than 12 samples are smooth, it is the largest median of five neighbours,
+    with their range and the noise in its interval. The largest sample would be too large by the
+    noise.
     """
-    upto = slice(0, point.sample + 1)
-    known = ~np.isnan(displacement[upto]) & ~np.isnan(force[upto])
-    d, f = displacement[upto][known], force[upto][known]
-    if len(d) < 12:
-        return Failure("too_few_samples", f"{len(d)} samples before the loss, 12 are needed")
-    low = np.flatnonzero(f < (1.0 - share) * f.max())
-    first = min(
-        int(low[low < np.argmax(f)][-1]) + 1 if (low < np.argmax(f)).any() else 0, len(f) - 12
-    )
-    d, f = d[first:], f[first:]
-    end = float(d[-1]) + 0.5 * point.step
-    scale = float(np.ptp(d)) or 1.0
-    curvature, slope, _ = np.polyfit((d - end) / scale, f, 2)
-    vertex = end - scale * slope / (2.0 * curvature) if curvature < 0.0 else end
-    if d[0] < vertex < end:
-        return _carried(d, f, float(vertex))[0]
-    height, slope = _carried(d, f, end)
-    return _blurred(height, slope * point.step)
+    known = _sound(displacement, force)
+    known = known[known <= point.sample]
+    if len(known) < LEAST:
+        return Failure(
+            "too_few_samples", f"{len(known)} samples before the loss, {LEAST} are needed"
+        )
+    return height_of_top(displacement[known], force[known], share=share, step=point.step)
 
 
 def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) -> Estimate | Failure:
@@ -169,21 +197,28 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
     Notes
     -----
     Trapezoids to the last sample before the loss, plus half a step at the force there, since the
-    specimen broke somewhere in that step. Its error has the step and the noise: of both channels
-    (`labpipe.fitting.loops.loop_energy`), or that of the force with a correlation over up to a
-    twenty-fifth of the curve, whichever is greater.
+    specimen broke somewhere in that step. Stray samples lie on the straight line over them. Its
+    error has the step and the noise: of both channels (`labpipe.fitting.loops.loop_energy`), or
+    that of the force with a correlation over up to a twenty-fifth of the curve, whichever is
+    greater.
     """
-    upto = slice(0, point.sample + 1)
     count = point.sample + 1
-    work = loop_energy(
-        np.arange(count, dtype=np.float64), displacement[upto], force[upto], clock_error=0.0
-    )
+    displacement, force = displacement[:count], _bridged(force)[:count]
+    work = loop_energy(np.arange(count, dtype=np.float64), displacement, force, clock_error=0.0)
     if isinstance(work, Failure):
         return work
     more = point.force.value * point.step
-    noise = np.sqrt(_slow_noise(force[upto]) * float(np.sum(np.gradient(displacement[upto]) ** 2)))
+    noise = np.sqrt(_slow_noise(force) * float(np.sum(np.gradient(displacement) ** 2)))
     error = float(np.hypot(max(work.error, float(noise)), more / np.sqrt(12.0)))
     return Estimate(work.value + 0.5 * more, error, work.n)
+
+
+def _bridged(force: Floats) -> Floats:
+    strays = stray_samples(force)
+    sound = np.setdiff1d(np.flatnonzero(~np.isnan(force)), strays)
+    bridged = force.copy()
+    bridged[strays] = np.interp(strays, sound, force[sound])
+    return bridged
 
 
 def _slow_noise(f: Floats) -> float:

@@ -86,3 +86,36 @@ def test_too_few_before_the_loss_for_a_peak() -> None:
     force[:190] = np.nan
     found = peak_before_failure(D, force, point(F))
     assert found == Failure("too_few_samples", "11 samples before the loss, 12 are needed")
+
+
+@pytest.mark.parametrize("bad", [{150: 1200.0}, {150: 0.0, 151: 0.0, 152: 0.0}, {198: 1e4}])
+def test_a_few_bad_samples_are_no_peak_and_no_loss(bad: dict[int, float]) -> None:
+    force = F + np.random.default_rng(0).normal(0, 0.2, len(D))
+    clean = energy_to_break(D, force, point(force))
+    force[list(bad)] = list(bad.values())
+    found = point(force)
+    peak, energy = peak_before_failure(D, force, found), energy_to_break(D, force, found)
+    assert found.sample == 200
+    assert found.force.value == pytest.approx(100.25, abs=0.5)
+    assert isinstance(peak, Estimate)
+    assert peak.value == pytest.approx(100.25, abs=0.5)
+    assert isinstance(energy, Estimate)
+    assert isinstance(clean, Estimate)
+    assert energy.value == pytest.approx(clean.value, abs=1e-3)
+
+
+@pytest.mark.parametrize(("force", "most"), [(-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")])
+def test_no_tension(force: Floats, most: str) -> None:
+    assert find_failure(D, force, force_below=0.5) == Failure(
+        "no_tension", f"the force is nowhere above zero, at most {most} N"
+    )
+
+
+def test_what_was_lost_before() -> None:
+    torn = np.where(D <= 0.012, 5000.0 * D, 5000.0 * D - 30.0)
+    noise = np.random.default_rng(3).normal(0, 0.2, len(D))
+    twice = np.where(D <= 0.014, torn, torn - 20.0)  # carried 40 N at 14 mm, comes back to 50 N
+    for force, share in ((torn, 0.0), (np.where(D <= 0.014, torn, 35.0), 0.5), (twice, 1.0 / 6.0)):
+        found = point(np.where(D <= 0.02, force, 3.0) + noise)
+        assert found.lost_before == pytest.approx(share, abs=0.5) or share == 0.0
+    assert point(F + noise).lost_before == 0.0
