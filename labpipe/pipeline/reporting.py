@@ -23,14 +23,16 @@ from labpipe.records.group import Campaign, Difference, Group, Sample, SampleCur
 from labpipe.records.result import TestResult
 from labpipe.report.lab_report import write_report
 from labpipe.report.numbers import is_main
+from labpipe.statistics.bands import block_means
 from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
 from labpipe.statistics.methods import PROTOCOLS_DIFFER
 from labpipe.store.lock import locked
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import replacing_together
 
-_POINTS = 500
-"""Points of a branch that a report keeps: each the mean of its samples."""
+_POINTS = 2000
+"""Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
+corner is smeared over less than a line is thick."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,9 +208,9 @@ def _thin(result: TestResult, branch: Branch) -> SampleCurve:
     measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
     order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
     return SampleCurve(
-        displacement=_means(curve.displacement[part][order]),
-        force=_means(force[order]),
-        as_measured=_means(measured[order]),
+        displacement=block_means(curve.displacement[part][order], _POINTS),
+        force=block_means(force[order], _POINTS),
+        as_measured=block_means(measured[order], _POINTS),
         cycle=branch.cycle,
     )
 
@@ -220,17 +222,6 @@ def _stop_before_failure(result: TestResult, branch: Branch, displacement: Float
         return branch.stop
     beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
     return branch.start + int(beyond[0]) if len(beyond) else branch.stop
-
-
-def _means(values: Floats) -> Floats:
-    """Means over consecutive samples; what does not fill the last block joins it."""
-    size = max(1, len(values) // _POINTS)
-    starts = np.arange(0, max(len(values) - size + 1, 1), size)
-    if not len(values):
-        return values
-    counts = np.diff(np.append(starts, len(values)))
-    means: Floats = np.add.reduceat(values, starts) / counts
-    return means
 
 
 def _group(

@@ -38,6 +38,7 @@ _PEAK = "peak_force.1"
 _BAND_POINTS = 80
 _ROOM = 0.5
 """Height left for a band above and below the curves, as a share of theirs."""
+_ROOM_FOR_ALL, _MARGIN = 0.25, 0.04
 
 
 def draw_curves(group: Group) -> Figure:
@@ -116,23 +117,61 @@ def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) 
     up = 1.0 if is_scaled else group_scale(group, "force").factor
     axes.plot(x, band.mean[kept] * up, **_MEAN)
     if _is_known(band.lower):
-        low, high = map(float, axes.dataLim.intervaly)  # now: the limits grow with what follows
         axes.fill_between(x, band.lower[kept] * up, band.upper[kept] * up, **_POINTWISE)
         for edge in (band.lower_all, band.upper_all):
             if _is_known(edge):
                 axes.plot(x, edge[kept] * up, **_ALL)
-        _keep_in_view(low, high, axes)
+        low, high = seen(group, band, is_scaled=is_scaled)
+        axes.set_ylim(low * up, high * up)
 
 
-def _keep_in_view(low: float, high: float, axes: Axes) -> None:
-    """Let the axis cut a band that would press the curves into a flat line."""
-    now, room = axes.get_ylim(), _ROOM * (high - low)
-    axes.set_ylim(max(now[0], low - room), min(now[1], high + room))
+def seen(group: Group, band: Band, *, is_scaled: bool = False) -> tuple[float, float]:
+    """Find the forces that the figure of the curves shows, in N or as a share of the peak force.
+
+    Parameters
+    ----------
+    group : its curves are seen in full
+    band : its pointwise band is seen, up to half the height of the curves beyond them; its
+        simultaneous band is seen in full where a quarter is enough, and else as far as it is there
+    is_scaled : forces are shares of the peak force
+    """
+    forces = [
+        float(edge) * (_share(sample) if is_scaled else 1.0)
+        for sample in group.samples
+        for curve in (sample.loading[:1] if is_scaled else (*sample.loading, *sample.unloading))
+        if np.isfinite(curve.force).any()
+        for edge in (np.nanmin(curve.force), np.nanmax(curve.force))
+    ]
+    known = [force for force in forces if np.isfinite(force)] or [0.0, 1.0]
+    low, high = _widened(min(known), max(known), band.lower, band.upper, _ROOM)
+    whole = _widened(low, high, band.lower_all, band.upper_all, np.inf)
+    if whole[1] - whole[0] <= (1.0 + _ROOM_FOR_ALL) * (high - low):
+        low, high = whole
+    margin = _MARGIN * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _widened(
+    low: float, high: float, lower: Floats, upper: Floats, most: float
+) -> tuple[float, float]:
+    """A range made wide enough for a band, by a share of itself at the most."""
+    if not _is_known(lower) or high == low:
+        return low, high
+    room = most * (high - low)
+    return (
+        max(min(low, float(np.nanmin(lower))), low - room),
+        min(max(high, float(np.nanmax(upper))), high + room),
+    )
 
 
 def _factor(group: Group, sample: Sample, *, is_scaled: bool) -> float:
     if not is_scaled:
         return group_scale(group, "force").factor
+    return _share(sample)
+
+
+def _share(sample: Sample) -> float:
+    """What a force is multiplied with to be a share of the peak force; NaN without one."""
     peak = value_of(sample, _PEAK)
     return 1.0 / peak if peak else float("nan")
 

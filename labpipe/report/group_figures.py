@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.group import Band, Group
-from labpipe.report.group_curves import draw_curves, draw_scaled
+from labpipe.report.group_curves import draw_curves, draw_scaled, seen
 from labpipe.report.group_dots import draw_dots, numbers_to_draw
 from labpipe.report.group_lines import draw_lines, has_lines
 from labpipe.report.group_look import count_words, finite_end, group_scale
@@ -73,11 +73,11 @@ def drawings(group: Group) -> Iterator[Drawing]:
     Curves, normalised curves, slips, fitted lines, numbers.
     """
     about = f"{group.name}, {count_words(group)}"
-    yield Drawing("curves", draw_curves, _curve_caption(group.band), _curve_alt(group))
+    yield Drawing("curves", draw_curves, _curve_caption(group, group.band), _curve_alt(group))
     if group.band_scaled is not None:
         caption = (
             "Force over the peak force of the same sample. What is left of the scatter is not"
-            " a matter of strength. " + _curve_caption(group.band_scaled)
+            " a matter of strength. " + _curve_caption(group, group.band_scaled, is_scaled=True)
         )
         alt = f"Force over peak force against displacement of {about}."
         yield Drawing("scaled", draw_scaled, caption, alt)
@@ -99,8 +99,9 @@ def drawings(group: Group) -> Iterator[Drawing]:
 
 _LINES = (
     "Straight lines over the windows that they were fitted in, on the first loading of each"
-    " sample (grey). The slopes in the key are those of the table of means. Dashed: the two"
-    " segments whose break point was fitted too. The curves go on beyond the right edge."
+    " sample (grey). The slopes in the key are those of the table of means. Broad and pale: the"
+    " windows that the protocol sets. Dotted: the two segments whose break point was fitted too."
+    " The curves go on beyond the right edge."
 )
 _DOTS = (
     "A dot and its 95 % interval for each sample, for the mean of each spool and for the mean that"
@@ -109,20 +110,44 @@ _DOTS = (
 )
 
 
-def _curve_caption(band: Band) -> str:
+def _curve_caption(group: Group, band: Band, *, is_scaled: bool = False) -> str:
     words = (
         "Thin: the first loading of each sample, up to its failure where it failed. Faint:"
         " unloading and later cycles, where there are any."
     )
     if band.n < 2 or not np.isfinite(band.lower).any():
         return f"{words} There is no band; the figure says why."
-    whole = " Dashed edges: hold the whole mean curve with 95 %."
     return (
         f"{words} Thick: the mean of {band.n} {band.over}, drawn only where all of them have data."
         " Grey area: holds the mean at any one displacement with 95 %."
-        f"{whole if np.isfinite(band.lower_all).any() else ''}"
-        " A band that is wider than the panel is cut by its edge."
+        + _whole_words(group, band, is_scaled=is_scaled)
+        + _cut_words(group, band, is_scaled=is_scaled)
     )
+
+
+def _whole_words(group: Group, band: Band, *, is_scaled: bool) -> str:
+    """Of the band for the whole curve, and how far it goes where the panel does not show it."""
+    if not np.isfinite(band.lower_all).any():
+        return ""
+    words = " Dashed edges: hold the whole mean curve with 95 %."
+    low, high = seen(group, band, is_scaled=is_scaled)
+    if low <= np.nanmin(band.lower_all) and np.nanmax(band.upper_all) <= high:
+        return words
+    at = int(np.nanargmax(band.upper_all - band.lower_all))
+    across, up = group_scale(group, "displacement"), group_scale(group, "force")
+    force, unit = (1.0, "") if is_scaled else (up.factor, f" {up.unit}")
+    return (
+        f"{words} They leave the panel, as {band.n} curves say little about a whole one:"
+        f" at {across.factor * band.displacement[at]:.3g} {across.unit}, where they are furthest"
+        f" apart, they are at {force * band.lower_all[at]:.3g} and"
+        f" {force * band.upper_all[at]:.3g}{unit}."
+    )
+
+
+def _cut_words(group: Group, band: Band, *, is_scaled: bool) -> str:
+    low, high = seen(group, band, is_scaled=is_scaled)
+    is_cut = np.nanmin(band.lower) < low or np.nanmax(band.upper) > high
+    return " The grey area is wider than the panel and is cut by its edge." if is_cut else ""
 
 
 def _curve_alt(group: Group) -> str:

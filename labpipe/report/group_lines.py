@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.curve import FittedLine
 from labpipe.records.group import Group
 from labpipe.report.group_look import (
     first_loading,
@@ -24,12 +23,18 @@ if TYPE_CHECKING:
 
 _HEIGHT = 82.0
 _CURVES = "#9a9a9a"
+_WINDOW: dict[str, Any] = {
+    "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 2
+}  # fmt: skip
+_SEGMENT: dict[str, Any] = {
+    "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.6)), "zorder": 4
+}  # fmt: skip
 _BEYOND = 1.5
 """How far the axis goes on behind the last window, in lengths up to its end."""
 
 
 def draw_lines(group: Group) -> Figure:
-    """Draw curves in grey and their fitted lines in colour, with the slopes in the key.
+    """Draw curves in grey on their windows in colour, segments dotted, with the slopes in the key.
 
     Parameters
     ----------
@@ -48,14 +53,14 @@ def has_lines(group: Group) -> bool:
 
 
 def plot_lines(group: Group, axes: Axes) -> None:
-    """Draw each sample up to a little beyond its windows, and its lines over them.
+    """Draw each sample up to a little beyond its windows, and its lines.
 
     Parameters
     ----------
-    group : lines of one result have one colour
+    group : lines of one result have one look
     axes : to draw on
     """
-    colours = _colours(group)
+    looks = _looks(group)
     across = group_scale(group, "displacement").factor
     up = group_scale(group, "force").factor
     end = _BEYOND * max(line.stop for sample in group.samples for line in sample.lines)
@@ -64,38 +69,32 @@ def plot_lines(group: Group, axes: Axes) -> None:
         if curve is not None:
             seen = np.where(curve.displacement <= end, curve.force, np.nan)
             x, y = thin(curve, seen)
-            axes.plot(x * across, y * up, color=_CURVES, linewidth=0.5, zorder=1)
+            axes.plot(x * across, y * up, color=_CURVES, linewidth=0.5, zorder=3)
         for line in sample.lines:
             ends = np.array([line.start, line.stop])
             height = line.level + line.slope * (ends - line.start)
-            look = (0, (2, 1)) if _is_segment(line) else "-"
-            colour = colours[line.result]
-            axes.plot(ends * across, height * up, color=colour, linestyle=look, linewidth=1.0)
+            axes.plot(ends * across, height * up, **looks[line.result])
 
 
-def _is_segment(line: FittedLine) -> bool:
-    return line.result.startswith("segment")
-
-
-def _colours(group: Group) -> dict[str, str]:
+def _looks(group: Group) -> dict[str, dict[str, Any]]:
+    """Broad and pale for lines over set windows, thin and dotted upon them for fitted segments."""
     import matplotlib as mpl
 
     own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
     names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
-    return {name: own[number % len(own)] for number, name in enumerate(names)}
+    windows = [name for name in names if not name.startswith("segment")]
+    looks: dict[str, dict[str, Any]] = dict.fromkeys(names, _SEGMENT)
+    return looks | {
+        name: {**_WINDOW, "color": own[number % len(own)]} for number, name in enumerate(windows)
+    }
 
 
 def _keys(group: Group) -> list[Artist]:
     from matplotlib.lines import Line2D
 
-    segments = {line.result: _is_segment(line) for sample in group.samples for line in sample.lines}
     return [
-        Line2D(
-            [], [], color=colour, linestyle=(0, (2, 1)) if segments[name] else "-",
-            label=_slope(group, name),
-        )
-        for name, colour in _colours(group).items()
-    ]  # fmt: skip
+        Line2D([], [], label=_slope(group, name), **look) for name, look in _looks(group).items()
+    ]
 
 
 def _slope(group: Group, name: str) -> str:

@@ -14,7 +14,7 @@ from labpipe.records.group import Group, Sample, SampleCurve
 from labpipe.records.result import Status
 from labpipe.report.numbers import display_of, shown_in
 from labpipe.report.page import titled_page
-from labpipe.report.thinning import extremes
+from labpipe.report.thinning import bends
 from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 WIDTH = 120.0
 """mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 RED = "#b2182b"
-POINTS, FAINT_POINTS = 112, 56
+POINTS, FAINT_POINTS = 120, 40
 """Points that a curve is drawn with at the most, so that a page of thirty tests is below 1 MB."""
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _KEY_COLUMNS = 3
@@ -100,9 +100,9 @@ def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[F
     ----------
     curve : of a sample
     values : shape (n,), along it
-    points : how many at the most; its extremes are among them
+    points : how many at the most; corners and steps are among them
     """
-    kept = extremes(values, bins=points // 4)
+    kept = bends(curve.displacement, values, points=points)
     x: Floats = curve.displacement[kept]
     y: Floats = values[kept]
     return x, y

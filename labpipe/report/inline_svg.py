@@ -10,6 +10,8 @@ from xml.etree import ElementTree as ET
 _SVG = "http://www.w3.org/2000/svg"
 _LINK = "{http://www.w3.org/1999/xlink}href"
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
+_LONG_LINE = 20
+_STRAIGHT = re.compile(r"M[ML\d.\s-]*")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
 _FONT = "STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif"
@@ -33,8 +35,9 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
 
     Returns
     -------
-    One ``svg`` element: as wide as the page lets it be, coordinates to 0.01 pt, without metadata
-    and without ids that nothing refers to. Its looks are classes, as drawings share most of them;
+    One ``svg`` element: as wide as the page lets it be, coordinates to 0.01 pt, and to 0.1 pt in
+    long lines, which is less than a line is thick; without metadata and without ids that nothing
+    refers to. Its looks are classes, as drawings share most of them;
     equal looks have equal names in all drawings.
     """
     ET.register_namespace("", _SVG)
@@ -76,7 +79,9 @@ def _slim(element: ET.Element, wanted: set[str], prefix: str) -> None:
         own[key] = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
     for key in own.keys() & _WITH_NUMBERS:
         own[key] = " ".join(_LONG_NUMBER.sub(_two_places, own[key]).split())
-    if "d" in own:  # numbers that follow a line are ends of further lines
+    if own.get("d", "").count("L") > _LONG_LINE and _STRAIGHT.fullmatch(own["d"]):
+        own["d"] = "".join(map(_steps, own["d"].split("M")[1:]))
+    elif "d" in own:  # numbers that follow a line are ends of further lines
         own["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", own["d"])
 
 
@@ -96,6 +101,14 @@ def _unwrap(parent: ET.Element) -> None:
         if child.tag == f"{{{_SVG}}}g" and not child.attrib:
             at = list(parent).index(child)
             parent[at : at + 1] = list(child)
+
+
+def _steps(stroke: str) -> str:
+    """A line as its first point and steps of tenths of a point: half as long as all its points."""
+    ends = [round(10.0 * float(number)) for number in stroke.replace("L", " ").split()]
+    steps = [after - before for before, after in zip(ends, ends[2:], strict=False)]
+    first, rest = (" ".join(f"{each / 10:g}" for each in part) for part in (ends[:2], steps))
+    return f"M{first}" + (f"l{rest}".replace(" -", "-") if rest else "")
 
 
 def _two_places(found: re.Match[str]) -> str:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import heapq
+from typing import TypeAlias
+
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.records.arrays import Floats, Ints
+
+_Stretch: TypeAlias = tuple[float, int, int, int]
+"""Less the distance of the furthest sample, first sample, the furthest, last sample."""
 
 
 def extremes(values: Floats, *, bins: int) -> Ints:
@@ -44,6 +50,62 @@ def extremes(values: Floats, *, bins: int) -> Ints:
     first_gaps = gaps[np.unique(stretch[gaps], return_index=True)[1]]
     ends = [0, count - 1]
     return np.unique(np.concatenate([order[starts[:-1]], highest, first_gaps, ends]))
+
+
+def bends(across: Floats, values: Floats, *, points: int, tolerance: float = 0.002) -> Ints:
+    """Number the samples that a line must pass through to keep its shape.
+
+    Parameters
+    ----------
+    across, values : shape (n,), in order of drawing
+    points : how many at the most, without the ends of gaps, which are always kept
+    tolerance : distance from the line that nobody sees, as a share of the range of the values
+
+    Returns
+    -------
+    Sorted sample numbers: the two ends, then again and again the sample that lies furthest, along
+    the values, from the line through those kept so far, until none lies further than the tolerance.
+    A corner stays a corner and a step a step; noise keeps its largest excursions. Of a gap, its
+    ends and its first NaN, so that it stays a gap.
+
+    Notes
+    -----
+    Douglas and Peucker, Cartographica 10 (1973) 112, the furthest of all stretches first.
+    """
+    known = np.flatnonzero(np.isfinite(across) & np.isfinite(values))
+    if not len(known):
+        return np.arange(min(len(values), 1), dtype=np.int64)
+    broken = np.flatnonzero(np.diff(known) > 1)
+    starts = np.concatenate([known[:1], known[broken + 1]])
+    stops = np.concatenate([known[broken], known[-1:]])
+    kept = {*starts.tolist(), *stops.tolist(), *(known[broken] + 1).tolist()}
+    unseen = tolerance * float(np.ptp(values[known]))
+    stretches = [
+        _furthest(across, values, int(start), int(stop))
+        for start, stop in zip(starts, stops, strict=True)
+    ]
+    heapq.heapify(stretches)
+    while stretches and len(kept) < points:
+        distance, start, at, stop = heapq.heappop(stretches)
+        if -distance <= unseen:
+            break
+        kept.add(at)
+        heapq.heappush(stretches, _furthest(across, values, start, at))
+        heapq.heappush(stretches, _furthest(across, values, at, stop))
+    return np.array(sorted(kept), dtype=np.int64)
+
+
+def _furthest(across: Floats, values: Floats, start: int, stop: int) -> _Stretch:
+    """The sample between two that lies furthest from the line through them."""
+    if stop - start < 2:
+        return (0.0, start, start, stop)
+    x, y = across[start : stop + 1], values[start : stop + 1]
+    width = x[-1] - x[0]
+    # Where nothing moves across, the line is drawn sample by sample.
+    share = (x - x[0]) / width if width != 0.0 else np.linspace(0.0, 1.0, len(x))
+    distance = np.abs(y - y[0] - (y[-1] - y[0]) * np.clip(share, 0.0, 1.0))
+    at = int(np.argmax(distance))
+    return (-float(distance[at]), start, start + at, stop)
 
 
 def worst(flags: NDArray[np.uint8], rank: NDArray[np.uint8], *, bins: int) -> NDArray[np.uint8]:

@@ -13,13 +13,17 @@ from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, Difference, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Result, Status
-from labpipe.statistics.bands import CommonCurves, common_curves, mean_band
+from labpipe.statistics.bands import CommonCurves, block_means, common_curves, mean_band
 from labpipe.statistics.comparison import compare
 from labpipe.statistics.methods import apart, method_notes
 from labpipe.statistics.nested import USUAL, PoolingLimits, nested_mean
 from labpipe.statistics.outliers import mark_outliers, too_few_for_outliers
 
 __all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number", "loading_band"]
+
+_POINTS = 500
+"""Points of a curve before it is averaged with others, each the mean of its samples: noise that is
+faster says nothing about the sample and makes the band of the whole curve wide."""
 
 
 def build_group(
@@ -165,7 +169,10 @@ def loading_band(
         if sample.loading and (divisors is None or key in divisors)
     ]
     curves = [
-        (sample.loading[0].displacement, sample.loading[0].force / (divisors or {}).get(key, 1.0))
+        (
+            block_means(sample.loading[0].displacement, _POINTS),
+            block_means(sample.loading[0].force, _POINTS) / (divisors or {}).get(key, 1.0),
+        )
         for key, sample in drawn
     ]
     shared = common_curves(curves, [key for key, _ in drawn])

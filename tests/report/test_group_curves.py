@@ -8,7 +8,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labpipe.report.group_curves import draw_curves, draw_scaled, plot_band, plot_samples
+from labpipe.report.group_curves import draw_curves, draw_scaled, plot_band, plot_samples, seen
 from labpipe.report.page import style
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
 
@@ -106,3 +106,19 @@ def test_a_pointwise_band_alone_says_why_there_is_no_other() -> None:
     assert page.texts[1].get_text() == "No whole band."
     assert "95 % band, whole curve" not in labels(page)
     assert "95 % band, point by point" in labels(page)
+
+
+def test_the_axis_follows_curves_and_pointwise_band() -> None:
+    group = build_group("A", six_samples())
+    wide = replace(group.band, upper_all=group.band.mean + 90.0, lower_all=group.band.mean - 90.0)
+    low, high = seen(group, wide)
+    peaks = [float(sample.loading[0].force.max()) for sample in group.samples]
+    assert max(peaks) < high < 1.1 * max(*peaks, group.band.upper.max())
+    near = replace(group.band, upper_all=group.band.upper + 9.0, lower_all=group.band.lower - 9.0)
+    assert seen(group, near)[1] > near.upper_all.max()
+    assert seen(group, near)[0] < near.lower_all.min() < low
+
+
+def test_what_is_seen_without_a_curve() -> None:
+    group = build_group("A", [])
+    assert np.isfinite(seen(group, group.band)).all()

@@ -3,6 +3,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from labpipe.report.group_figures import drawings, save_drawings, stems
 from tests.builders.campaigns import build_group, build_sample, six_samples
 
@@ -58,3 +60,17 @@ def test_names_with_signs_of_mathematics_are_drawn_as_they_are(tmp_path: Path) -
 def test_file_names() -> None:
     assert stems(["A2 85 mm", "a2/85/mm", "\u00b5"]) == ["a2-85-mm", "a2-85-mm-2", "group"]
     assert stems(["A" * 200])[0] == "a" * 60
+
+
+def test_the_caption_says_where_the_band_of_the_whole_curve_leaves_the_panel() -> None:
+    group = build_group("A", six_samples(), scaled=False)
+    caption = next(iter(drawings(group))).caption
+    assert "leave the panel" not in caption
+    half = np.linspace(0.0, 90.0, len(group.band.mean))
+    wide = replace(group.band, lower_all=group.band.mean - half, upper_all=group.band.mean + half)
+    caption = next(iter(drawings(replace(group, band=wide)))).caption
+    assert (
+        "They leave the panel, as 6 curves say little about a whole one: at 40 mm, where they are"
+        " furthest apart, they are at "
+    ) in caption
+    assert caption.count(" N.") == 1

@@ -28,12 +28,13 @@ def test_lines_over_their_windows_with_the_mean_slopes() -> None:
     assert page.axes[0].get_xlim()[1] < 1.6 * 20.0
 
 
-def test_segments_are_dashed_and_a_line_without_a_number_keeps_its_name() -> None:
+def test_segments_are_dotted_and_a_line_without_a_number_keeps_its_name() -> None:
     segment = FittedLine("segment_stiffness_first", 5000.0, 0.0, 0.0, 0.01)
     sample = replace(build_sample("s1", "a"), lines=(segment,))
     with style():
         page = draw_lines(build_group("A", [sample]))
-    assert page.axes[0].lines[-1].get_linestyle() == "--"
+    drawn = page.axes[0].lines[-1]
+    assert (drawn.get_color(), drawn.get_linestyle()) == ("black", "--")
     words = [text.get_text() for text in page.legends[0].get_texts()]
     assert words == ["Stiffness, first fitted segment"]
 

@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import re
 from xml.etree import ElementTree as ET
+
+import numpy as np
 
 from labpipe.report.inline_svg import inline_svg
 
@@ -50,3 +53,17 @@ def test_equal_looks_share_a_class() -> None:
         "stroke: #000",
     ]
     assert inline.classes == inline_svg(DRAWING, prefix="other", title="").classes
+
+
+def test_long_lines_are_steps_that_do_not_add_up_to_an_error() -> None:
+    x, y = np.linspace(0.0, 100.0, 300), np.random.default_rng(1).uniform(0.0, 50.0, 300)
+    points = " L ".join(f"{a:.6f} {b:.6f}" for a, b in zip(x, y, strict=True))
+    drawing = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="M {points} M 1.26 2 L 3 4"/></svg>'
+    element = inline_svg(drawing.encode(), prefix="a", title="t").element
+    path = re.search(r' d="M(.*?)"', element)
+    assert path is not None
+    line, other = path[1].split("M")
+    first, steps = (re.findall(r"-?[\d.]+", part) for part in line.split("l"))
+    found = np.cumsum(np.array([*first, *steps], dtype=float).reshape(-1, 2), axis=0)
+    np.testing.assert_allclose(found, np.column_stack([x, y]), atol=0.0551)  # to 0.01, then to 0.1
+    assert other == "1.3 2l1.7 2"

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.records.arrays import Floats
-from labpipe.report.thinning import extremes, worst
+from labpipe.report.thinning import bends, extremes, worst
 
 
 @given(
@@ -51,3 +51,31 @@ def test_worst_flag_of_a_stretch_wins() -> None:
     assert thin[:, 1].tolist() == [1] * 5 + [0] + [1] * 4
     np.testing.assert_array_equal(worst(flags[:7], rank, bins=10), flags[:7])
     assert worst(flags[:0], rank, bins=10).shape == (0, 2)
+
+
+def test_a_corner_stays_a_corner_and_a_step_a_step() -> None:
+    x = np.linspace(0.0, 50.0, 2001)
+    force = np.minimum(5.0 * x, 30.0 + 2.0 * x) - np.where(x > 30.0, 4.0, 0.0)
+    kept = bends(x, force, points=60)
+    assert len(kept) < 10
+    assert 10.0 in x[kept]
+    assert {30.0, 30.025} <= set(x[kept].round(3).tolist())
+    drawn = np.interp(x, x[kept], force[kept])
+    assert np.abs(drawn - force).max() <= 0.002 * np.ptp(force)
+
+
+def test_noise_keeps_its_largest_excursions_and_no_more_points_than_allowed() -> None:
+    force = np.random.default_rng(1).normal(size=3000)
+    kept = bends(np.arange(3000.0), force, points=50)
+    assert len(kept) == 50
+    assert {int(force.argmax()), int(force.argmin()), 0, 2999} <= set(kept.tolist())
+
+
+def test_gaps_and_standstill_in_bends() -> None:
+    force = np.arange(100.0)
+    force[40:45] = np.nan
+    assert bends(np.arange(100.0), force, points=10).tolist() == [0, 39, 40, 45, 99]
+    up = np.concatenate([np.zeros(50), np.linspace(0.0, 1.0, 50), np.zeros(50)])
+    assert {50, 99, 100} <= set(bends(np.zeros(150), up, points=20).tolist())
+    assert bends(np.zeros(3), np.full(3, np.nan), points=5).tolist() == [0]
+    assert bends(np.zeros(0), np.zeros(0), points=5).tolist() == []
