@@ -281,10 +281,12 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     n_strands = len(bundle.sign)
     shape = (len(curvature), n_strands)
     force, slope, stuck = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.bool_)
-    outer: list[tuple[Floats, Floats]] = []
+    outer: list[Floats] = []
+    rises: list[Floats] = []
     for q in reversed(range(len(bundle.rings))):
         ring, sign = bundle.rings[q], bundle.sign[: bundle.rings[q].end]
-        pressure, pressure_slope = _pressure(bundle, q, outer)
+        pressure = ring_pressure(bundle, q, outer)
+        pressure_slope = _pressure_slope(bundle, q, pressure, rises)
         demand = curvature[:, : ring.end] * ring.demand
         hold = pressure * ring.per_pressure + ring.per_tension
         sticks = demand < hold
@@ -292,19 +294,39 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
         rise = np.where(sticks, ring.demand, pressure_slope * ring.per_pressure) * sign
         own = slice(ring.start, ring.end)
         force[:, own], slope[:, own], stuck[:, own] = present[:, own], rise[:, own], sticks[:, own]
-        outer.insert(0, (present, rise))
+        outer.insert(0, present)
+        rises.insert(0, rise)
     return AxialForces(force, slope, stuck)
 
 
-def _pressure(bundle: Bundle, q: int, outer: list[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
-    """H on the ring q and its slope with the curvature, from the forces of the rings outside."""
+def ring_pressure(bundle: Bundle, q: int, outer: list[Floats]) -> Floats:
+    """Pressure H on a ring at each of its angles, N per radian of lay, never negative.
+
+    Parameters
+    ----------
+    bundle : rings made ready
+    q : number of the ring
+    outer : forces from bending of each ring outside it, next first, N, shape (n, ring.end) each,
+        at least as many columns as the ring `q` has angles
+
+    Returns
+    -------
+    shape (n, ring.end), or (1, 1) for the outermost ring.
+    """
     ring = bundle.rings[q]
-    pressure, slope = np.full((1, 1), ring.base), np.zeros((1, 1))
-    for k, (force, rise) in enumerate(outer, start=q + 1):
+    pressure = np.full((1, 1), ring.base)
+    for k, force in enumerate(outer, start=q + 1):
         pressure = pressure + ring.shares[k] * (bundle.rings[k].tension + force[:, : ring.end])
+    return np.asarray(np.maximum(pressure, 0.0))
+
+
+def _pressure_slope(bundle: Bundle, q: int, pressure: Floats, rises: list[Floats]) -> Floats:
+    """Slope of H with the curvature, from those of the forces outside; zero where they lift off."""
+    ring = bundle.rings[q]
+    slope = np.zeros((1, 1))
+    for k, rise in enumerate(rises, start=q + 1):
         slope = slope + ring.shares[k] * rise[:, : ring.end]
-    slope = np.where(pressure > 0.0, slope, 0.0)
-    return np.maximum(pressure, 0.0), slope
+    return np.where(pressure > 0.0, slope, 0.0)
 
 
 def slip_onsets(
