@@ -1,0 +1,99 @@
+"""Effects of the source's faults, computed: the numbers of docs/explanations/wire-model.md."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.friction import arrange, sines, slip_onsets
+from labpipe.wire.materials import FIRMER_COPPER
+from labpipe.wire.moment_curvature import MomentCurve, moment_curvature
+from labpipe.wire.strand_bending import helix_factor
+from tests.builders.stranded_wires import contacts_of, wire
+
+KAPPA = np.array([1.0, 5.0, 20.0])
+
+
+def law(name: str) -> MomentCurve:
+    return moment_curvature(wire(name), contacts_of(wire(name)), KAPPA)
+
+
+def per_cent(change: Floats, name: str) -> Floats:
+    return 100.0 * change / law(name).moment
+
+
+@pytest.mark.parametrize(("name", "told"), [("A2", 1.8), ("A3", 3.0), ("C4", 2.3)])
+def test_moment_of_axial_forces_without_the_cosine(name: str, told: float) -> None:
+    section = wire(name)
+    first = section.layers[0].count
+    bundle = arrange(section, contacts_of(section), sines(section, 0.0))
+    lays = np.array([layer.lay_angle for layer in section.layers])[section.layer[first:]]
+    stick = np.concatenate([ring.demand[ring.start :] for ring in bundle.rings])
+    extra = float(stick @ np.abs(bundle.lever / np.cos(lays) - bundle.lever))
+    assert 100.0 * extra / law(name).stick_stiffness == pytest.approx(told, abs=0.05)
+
+
+@pytest.mark.parametrize(("name", "told"), [("A2", 5.3), ("A3", 6.5)])
+def test_sine_for_its_square(name: str, told: float) -> None:
+    printed = right = 0.0
+    for layer in wire(name).layers:
+        a = abs(layer.lay_angle)
+        printed += layer.count * np.cos(a) / 2 * (1 + np.cos(a) ** 2 + np.sin(a) / 1.34)
+        right += layer.count * helix_factor(a, 0.34)
+    share = 100.0 * (printed / right - 1.0)
+    assert share == pytest.approx(told, abs=0.05)
+    if name == "A2":
+        own = law(name).bending + law(name).plastic
+        assert per_cent(share / 100.0 * own, name) == pytest.approx([2.1, 1.5, 0.9], abs=0.05)
+
+
+def axial_moment(angle: Floats, *, by_size: bool) -> Floats:
+    """A2's moment of axial forces with the friction limit at given angles of its six strands."""
+    ring = wire("A2").layers[1]
+    turn = np.arange(6) * np.pi / 3.0
+    arm = 0.32e-3 * np.sin(turn)
+    k = 0.21 * np.sin(ring.lay_angle)
+    hold = 0.31 * 0.15 * np.expm1(k * angle) / k
+    demand = KAPPA[:, None] * 110e9 * ring.area * np.cos(ring.lay_angle) ** 2 * arm
+    smaller = np.where(np.abs(demand) < np.abs(hold), demand, hold)
+    force = smaller if by_size else np.minimum(demand, hold)
+    return np.asarray(force @ (arm * np.cos(ring.lay_angle)))
+
+
+def test_raw_angle_and_signed_switch() -> None:
+    turn = np.arange(6) * np.pi / 3.0
+    right = np.arcsin(np.sin(turn))
+    found = law("A2").stick + law("A2").slip
+    assert axial_moment(right, by_size=True) == pytest.approx(found, rel=1e-9)
+    raw = axial_moment(np.array([0, 1, 2, 3, -2, -1]) * np.pi / 3.0, by_size=True)
+    assert raw / found == pytest.approx([1.5] * 3, abs=0.005)
+    assert per_cent(raw - found, "A2") == pytest.approx([4.8, 1.3, 0.4], abs=0.06)
+    signed = axial_moment(right, by_size=False)
+    assert per_cent(signed - found, "A2") == pytest.approx([228, 320, 383], abs=0.5)
+
+
+def test_slip_begins_next_to_the_neutral_axis() -> None:
+    onset = slip_onsets(wire("A2"), contacts_of(wire("A2")))
+    assert onset[[0, 1]] == pytest.approx([0.0172, 0.0212], abs=5e-5)
+
+
+def test_stiffness_that_is_neither() -> None:
+    found = law("A2")
+    mixed = (found.bending + found.plastic + found.insulation) / KAPPA  # all slips: dF = 0
+    tangent = 100.0 * (mixed / found.tangent_stiffness - 1.0)
+    assert tangent == pytest.approx([18, 16, 10], abs=0.5)
+    secant = 100.0 * (mixed / found.secant_stiffness - 1.0)
+    assert secant == pytest.approx([-9.7, -2.7, -0.8], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"), [("A2", [20, 19, 9]), ("A3", [10, 12, 7]), ("C4", [6, 9, 5])]
+)
+def test_the_firmer_copper(name: str, told: list[float]) -> None:
+    section = wire(name)
+    layers = tuple(replace(layer, material=FIRMER_COPPER) for layer in section.layers)
+    firmer = moment_curvature(replace(section, layers=layers), contacts_of(section), KAPPA)
+    assert per_cent(firmer.moment, name) - 100.0 == pytest.approx(told, abs=0.5)
