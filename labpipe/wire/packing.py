@@ -25,6 +25,8 @@ from labpipe.wire.cross_section import (
     place,
 )
 
+_NO_ENERGY = 1e-16  # of strands of radius 1: overlaps of 1e-8, which no other start betters
+
 Kind: TypeAlias = Literal["hexagonal", "concentric", "packed", "compressed"]
 
 
@@ -63,7 +65,8 @@ def packed(
     layers : their counts share the strands out by distance from the axis; equal diameters
     insulation : the tube, whose bore bounds the strands
     seed : of the random starts; same seed, same packing
-    n_starts : random starts and starts from rings with jitter, in turns
+    n_starts : at most so many, random and from rings with jitter in turns; the first without any
+        overlap ends the search
 
     Raises
     ------
@@ -90,6 +93,8 @@ def packed(
         )
         if found.fun < least:
             best, least = found.x.reshape(-1, 2) * strand, float(found.fun)
+        if least < _NO_ENERGY:
+            break
     return place("packed", layers, _by_distance(best, layers), insulation)
 
 
