@@ -16,6 +16,8 @@ TERMS = 128
 _LONGEST = 0.2
 """Longest correlation time that is considered, as a share of the window."""
 _SPECTRA = 24
+_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
 _PRIOR = -0.4
 """Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
 correlation over a tenth of the window (the studies beside the tests)."""
@@ -84,18 +86,18 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
 
     Notes
     -----
-    The noise is taken for a first-order autoregressive process of unknown correlation time: white
-    in the middle, a fifth of the window long at one end, the mirror image of that at the other. In
-    cosines over the window such noise is
-    uncorrelated to a good approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974)
-    90), with the variance of its spectrum, so that each correlation time has a restricted
-    likelihood in closed form (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the correlation
-    time a coefficient follows Student's t; the interval is that of the mixture over correlation
-    times, weighted by their likelihood and a prior of power -0.4 over their logarithm, plus one
-    share for white noise. Only the 128 slowest cosines enter (all of them with `weighted`): hum,
-    filters and rounding do not speak of the mean over a window (the thought of the equal-weighted
-    cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A curve that is not of the
-    model's shape looks like slow noise and widens the interval.
+    The noise is taken for a first-order autoregressive process of unknown correlation time, white
+    in the middle, a fifth of the window long at one end, the mirror image of that at the other,
+    with more or less white noise beneath. In cosines over the window such noise is uncorrelated to
+    a good approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), with the
+    variance of its spectrum, so that each spectrum has a restricted likelihood in closed form
+    (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the spectrum a coefficient follows
+    Student's t; the interval is that of the mixture over spectra, weighted by their likelihood and
+    a prior: of power -0.4 over the logarithm of the correlation time, half without and half with white
+    noise, plus one share for white noise alone. Only the 128 slowest cosines enter (all of them
+    with `weighted`): hum, filters and rounding do not speak of the mean over a window (the thought
+    of the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A
+    curve that is not of the model's shape looks like slow noise and widens the interval.
     """
     count, spent = design.shape
     if count < spent + 4:
@@ -179,7 +181,11 @@ class _Noise:
 
 
 def _spectra(count: int, terms: int) -> tuple[Floats, Floats]:
-    """Spectra of autoregressive noise at the cosines, 1 at frequency zero, and their prior."""
+    """Spectra of autoregressive noise at the cosines, 1 at frequency zero, and their prior.
+
+    Each with floors of white noise beneath, from none to a third: a load cell has both, and a pure
+    first-order process that is to explain the white part comes out too quick and too small.
+    """
     longest = _LONGEST * count
     times = np.geomspace(longest / (_LONGEST * 4.0 * terms), longest, _SPECTRA - 1)
     factors = np.append(0.0, np.exp(-1.0 / times))[:, None]
@@ -189,7 +195,10 @@ def _spectra(count: int, terms: int) -> tuple[Floats, Floats]:
     # The mirror images rise with frequency. Without them white noise would lie at the edge of what
     # is allowed, and its intervals would come out too wide.
     mirrored = slice(None, 0, -1)
-    return np.vstack([1.0 / spectra[mirrored], spectra]), np.append(prior[mirrored], prior)
+    mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _FLOORS]
+    half = 0.5 * prior[1:]  # white noise beneath, or none: the one as likely as the other
+    likely = [prior[mirrored], prior[:1], half, *[half / len(_FLOORS)] * len(_FLOORS)]
+    return np.vstack([1.0 / spectra[mirrored], spectra, *mixed]), np.concatenate(likely)
 
 
 def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:

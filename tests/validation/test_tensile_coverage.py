@@ -58,6 +58,30 @@ def test_slope_between(count: int) -> None:
     assert 950 <= slope_hits(count, 0.05, FULL) <= 980
 
 
+def mixed_hits(count: int, white: float, memory: float, runs: int) -> int:
+    """White noise on top of noise that remembers: a load cell has both."""
+    design = np.column_stack([np.ones(count), np.linspace(-1.0, 1.0, count)])
+    hits = 0
+    for seed in range(50_000, 50_000 + runs):
+        both = noise(seed, count, memory) + white * noise(2 * seed, count, 0.0)
+        fit = fit_linear(design, both)
+        hits += bool(abs(fit.coefficients[1]) <= fit.half_widths[1])
+    return hits
+
+
+def test_slope_in_mixed_noise_quick() -> None:
+    assert_covers(mixed_hits(120, 0.6, 5.0, QUICK), QUICK)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("count", "white", "memory"),
+    [(120, 0.6, 5.0), (200, 0.6, 5.0), (400, 0.6, 10.0), (600, 2.0, 20.0), (1000, 1.2, 50.0)],
+)
+def test_slope_in_mixed_noise(count: int, white: float, memory: float) -> None:
+    assert_covers(mixed_hits(count, white, memory, FULL), FULL)
+
+
 @pytest.mark.parametrize("memory", [0.0, 5.0, 20.0])
 def test_jump_by_generalised_least_squares(memory: float) -> None:
     jump = (np.arange(120) >= 60).astype(np.float64)
