@@ -94,10 +94,10 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     (Harville, J. Am. Stat. Assoc. 72 (1977) 320). Given the spectrum a coefficient follows
     Student's t; the interval is that of the mixture over spectra, weighted by their likelihood and
     a prior: of power -0.4 over the logarithm of the correlation time, half without and half with
-    white noise, plus one share for white noise alone. Only the 128 slowest cosines enter (all of them
-    with `weighted`): hum, filters and rounding do not speak of the mean over a window (the thought
-    of the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018) 541). A
-    curve that is not of the model's shape looks like slow noise and widens the interval.
+    white noise, plus one share for white noise alone. Only the 128 slowest cosines enter (all of
+    them with `weighted`): hum, filters and rounding do not speak of the mean over a window (the
+    thought of the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018)
+    541). A curve that is not of the model's shape looks like slow noise and widens the interval.
     """
     count, spent = design.shape
     if count < spent + 4:

@@ -1,8 +1,8 @@
 """The 95 % intervals of the tensile fitters hold the truth 95 times in a hundred.
 
 Seeded runs, white noise and autoregressive noise with a correlation time of 1 to 10 % of the
-window, each held against 95 % by an exact two-sided binomial test at 1 %. A few hundred runs by
-default, a thousand in the slow study.
+window, each held against 95 % by an exact two-sided binomial test: two hundred runs at 1 % by
+default, a thousand in the slow study, whose cases share the 1 % among them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.slips import SlipDecision
 
 QUICK, FULL = 200, 1000
+CASES = 35
+"""Numbers that the full study holds against 95 %."""
 
 
 def noise(seed: int, count: int, memory: float) -> Floats:
@@ -30,7 +32,9 @@ def noise(seed: int, count: int, memory: float) -> Floats:
 
 
 def assert_covers(hits: int, runs: int) -> None:
-    assert binomtest(hits, runs, 0.95).pvalue > 0.01, f"{hits} of {runs}"
+    """A quick case is held at 1 %; the cases of the full study share it among them."""
+    level = 0.01 if runs == QUICK else 0.01 / CASES
+    assert binomtest(hits, runs, 0.95).pvalue > level, f"{hits} of {runs}"
 
 
 def slope_hits(count: int, share: float, runs: int) -> int:
