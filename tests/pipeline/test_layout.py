@@ -207,7 +207,8 @@ def test_a_doubt_holds_for_the_curve_whatever_the_channel_is_called() -> None:
         Channel("pull", "A", np.arange(10.0), unit="N"),
         Channel("way", "B", np.arange(10.0), unit="m"),
     )
-    recording = Recording("dspace-mat", clocks=(Clock("time", TIME),), channels=channels)
+    clock = Clock("time", np.asarray(TIME, dtype=np.float64))
+    recording = Recording("dspace-mat", clocks=(clock,), channels=channels)
     bench, _ = lay_out({"force": recording}, pull)
     assert set(bench.doubts) == {"force"}
     assert [note.where for note in bench.notes if note.code == "implausible_peak"] == ["pull"]
