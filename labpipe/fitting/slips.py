@@ -17,10 +17,18 @@ _LEAST = 64
 _SCALES = (3, 6, 12, 24, 48)
 _SEEN = 6.0
 """Robust deviations of its own kind that a fall must exceed."""
-_LONGEST = 6
-"""Samples that a slip may take; a slower fall is a yield."""
+_SURE = 1e-9
+"""Chance that a fall at a given place is noise: the largest of many places is looked at."""
+_FINE = 8
+"""Blocks that the longest slip takes at least; more samples than that are averaged."""
+_LONGEST_SHARE, _LONGEST = 0.02, 1e-3
+"""Longest slip that is looked for by default: share of the travel, but at most so many m."""
 _SIDE = 8
 """Samples on each side of a slip at least."""
+_Span = tuple[int, int]
+"""Samples or means that the longest slip takes, and 1 for means, which a fall may lie inside of."""
+_SIDES = (50, 20, 10)
+"""Samples on each side that its lines are tried with."""
 
 
 def find_slips(
@@ -30,6 +38,8 @@ def find_slips(
     min_drop: float,
     decision: SlipDecision,
     lost_share: float = 0.5,
+    largest_share: float = 0.2,
+    longest: float | None = None,
 ) -> tuple[Slip, ...] | Failure:
     """Sudden losses of force after which the force goes on lower at about the same slope.
 
@@ -41,6 +51,11 @@ def find_slips(
     decision : written into the ledger
     lost_share : a fall after which the force stays below this share of the peak before it is a
         failure, not a slip
+    largest_share : a fall by more than this share of the force carried is none either: grips that
+        slide let go of little at a time, while a strand that tears takes its share of the section
+        with it, and adding that back would invent strength
+    longest : m, over which a slip may take place; a slower fall is a yield. By default 2 % of the
+        travel, but at most 1 mm. Never less than two samples
 
     Returns
     -------
@@ -49,14 +64,19 @@ def find_slips(
 
     Notes
     -----
-    Differences of the means of neighbouring windows of 3 to 48 samples, less their running median,
-    which follows slopes, kinks and yields but not a fall that is over at once. Each scale is
-    measured by its own robust deviation (1.4826 MAD), so that noise of any correlation is its own
-    yardstick. Samples that stand alone are set aside first. At a fall, start and stop are the
-    likeliest under first-order autoregressive noise with two parallel lines; the drop is the
-    distance of these lines, by generalised least squares. The interval of the position is the
+    Where `longest` takes 16 samples or more, means of so many neighbours that it takes 8 to 15 of
+    them stand for the samples: what is found does not depend on the sampling rate, and `start` and
+    `stop` are the samples around those means. Differences of the means of neighbouring windows of 3
+    to 48, less their running median, follow a fall that is over at once but not slopes, kinks and
+    yields. Each scale is measured by its own robust deviation (1.4826 MAD), so that noise of any
+    correlation is its own yardstick. Samples that stand alone are set aside first. The clearest
+    fall is measured and added back before the next one is looked for, so that it neither echoes nor
+    hides its neighbours. At a fall, start and stop are the likeliest under first-order
+    autoregressive noise with two parallel lines; the drop is the distance of these lines, by
+    generalised least squares, with the other falls added back. The interval of the position is the
     middle 95 % of the displacements between start and stop, over all pairs that the data allow. A
-    slip must lose `min_drop`, more than its uncertainty, and go on rising: its slope behind must
+    slip must lose `min_drop`; noise must explain it with a chance of no more than 1e-9 at its place
+    (F-test of the whitened sums of squares); and the force must go on rising: its slope behind must
     not be below 0.3 of that before by more than two errors.
     """
     known: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
@@ -65,16 +85,35 @@ def find_slips(
         return Failure(
             "too_few_samples", f"{len(known)} samples in the branch, {_LEAST} are needed"
         )
-    d, f = displacement[known], force[known]
-    falls = _falls(f, min_drop)
-    slips = []
-    for number, fall in enumerate(falls):
-        low = falls[number - 1] + 1 + _LONGEST if number else 0
-        high = falls[number + 1] - _LONGEST if number + 1 < len(falls) else len(f)
-        found = _look(d, f, fall, (max(low, fall - 60), min(high, fall + 61)))
-        if found is not None and found.drop >= min_drop and _goes_on(f, found, lost_share):
-            slips.append(_entry(d, known, found, decision))
-    return tuple(slips)
+    size, most = _fineness(displacement[known], longest)
+    span = (most, int(size > 1))
+    d, f = (_blocks(each[known], size) for each in (displacement, force))
+    found = _measured_again(d, f, _falls(d, f, min_drop, span), span)
+    kept = [
+        each
+        for each in found
+        if each.drop >= min_drop
+        and _goes_on(f, each, lost_share)
+        and each.drop
+        <= largest_share * float(np.median(f[max(each.start - 4, 0) : each.start + 1]))
+    ]
+    return tuple(_entry(d, known, each, size, decision) for each in kept)
+
+
+def _fineness(d: Floats, longest: float | None) -> tuple[int, int]:
+    """Samples that are averaged, and how many such means the longest slip takes."""
+    travel = float(np.ptp(d))
+    reach = min(_LONGEST_SHARE * travel, _LONGEST) if longest is None else longest
+    samples = reach / (travel / (len(d) - 1)) if travel > 0.0 else 0.0
+    size = int(np.clip(samples // _FINE, 1, len(d) // _LEAST))
+    return size, int(np.clip(np.ceil(samples / size), 2, 2 * _FINE))
+
+
+def _blocks(values: Floats, size: int) -> Floats:
+    """Means of neighbours; what is left over at the end joins the last one."""
+    starts = np.arange(0, len(values) - size + 1, size)
+    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
+    return means
 
 
 def add_back(force: Floats, slips: Sequence[Slip]) -> Floats:
@@ -123,17 +162,66 @@ class _Found:
 
 
 def _stands_alone(f: Floats) -> Flags:
-    """Samples far off the median of five, whose neighbours agree with it."""
+    """Samples far off the median of five, whose neighbours agree with each other."""
     from scipy.ndimage import median_filter
 
-    off = f - median_filter(f, 5, mode="nearest")
-    spread = 1.4826 * np.median(np.abs(np.diff(f) - np.median(np.diff(f)))) if len(f) > 2 else 0.0
-    alone: Flags = np.abs(off) > 6.0 * max(float(spread), 1e-9 * float(np.ptp(f)))
+    if len(f) < _LEAST:
+        return np.zeros(len(f), dtype=np.bool_)
+    steps = np.diff(f)
+    usual = float(np.median(steps))
+    off = np.abs(f - median_filter(f, 5, mode="nearest"))
+    pairs = 0.5 * (f[1:] + f[:-1])
+    apart = np.full(len(f), np.inf)
+    apart[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual)
+    spread = 1.4826 * float(np.median(np.abs(steps - usual)))
+    alone: Flags = (off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))) & (apart < 0.5 * off)
     return alone
 
 
-def _falls(f: Floats, min_drop: float) -> list[int]:
-    """Last samples before sudden falls, most distinct first, then in order."""
+def _falls(d: Floats, f: Floats, min_drop: float, span: _Span) -> list[_Found]:
+    """Sudden falls, the most distinct first; each is added back before the next is looked for."""
+    falls: list[_Found] = []
+    mended, is_open = f.copy(), np.ones(len(f), dtype=np.bool_)
+    while True:
+        seen, reach = _seen(mended, min_drop)
+        seen = np.where(is_open, seen, 0.0)
+        at = int(np.argmax(seen))
+        if seen[at] <= _SEEN:
+            return falls
+        found = _look(d, mended, at, span)
+        if found is None or not is_open[found.start : found.stop].any():
+            far = int(reach[at]) + span[0]
+            is_open[max(at - far, 0) : at + far + 1] = False
+            continue
+        falls.append(found)
+        mended = _without(mended, found)
+        is_open[max(min(at, found.start) - 1, 0) : max(at, found.stop) + 1] = False
+
+
+def _without(f: Floats, found: _Found) -> Floats:
+    """Force with a fall added back; a straight line between its start and stop."""
+    mended = f.copy()
+    mended[found.stop :] += found.drop
+    inside = np.arange(found.start + 1, found.stop)
+    ends = [found.start, found.stop]
+    mended[inside] = np.interp(inside, ends, mended[ends])
+    return mended
+
+
+def _measured_again(d: Floats, f: Floats, falls: list[_Found], span: _Span) -> list[_Found]:
+    """Each fall once more, in order, with all others added back."""
+    again = []
+    for each in falls:
+        mended = f
+        for other in falls:
+            mended = mended if other is each else _without(mended, other)
+        found = _look(d, mended, each.start, span) if len(falls) > 1 else each
+        again.append(found or each)
+    return sorted(again, key=lambda found: found.start)
+
+
+def _seen(f: Floats, min_drop: float) -> tuple[Floats, Ints]:
+    """How distinct a fall behind each sample is, in robust deviations, and the window it is in."""
     best, reach = np.zeros(len(f)), np.zeros(len(f), dtype=np.int64)
     for window in (scale for scale in _SCALES if 8 * scale <= len(f)):
         size = _sizes(f, window)
@@ -141,14 +229,8 @@ def _falls(f: Floats, min_drop: float) -> list[int]:
         seen = np.where(size >= 0.5 * min_drop, size / spread, 0.0)
         reach = np.where(seen > best, window, reach)
         best = np.maximum(best, seen)
-    falls: list[int] = []
-    while best.max() > _SEEN:
-        at = int(np.argmax(best))
-        if _SIDE <= at < len(f) - _SIDE:
-            falls.append(at)
-        apart = int(reach[at]) + _LONGEST
-        best[max(0, at - apart) : at + apart + 1] = 0.0
-    return sorted(falls)
+    best[:_SIDE], best[len(f) - _SIDE :] = 0.0, 0.0
+    return best, reach
 
 
 def _sizes(f: Floats, window: int) -> Floats:
@@ -164,72 +246,91 @@ def _sizes(f: Floats, window: int) -> Floats:
     return sizes
 
 
-def _look(d: Floats, f: Floats, fall: int, bounds: tuple[int, int]) -> _Found | None:
-    """Fit two parallel lines around a fall with every pair of start and stop near it."""
-    low, high = bounds
+def _look(d: Floats, f: Floats, fall: int, span: _Span) -> _Found | None:
+    """Two parallel lines around a fall; shorter ones where the curve bends."""
+    founds = (_look_within(d, f, fall, (span, side)) for side in _SIDES)
+    return next((each for each in founds if each is not None), None)
+
+
+def _look_within(d: Floats, f: Floats, fall: int, reach: tuple[_Span, int]) -> _Found | None:
+    """Fit two parallel lines with every pair of start and stop near a fall."""
+    from scipy.special import stdtrit
+
+    (most, blurred), side = reach
+    bounds = low, high = max(0, fall - most - side), min(len(f), fall + most + side + 1)
     if fall - low < _SIDE or high - fall < _SIDE + 1:
         return None
-    factor = _correlation(d, f, fall, bounds)
-    pairs = [
-        (start, start + 1 + gap)
-        for start in range(max(low + 4, fall - _LONGEST), min(high - 5, fall + _LONGEST))
-        for gap in range(_LONGEST)
-        if start + 1 + gap < high - 4
-    ]
-    costs, variance = _costs(d, f, bounds, pairs, factor)
-    best = int(np.argmin(costs))
-    allowed = [
-        pair
-        for pair, cost in zip(pairs, costs, strict=True)
-        if cost - costs[best] <= 3.84 * variance
-    ]
-    return _measured(d, f, bounds, pairs[best], allowed)
+    # A short window says little of the correlation: the longest one speaks for all.
+    far = most + _SIDES[0]
+    factor = _correlation(d, f, (fall, most), (max(0, fall - far), min(len(f), fall + far + 1)))
+    starts, gaps = (
+        np.arange(max(low + 4, fall - most), min(high - 5, fall + most)),
+        np.arange(most + 1),
+    )
+    pairs = np.array([(start, start + 1 + gap) for start in starts for gap in gaps])
+    pairs = pairs[pairs[:, 1] < high - 4]
+    costs, variance, without = _costs(d, f, bounds, pairs, factor)
+    if without - costs.min() < variance * float(stdtrit(high - low - 6, 1.0 - _SURE)) ** 2:
+        return None
+    if np.ptp(pairs[np.argmin(costs)]) > most:
+        return None  # it would rather take longer than the longest slip
+    allowed = pairs[costs - costs.min() <= 3.84 * variance]
+    return _measured(d, f, bounds, (pairs[np.argmin(costs)], allowed), blurred)
 
 
-def _correlation(d: Floats, f: Floats, fall: int, bounds: tuple[int, int]) -> float:
-    """Lag-one correlation of the residuals of two parallel lines, the fall itself left out."""
+def _correlation(d: Floats, f: Floats, place: tuple[int, int], bounds: tuple[int, int]) -> float:
+    """Lag-one correlation of residuals about two parallel parabolas, the fall itself left out."""
+    fall, most = place
     rows = np.r_[
-        bounds[0] : max(fall - _LONGEST, bounds[0] + 4),
-        min(fall + 1 + _LONGEST, bounds[1] - 4) : bounds[1],
+        bounds[0] : max(fall - most, bounds[0] + 4),
+        min(fall + 1 + most, bounds[1] - 4) : bounds[1],
     ]
-    design = np.column_stack([np.ones(len(rows)), d[rows], rows > fall]).astype(np.float64)
+    x = (d[rows] - d[fall]) / (float(np.ptp(d[rows])) or 1.0)
+    design = np.column_stack([np.ones_like(x), x, x * x, rows > fall]).astype(np.float64)
     left = f[rows] - design @ np.linalg.lstsq(design, f[rows], rcond=None)[0]
     power = float(left @ left)
-    return float(np.clip(left[1:] @ left[:-1] / power, 0.0, 0.95)) if power > 0.0 else 0.0
+    factor = float(left[1:] @ left[:-1]) / power if power > 0.0 else 0.0
+    # Residuals of a fit know less of each other than the noise does: Kendall, Biometrika 41 (1954).
+    return float(np.clip(factor + (2.0 + 4.0 * factor) / len(rows), 0.0, 0.98))
 
 
 def _costs(
-    d: Floats, f: Floats, bounds: tuple[int, int], pairs: list[tuple[int, int]], factor: float
-) -> tuple[Floats, float]:
-    """Whitened sum of squares of each pair, and the variance of one term.
+    d: Floats, f: Floats, bounds: tuple[int, int], pairs: Ints, factor: float
+) -> tuple[Floats, float, float]:
+    """Whitened sum of squares of each pair, the variance of one term, and the sum with no fall.
 
-    A sample between start and stop has a level of its own, at the price of ten variances:
-    a sample half-way down is far off both lines, one that is merely noisy is not.
+    The force falls evenly from start to stop.
     """
     rows = np.arange(*bounds)
-    d, f = d[rows] - d[rows[0]], f[rows]
-    squares = []
-    for start, stop in pairs:
-        inside = [rows == row for row in range(start + 1, stop)]
-        design = np.column_stack([np.ones(len(rows)), d, rows >= stop, *inside]).astype(np.float64)
-        white = design[1:] - factor * design[:-1]
-        target = f[1:] - factor * f[:-1]
-        left = target - white @ np.linalg.lstsq(white, target, rcond=None)[0]
-        squares.append(float(left @ left))
-    variance = min(squares) / max(len(rows) - 5, 1)
-    prices = np.array([10.0 * variance * (stop - start - 1) for start, stop in pairs])
-    return np.array(squares) + prices, variance
+    span = pairs[:, 1] - pairs[:, 0]
+    ramps = np.clip((rows[:, None] - pairs[:, 0]) / span, 0.0, 1.0)
+    x = (d[rows] - d[rows].mean()) / (float(np.ptp(d[rows])) or 1.0)
+    lines = np.column_stack([np.ones_like(x), x, x * x])
+    base, ramps, target = (
+        each[1:] - factor * each[:-1] for each in (lines, ramps, f[rows] - f[rows[0]])
+    )
+    base = np.linalg.qr(base)[0]
+    ramps, target = ramps - base @ (base.T @ ramps), target - base @ (base.T @ target)
+    power = np.maximum(np.sum(ramps**2, axis=0), 1e-12)
+    without = float(target @ target)
+    squares: Floats = without - (target @ ramps) ** 2 / power
+    return squares, float(squares.min()) / max(len(rows) - 6, 1), without
 
 
 def _measured(
     d: Floats,
     f: Floats,
     bounds: tuple[int, int],
-    pair: tuple[int, int],
-    allowed: list[tuple[int, int]],
+    pairs: tuple[Ints, Ints],
+    blurred: int,
 ) -> _Found | None:
-    start, stop = pair
-    rows = np.r_[bounds[0] : start + 1, stop : bounds[1]]
+    pair, allowed = pairs
+    start, stop = int(pair[0]), int(pair[1])
+    earliest, latest = int(allowed[:, 0].min()), int(allowed[:, 1].max())
+    # No sample that may be inside the fall counts: it would make the drop too small.
+    rows = np.r_[bounds[0] : earliest + 1 - blurred, latest + blurred : bounds[1]]
+    if min(earliest - blurred - bounds[0], bounds[1] - latest - blurred) < 4:
+        return None
     after = (rows >= stop).astype(np.float64)
     x = d[rows] - 0.5 * (d[start] + d[stop])
     fit = fit_linear(np.column_stack([np.ones(len(rows)), x, after]), f[rows], weighted=True)
@@ -243,8 +344,8 @@ def _measured(
         stop=stop,
         drop=-drop.value,
         drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-        earliest=min(one for one, _ in allowed),
-        latest=max(other for _, other in allowed),
+        earliest=earliest,
+        latest=latest,
         slope_before=before,
         slope_behind=before + change,
         slope_error=float(np.sqrt(both.covariance[3, 3])),
@@ -258,7 +359,7 @@ def _goes_on(f: Floats, found: _Found, lost_share: float) -> bool:
     return rises and is_held
 
 
-def _entry(d: Floats, known: Ints, found: _Found, decision: SlipDecision) -> Slip:
+def _entry(d: Floats, known: Ints, found: _Found, size: int, decision: SlipDecision) -> Slip:
     low, high = float(d[found.earliest]), float(d[found.latest])
     middle, half = 0.5 * (low + high), 0.475 * (high - low)
     position = 0.5 * float(d[found.start] + d[found.stop])
@@ -268,6 +369,6 @@ def _entry(d: Floats, known: Ints, found: _Found, decision: SlipDecision) -> Sli
         position_interval=Interval(min(middle - half, position), max(middle + half, position)),
         drop_interval=found.drop_interval,
         decision=decision,
-        start=int(known[found.start]),
-        stop=int(known[found.stop]),
+        start=int(known[found.start * size + size - 1]),
+        stop=int(known[found.stop * size]),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from labpipe.fitting.estimates import Failure
 from labpipe.fitting.slips import add_back, find_slips, samples_before
@@ -82,3 +83,44 @@ def test_losses_add_up_and_samples_inside_lie_on_a_line() -> None:
 def test_a_cut_curve_ends_before_its_first_slip() -> None:
     assert samples_before((ledger(4, 5, 0.5), ledger(1, 3, 1.0)), 7) == 2
     assert samples_before((), 7) == 7
+
+
+@pytest.mark.parametrize("rate", [20, 50, 100, 200, 1000])
+def test_what_is_found_does_not_depend_on_the_sampling_rate(rate: int) -> None:
+    """Falls over 0.1 s at 5 mm/s, and at once."""
+    d = np.arange(0.0, 0.05, 5e-3 / rate)
+    for width in (5e-4, 1e-9):
+        falls = [np.clip((d - at) / width, 0.0, 1.0) for at in (0.015, 0.0315)]
+        jitter = np.random.default_rng(rate).normal(0.0, 0.05, len(d))
+        force = 900.0 * d - 0.8 * falls[0] - 1.2 * falls[1] + jitter
+        slips = find_slips(d, force, min_drop=0.2, decision=SlipDecision.REPAIRED)
+        assert isinstance(slips, tuple)
+        for slip, at, drop in zip(slips, (0.015, 0.0315), (0.8, 1.2), strict=True):
+            assert slip.position == pytest.approx(at + 0.5 * width, abs=4e-4)
+            assert slip.drop == pytest.approx(drop, abs=0.2)
+
+
+def test_a_long_fall_is_a_yield() -> None:
+    fall = np.clip((D - 0.02) / 0.003, 0.0, 1.0)
+    assert found(SMOOTH - 1.5 * fall + noise()) == ()
+
+
+@pytest.mark.parametrize(("rate", "memory"), [(50, 15.0), (100, 10.0), (20, 12.0)])
+def test_a_clear_slip_in_slow_noise(rate: int, memory: float) -> None:
+    d, factor = np.arange(0.0, 0.05, 5e-3 / rate), np.exp(-1.0 / memory)
+    seen = 0
+    for seed in range(10):
+        kicks = np.random.default_rng(seed).normal(0.0, 0.05, len(d)) * np.sqrt(1.0 - factor**2)
+        force = 900.0 * d - 0.6 * (d > 0.02) + lfilter([1.0], [1.0, -factor], kicks)
+        slips = find_slips(d, force, min_drop=0.2, decision=SlipDecision.MARKED)
+        assert isinstance(slips, tuple)
+        seen += len(slips) == 1 and abs(slips[0].position - 0.02) < 1.1 * d[1]
+    assert seen >= 9
+
+
+def test_a_tear_is_no_slip() -> None:
+    force = 2000.0 * D - 0.3 * 50.0 * (D > 0.025) + noise()
+    assert found(force) == ()
+    told = find_slips(D, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
+    assert isinstance(told, tuple)
+    assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
