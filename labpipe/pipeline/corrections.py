@@ -15,6 +15,7 @@ from labpipe.fitting.compliance import correct_displacement
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, find_failure
 from labpipe.fitting.slips import add_back, find_slips, samples_before
+from labpipe.fitting.strays import stray_samples
 from labpipe.fitting.toe import fit_slack
 from labpipe.pipeline.bench import Bench
 from labpipe.protocol.rig import CurveBlock, MachineCompliance
@@ -34,6 +35,8 @@ def correct_curve(bench: Bench, block: CurveBlock) -> None:
     bench : its curve and displacement are replaced; gets failure, slips and slack
     block : of the protocol
     """
+    if block.failure is not None or block.slips is not None:
+        _bridge_strays(bench)
     if block.compliance is not None:
         _take_off_give(bench, block.compliance)
     if block.failure is not None:
@@ -61,6 +64,26 @@ def loading_stretch(bench: Bench) -> slice:
     if isinstance(bench.failure, FailurePoint) and bench.failure.sample < branch.stop:
         return slice(branch.start, max(bench.failure.sample + 1, branch.start))
     return slice(branch.start, branch.stop)
+
+
+def _bridge_strays(bench: Bench) -> None:
+    """Put single bad samples of the force on the line between their neighbours."""
+    curve = bench.curve
+    if curve is None:
+        return
+    strays = stray_samples(curve.force)
+    if not len(strays):
+        return
+    good = np.setdiff1d(np.flatnonzero(~np.isnan(curve.force)), strays)
+    force = curve.force.copy()
+    force[strays] = np.interp(strays, good, force[good])
+    at = 1e3 * float(curve.displacement[strays[0]])
+    message = (
+        f"{len(strays)} samples far off their neighbours, the first {curve.force[strays[0]]:.4g} N "
+        f"at {at:.4g} mm: put on the line between them"
+    )
+    bench.note("stray_samples", Severity.WARNING, bench.force, message)
+    bench.curve = replace(curve, force=force)
 
 
 def _take_off_give(bench: Bench, compliance: MachineCompliance) -> None:
@@ -164,7 +187,8 @@ def _repair(bench: Bench, curve: Curve) -> None:
             upper=before.interval.upper + raised,
         )
         moved = replace(before, value=before.value + raised, interval=interval)
-        bench.failure = replace(bench.failure, force=moved)
+        errors = [slip.drop_interval.standard_error for slip in bench.slips]
+        bench.failure = replace(bench.failure, force=widened(moved, *errors))
     bench.curve = replace(curve, force=force)
 
 

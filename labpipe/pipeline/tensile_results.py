@@ -181,7 +181,21 @@ def failure_results(bench: Bench) -> list[Result]:
     zero = bench.signals[bench.displacement].zero_error
     place = widened(failure.displacement, zero, _slack_error(bench))
     force = widened(failure.force, bench.raw[bench.force].zero_error)
-    return [to_result(bench, asked, place), to_result(bench, by_force, _scaled(bench, force))]
+    doubt = _in_steps(failure)
+    return [
+        to_result(bench, asked, place, doubt=doubt),
+        to_result(bench, by_force, _scaled(bench, force), doubt=doubt),
+    ]
+
+
+def _in_steps(failure: FailurePoint) -> str:
+    """Why a failure is doubtful that was not the first sudden loss of force."""
+    if failure.lost_before == 0.0:
+        return ""
+    return (
+        "lost_in_steps: some of the force was suddenly lost before, and it never came back to where "
+        "it had been"
+    )
 
 
 def energy_to_break_result(bench: Bench) -> list[Result]:
@@ -198,7 +212,8 @@ def energy_to_break_result(bench: Bench) -> list[Result]:
         return [to_result(bench, asked, found)]
     way = curve.displacement[failure.sample] - curve.displacement[branch.start]
     zero = bench.raw[bench.force].zero_error * float(way)
-    return [to_result(bench, asked, _scaled(bench, widened(found, zero)))]
+    energy = _scaled(bench, widened(found, zero))
+    return [to_result(bench, asked, energy, doubt=_in_steps(failure))]
 
 
 def _failure(bench: Bench) -> FailurePoint | Failure:

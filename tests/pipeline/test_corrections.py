@@ -214,3 +214,32 @@ def test_of_a_cut_curve_the_ledger_ends_where_the_curve_does() -> None:
     bench, _ = pulled(travel, slipped(travel, force, *SLIPS), curve=curve)
     assert len(bench.slips) == 1
     assert bench.slips[0].position == pytest.approx(0.006, abs=3 * STEP)
+
+
+def test_a_bad_sample_is_bridged_and_told() -> None:
+    travel, force = pull()
+    bad = broken(travel, force, at=0.018)
+    bad[500] = 1200.0
+    bench, results = pulled(
+        travel, bad, curve="failure: {force_below: 50 %}", results=["peak-force", "failure"]
+    )
+    assert codes(bench)["stray_samples"] == (
+        "1 samples far off their neighbours, the first 1200 N at 10 mm: put on the line between"
+        " them"
+    )
+    assert bench.curve is not None
+    assert bench.curve.force[500] == pytest.approx(50.0, abs=0.2)
+    assert results["failure_displacement"].value == pytest.approx(0.018, abs=2 * STEP)
+    assert results["peak_force.1"].value == pytest.approx(90.0, abs=0.3)
+
+
+def test_a_failure_in_steps_is_doubtful() -> None:
+    travel, force = pull()
+    torn = np.where(travel > 0.01, 0.7 * force, force)
+    curve = "failure: {force_below: 50 %}"
+    _, results = pulled(travel, broken(travel, torn, at=0.012), curve=curve, results=["failure"])
+    reason = results["failure_displacement"].reason
+    assert reason == (
+        "lost_in_steps: some of the force was suddenly lost before, and it never came back to where"
+        " it had been"
+    )
