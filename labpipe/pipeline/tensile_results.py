@@ -193,8 +193,8 @@ def _in_steps(failure: FailurePoint) -> str:
     if failure.lost_before == 0.0:
         return ""
     return (
-        "lost_in_steps: some of the force was suddenly lost before, and it never came back to where "
-        "it had been"
+        "lost_in_steps: some of the force was suddenly lost before, and it never came back to where"
+        " it had been"
     )
 
 
