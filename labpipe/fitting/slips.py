@@ -17,7 +17,7 @@ _LEAST = 64
 _SCALES = (3, 6, 12, 24, 48)
 _SEEN = 6.0
 """Robust deviations of its own kind that a fall must exceed."""
-_SURE = 1e-9
+_SURE = 1e-10
 """Chance that a fall at a given place is noise: the largest of many places is looked at."""
 _FINE = 8
 """Blocks that the longest slip takes at least; more samples than that are averaged."""
@@ -75,9 +75,9 @@ def find_slips(
     autoregressive noise with two parallel lines; the drop is the distance of these lines, by
     generalised least squares, with the other falls added back. The interval of the position is the
     middle 95 % of the displacements between start and stop, over all pairs that the data allow. A
-    slip must lose `min_drop`; noise must explain it with a chance of no more than 1e-9 at its place
-    (F-test of the whitened sums of squares); and the force must go on rising: its slope behind must
-    not be below 0.3 of that before by more than two errors.
+    slip must lose `min_drop`; noise must explain it with a chance of no more than 1e-10 at its
+    place (F-test of the whitened sums of squares); and the force must go on rising: its slope
+    behind must not be below 0.3 of that before by more than two errors.
     """
     known: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
     known = known[~_stands_alone(force[known])]
