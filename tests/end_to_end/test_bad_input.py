@@ -516,7 +516,8 @@ def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: s
 def test_real_interrupt(lab: Lab) -> None:
     raw, earlier = state(lab.home / "raw"), state(lab.processed)
     stopped = (
-        "import sys, time\n"
+        "import signal, sys, time\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background
         "import labpipe.pipeline.process as process\n"
         "def wait(*arguments):\n"
         "    print('here', flush=True)\n"
