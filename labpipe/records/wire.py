@@ -1,0 +1,157 @@
+"""Wires: what a spec sheet says of one, and what the wire model makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.quality import QualityNote
+
+AUTO = "auto"
+"""Layout that is a hexagon where it fits, else a packing or rings."""
+
+LAYOUTS = (AUTO, "hexagonal", "concentric", "packed", "compressed")
+"""Layouts that can be asked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireSpec:
+    """One row of a wire sheet, in SI units; the defaults are those of a sheet that is silent.
+
+    Parameters
+    ----------
+    name : of the wire
+    wire_diameter : over the insulation, m
+    layer_counts : strands of each layer from the axis outwards, the core (1) included
+    strand_diameters : m, of the strands of each layer; of compressed ones, that of the circle with
+        a strand's area
+    lay_angles : rad, signed, one per ring (the core has none)
+    insulation_thickness : wall, m
+    insulation_modulus, conductor_modulus : Pa
+    poisson : of the strands
+    copper_k : strength of the Ramberg-Osgood curve, Pa
+    copper_n : its exponent
+    stress_table : strains and stresses (Pa) in place of the Ramberg-Osgood curve
+    friction_strand : between strands
+    friction_insulation : between the outermost ring and the insulation
+    radial_force : of the insulation, N per radian of lay and strand of the outermost ring
+    layout : one of `LAYOUTS`
+    layer_radii : m, of the strands' centroids in compressed layers, where they are known
+    length : free length of the cantilever, m
+    tension : of the wire, N
+    orientation : of the section against the neutral axis, rad
+    largest_curvature : 1/m, up to which tables go; None for a bending radius of five wire diameters
+    defaults : field name -> words, for each value that the sheet did not give
+    place : of the row, for messages, such as ``sheet 'wires', row 4``
+    """
+
+    name: str
+    wire_diameter: float
+    layer_counts: tuple[int, ...]
+    strand_diameters: tuple[float, ...]
+    lay_angles: tuple[float, ...]
+    insulation_thickness: float
+    insulation_modulus: float = 1.0e9
+    conductor_modulus: float = 110.0e9
+    poisson: float = 0.34
+    copper_k: float = 530.0e6
+    copper_n: float = 0.44
+    stress_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    friction_strand: float = 0.21
+    friction_insulation: float = 0.10
+    radial_force: float = 0.15
+    layout: str = AUTO
+    layer_radii: tuple[float, ...] | None = None
+    length: float = 85.0e-3
+    tension: float = 0.0
+    orientation: float = 0.0
+    largest_curvature: float | None = None
+    defaults: Mapping[str, str] = field(default_factory=dict)
+    place: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireLayout:
+    """Where the strands lie; arrays of shape (strands,).
+
+    Parameters
+    ----------
+    kind : name of the layout
+    x, y : m, strand centres
+    layer : index of the layer, 0 for the innermost
+    diameter : m, of each strand
+    bore_radius, wire_radius : m, of the insulation, inside and outside
+    """
+
+    kind: str
+    x: Floats
+    y: Floats
+    layer: Ints
+    diameter: Floats
+    bore_radius: float
+    wire_radius: float
+
+    def __post_init__(self) -> None:
+        shape = (len(self.layer),)
+        for name in ("x", "y", "diameter"):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireTable:
+    """The law of a wire on first loading, and what else simulation wants; arrays of shape (n,).
+
+    Parameters
+    ----------
+    name : of the wire
+    spec : what it was made from
+    layout : where the strands lie
+    curvature : 1/m, from 0, increasing; the last is the end of the range: nothing is said beyond
+    moment : N m, the sum of the five parts
+    stick, slip, bending, plastic, insulation : N m, parts of the moment
+    tangent_stiffness, secant_stiffness : N m^2
+    stick_stiffness, slip_stiffness : N m^2
+    axial_stiffness : N
+    torsional_stiffness : N m^2 / rad, of strands that do not grip each other (a lower bound)
+    slip_onsets : 1/m, curvatures at which strands begin to slip, increasing
+    lowest_moment, highest_moment : N m, over a full turn of the section
+    tip_deflection, tip_force : shape (m,), m and N, of the cantilever of `spec.length` under an
+        end load normal to the clamped axis
+    notes : defaults taken, limits met
+    """
+
+    name: str
+    spec: WireSpec
+    layout: WireLayout
+    curvature: Floats
+    moment: Floats
+    stick: Floats
+    slip: Floats
+    bending: Floats
+    plastic: Floats
+    insulation: Floats
+    tangent_stiffness: Floats
+    secant_stiffness: Floats
+    stick_stiffness: float
+    slip_stiffness: float
+    axial_stiffness: float
+    torsional_stiffness: float
+    slip_onsets: Floats
+    lowest_moment: Floats
+    highest_moment: Floats
+    tip_deflection: Floats
+    tip_force: Floats
+    notes: tuple[QualityNote, ...] = ()
+
+    def __post_init__(self) -> None:
+        shape = (len(self.curvature),)
+        for name in (
+            *("curvature", "moment", "stick", "slip", "bending", "plastic", "insulation"),
+            *("tangent_stiffness", "secant_stiffness", "lowest_moment", "highest_moment"),
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+        object.__setattr__(self, "slip_onsets", frozen(self.slip_onsets, shape=(None,)))
+        object.__setattr__(self, "tip_deflection", frozen(self.tip_deflection, shape=(None,)))
+        force = frozen(self.tip_force, shape=self.tip_deflection.shape)
+        object.__setattr__(self, "tip_force", force)
