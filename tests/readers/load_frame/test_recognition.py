@@ -125,7 +125,7 @@ SUITE = "Percorso: {}\nProva: x\nCiclo: 1\nData: {}\n\n\nTime\tLoad\nsec\tN\n0\t
         ("C:\\lab\\a.txt   ", "7/3/2025 12:23:28 PM"),
         ("\\\\server\\share\\a.txt", "28/07/2025 13.32.19"),
         ("DAQ- Crosshead, … - (Timed).txt", "28.07.2025 13:32:19"),
-        ("/home/lab/a.csv", "2025-07-28T13:32:19"),
+        ("/exports/pull/a.csv", "2025-07-28T13:32:19"),
         ("a.txt", "28. 7. 2025 9.05.07"),
     ],
 )
