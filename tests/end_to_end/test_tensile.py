@@ -79,10 +79,10 @@ def test_every_number_against_its_truth(done: dict[str, Done], kind: str) -> Non
     test = done[kind]
     assert test.lab.results
     for name, found in test.lab.results.items():
-        true = test.truth[name]
+        truth = test.truth[name]
         below, above = found["value"] - found["lower"], found["upper"] - found["value"]
         assert found["level"] == 0.95
-        assert true - 2.0 * above <= found["value"] <= true + 2.0 * below, name
+        assert truth - 2.0 * above <= found["value"] <= truth + 2.0 * below, name
 
 
 TOLERANCES = {
@@ -169,8 +169,8 @@ def test_what_the_frame_gives_is_taken_off(tmp_path: Path, run: Run, done: dict[
     for region in ("first", "second"):
         name = f"stiffness_{region}"
         assert corrected[name]["value"] > plain[name]["value"]
-        true = truth[f"specimen_stiffness_{region}"]
-        assert corrected[name]["value"] == pytest.approx(true, rel=0.006)
+        alone = truth[f"specimen_stiffness_{region}"]
+        assert corrected[name]["value"] == pytest.approx(alone, rel=0.006)
     said = f"{1e6 * found:.4g} um/N x force taken off the displacement, "
     assert lab.notes["compliance_removed"].startswith(said)
 
