@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from labpipe.cli import main
 from labpipe.virtual_lab import NO_MISHAPS, CantileverScenario, simulate_test
+from tests.builders.lab_folders import LabFolder
 
 TEST = "T1"
 
@@ -35,52 +33,10 @@ def small_scenario(*, cycles: int = 2, rate: float = 200.0) -> CantileverScenari
 
 
 @dataclass(frozen=True, slots=True)
-class Lab:
-    """One test in ``raw/c/T1`` of a lab's folder, and where its results come."""
+class Lab(LabFolder):
+    """One cantilever test."""
 
-    home: Path
-
-    @property
-    def raw(self) -> Path:
-        return self.home / "raw" / "c" / TEST
-
-    @property
-    def processed(self) -> Path:
-        return self.home / "processed" / "c" / TEST
-
-    @property
-    def result(self) -> Path:
-        return self.processed / "result.h5"
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self.processed / "summary.json").read_text("utf-8"))
-        return found
-
-    @property
-    def results(self) -> dict[str, dict[str, Any]]:
-        return {each["name"]: each for each in self.summary["results"]}
-
-    @property
-    def truth(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self.raw / "truth.json").read_text("utf-8"))
-        return found
-
-    def edit(self, name: str, old: str, new: str) -> None:
-        """Replace the one occurrence of a text in a file of the test."""
-        path = self.raw / name
-        text = path.read_bytes().decode()
-        assert text.count(old) == 1, (old, text.count(old))
-        path.write_bytes(text.replace(old, new).encode())
-
-    def override(self, key: str, value: str) -> None:
-        """Add an override to the test sheet."""
-        with (self.raw / "test.yaml").open("a", encoding="utf-8") as sheet:
-            sheet.write(f"  {key}: {{value: {value}, because: a test of the software}}\n")
-
-    def copy(self, home: Path) -> Lab:
-        shutil.copytree(self.home, home, dirs_exist_ok=True)
-        return Lab(home)
+    name: str = TEST
 
 
 def make_lab(home: Path, scenario: CantileverScenario, seed: int = 1) -> Lab:

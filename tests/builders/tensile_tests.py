@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import math
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
@@ -21,70 +18,21 @@ from labpipe.records.result import Result
 from labpipe.virtual_lab import TensileObservation, TensileScenario, observe_tensile
 from labpipe.virtual_lab.tensile_exports import simulate_tensile
 from labpipe.virtual_lab.tensile_path import TensilePath
+from tests.builders.lab_folders import LabFolder
 
 SEGMENTS = {"twist-tube": (2e-3, 20e-3), "pet-tape": (1e-3, 35e-3)}
 """Windows of the two-segment fits of the shipped protocols, m."""
 
 
 @dataclass(frozen=True, slots=True)
-class TensileLab:
-    """One test in ``raw/c/<name>`` of a lab's folder, and where its results come."""
-
-    home: Path
-    name: str
-
-    @property
-    def raw(self) -> Path:
-        return self.home / "raw" / "c" / self.name
-
-    @property
-    def sheet(self) -> Path:
-        return self.raw / "test.yaml"
-
-    @property
-    def processed(self) -> Path:
-        return self.home / "processed" / "c" / self.name
-
-    @property
-    def result(self) -> Path:
-        return self.processed / "result.h5"
-
-    @property
-    def summary(self) -> dict[str, Any]:
-        found: dict[str, Any] = json.loads((self.processed / "summary.json").read_text("utf-8"))
-        return found
-
-    @property
-    def results(self) -> dict[str, dict[str, Any]]:
-        return {each["name"]: each for each in self.summary["results"]}
-
-    @property
-    def notes(self) -> dict[str, str]:
-        return {each["code"]: each["message"] for each in self.summary["quality"]}
+class TensileLab(LabFolder):
+    """One tensile test."""
 
     @property
     def export(self) -> Path:
         """The one export of the test."""
         (found,) = (path for path in self.raw.iterdir() if path.suffix in {".txt", ".xlsx", ".csv"})
         return found
-
-    def override(self, key: str, value: str) -> None:
-        """Add an override to the test sheet."""
-        text = self.sheet.read_text(encoding="utf-8")
-        text += "" if "overrides:" in text else "overrides:\n"
-        self.sheet.write_text(
-            f"{text}  {key}: {{value: {value}, because: a test of the software}}\n", "utf-8"
-        )
-
-    def edit(self, old: str, new: str) -> None:
-        """Replace the one occurrence of a text in the export."""
-        content = self.export.read_bytes()
-        assert content.count(old.encode()) == 1, (old, content.count(old.encode()))
-        self.export.write_bytes(content.replace(old.encode(), new.encode()))
-
-    def copy(self, home: Path) -> TensileLab:
-        shutil.copytree(self.home, home, dirs_exist_ok=True)
-        return TensileLab(home, self.name)
 
 
 def make_tensile(home: Path, scenario: TensileScenario, seed: int = 1) -> TensileLab:

@@ -3,82 +3,40 @@
 from __future__ import annotations
 
 import csv
-import errno
 import io
-import os
 import shutil
-import signal
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import pytest
 
-from labpipe.store.lock import locked
+from tests.builders import bad_input
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
-from tests.builders.small_tests import Lab, Run, make_lab, small_scenario, state
+from tests.builders.small_tests import Lab, Run, make_lab, small_scenario
 
 LOAD_CELL = "Model Root/Load Cell"
 Rows = list[list[str]]
 Change = Callable[[Lab], object]
+Refused: TypeAlias = bad_input.Refused[Lab]
+Told: TypeAlias = bad_input.Told[Lab]
 
 
-@pytest.fixture(scope="module")
-def done(tmp_path_factory: pytest.TempPathFactory) -> Lab:
+@pytest.fixture
+def lab(processed: Lab, tmp_path: Path) -> Lab:
     """A test with earlier results."""
-    from labpipe.pipeline.process import process_test
-
-    lab = make_lab(tmp_path_factory.mktemp("done"), small_scenario())
-    process_test(lab.raw / "test.yaml")
-    return lab
+    return processed.copy(tmp_path)
 
 
 @pytest.fixture
-def lab(done: Lab, tmp_path: Path) -> Lab:
-    return done.copy(tmp_path)
+def refused(lab: Lab, run: Run) -> Refused:
+    return bad_input.Refused(lab, run)
 
 
 @pytest.fixture
-def refused(lab: Lab, run: Run) -> Callable[[Change], str]:
-    """Process a test after a change that makes it unusable; give the message."""
-
-    def refused(change: Change) -> str:
-        change(lab)
-        raw, earlier = state(lab.home / "raw"), state(lab.home / "processed")
-        assert len(earlier) == 10
-        ran = run("process", lab.raw)
-        assert ran.status == 2, ran
-        assert "Traceback" not in ran.err
-        assert ran.out.strip() == ""
-        assert state(lab.home / "raw") == raw
-        assert state(lab.home / "processed") == earlier
-        _, _, message = ran.err.partition("labpipe process: ")
-        assert ": expected " in message
-        assert ", found " in message
-        return message
-
-    return refused
-
-
-@pytest.fixture
-def reduced(lab: Lab, run: Run) -> Callable[[Change], Lab]:
-    """Process a test after a change that costs results, not the test; raw files stay."""
-
-    def reduced(change: Change) -> Lab:
-        change(lab)
-        raw = state(lab.home / "raw")
-        ran = run("process", lab.raw, "--no-figures")
-        failed = any(each["status"] == "failed" for each in lab.results.values())
-        assert ran.status == (1 if failed else 0), ran
-        assert "Traceback" not in ran.err
-        assert state(lab.home / "raw") == raw
-        for each in lab.results.values():
-            assert each["status"] == "ok" or each["reason"], each
-        return lab
-
-    return reduced
+def told(lab: Lab, run: Run) -> Told:
+    return bad_input.Told(lab, run)
 
 
 def change_take(lab: Lab, change: Callable[[Rows], Rows]) -> None:
@@ -148,10 +106,6 @@ def cut(name: str, share: float) -> Change:
         (lab.raw / name).write_bytes(content[: int(share * len(content))])
 
     return change
-
-
-Refused = Callable[[Change], str]
-Reduced = Callable[[Change], Lab]
 
 
 # Exports that cannot be read
@@ -276,7 +230,9 @@ def test_role_that_has_no_file(refused: Refused) -> None:
 
 
 def test_role_that_the_protocol_does_not_know(refused: Refused) -> None:
-    message = refused(lambda lab: lab.edit("test.yaml", "markers: take.csv", "frame: take.csv"))
+    message = refused(
+        lambda lab: lab.edit("test.yaml", "markers: take.csv", "frame: take.csv"), faults=2
+    )
     assert "'frame'" in message
     assert "'markers'" in message
 
@@ -310,7 +266,7 @@ def test_protocol_that_does_not_exist(refused: Refused) -> None:
 
 
 @pytest.mark.parametrize("cells", [0, 1])
-def test_take_cut_in_mid_line(reduced: Reduced, cells: int) -> None:
+def test_take_cut_in_mid_line(told: Told, cells: int) -> None:
     """Within the first number of a line, and within its last, which still reads as a number."""
 
     def cut_off(lab: Lab) -> None:
@@ -320,7 +276,7 @@ def test_take_cut_in_mid_line(reduced: Reduced, cells: int) -> None:
         end = content.index(b"\r\n", line + 1) - 2 if cells else line + 3
         path.write_bytes(content[:end])
 
-    lab = reduced(cut_off)
+    lab = told(cut_off)
     notes = {note["code"]: note["message"] for note in lab.summary["quality"]}
     assert "is incomplete and was left out" in notes["truncated"]
     assert notes["rows_differ"].startswith("the header states 851 rows, the file holds ")
@@ -334,15 +290,15 @@ def test_take_cut_in_mid_line(reduced: Reduced, cells: int) -> None:
         assert lab.results[name]["status"] == "failed"
 
 
-def test_take_cut_while_unloading(reduced: Reduced) -> None:
-    lab = reduced(lambda lab: change_take(lab, lambda rows: rows[:660]))
+def test_take_cut_while_unloading(told: Told) -> None:
+    lab = told(lambda lab: change_take(lab, lambda rows: rows[:660]))
     assert lab.results["energy.2"]["status"] == "doubtful"
     assert lab.results["energy.2"]["reason"].endswith("while still unloading")
     assert lab.results["peak_force.2"]["status"] == "ok"
 
 
-def test_take_with_a_marker_missing_throughout(reduced: Reduced) -> None:
-    lab = reduced(lambda lab: change_take(lab, blank("Wire:Marker3")))
+def test_take_with_a_marker_missing_throughout(told: Told) -> None:
+    lab = told(lambda lab: change_take(lab, blank("Wire:Marker3")))
     assert "marker_missing" in {note["code"] for note in lab.summary["quality"]}
     peak = lab.results["peak_displacement.1"]
     assert peak["status"] == "doubtful"
@@ -351,33 +307,33 @@ def test_take_with_a_marker_missing_throughout(reduced: Reduced) -> None:
     assert lab.results["peak_force.1"]["status"] == "ok"
 
 
-def test_constant_force(reduced: Reduced) -> None:
+def test_constant_force(told: Told) -> None:
     def constant(clock: np.ndarray, volts: np.ndarray) -> None:
         volts[:] = 0.25
 
-    lab = reduced(lambda lab: change_force(lab, constant))
+    lab = told(lambda lab: change_force(lab, constant))
     for name in ("clock_offset", "clock_drift", "peak_force.1", "energy.1"):
         assert lab.results[name]["value"] is None
         assert lab.results[name]["status"] == "failed"
         assert lab.results[name]["reason"].startswith("constant_channel: the force is constant at")
 
 
-def test_force_and_motion_that_do_not_overlap(reduced: Reduced) -> None:
+def test_force_and_motion_that_do_not_overlap(told: Told) -> None:
     def only_rest(lab: Lab) -> None:
         clock, volts = force(lab)
         write_force(lab, clock[:400], volts[:400])
 
-    lab = reduced(only_rest)
+    lab = told(only_rest)
     assert lab.results["clock_offset"]["reason"].startswith("no_common_peak: ")
     assert lab.results["energy.1"]["status"] == "failed"
 
 
-def test_some_samples_missing(reduced: Reduced) -> None:
+def test_some_samples_missing(told: Told) -> None:
     def holes(clock: np.ndarray, volts: np.ndarray) -> None:
         volts[1500:1510] = np.nan
         volts[2000] = np.inf
 
-    lab = reduced(lambda lab: change_force(lab, holes))
+    lab = told(lambda lab: change_force(lab, holes))
     assert lab.results["peak_force.1"]["status"] == "doubtful"
     assert lab.results["peak_force.1"]["reason"].startswith("missing_samples: 11 of ")
     assert lab.results["peak_displacement.1"]["status"] == "ok"
@@ -419,8 +375,8 @@ def only_rest(rows: Rows) -> Rows:
     return rows[:100]
 
 
-def test_nothing_moves(reduced: Reduced) -> None:
-    lab = reduced(lambda lab: change_take(lab, only_rest))
+def test_nothing_moves(told: Told) -> None:
+    lab = told(lambda lab: change_take(lab, only_rest))
     for name in ("clock_offset", "peak_force.1", "energy.1", "initial_stiffness"):
         assert lab.results[name]["status"] == "failed"
         assert lab.results[name]["reason"].startswith("no_motion: the motion spans")
@@ -447,98 +403,6 @@ def test_two_parts_of_one_recording(lab: Lab, run: Run) -> None:
     lab.edit("test.yaml", "force: force.mat", "force: [part0.mat, part1.mat]")
     assert run("process", lab.raw, "--no-figures").status == 0
     assert lab.results == whole
-
-
-# Trouble while writing
-
-
-def test_second_process_on_the_same_test(lab: Lab, run: Run) -> None:
-    earlier = state(lab.processed)
-    with locked(lab.processed):
-        ran = run("process", lab.raw, "--no-figures")
-    assert ran.status == 2
-    assert "found another labpipe process at work in it. Wait until it is done" in ran.err
-    assert state(lab.processed) == earlier
-
-
-STAGES = (
-    "labpipe.pipeline.process.read_inputs",
-    "labpipe.pipeline.process.reduce_recordings",
-    "labpipe.pipeline.process.write_result",
-    "labpipe.pipeline.process.write_summary",
-    "labpipe.report.figures.save_figures",
-)
-
-
-@pytest.mark.parametrize("place", ["result.h5", "summary.json", "wire-shapes.svg"])
-def test_full_disk(lab: Lab, refused: Refused, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
-    """Wherever room runs out, no file of the earlier results is replaced."""
-    import labpipe.store.replace as store
-
-    flush = store._flush_to_disk
-
-    def full_flush(path: Path) -> None:
-        if place in path.name:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        flush(path)
-
-    def full_figures(*arguments: object) -> list[Path]:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(store, "_flush_to_disk", full_flush)
-    if place == "wire-shapes.svg":
-        monkeypatch.setattr("labpipe.report.figures._save", full_figures)
-    message = refused(lambda _: None)
-    assert "full disk" in message or "No space left" in message
-    assert not list(lab.home.rglob("*.tmp"))
-    assert {path.name for path in lab.processed.iterdir()} == {
-        "result.h5",
-        "summary.json",
-        "figures",
-    }
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_interrupt(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
-    def interrupted(*arguments: object, **more: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(stage, interrupted)
-    raw, earlier = state(lab.home / "raw"), state(lab.processed)
-    ran = run("process", lab.raw)
-    assert ran.status == 130
-    assert "labpipe: interrupted; earlier results are as they were" in ran.err
-    assert state(lab.home / "raw") == raw
-    assert state(lab.processed) == earlier
-
-
-@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_real_interrupt(lab: Lab) -> None:
-    raw, earlier = state(lab.home / "raw"), state(lab.processed)
-    stopped = (
-        "import signal, sys, time\n"
-        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background
-        "import labpipe.pipeline.process as process\n"
-        "def wait(*arguments):\n"
-        "    print('here', flush=True)\n"
-        "    time.sleep(60)\n"
-        "process.write_summary = wait\n"
-        "from labpipe.cli import main\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    command = [sys.executable, "-c", stopped, "process", str(lab.raw)]
-    with subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "here\n"
-        process.send_signal(signal.SIGINT)
-        _, said = process.communicate(timeout=30)
-    assert process.returncode == 130
-    assert "interrupted; earlier results are as they were" in said
-    assert "Traceback" not in said
-    assert state(lab.home / "raw") == raw
-    assert state(lab.processed) == earlier
 
 
 def test_a_bad_test_does_not_stop_the_others(lab: Lab, run: Run) -> None:

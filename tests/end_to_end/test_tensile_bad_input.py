@@ -5,14 +5,18 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeAlias
 
 import pytest
 
 from labpipe.virtual_lab.tensile_campaign import twist_tube
+from tests.builders import bad_input
 from tests.builders.small_tests import Run, state
 from tests.builders.tensile_tests import TensileLab, make_tensile
 
 Change = Callable[[TensileLab], object]
+Refused: TypeAlias = bad_input.Refused[TensileLab]
+Told: TypeAlias = bad_input.Told[TensileLab]
 HEAD = 8
 """Lines above the numbers in the export."""
 
@@ -24,6 +28,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> TensileLab:
 
     lab = make_tensile(tmp_path_factory.mktemp("done"), twist_tube("1b"))
     process_test(lab.sheet, figures=False)
+    assert len(state(lab.home / "processed")) == 2
     return lab
 
 
@@ -33,45 +38,13 @@ def lab(done: TensileLab, tmp_path: Path) -> TensileLab:
 
 
 @pytest.fixture
-def refused(lab: TensileLab, run: Run) -> Callable[[Change], str]:
-    """Process after a change that makes the test unusable; give the message."""
-
-    def refused(change: Change) -> str:
-        change(lab)
-        raw, earlier = state(lab.home / "raw"), state(lab.home / "processed")
-        assert len(earlier) == 2
-        ran = run("process", lab.raw)
-        assert (ran.status, ran.out) == (2, "")
-        assert state(lab.home / "raw") == raw
-        assert state(lab.home / "processed") == earlier
-        _, _, message = ran.err.partition("labpipe process: ")
-        # *file, place: expected X, found Y. What to do.*, in one line
-        assert re.fullmatch(r"[^\n]+?: expected [^\n]+?, found [^\n]+\. [^\n]+\.\n", message)
-        return message
-
-    return refused
+def refused(lab: TensileLab, run: Run) -> Refused:
+    return bad_input.Refused(lab, run)
 
 
 @pytest.fixture
-def told(lab: TensileLab, run: Run) -> Callable[[Change, int], TensileLab]:
-    """Process after a change that costs results, not the test; raw files stay."""
-
-    def told(change: Change, status: int) -> TensileLab:
-        change(lab)
-        raw = state(lab.home / "raw")
-        ran = run("process", lab.raw, "--no-figures")
-        assert ran.status == status, ran
-        assert "Traceback" not in ran.err
-        assert state(lab.home / "raw") == raw
-        for each in lab.results.values():
-            assert each["status"] == "ok" or re.match(r"[a-z_]+: .", each["reason"]), each
-        return lab
-
-    return told
-
-
-Refused = Callable[[Change], str]
-Told = Callable[[Change, int], TensileLab]
+def told(lab: TensileLab, run: Run) -> Told:
+    return bad_input.Told(lab, run)
 
 
 def change_lines(change: Callable[[list[str]], list[str]]) -> Change:
@@ -83,7 +56,7 @@ def change_lines(change: Callable[[list[str]], list[str]]) -> Change:
 
 
 def swap(old: str, new: str) -> Change:
-    return lambda lab: lab.edit(old, new)
+    return lambda lab: lab.edit(lab.export.name, old, new)
 
 
 def statuses(lab: TensileLab) -> dict[str, str]:
