@@ -12,7 +12,6 @@ ELSEWHERE = {
     "cli/new.py": "cli/test_cli.py",
     # Blocks of the grammar without code of their own, and how they are told: through the loader.
     "protocol/outline.py": "protocol/test_load.py",
-    "protocol/overrides.py": "protocol/test_load.py",
     "protocol/rig.py": "protocol/test_load.py",
     "protocol/steps.py": "protocol/test_load.py",
     # Numbers of a cycle, through the results that are made of them.

@@ -1,14 +1,16 @@
-"""Two example protocols that the tests of this layer break in every way."""
+"""Two protocols and a test sheet that the tests of this layer break in every way."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeAlias
 
 import pytest
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
 
 WIRE = """\
 version: 1
@@ -80,8 +82,16 @@ report:
   figures: [stiffness-lines]
 groups: {main: [stiffness_first, peak_force.2], scaled: true, min_p: 1 %, margin: 10 %}
 """
+SHEET = """\
+test: A2-085-1
+protocol: wire
+specimen: {type: A2, spool: A2-s1, sample: 01, length: 80 mm}
+date: 2026-03-04
+files: {force: force.mat, markers: [take.csv]}
+"""
 
 Told: TypeAlias = Callable[..., list[str]]
+Tell: TypeAlias = Callable[[str], list[str]]
 
 
 @pytest.fixture
@@ -119,3 +129,38 @@ def _teller(protocol: str) -> Told:
         return str(info.value).splitlines()
 
     return told
+
+
+@pytest.fixture
+def lab(tmp_path: Path, wire: str) -> Path:
+    """A folder with a protocol and a test."""
+    (tmp_path / "protocols").mkdir()
+    (tmp_path / "protocols" / "wire.yaml").write_text(wire, encoding="utf-8")
+    (tmp_path / "test").mkdir()
+    return tmp_path
+
+
+@pytest.fixture
+def write(lab: Path) -> Callable[[str], Path]:
+    """Write the test sheet of the lab's test."""
+
+    def write(text: str) -> Path:
+        path = lab / "test" / "test.yaml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+@pytest.fixture
+def tell(lab: Path, write: Callable[[str], Path]) -> Tell:
+    """Give the lines of the error of resolving a test sheet, without the folder."""
+
+    def tell(text: str) -> list[str]:
+        path = write(text)
+        sheet = load_test_sheet(path)
+        with pytest.raises(ProtocolError) as info:
+            resolve(sheet, path, lab / "protocols")
+        return str(info.value).replace(f"{lab}{os.sep}", "").splitlines()
+
+    return tell

@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
+from labpipe.protocol.rig import AlignNone
+from tests.protocol.conftest import SHEET, Tell
+
+
+def test_a_test_puts_its_own_values_into_its_protocol(
+    lab: Path, write: Callable[[str], Path]
+) -> None:
+    path = write(
+        SHEET
+        + """\
+overrides:
+  sources.force.calibration.gain: {value: 0.0411 N/V, because: "another cell"}
+  markers.centre_offset: {value: 1 mm, because: "flat markers"}
+  steps.smooth.span: {value: 51 samples, because: "slow recorder"}
+  steps.0.max_jump: {value: 9 mm, because: "fast"}
+  rig.stroke: {value: 20 mm, because: "short"}
+"""
+    )
+
+    protocol = resolve(load_test_sheet(path), path, lab / "protocols")
+
+    assert protocol.specimen.length == 0.080
+    assert protocol.channels["force"].gain == 0.0411
+    assert protocol.rig.stroke == 0.020
+    dumped = dump_protocol(protocol)
+    for line in ("centre_offset: 1 mm", "span: 51 samples", "max_jump: 9 mm", "clamp: Clamp"):
+        assert line in dumped
+
+
+def test_a_test_names_its_channels_and_dialect(lab: Path, tube: str) -> None:
+    (lab / "protocols" / "tube.yaml").write_text(tube, encoding="utf-8")
+    path = lab / "test" / "test.yaml"
+    path.write_text(
+        """\
+test: T1
+protocol: tube
+specimen: {type: T, spool: s, sample: 1, length: 70 mm}
+files: {frame: [a.csv, b.csv]}
+overrides:
+  sources.frame.dialect: {value: own, because: "another program"}
+  sources.frame.channels.force.channel: {value: [Kraft, F], because: "German export"}
+  sources.frame.channels.force.plausible_peak.to: {value: 5 kN, because: "strong"}
+  results.stiffness.to: {value: 6 mm, because: "short"}
+  curve.slips: {value: null, because: "glued"}
+  results.7: {value: {result: peak-displacement}, because: "no slips"}
+""",
+        encoding="utf-8",
+    )
+
+    protocol = resolve(load_test_sheet(path), path, lab / "protocols")
+
+    assert protocol.sources["frame"].dialect == ("own",)
+    assert protocol.channels["force"].channel == ("Kraft", "F")
+    assert protocol.channels["force"].peak_range == (20.0, 5000.0)
+    assert protocol.curve is not None
+    assert protocol.curve.slips is None
+    assert [entry.result for entry in protocol.results[6:9]] == [
+        "energy-to-break",
+        "peak-displacement",
+        "slack",
+    ]
+
+
+def test_a_whole_block_can_be_overridden(lab: Path, write: Callable[[str], Path]) -> None:
+    path = write(
+        SHEET.replace(", markers: [take.csv]", "")
+        + """\
+overrides:
+  sources: {value: {force: {reader: dspace-mat, channel: a, unit: N}}, because: "no cameras"}
+  align: {value: {method: none}, because: "one clock"}
+  steps: {value: [], because: "raw"}
+  curve: {value: null, because: "no displacement"}
+  branches: {value: null, because: "no displacement"}
+  results: {value: [], because: "no displacement"}
+  report.figures: {value: [], because: "no displacement"}
+"""
+    )
+
+    protocol = resolve(load_test_sheet(path), path, lab / "protocols")
+
+    assert protocol.align == AlignNone()
+    assert (protocol.curve, protocol.results) == (None, ())
+
+
+OVERRIDES = {
+    "wrong unit": (
+        "sources.force.calibration.gain: {value: 0.0411 N, because: x}",
+        "test/test.yaml, line 7, column 43 (sources.force.calibration.gain): expected a quantity"
+        " with a unit such as N/V, found '0.0411 N'. Write it with its unit, such as '0.5 N/V'.",
+    ),
+    "unknown key": (
+        "rig.strok: {value: 3 mm, because: x}",
+        "test/test.yaml, line 7, column 3 (rig.strok): expected one of the keys 'stroke', 'string',"
+        " 'crosshead_speed', 'cycles', found 'strok'. Did you mean 'stroke'?",
+    ),
+    "unknown block": (
+        "rigg.stroke: {value: 3 mm, because: x}",
+        "test/test.yaml, line 7, column 3 (rigg): expected one of the keys 'rig', 'align',"
+        " 'version', 'curve', 'groups', 'report', ..., found 'rigg'. Did you mean 'rig'?",
+    ),
+    "below a value": (
+        "rig.cycles.x: {value: 3, because: x}",
+        "test/test.yaml, line 7, column 3 (overrides.rig.cycles.x): expected a key of the protocol,"
+        " found 'x' below a plain value.",
+    ),
+    "unknown step": (
+        "steps.smoth.span: {value: 1 s, because: x}",
+        "test/test.yaml, line 7, column 3 (overrides.steps.smoth.span): expected a number from 0 to"
+        " 4, or a name that one item of the list has, found 'smoth'. Did you mean 'smooth'?",
+    ),
+    "step beyond the last": (
+        "steps.9.span: {value: 1 s, because: x}",
+        "test/test.yaml, line 7, column 3 (overrides.steps.9.span): expected a number from 0 to 4,"
+        " or a name that one item of the list has, found '9'. Did you mean 'fit-shape'?",
+    ),
+    "within a block": (
+        "results: {value: [{result: clock}, {result: enrgy}], because: x}",
+        "test/test.yaml, line 7, column 47 (results.1.result): expected one of 'energy',"
+        " 'energy-to-break', 'peak-force', 'two-segments', 'peak-displacement', 'failure', ...,"
+        " found 'enrgy'. Did you mean 'energy'?",
+    ),
+    "elsewhere": (
+        "markers.clamp: {value: null, because: x}",
+        "protocols/wire.yaml, line 14, column 17 (align.method): expected a clamp whose motion has"
+        " the turning points, found none. Name the rigid body at the clamp in 'markers.clamp'."
+        " (With what test/test.yaml changes.)",
+    ),
+    "length twice": (
+        "specimen.length: {value: 3 mm, because: x}",
+        "test/test.yaml, line 7, column 28 (overrides.specimen.length.value): expected"
+        " 'specimen.length' once, found '3 mm' beside '80 mm' in 'specimen'."
+        " Keep the one in 'specimen'.",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", OVERRIDES.values(), ids=OVERRIDES)
+def test_a_wrong_override_is_told_where_the_test_sheet_has_it(
+    case: tuple[str, str], tell: Tell
+) -> None:
+    override, message = case
+
+    assert message.replace("/", os.sep, message.split(":")[0].count("/")) in tell(
+        f"{SHEET}overrides:\n  {override}\n"
+    )
+
+
+def test_a_step_that_is_there_twice_needs_its_number(lab: Path, tell: Tell, wire: str) -> None:
+    step = "  - {step: zero, channel: force, over: 2 s}\n"
+    (lab / "protocols" / "wire.yaml").write_text(wire.replace(step, step * 2), encoding="utf-8")
+
+    lines = tell(f"{SHEET}overrides:\n  steps.zero.over: {{value: 1 s, because: x}}\n")
+
+    assert lines[0].endswith("that one item of the list has, found 'zero'. Use its number.")
