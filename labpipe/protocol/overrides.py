@@ -7,11 +7,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from labpipe.protocol.faults import Fault, KeyPath, did_you_mean
+from labpipe.protocol.results import result_names
 from labpipe.protocol.yaml_text import Document, Spot
 
 SHEET_DIMENSIONS = ("length", "span")
 """Dimensions of the sheet's specimen that go before those of the protocol."""
-_TAGS = ("step", "result")
 
 
 def with_overrides(protocol: Document, sheet: Document) -> Document:
@@ -74,26 +74,39 @@ def _put(merged: Document, dotted: str, sheet: Document, source: KeyPath) -> Non
 
 
 def _key_in(node: object, part: str) -> str | int | None:
-    """Find what a part of a dotted key stands for: a key, an item's number, or an item's tag."""
+    """Find what a part of a dotted key stands for: a key, or an item by number, name or kind."""
     if isinstance(node, dict):
         return part
     if not isinstance(node, list):
         return None
     if part.isdecimal():
         return int(part) if int(part) < len(node) else None
-    tagged = [i for i, item in enumerate(node) if part in _tags(item)]
-    return tagged[0] if len(tagged) == 1 else None
+    # What a result is called goes before its kind: one stiffness of several may be `stiffness`.
+    for called in (_names, _words):
+        found = [i for i, item in enumerate(node) if part in called(item)]
+        if len(found) == 1:
+            return found[0]
+    return None
 
 
-def _tags(item: object) -> list[object]:
-    return [item.get(tag) for tag in _TAGS] if isinstance(item, Mapping) else []
+def _words(item: object) -> list[str]:
+    """What kind of step or result an item is."""
+    said = [item.get(tag) for tag in ("step", "result")] if isinstance(item, Mapping) else []
+    return [word for word in said if isinstance(word, str)]
+
+
+def _names(item: object) -> list[str]:
+    """What the results of an item are called, without the number of their cycle."""
+    if not isinstance(item, Mapping) or not isinstance(item.get("result"), str):
+        return []
+    return [name.partition(".")[0] for name in result_names(item["result"], item)]
 
 
 def _astray(node: object, part: str, path: KeyPath) -> Fault:
     """Word a dotted key that leads nowhere."""
     if not isinstance(node, list):
         return Fault(path, "a key of the protocol", f"{part!r} below a plain value", at="key")
-    tags = [str(tag) for item in node for tag in _tags(item) if tag is not None]
+    known = [word for item in node for word in dict.fromkeys([*_words(item), *_names(item)])]
     expected = f"a number from 0 to {len(node) - 1}, or a name that one item of the list has"
-    remedy = "Use its number." if tags.count(part) > 1 else did_you_mean(part, tags)
+    remedy = "Use its number." if known.count(part) > 1 else did_you_mean(part, known)
     return Fault(path, expected, repr(part), remedy, "key")

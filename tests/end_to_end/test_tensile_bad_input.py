@@ -187,7 +187,7 @@ def test_a_test_that_never_failed(told: Told) -> None:
 
 
 def test_a_window_beyond_the_travel(told: Told) -> None:
-    lab = told(lambda lab: lab.override("results.2.to", "80 mm"), 1)
+    lab = told(lambda lab: lab.override("results.stiffness_second.to", "80 mm"), 1)
     found = lab.results["stiffness_second"]
     assert (found["value"], found["status"]) == (None, "failed")
     assert found["reason"] == "not_reached: the branch reaches 24.9 mm, 80 mm is asked"

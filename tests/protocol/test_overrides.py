@@ -70,6 +70,70 @@ overrides:
     ]
 
 
+@pytest.mark.parametrize(
+    ("key", "number"),
+    [
+        ("1", 1),
+        ("stiffness_first", 1),
+        ("stiffness", 1),
+        ("break_point", 2),
+        ("segment_stiffness_second", 2),
+        ("two-segments", 2),
+    ],
+)
+def test_a_result_is_found_by_number_name_or_kind(
+    lab: Path, write: Callable[[str], Path], tube: str, key: str, number: int
+) -> None:
+    (lab / "protocols" / "wire.yaml").write_text(tube, encoding="utf-8")
+    sheet = SHEET.replace("{force: force.mat, markers: [take.csv]}", "{frame: a.csv}")
+    path = write(f"{sheet}overrides:\n  results.{key}.to: {{value: 6 mm, because: x}}\n")
+
+    (found,) = (
+        at
+        for at, entry in enumerate(resolve(load_test_sheet(path), path, lab / "protocols").results)
+        if getattr(entry, "stop", None) == 6e-3
+    )
+
+    assert found == number
+
+
+TWO = """\
+  - {result: stiffness, from: 1 mm, to: 8 mm}
+  - {result: stiffness, name: stiffness_second, from: 10 mm, to: 20 mm}
+"""
+
+
+def test_a_name_goes_before_a_kind(lab: Path, write: Callable[[str], Path], wire: str) -> None:
+    """Two of a kind, one of which is called as the kind is."""
+    (lab / "protocols" / "wire.yaml").write_text(
+        wire.replace("report:", f"{TWO}report:"), encoding="utf-8"
+    )
+    overrides = "  results.stiffness.to: {value: 6 mm, because: x}\n"
+    overrides += "  results.stiffness_second.to: {value: 16 mm, because: x}\n"
+    overrides += "  results.peak_force: {value: {result: energy}, because: x}\n"
+    path = write(f"{SHEET}overrides:\n{overrides}")
+
+    results = resolve(load_test_sheet(path), path, lab / "protocols").results
+
+    assert [getattr(each, "stop", None) for each in results[-2:]] == [6e-3, 16e-3]
+    assert [each.result for each in results[:2]] == ["clock", "energy"]
+
+
+def test_results_of_one_name_or_kind_need_their_number(lab: Path, tell: Tell, wire: str) -> None:
+    two = TWO.replace("stiffness, from", "stiffness, name: stiffness_first, from")
+    (lab / "protocols" / "wire.yaml").write_text(
+        wire.replace("report:", f"{two}report:"), encoding="utf-8"
+    )
+
+    lines = tell(f"{SHEET}overrides:\n  results.stiffness.to: {{value: 6 mm, because: x}}\n")
+    (misspelt,) = tell(
+        f"{SHEET}overrides:\n  results.stifness_first.to: {{value: 6 mm, because: x}}\n"
+    )
+
+    assert lines[0].endswith("that one item of the list has, found 'stiffness'. Use its number.")
+    assert misspelt.endswith("found 'stifness_first'. Did you mean 'stiffness_first'?")
+
+
 def test_a_whole_block_can_be_overridden(lab: Path, write: Callable[[str], Path]) -> None:
     path = write(
         SHEET.replace(", markers: [take.csv]", "")
