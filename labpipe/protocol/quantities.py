@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
-from pydantic import GetJsonSchemaHandler
+from pydantic import GetJsonSchemaHandler, ValidationInfo
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
@@ -161,6 +162,28 @@ Frequency = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
 Ratio = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0)]
 Share = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
 """A part of a whole."""
+
+
+def behind_start(kind: Any) -> Callable[[float, ValidationInfo], float]:
+    """Make the validator of a block's `stop`: the stretch that begins at `start` has a length.
+
+    Parameters
+    ----------
+    kind : type of both ends, such as `Distance`
+
+    Returns
+    -------
+    A function for pydantic's ``field_validator``. In YAML the ends are called ``from`` and ``to``.
+    """
+    written = get_args(kind)[1].written
+
+    def checked(stop: float, info: ValidationInfo) -> float:
+        start = info.data.get("start")
+        if start is not None and stop <= start:
+            raise error_of(expected=f"more than 'from' ({written(start)})", found=written(stop))
+        return stop
+
+    return checked
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Annotated, Final, Literal, TypeAlias
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, field_validator
 
 from labpipe.protocol.block import Block
-from labpipe.protocol.faults import error_of
 from labpipe.protocol.quantities import (
     Distance,
     Force,
     Length,
+    behind_start,
 )
 from labpipe.protocol.words import Snake
 
@@ -43,15 +43,7 @@ class _Window(Block):
     start: Distance = Field(alias="from")
     stop: Distance = Field(alias="to")
 
-    @field_validator("stop")
-    @classmethod
-    def _behind_start(cls, stop: float, info: ValidationInfo) -> float:
-        start = info.data.get("start")
-        if start is not None and stop <= start:
-            raise error_of(
-                expected=f"more than 'from' ({1e3 * start:.12g} mm)", found=f"{1e3 * stop:.12g} mm"
-            )
-        return stop
+    _behind_start = field_validator("stop")(behind_start(Distance))
 
 
 class InitialStiffness(_Window):
@@ -148,13 +140,7 @@ class ComplianceResult(Block):
     start: Force = Field(alias="from")
     stop: Force = Field(alias="to")
 
-    @field_validator("stop")
-    @classmethod
-    def _behind_start(cls, stop: float, info: ValidationInfo) -> float:
-        start = info.data.get("start")
-        if start is not None and stop <= start:
-            raise error_of(expected=f"more than 'from' ({start:.12g} N)", found=f"{stop:.12g} N")
-        return stop
+    _behind_start = field_validator("stop")(behind_start(Force))
 
 
 ResultEntry: TypeAlias = Annotated[

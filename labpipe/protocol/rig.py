@@ -8,7 +8,6 @@ from pydantic import (
     Field,
     PlainSerializer,
     PlainValidator,
-    ValidationInfo,
     WithJsonSchema,
     field_validator,
 )
@@ -28,6 +27,7 @@ from labpipe.protocol.quantities import (
     Share,
     Speed,
     Whole,
+    behind_start,
 )
 from labpipe.protocol.words import Snake, Text
 
@@ -147,14 +147,7 @@ class Slack(Block):
     start: Share = Field(alias="from", description="Of the largest force, such as 10 %")
     stop: Share = Field(alias="to", description="Of the largest force, such as 30 %")
 
-    @field_validator("stop")
-    @classmethod
-    def _behind_start(cls, stop: float, info: ValidationInfo) -> float:
-        start = info.data.get("start")
-        if start is not None and stop <= start:
-            expected = f"more than 'from' ({100 * start:.12g} %)"
-            raise error_of(expected=expected, found=f"{100 * stop:.12g} %")
-        return stop
+    _behind_start = field_validator("stop")(behind_start(Share))
 
 
 class CurveBlock(Block):
