@@ -24,12 +24,23 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats, frozen
+from labpipe.wire.end_load import EndLoads, end_loads
 from labpipe.wire.laws import MomentLaw, respond, virgin_plays
-from labpipe.wire.newton import Condition, DeadLoad, EndLoad, Pull, Unknowns, solve
+from labpipe.wire.newton import (
+    Condition,
+    DeadLoad,
+    EndLoad,
+    Equilibrium,
+    Pull,
+    Unknowns,
+    solve,
+)
 from labpipe.wire.spectral import chebyshev_stations
 
 DEFAULT_STATIONS = 64  # beyond about 100, BLAS starts threads, which costs more than it gives
 _SMALLEST_STEP = 2.0**-12
+_LARGEST_TURN = 1.0  # rad, of any part of the wire in one step
+_FARTHEST_TREND = 2.0  # steps ahead that the last one is taken to go on
 _GRAZING = 1e-12  # m: a string that just spans counts as slack
 
 
@@ -228,6 +239,7 @@ def end_load_curve(
     law : law of the wire
     length : m
     deflections : shape (n,), m, in the order in which they are reached
+    n_stations : along the wire, where it is gone through station by station
 
     Returns
     -------
@@ -237,13 +249,67 @@ def end_load_curve(
     ------
     ValueError
         If no equilibrium is found on the way.
+
+    Notes
+    -----
+    As long as the deflections grow and no part of the wire unloads, to about 0.7 of the length, by
+    the first integral of `wire.end_load`, all at once; from there on station by station.
     """
-    state = straight(law, n_stations)
+    grows = np.diff(deflections, prepend=0.0) > 0.0
+    n_growing = len(grows) if grows.all() else int(np.argmin(grows))
     loads = np.empty(len(deflections))
-    for number, deflection in enumerate(deflections):
-        shape = bend_to_deflection(law, state, length, float(deflection))
-        state, loads[number] = shape.state, shape.force[1]
+    state, done = straight(law, n_stations), 0
+    if n_growing:
+        first = end_loads(law, length, deflections[:n_growing])
+        done = len(first.load) - 1
+        loads[:done] = first.load[:-1]
+        if done < len(loads):
+            state = _last_state(law, state, length, first)
+    _go_on(law, state, length, deflections[done:], loads[done:])
     return loads
+
+
+def _last_state(law: MomentLaw, state: WireState, length: float, first: EndLoads) -> WireState:
+    """State at the end of a first loading, from the straight one, at the stations of the latter."""
+    position = chebyshev_stations(len(state.moment)).position
+    guess = first.moment_at(-1, length * (1.0 - position)), float(first.load[-1])
+    found = _settle(law, state, length, float(first.deflection[-1]), guess)
+    if found is None:
+        return bend_to_deflection(law, state, length, float(first.deflection[-1])).state
+    return found
+
+
+def _go_on(
+    law: MomentLaw, state: WireState, length: float, deflections: Floats, loads: Floats
+) -> None:
+    """Fill in the loads at further deflections, each from the trend of the two states before."""
+    before = state
+    for number, deflection in enumerate(deflections.tolist()):
+        ahead = _trend(before, state, deflection)
+        found = ahead and _settle(law, state, length, deflection, ahead)
+        if found is None:
+            found = bend_to_deflection(law, state, length, deflection).state
+        before, state, loads[number] = state, found, found.force[1]
+
+
+def _trend(before: WireState, state: WireState, travel: float) -> tuple[Floats, float] | None:
+    """Moments and load at a travel if all goes on as in the last step; None where it cannot."""
+    last = state.travel - before.travel
+    share = (travel - state.travel) / last if last else -1.0
+    if not 0.0 < share <= _FARTHEST_TREND:
+        return None
+    moment = state.moment + share * (state.moment - before.moment)
+    return moment, state.load + share * (state.load - before.load)
+
+
+def _settle(
+    law: MomentLaw, state: WireState, length: float, deflection: float, guess: tuple[Floats, float]
+) -> WireState | None:
+    """The state at a deflection next to a guess, with the history of a state."""
+    found = solve(law, state.plays, length, EndLoad(deflection), Unknowns(*guess))
+    if found is None or _turns_far(law, guess[0], state.plays, found, length):
+        return None
+    return WireState(found.moment, found.plays, found.force, found.load, deflection)
 
 
 def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
@@ -272,11 +338,24 @@ def _tip(law: MomentLaw, state: WireState, length: float) -> tuple[float, float]
 def _advance(
     law: MomentLaw, state: WireState, length: float, condition: Condition, travel: float
 ) -> WireState | None:
-    """One step from a state to the equilibrium under a condition; None where Newton fails."""
+    """One step from a state to the equilibrium under a condition; None where Newton fails.
+
+    It also fails where it ends in an equilibrium far from the state, as a curl: there are many.
+    """
     found = solve(law, state.plays, length, condition, Unknowns(state.moment, state.load))
-    if found is None:
+    if found is None or _turns_far(law, state.moment, state.plays, found, length):
         return None
     return WireState(found.moment, found.plays, found.force, found.load, travel)
+
+
+def _turns_far(
+    law: MomentLaw, moment: Floats, plays: Floats, found: Equilibrium, length: float
+) -> bool:
+    """Whether any part of the wire turns by more than a step may from moments to an equilibrium."""
+    before = respond(law, moment, plays).curvature
+    after = respond(law, found.moment, found.plays).curvature
+    turn = length * chebyshev_stations(len(moment)).from_clamp @ (after - before)
+    return bool(np.max(np.abs(turn)) > _LARGEST_TURN)
 
 
 def _walk(step: Step, state: WireState, goal: float, what: str) -> WireState:

@@ -124,7 +124,15 @@ class _Linearised:
     residual: Floats
     jacobian: Floats
     response: Response
-    force: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bent:
+    response: Response
+    cos: Floats
+    sin: Floats
+    wanted: Demand
+    angle_by_moment: Floats
 
 
 def solve(
@@ -151,8 +159,8 @@ def solve(
         moment, load = moment + change[:-1], load + change[-1]
         largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
         if np.max(np.abs(change[:-1])) <= _TOLERANCE * largest:
-            last = _linearise(problem, moment, load)
-            return Equilibrium(moment, last.response.plays, last.force, float(load))
+            last = _bent(problem, moment, load)
+            return Equilibrium(moment, last.response.plays, last.wanted.force, float(load))
     return None
 
 
@@ -162,25 +170,35 @@ def _damping(change: Floats, compliance: Floats, length: float) -> float:
     return min(1.0, _LARGEST_TURN / turn) if turn > 0.0 else 1.0
 
 
-def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
-    """Residual and exact Jacobian by moments (first n columns) and load (last column)."""
+def _bent(problem: _Problem, moment: Floats, load: float) -> _Bent:
+    """The wire as moments bend it, and what the condition asks for then."""
     stations, length = problem.stations, problem.length
     response = respond(problem.law, moment, problem.plays)
-    from_clamp, to_tip = length * stations.from_clamp, length * stations.to_tip
+    from_clamp = length * stations.from_clamp
     angle = from_clamp @ response.curvature
     cos, sin = np.cos(angle), np.sin(angle)
     weights = length * stations.weights
     wanted = problem.condition.demand(np.array([weights @ cos, weights @ sin]), load)
-    angle_by_moment = from_clamp * response.compliance
+    return _Bent(response, cos, sin, wanted, from_clamp * response.compliance)
+
+
+def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
+    """Residual and exact Jacobian by moments (first n columns) and load (last column)."""
+    bent = _bent(problem, moment, load)
+    cos, sin, wanted, angle_by_moment = bent.cos, bent.sin, bent.wanted, bent.angle_by_moment
+    to_tip = problem.length * problem.stations.to_tip
+    weights = problem.length * problem.stations.weights
     tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
     levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
     lateral = -wanted.force[1] * sin - wanted.force[0] * cos
     n = len(moment)
     jacobian = np.empty((n + 1, n + 1))
-    jacobian[:n, :n] = np.eye(n) - (to_tip * lateral) @ angle_by_moment
-    jacobian[:n, :n] -= levers @ (wanted.force_by_tip @ tip_by_moment)
+    jacobian[:n, :n] = -((to_tip * lateral) @ angle_by_moment)
+    if wanted.force_by_tip.any():
+        jacobian[:n, :n] -= levers @ (wanted.force_by_tip @ tip_by_moment)
+    jacobian.flat[: n * (n + 1) : n + 2] += 1.0
     jacobian[:n, n] = -levers @ wanted.force_by_load
     jacobian[n, :n] = wanted.gap_by_tip @ tip_by_moment
     jacobian[n, n] = wanted.gap_by_load
     residual = np.append(moment - levers @ wanted.force, wanted.gap)
-    return _Linearised(residual, jacobian, response, wanted.force)
+    return _Linearised(residual, jacobian, bent.response)

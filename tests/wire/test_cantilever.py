@@ -19,6 +19,8 @@ from labpipe.wire.cantilever import (
 )
 from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
 from labpipe.wire.play_fit import stick_slip_law
+from labpipe.wire.wire_law import play_law
+from tests.builders.stranded_wires import contacts_of, wire
 
 LENGTH = 0.085
 RIG = StringRig(string_length=0.76, weight=0.0265, anchor_x=LENGTH, anchor_height=0.76)
@@ -43,6 +45,15 @@ def travel_through(law: MomentLaw, rig: StringRig, travels: Floats) -> list[Cant
 def ramp(*corners: float, steps: int = 24) -> Floats:
     legs = [np.linspace(a, b, steps + 1)[1:] for a, b in pairwise(corners)]
     return np.concatenate([[corners[0]], *legs])
+
+
+def by_stations(law: MomentLaw, deflections: Floats, n_stations: int = 64) -> Floats:
+    state, loads = straight(law, n_stations), []
+    for deflection in deflections:
+        shape = bend_to_deflection(law, state, LENGTH, float(deflection))
+        state = shape.state
+        loads.append(shape.force[1])
+    return np.array(loads)
 
 
 def test_straight_wire_hangs_on_the_string() -> None:
@@ -109,26 +120,60 @@ def test_deflection_of_four_fifths_of_the_length(law: MomentLaw) -> None:
 
 
 def test_end_load_and_deflection_are_inverse() -> None:
-    load = end_load_curve(WIRE, LENGTH, np.array([0.02, 0.05]))[-1]
+    there = bend_to_deflection(WIRE, straight(WIRE), LENGTH, 0.02).state
+    load = bend_to_deflection(WIRE, there, LENGTH, 0.05).force[1]
     shape = bend_under_force(WIRE, straight(WIRE), LENGTH, np.array([0.0, load]))
     assert shape.y[-1] == pytest.approx(0.05, abs=1e-9)
 
 
 def test_doubling_the_stations_changes_nothing_for_a_smooth_law() -> None:
     law = LinearLaw(3e-3)
-    loads = [end_load_curve(law, LENGTH, np.array([0.053]), n_stations=n)[0] for n in (16, 32, 64)]
+    loads = [by_stations(law, np.array([0.053]), n_stations=n)[0] for n in (16, 32, 64)]
     assert loads[0] == pytest.approx(loads[2], rel=1e-9)
     assert loads[1] == pytest.approx(loads[2], rel=1e-12)
 
 
 def test_doubling_the_stations_converges_for_plays() -> None:
     deflections = np.array([0.02, 0.04, 0.053, 0.03, 0.02])
-    coarse, fine, finest = (
-        end_load_curve(WIRE, LENGTH, deflections, n_stations=n) for n in (24, 48, 96)
-    )
+    coarse, fine, finest = (by_stations(WIRE, deflections, n_stations=n) for n in (24, 48, 96))
     errors = [np.max(np.abs(loads - finest)) for loads in (coarse, fine)]
     assert errors[1] < 5e-5 * np.max(finest)
     assert errors[0] > 2 * errors[1]
+
+
+@pytest.mark.parametrize("n_deflections", [1, 10, 40])
+def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads(n_deflections: int) -> None:
+    section = wire("C4")
+    law = play_law(section, contacts_of(section), largest_curvature=95.0)
+    fine = np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
+    deflections = np.linspace(0.0, 0.8 * LENGTH, n_deflections + 1)[1:]
+    loads = end_load_curve(law, LENGTH, deflections)
+    expected = np.interp(deflections, fine, by_stations(law, fine))
+    assert loads == pytest.approx(expected, rel=1e-4)  # of the stations: see the test of doubling
+
+
+def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
+    deflections = np.array([0.02, 0.04, 0.03, 0.02, -0.01, 0.0])
+    loads = end_load_curve(WIRE, LENGTH, deflections)
+    assert loads == pytest.approx(by_stations(WIRE, deflections), abs=5e-5 * loads.max())
+    assert loads[3] < 0.7 * loads[0]
+
+
+def test_a_curve_from_zero_and_one_to_the_other_side() -> None:
+    assert end_load_curve(WIRE, LENGTH, np.array([0.0, 0.02]))[0] == pytest.approx(0.0, abs=1e-15)
+    up, down = (end_load_curve(WIRE, LENGTH, side * np.array([0.02, 0.04])) for side in (1.0, -1.0))
+    assert down == pytest.approx(-up, rel=1e-4)
+    assert end_load_curve(WIRE, LENGTH, np.zeros(0)).shape == (0,)
+
+
+def test_a_long_step_does_not_end_in_a_curl() -> None:
+    section = wire("C4")
+    law = play_law(section, contacts_of(section), largest_curvature=95.0)
+    whole = bend_to_deflection(law, straight(law), LENGTH, 0.08 * LENGTH)
+    halves = bend_to_deflection(law, straight(law), LENGTH, 0.04 * LENGTH)
+    halves = bend_to_deflection(law, halves.state, LENGTH, 0.08 * LENGTH)
+    assert whole.force[1] == pytest.approx(halves.force[1], rel=1e-4)
+    assert np.all(np.diff(whole.angle) > 0.0)
 
 
 def test_a_deflection_beyond_the_length_is_refused() -> None:
