@@ -9,8 +9,9 @@ from collections.abc import Sequence
 from labpipe.cli.process import process_all
 from labpipe.cli.report import status_of
 from labpipe.cli.telling import headline, report_table, table
-from labpipe.pipeline.process import Processed, find_tests
+from labpipe.pipeline.process import Processed
 from labpipe.pipeline.reporting import report_tests
+from labpipe.pipeline.targets import find_tests
 from labpipe.virtual_lab import simulate_campaign, simulate_tensile_campaign
 
 SAMPLES = 3

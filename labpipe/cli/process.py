@@ -9,7 +9,8 @@ from pathlib import Path
 
 from labpipe.cli.telling import progress, table
 from labpipe.errors import LabpipeError
-from labpipe.pipeline.process import Processed, find_tests, process_test
+from labpipe.pipeline.process import Processed, process_test
+from labpipe.pipeline.targets import find_tests
 from labpipe.store.summary import summary
 
 

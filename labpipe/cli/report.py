@@ -6,7 +6,8 @@ import argparse
 import sys
 
 from labpipe.cli.telling import reading, report_table
-from labpipe.pipeline.reporting import Reported, find_results, report_tests
+from labpipe.pipeline.reporting import Reported, report_tests
+from labpipe.pipeline.targets import find_results
 from labpipe.records.result import Status
 
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.errors import ProcessingError
 from labpipe.pipeline.exports import read_inputs
 from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.pipeline.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet import SHEET_NAME
 from labpipe.records.result import Specimen, Status, TestResult
 from labpipe.store.lock import locked
 from labpipe.store.read import RawTest, read_raw
@@ -21,7 +21,7 @@ from labpipe.store.replace import replacing_together
 from labpipe.store.summary import write_summary
 from labpipe.store.write import write_result
 
-RESULT_FILE, SUMMARY_FILE, FIGURES = "result.h5", "summary.json", "figures"
+SUMMARY_FILE, FIGURES = "summary.json", "figures"
 Say = Callable[[str], None]
 
 
@@ -44,47 +44,6 @@ class Processed:
     def n_failed(self) -> int:
         """Number of results that could not be had."""
         return sum(result.status is Status.FAILED for result in self.result.results)
-
-
-def find_tests(targets: Sequence[Path]) -> list[Path]:
-    """Find the tests below some paths.
-
-    Parameters
-    ----------
-    targets : test folders, campaign folders, test.yaml or result.h5 files
-
-    Returns
-    -------
-    test.yaml and result.h5 files, sorted, each once.
-
-    Raises
-    ------
-    UsageError
-        If a path does not exist or holds no test.
-    """
-    found: list[Path] = []
-    for target in targets:
-        if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
-            message = complaint(
-                target,
-                "",
-                expected="a test.yaml, a folder that holds one, or a result.h5",
-                found=f"a {target.suffix or 'nameless'} file",
-                remedy="An export belongs to a test: `labpipe new` writes its test.yaml.",
-            )
-            raise UsageError(message)
-        below = [target] if target.is_file() else sorted(target.rglob(SHEET_NAME))
-        if not below:
-            message = complaint(
-                target,
-                "",
-                expected="a test.yaml, a folder that holds one, or a result.h5",
-                found="neither" if target.exists() else "nothing of that name",
-                remedy="`labpipe new` writes a test.yaml.",
-            )
-            raise UsageError(message)
-        found.extend(below)
-    return list(dict.fromkeys(found))
 
 
 def process_test(

@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe import __version__
-from labpipe.errors import LabpipeError, UsageError, complaint
-from labpipe.pipeline.process import RESULT_FILE
+from labpipe.errors import LabpipeError, UsageError
 from labpipe.pipeline.settings import Settings, setting_notes, settings_of, unlike_words
+from labpipe.pipeline.targets import find_results
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.rig import Groups
 from labpipe.records.arrays import Floats
@@ -85,38 +85,6 @@ def report_tests(
         say("report")
         written = write_report(campaign, stage)
     return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
-
-
-def find_results(targets: Sequence[Path]) -> list[Path]:
-    """Find the processed tests below some paths.
-
-    Parameters
-    ----------
-    targets : result.h5 files, or folders that hold some
-
-    Returns
-    -------
-    result.h5 files, sorted, each once.
-
-    Raises
-    ------
-    UsageError
-        If a path does not exist or holds no processed test.
-    """
-    found: list[Path] = []
-    for target in targets:
-        below = [target] if target.is_file() else sorted(target.rglob(RESULT_FILE))
-        if not below:
-            message = complaint(
-                target,
-                "",
-                expected=f"a {RESULT_FILE}, or a folder with processed tests",
-                found="none" if target.exists() else "nothing of that name",
-                remedy="`labpipe process` makes them from the exports of a test.",
-            )
-            raise UsageError(message)
-        found.extend(below)
-    return list(dict.fromkeys(found))
 
 
 def make_campaign(

@@ -4,32 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.errors import ProcessingError, ProtocolError, StoreError, UsageError
-from labpipe.pipeline.process import find_tests, process_test
+from labpipe.errors import ProcessingError, ProtocolError, StoreError
+from labpipe.pipeline.process import process_test
 from labpipe.records.result import Status
 from labpipe.store.read import read_result
 from tests.builders.small_tests import Lab
-
-
-def test_tests_below_folders(tmp_path: Path) -> None:
-    sheets = [tmp_path / "c" / name / "test.yaml" for name in ("b", "a")]
-    for sheet in sheets:
-        sheet.parent.mkdir(parents=True)
-        sheet.touch()
-    again = tmp_path / "result.h5"
-    again.touch()
-    found = find_tests([again, tmp_path / "c", sheets[0]])
-    assert found == [again, sheets[1], sheets[0]]
-
-
-@pytest.mark.parametrize(
-    ("name", "found"), [("none", "found nothing of that name"), ("empty", "found neither")]
-)
-def test_no_test_there(tmp_path: Path, name: str, found: str) -> None:
-    (tmp_path / "empty").mkdir()
-    said = f"expected a test.yaml, a folder that holds one, or a result.h5, {found}"
-    with pytest.raises(UsageError, match=said):
-        find_tests([tmp_path / name])
 
 
 def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
@@ -86,12 +65,3 @@ def test_a_sheet_that_is_none(tmp_path: Path) -> None:
     path.write_text("test: T1\n", encoding="utf-8")
     with pytest.raises(ProtocolError, match=r"test.yaml"):
         process_test(path, figures=False)
-
-
-def test_an_export_is_no_test(tmp_path: Path) -> None:
-    export = tmp_path / "force.mat"
-    export.write_bytes(b"MATLAB")
-    with pytest.raises(
-        UsageError, match=r"found a \.mat file\. An export belongs to a test: `labpipe new` writes"
-    ):
-        find_tests([export])

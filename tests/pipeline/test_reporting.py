@@ -11,7 +11,8 @@ import pytest
 
 from labpipe.errors import UsageError
 from labpipe.pipeline.process import process_test
-from labpipe.pipeline.reporting import find_results, make_campaign, report_tests, sample_of
+from labpipe.pipeline.reporting import make_campaign, report_tests, sample_of
+from labpipe.pipeline.targets import find_results
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from tests.builders.pulls import broken, pull, slipped
@@ -40,20 +41,6 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def results(done: Path, tmp_path: Path) -> Path:
     shutil.copytree(done, tmp_path / "processed")
     return tmp_path / "processed"
-
-
-def test_results_are_found_once_and_in_order(done: Path) -> None:
-    one = done / "c" / "T-1" / "result.h5"
-    assert find_results([one]) == [one]
-    names = [file.parent.name for file in find_results([done, one, done / "c"])]
-    assert names == sorted(KINDS)
-
-
-def test_no_results(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"expected a result.h5, or a folder with .*, found none"):
-        find_results([tmp_path])
-    with pytest.raises(UsageError, match=r"found nothing of that name\. `labpipe process` makes"):
-        find_results([tmp_path / "nowhere"])
 
 
 def test_groups(done: Path) -> None:
