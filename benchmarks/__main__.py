@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import load_frames, two_segments
+from benchmarks import load_frames, two_segments, wire_model
 from labpipe.processing.filtering import moving_average
 
 LABPIPE = str(Path(sys.executable).with_name("labpipe"))
@@ -121,6 +121,7 @@ def main() -> None:
     start_up()
     filters()
     two_segments.main()
+    wire_model.main()
     with tempfile.TemporaryDirectory() as folder:
         load_frame_exports(Path(folder))
         lab_report(Path(folder))

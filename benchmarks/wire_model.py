@@ -1,0 +1,120 @@
+"""The wire model against its bounds, and against the plain loop in the same run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from benchmarks import plain_loop
+from labpipe.wire.cantilever import end_load_curve
+from labpipe.wire.cross_section import CrossSection, Insulation, Layer, hexagonal, lay_up
+from labpipe.wire.friction import Contacts, insulated
+from labpipe.wire.materials import ANNEALED_COPPER
+from labpipe.wire.moment_curvature import moment_curvature
+from labpipe.wire.packing import packed
+from labpipe.wire.wire_law import play_law
+
+RUNS = 9
+WALL = 0.3e-3
+LENGTH, DEFLECTION = 85e-3, 50e-3
+LARGEST = 60.0  # 1/m, beyond what the wires reach at that deflection
+CURVATURES = np.linspace(0.0, 35.0, 10_000)
+WIRES = {
+    7: (1.6e-3, 0.32e-3, [12.0]),
+    37: (2.1e-3, 0.21e-3, [12.0, -15.0, 12.0]),
+}
+"""Strands of the source's A2 and C4: diameter of the wire and of its strands, lay angles in deg."""
+BOUNDS = {7: 10, 37: 60}
+
+
+def best(work: Callable[[], object], *, runs: int = RUNS) -> float:
+    """Least seconds of several calls: other work on the machine only adds."""
+    seconds = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
+
+
+def layers_of(strands: int) -> tuple[Layer, ...]:
+    _, diameter, lays = WIRES[strands]
+    return lay_up(strands, diameter, [float(np.radians(lay)) for lay in lays], ANNEALED_COPPER)
+
+
+def tube_of(strands: int) -> Insulation:
+    return Insulation(WIRES[strands][0] / 2.0 - WALL, WALL, 1e9)
+
+
+def plain_wire(strands: int) -> plain_loop.PlainWire:
+    """The same wire for the plain loop."""
+    wire_diameter, diameter, _ = WIRES[strands]
+    layers = layers_of(strands)
+    counts, lays = [lay.count for lay in layers], [lay.lay_angle for lay in layers]
+    x, y = plain_loop.hexagon(counts, diameter)
+    sizes = [diameter] * len(layers)
+    return plain_loop.PlainWire(counts, sizes, lays, x, y, wire_diameter, WALL)
+
+
+def section_of(strands: int) -> CrossSection:
+    return hexagonal(layers_of(strands), tube_of(strands))
+
+
+def contacts_of(strands: int) -> Contacts:
+    rings = len(WIRES[strands][2])
+    return insulated(rings, strand=0.21, insulation=0.10, radial_force=0.15)
+
+
+def moment_law(strands: int) -> None:
+    """10 000 curvatures; the plain loop is timed on 40 of them, for each costs the same."""
+    section, contacts = section_of(strands), contacts_of(strands)
+    ours = best(lambda: moment_curvature(section, contacts, CURVATURES))
+    wire, few = plain_wire(strands), CURVATURES[::250].tolist()
+    plain = best(lambda: plain_loop.moments(wire, few), runs=3) * len(CURVATURES) / len(few)
+    show(f"10 000 curvatures of {strands} strands, ms", 1e3 * ours, f"at most {BOUNDS[strands]}")
+    show("  plain loop / labpipe", plain / ours, "")
+
+
+def cantilever_curve(strands: int) -> None:
+    """100 points up to 50 mm on 85 mm; the plain loop goes to every tenth of the loads found."""
+    section, contacts = section_of(strands), contacts_of(strands)
+    deflections = np.linspace(0.0, DEFLECTION, 101)[1:]
+    law = play_law(section, contacts, largest_curvature=LARGEST)
+    loads = end_load_curve(law, LENGTH, deflections)[9::10].tolist()
+    ours = best(lambda: end_load_curve(law, LENGTH, deflections), runs=5)
+    kappa = np.linspace(0.0, LARGEST, 1000)
+    moment = moment_curvature(section, contacts, kappa).moment
+    plain = 10.0 * best(
+        lambda: [plain_loop.tip_deflection(load, LENGTH, kappa, moment) for load in loads], runs=3
+    )
+    show(f"cantilever, 100 points, {strands} strands, ms", 1e3 * ours, "at most 30")
+    show("  plain loop / labpipe", plain / ours, "")
+    making = best(lambda: play_law(section, contacts, largest_curvature=LARGEST))
+    show("  making its law, ms", 1e3 * making, "")
+
+
+def packings() -> None:
+    """37 strands, all starts; the plain search goes five steps from one, too slow for more."""
+    layers, tube = layers_of(37), tube_of(37)
+    ours = best(lambda: packed(layers, tube), runs=3)
+    bore = 2.0 * tube.bore_radius / layers[0].diameter
+    plain = best(lambda: plain_loop.packed_energy(37, bore, 0, 5), runs=3)
+    show("packing 37 strands, s", ours, "at most 1")
+    show("  five steps of the plain search / labpipe", plain / ours, "")
+
+
+def show(what: str, value: float, bound: str) -> None:
+    print(f"{what:<44}{value:>8.2f}   {f'({bound})' if bound else ''}", flush=True)
+
+
+def main() -> None:
+    for strands in WIRES:
+        moment_law(strands)
+        cantilever_curve(strands)
+    packings()
+
+
+if __name__ == "__main__":
+    main()

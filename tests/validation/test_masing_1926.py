@@ -1,0 +1,128 @@
+"""Masing (1926), and what friction and hardening may not do: wires bent there and back.
+
+After a turn a body of many sliders follows its first loading at twice the size; loops close and
+repeat; and no path from rest gives back more work than was put in, for what is not lost is stored.
+Wires and paths are drawn by hypothesis. Paths are walked in steps small enough for the work to be
+summed by trapezoids.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.bending_history import bend_along, hysteresis_loop, residual_curvature
+from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.friction import Contacts
+from labpipe.wire.moment_curvature import moment_curvature
+from tests.builders.stranded_wires import wire
+
+NAMES = st.sampled_from(["A1", "A2", "A3", "C4"])
+TURNS = st.lists(st.floats(-30.0, 30.0), min_size=1, max_size=5)
+FRICTION = st.floats(0.0, 0.8)
+PRESS = st.floats(0.0, 3.0)
+
+
+def contacts_of(section: CrossSection, friction: float, press: float) -> Contacts:
+    rings = len(section.layers) - 1
+    return Contacts((friction,) * rings, (friction,) * (rings - 1) + (friction / 2.0,), press)
+
+
+def walk(turns: list[float], steps: int = 60) -> Floats:
+    """From zero to each turn in even steps."""
+    legs = [np.linspace(a, b, steps + 1)[1:] for a, b in pairwise([0.0, *turns])]
+    return np.concatenate(legs)
+
+
+@given(NAMES, FRICTION, PRESS, st.floats(0.1, 40.0), st.floats(0.0, 6.3))
+def test_first_loading_is_the_monotonic_law(
+    name: str, friction: float, press: float, peak: float, turn: float
+) -> None:
+    section = wire(name)
+    contacts = contacts_of(section, friction, press)
+    for way in (peak * np.linspace(0.05, 1.0, 20), -peak * np.linspace(0.05, 1.0, 20)):
+        found = bend_along(section, contacts, way, orientation=turn).moment
+        law = moment_curvature(section, contacts, way, orientation=turn).moment
+        assert found == pytest.approx(law, rel=1e-9)
+
+
+def without_lay(name: str) -> CrossSection:
+    """Friction is then even on both sides, and rings do not press on each other."""
+    section = wire(name)
+    layers = tuple(
+        replace(layer, lay_angle=1e-9 * bool(layer.lay_angle)) for layer in section.layers
+    )
+    return replace(section, layers=layers)
+
+
+@given(NAMES, FRICTION, PRESS, st.floats(0.5, 30.0), st.floats(-1.0, 0.9))
+def test_branches_are_the_first_loading_at_twice_its_size(
+    name: str, friction: float, press: float, peak: float, share: float
+) -> None:
+    """Down from a peak, and up again from any lower turn."""
+    section = without_lay(name)
+    contacts = contacts_of(section, friction, press)
+    down = np.linspace(peak, share * peak, 9)
+    up = np.linspace(share * peak, peak, 9)
+    moment = bend_along(section, contacts, np.concatenate([down, up[1:]])).moment
+    half = moment_curvature(section, contacts, (peak - down) / 2.0).moment
+    size = abs(moment[0])
+    assert moment[:9] == pytest.approx(moment[0] - 2.0 * half, abs=1e-9 * size)
+    assert moment[8:] == pytest.approx(moment[8] + 2.0 * half, abs=1e-9 * size)
+    assert moment[-1] == pytest.approx(moment[0], rel=1e-9)
+
+
+@given(NAMES, FRICTION, PRESS, TURNS, st.floats(0.0, 6.3))
+def test_no_path_gives_back_more_than_was_put_in(
+    name: str, friction: float, press: float, turns: list[float], turn: float
+) -> None:
+    section = wire(name)
+    path = np.append(0.0, walk(turns))
+    bent = bend_along(section, contacts_of(section, friction, press), path, orientation=turn)
+    work = np.cumsum((bent.moment[1:] + bent.moment[:-1]) / 2.0 * np.diff(path))
+    scale = max(float(np.abs(bent.moment).max() * np.abs(path).max()), 1e-30)
+    assert work.min() >= -1e-3 * scale
+
+
+@given(NAMES, FRICTION, PRESS, st.floats(0.5, 30.0), st.floats(0.0, 6.3))
+def test_loops_lose_energy_close_and_repeat(
+    name: str, friction: float, press: float, amplitude: float, turn: float
+) -> None:
+    section = wire(name)
+    contacts = contacts_of(section, friction, press)
+    loop = hysteresis_loop(section, contacts, amplitude, orientation=turn, n_points=100)
+    assert loop.dissipated >= 0.0
+    assert loop.moment[-1] == pytest.approx(loop.moment[0], rel=1e-6)
+
+
+@given(NAMES, FRICTION, PRESS, st.floats(2.0, 30.0))
+def test_curvature_is_left_of_the_sign_of_the_bend(
+    name: str, friction: float, press: float, peak: float
+) -> None:
+    """Copper yields from the first strain on, so that something always is."""
+    section = wire(name)
+    for sign in (1.0, -1.0):
+        path = sign * np.append(np.linspace(0.1, peak, 50), np.linspace(peak, -peak, 200))
+        left = sign * residual_curvature(
+            bend_along(section, contacts_of(section, friction, press), path)
+        )
+        assert 0.0 < left < peak
+
+
+@given(NAMES, FRICTION, PRESS, TURNS)
+def test_a_larger_bend_wipes_out_what_was_before(
+    name: str, friction: float, press: float, turns: list[float]
+) -> None:
+    """Madelung: beyond all turns the wire is on its first loading again."""
+    section = without_lay(name)
+    contacts = contacts_of(section, friction, press)
+    path = np.append(walk(turns, 5), [30.0, 40.0])
+    found = bend_along(section, contacts, path).moment[-2:]
+    law = moment_curvature(section, contacts, np.array([30.0, 40.0])).moment
+    assert found == pytest.approx(law, rel=1e-9)
