@@ -6,12 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import quad
+from scipy.optimize import brentq
 
 from labpipe.records.arrays import Floats
+from labpipe.wire.cantilever import (
+    StringRig,
+    bend_to_travel,
+    bend_under_force,
+    end_load_curve,
+    straight,
+)
 from labpipe.wire.friction import arrange, sines, slip_onsets
+from labpipe.wire.laws import LinearLaw
 from labpipe.wire.materials import FIRMER_COPPER
 from labpipe.wire.moment_curvature import MomentCurve, moment_curvature
 from labpipe.wire.strand_bending import helix_factor
+from labpipe.wire.wire_law import play_law
 from tests.builders.stranded_wires import contacts_of, wire
 
 KAPPA = np.array([1.0, 5.0, 20.0])
@@ -97,3 +108,88 @@ def test_the_firmer_copper(name: str, told: list[float]) -> None:
     layers = tuple(replace(layer, material=FIRMER_COPPER) for layer in section.layers)
     firmer = moment_curvature(replace(section, layers=layers), contacts_of(section), KAPPA)
     assert per_cent(firmer.moment, name) - 100.0 == pytest.approx(told, abs=0.5)
+
+
+LENGTH, TIP = 0.085, 0.050
+UNIT = LinearLaw(1.0)
+
+
+def load_by_series(coefficients: list[float]) -> float:
+    """P / EI at the tip's deflection, from dy/dx as a sum of odd powers of P x (2 l - x) / 2 EI.
+
+    The projected length l is that whose arc is the wire's length, as in appendix A.4.
+    """
+
+    def slope(x: float, half_load: float, projected: float) -> float:
+        u = half_load * x * (2.0 * projected - x)
+        return sum(c * u ** (2 * i + 1) for i, c in enumerate(coefficients))
+
+    def arc(projected: float, half_load: float) -> float:
+        return float(
+            quad(lambda x: np.hypot(1.0, slope(x, half_load, projected)), 0.0, projected)[0]
+        )
+
+    def gap(half_load: float) -> float:
+        projected = brentq(lambda way: arc(way, half_load) - LENGTH, 0.2 * LENGTH, LENGTH)
+        return float(quad(slope, 0.0, projected, args=(half_load, projected))[0]) - TIP
+
+    return 2.0 * float(brentq(gap, 1.0, 2000.0))
+
+
+def test_load_by_series() -> None:
+    """At 50 mm on 85 mm with constant stiffness: appendix A.4, its last term put right, (3.26)."""
+    exact = float(end_load_curve(UNIT, LENGTH, np.array([TIP]))[0])
+    sums = [[1.0, 1 / 2, 3 / 8, 51 / 280], [1.0, 1 / 2, 3 / 8, 5 / 16], [1.0, 1 / 2]]
+    off = [100.0 * (load_by_series(terms) / exact - 1.0) for terms in sums]
+    assert off == pytest.approx([2.0, 1.4, 7.9], abs=0.05)
+
+
+def load_with_the_stiffness_at_the_clamp(name: str, length: float, deflection: float) -> float:
+    """End load of the elastica with the secant stiffness that the clamp's moment has."""
+    kappa = np.append(0.0, np.geomspace(1e-4, 80.0, 4000))
+    moment = moment_curvature(wire(name), contacts_of(wire(name)), kappa).moment
+    per_stiffness = float(end_load_curve(UNIT, length, np.array([deflection]))[0])
+    force = np.array([0.0, per_stiffness])
+    lever = float(bend_under_force(UNIT, straight(UNIT), length, force).x[-1])
+
+    def gap(load: float) -> float:
+        at_clamp = load * lever
+        return per_stiffness * at_clamp / float(np.interp(at_clamp, moment, kappa)) - load
+
+    return float(brentq(gap, 1e-3, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "told"),
+    [
+        ("A2", 0.085, [-6.9, -5.9, -3.1]),
+        ("A3", 0.120, [-12.7, -9.9, -4.6]),
+        ("C4", 0.085, [-12.3, -9.0, -2.9]),
+    ],
+)
+def test_one_stiffness_for_the_whole_wire(name: str, length: float, told: list[float]) -> None:
+    deflections = np.array([0.005, 0.010, 0.050])
+    # Plays cut corners: 240 of them, for the difference is to be that of the stiffness.
+    law = play_law(wire(name), contacts_of(wire(name)), largest_curvature=80.0, n_plays=240)
+    exact = end_load_curve(law, length, deflections)
+    found = [load_with_the_stiffness_at_the_clamp(name, length, at) for at in deflections]
+    assert 100.0 * (found / exact - 1.0) == pytest.approx(told, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "told"),
+    [("A2", 0.085, (3.2, 4.4)), ("C4", 0.085, (2.9, 4.1)), ("A3", 0.120, (1.5, 1.8))],
+)
+def test_lean_of_the_string(name: str, length: float, told: tuple[float, float]) -> None:
+    """At 50 mm of travel, without the counterweight's own pull: see also `test_elastica`."""
+    weight, travel = 0.0027 * 9.80665, 0.050
+    law = play_law(wire(name), contacts_of(wire(name)), largest_curvature=80.0)
+    rig, state = StringRig(0.760, weight, length, 0.760), straight(law)
+    for step in travel * np.linspace(0.0, 1.0, 11):
+        shape = bend_to_travel(law, state, length, rig, float(step))
+        state = shape.state
+    tip = float(shape.y[-1])
+    upright = end_load_curve(law, length, np.array([travel, tip]))
+    force = shape.tension - weight
+    assert 100.0 * (force / upright[1] - 1.0) == pytest.approx(told[0], abs=0.06)
+    assert 100.0 * (force / upright[0] - 1.0) == pytest.approx(told[1], abs=0.06)
