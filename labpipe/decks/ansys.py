@@ -1,0 +1,107 @@
+"""A wire for Ansys Mechanical APDL: ``SECTYPE,,GENB,PLASTIC`` with its tables.
+
+Mechanical APDL Structural Analysis Guide, "Using Nonlinear General Beam Sections": strain first,
+force second, the origin understood; at most 20 points for each component, each later slope below
+the first; a plastic section wants all six components with two points or more; beyond the last
+strain the stiffness vanishes. ``GENB`` is a type of its own, beside ``BEAM``, and its subtype is
+``ELASTIC`` or ``PLASTIC`` (Command Reference, ``SECTYPE``). For BEAM188 and BEAM189.
+"""
+
+from __future__ import annotations
+
+from labpipe.decks.facts import NO_MASS, facts, require_mass, skew_excess
+from labpipe.decks.names import COMMENT_MOST, ansys_name, on_one_line
+from labpipe.decks.thinning import Thinned, thin
+from labpipe.records.wire import WireTable
+
+MOST_POINTS = 20
+"""Points of a table, the origin not counted."""
+
+LARGEST_STRAIN = 0.01
+"""End of the axial table."""
+LARGEST_TWIST = 100.0
+"""End of the torsion table, rad/m."""
+LARGEST_SHEAR = 0.1
+"""End of the shear tables."""
+
+_SHORTEST = 10.0  # wire diameters: free lengths on which shear is to add nothing
+_SHEAR_SHARE = 1e-3  # of the deflection under an end load, at most, that shear adds there
+
+
+def ansys_deck(table: WireTable, *, section: int = 1, mass_per_length: float | None = None) -> str:
+    """Write the beam section of a wire as commands of the preprocessor.
+
+    Parameters
+    ----------
+    table : law of the wire
+    section : number of the section
+    mass_per_length : kg/m; None if it is not known, which leaves out ``BSMD``
+
+    Returns
+    -------
+    Text of an input file, ASCII with lines of at most 80 characters.
+
+    Raises
+    ------
+    ValueError
+        As `thin`; if the section's number is below 1; if the mass is not a positive number.
+
+    Notes
+    -----
+    The transverse shear of a wire is not known, but a plastic section asks for it: GA = 3 EI /
+    (0.001 (10 d)^2) adds a thousandth to the deflection P L^3 / 3 EI of a free length of ten wire
+    diameters d, and less to a longer one.
+    """
+    require_mass(mass_per_length)
+    if section < 1:
+        message = f"section={section}: allowed are whole numbers >= 1"
+        raise ValueError(message)
+    law = thin(table.curvature, table.moment, most=MOST_POINTS + 1)
+    lines = [f"! {line}" for line in _comments(table, law, mass_per_length)]
+    lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]
+    lines += _linear("BSAX", LARGEST_STRAIN, table.axial_stiffness)
+    lines += [*_bending("BSM1", law), *_bending("BSM2", law)]
+    lines += _linear("BSTQ", LARGEST_TWIST, table.torsional_stiffness)
+    for command in ("BSS1", "BSS2"):
+        lines += _linear(command, LARGEST_SHEAR, shear_stiffness(table))
+    lines += [] if mass_per_length is None else [f"BSMD,{mass_per_length:.9g}"]
+    return "\n".join(lines) + "\n"
+
+
+def shear_stiffness(table: WireTable) -> float:
+    """Transverse shear stiffness that leaves bending alone, N (see `ansys_deck`)."""
+    length = _SHORTEST * 2.0 * table.layout.wire_radius
+    return 3.0 * table.stick_stiffness / (_SHEAR_SHARE * length**2)
+
+
+def _comments(table: WireTable, law: Thinned, mass_per_length: float | None) -> tuple[str, ...]:
+    mass = () if mass_per_length else (f"No BSMD: {NO_MASS}. Statics only.",)
+    return (
+        *facts(table, on_one_line(table.name, COMMENT_MOST)),
+        "Beyond the last point the program has no stiffness: look at the curvatures.",
+        f"BSM1, BSM2: {len(law.curvature) - 1} points and the origin, at most {MOST_POINTS} "
+        f"allowed;",
+        f"the lines between them are within {law.error:.2g} of the wire's moment.",
+        "PLASTIC: unloads with the first slope, hardens isotropically on reversal,",
+        "where a wire follows Masing's rule. Not for loops.",
+        "BSM1 and BSM2 do not know of each other: bent askew, the wire is",
+        f"up to {100.0 * skew_excess(table):.2g} % too stiff.",
+        f"BSAX: elastic, to a strain of {LARGEST_STRAIN:g}. BSTQ: strands that do not grip",
+        f"each other, a lower bound, to {LARGEST_TWIST:g} rad/m.",
+        "BSS1, BSS2: not the wire's, which is not known: stiff enough to add",
+        "less than 0.1 % to the deflection of ten wire diameters and more.",
+        "BEAM188 or BEAM189, NLGEOM,ON.",
+        *mass,
+    )
+
+
+def _linear(command: str, end: float, stiffness: float) -> list[str]:
+    """Two points of a straight line, which a plastic section asks for."""
+    return [f"{command},{part:.9g},{stiffness * part:.9g}" for part in (0.1 * end, end)]
+
+
+def _bending(command: str, law: Thinned) -> list[str]:
+    return [
+        f"{command},{curvature:.12g},{moment:.12g}"
+        for curvature, moment in zip(law.curvature[1:], law.moment[1:], strict=True)
+    ]

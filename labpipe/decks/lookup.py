@@ -1,0 +1,115 @@
+"""Tables of a wire for programs that read numbers: CSV, and JSON for cable simulators."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.decks.facts import FIRST_LOADING, NO_MASS, facts, require_mass
+from labpipe.decks.names import on_one_line
+from labpipe.records.wire import WireTable
+
+SCHEMA = 1
+"""Version of the JSON table."""
+
+COLUMNS = {
+    "curvature": "1/m",
+    "moment": "N*m",
+    "stick": "N*m",
+    "slip": "N*m",
+    "bending": "N*m",
+    "plastic": "N*m",
+    "insulation": "N*m",
+    "tangent_stiffness": "N*m^2",
+    "secant_stiffness": "N*m^2",
+    "lowest_moment": "N*m",
+    "highest_moment": "N*m",
+}
+"""Columns of the CSV table, as the fields of `WireTable`, and their units."""
+
+_UNITS = {
+    "curvature": "1/m",
+    "moment": "N*m",
+    "stick_stiffness": "N*m^2",
+    "slip_stiffness": "N*m^2",
+    "axial_stiffness": "N",
+    "torsional_stiffness": "N*m^2",
+    "diameter": "m",
+    "length": "m",
+    "mass_per_length": "kg/m",
+}
+_WIDEST_NAME = 100
+
+
+def lookup_csv(table: WireTable) -> str:
+    """Write the whole table, one row for each curvature.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Returns
+    -------
+    Text: lines that begin with ``#``, a heading such as ``curvature [1/m]``, rows with full digits.
+    """
+    lines = [f"# {line}" for line in facts(table, on_one_line(table.name, _WIDEST_NAME))]
+    lines += [
+        f"# Stick stiffness {table.stick_stiffness:.9g} N m^2, slip stiffness "
+        f"{table.slip_stiffness:.9g} N m^2, axial stiffness {table.axial_stiffness:.9g} N,",
+        f"# torsional stiffness {table.torsional_stiffness:.9g} N m^2 (strands that do not grip "
+        f"each other: a lower bound).",
+        "# moment = stick + slip + bending + plastic + insulation; lowest and highest over a full "
+        "turn of the section.",
+        ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items()),
+    ]
+    columns = np.column_stack([getattr(table, name) for name in COLUMNS])
+    lines += [",".join(repr(value) for value in row) for row in columns.tolist()]
+    return "\n".join(lines) + "\n"
+
+
+def lookup_json(table: WireTable, *, mass_per_length: float | None = None) -> str:
+    """Write pairs of curvature and moment, and the constant stiffnesses.
+
+    Parameters
+    ----------
+    table : law of the wire
+    mass_per_length : kg/m; None if it is not known: then the key is absent, and ``absent`` says why
+
+    Returns
+    -------
+    JSON text; units of all numbers stand under ``units``.
+
+    Raises
+    ------
+    ValueError
+        If the mass per length is not a positive number.
+    """
+    require_mass(mass_per_length)
+    numbers: dict[str, object] = {
+        "curvature": table.curvature.tolist(),
+        "moment": table.moment.tolist(),
+        "stick_stiffness": table.stick_stiffness,
+        "slip_stiffness": table.slip_stiffness,
+        "axial_stiffness": table.axial_stiffness,
+        "torsional_stiffness": table.torsional_stiffness,
+        "diameter": 2.0 * table.layout.wire_radius,
+        "length": table.spec.length,
+    }
+    absent = {"mass_per_length": NO_MASS}
+    if mass_per_length is not None:
+        numbers["mass_per_length"], absent = mass_per_length, {}
+    whole = {**_about(table), **numbers, "units": {name: _UNITS[name] for name in numbers}}
+    return json.dumps({**whole, "absent": absent}, indent=1) + "\n"
+
+
+def _about(table: WireTable) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "wire": table.name,
+        "range": {"curvature": [0.0, float(table.curvature[-1])], "beyond": "not valid"},
+        "law": FIRST_LOADING,
+        "torsion": "of strands that do not grip each other: a lower bound",
+    }

@@ -1,0 +1,195 @@
+"""A wire for MuJoCo 4: a clamped cable as a standalone MJCF model.
+
+MuJoCo 4.0 took out the cable plug-in and composite bodies; a cable is a one-dimensional flex with
+elasticity, a discrete elastic rod (XML Reference, flex/elasticity; Bergou et al. 2008). It has one
+constant bending stiffness E I and one torsional stiffness G J, with I and J of a full circle of the
+flex's radius.
+
+The vertices carry the bending, each that of half an edge on both sides. The first edge, held at
+both ends, therefore begins half a spacing inside the clamp, so that the free length is counted from
+the clamp's face: a load P at the tip then deflects it by P L^3 / 3 EI (1 - 1 / (2 n - 1)^2), n
+edges.
+
+References
+----------
+M. Bergou, M. Wardetzky, S. Robinson, B. Audoly, E. Grinspun, Discrete elastic rods, ACM
+Transactions on Graphics 27 (2008) 63.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+
+from labpipe.decks.facts import COPPER_DENSITY, copper_mass, facts, linear_range, require_mass
+from labpipe.decks.names import on_one_line
+from labpipe.records.wire import WireTable
+
+CABLE = "wire"
+"""Name of the flex; its vertices are bodies ``wire_2`` to ``wire_<edges>``."""
+TIP_SENSOR = "tip"
+"""Name of the sensor of the tip's position."""
+
+FEWEST_EDGES = 3
+
+_FIRST_ROOT = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
+_STEP = 0.05  # of the time 1 / (first angular frequency)
+_NEVER_GIVES = "0.9999 0.9999 0.001"  # impedance: the edges keep their length
+_WIDEST_NAME = 100
+
+
+@dataclass(frozen=True, slots=True)
+class _Cable:
+    """Numbers of the model, SI.
+
+    Parameters
+    ----------
+    stiffness : N m^2
+    torsional_stiffness : N m^2
+    length, radius : m
+    mass_per_length : kg/m
+    edges : number
+    """
+
+    stiffness: float
+    torsional_stiffness: float
+    length: float
+    radius: float
+    mass_per_length: float
+    edges: int
+
+    @property
+    def spacing(self) -> float:
+        """Length of an edge, m: the first one is half inside the clamp."""
+        return self.length / (self.edges - 0.5)
+
+    @property
+    def first_frequency(self) -> float:
+        """First angular frequency of the clamped cable, rad/s."""
+        stretch = np.sqrt(self.stiffness / self.mass_per_length)
+        return float(_FIRST_ROOT**2 * stretch / self.length**2)
+
+
+def mujoco_deck(
+    table: WireTable,
+    *,
+    stiffness: float | None = None,
+    length: float | None = None,
+    edges: int = 40,
+    mass_per_length: float | None = None,
+) -> str:
+    """Write a clamped cable of constant bending stiffness, along x, without gravity.
+
+    Parameters
+    ----------
+    table : law of the wire
+    stiffness : N m^2; None for that of a wire whose strands all stick (the slope at zero)
+    length : free length, m; None for that of the wire's cantilever
+    edges : of the cable, at least 3
+    mass_per_length : kg/m; None for that of the strands as if of copper, which the deck says
+
+    Returns
+    -------
+    MJCF. A load on the body of the last vertex (``wire_<edges>``) settles without overshooting: the
+    damping is critical in the first mode, and more than that in the others.
+
+    Raises
+    ------
+    ValueError
+        If a number is not positive and finite, or there are fewer than three edges.
+
+    Notes
+    -----
+    The deck says up to which curvature the constant stiffness is within 5 % of the wire's law
+    (`linear_range`).
+    """
+    require_mass(mass_per_length)
+    cable = _Cable(
+        table.stick_stiffness if stiffness is None else stiffness,
+        table.torsional_stiffness,
+        table.spec.length if length is None else length,
+        table.layout.wire_radius,
+        copper_mass(table) if mass_per_length is None else mass_per_length,
+        edges,
+    )
+    _require_cable(cable)
+    root = Xml.Element("mujoco", model=on_one_line(table.name, _WIDEST_NAME))
+    for line in _comments(table, cable, is_assumed=mass_per_length is None):
+        # two hyphens would end an XML comment
+        root.append(Xml.Comment(f" {line.replace('--', '- -')} "))
+    _describe(root, cable)
+    Xml.indent(root)
+    return Xml.tostring(root, encoding="unicode") + "\n"
+
+
+def _require_cable(cable: _Cable) -> None:
+    for name in ("stiffness", "length"):
+        value = getattr(cable, name)
+        if not (np.isfinite(value) and value > 0.0):
+            message = f"{name}={value!r}: allowed are finite numbers > 0"
+            raise ValueError(message)
+    if cable.edges < FEWEST_EDGES:
+        message = f"edges={cable.edges}: allowed are numbers >= {FEWEST_EDGES}"
+        raise ValueError(message)
+
+
+def _comments(table: WireTable, cable: _Cable, *, is_assumed: bool) -> tuple[str, ...]:
+    close = linear_range(table, cable.stiffness)
+    if close > 0.0:
+        validity = f"it is within 5 % of the wire's law up to a curvature of {close:.4g} 1/m"
+    else:
+        validity = "it is more than 5 % off the wire's law from zero on"
+    density = f"strands of {COPPER_DENSITY:g} kg/m3 (copper, assumed), no insulation"
+    mass = density if is_assumed else "as given"
+    return (
+        *facts(table, on_one_line(table.name, _WIDEST_NAME)),
+        f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2; {validity}, "
+        f"of a table that ends at {table.curvature[-1]:.6g} 1/m. Nothing in the model stops there.",
+        f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of strands that do not grip "
+        f"each other, a lower bound. The cable does not stretch.",
+        "young and shear are these stiffnesses over those of a full circle, not of a material.",
+        f"Free length {cable.length:.6g} m, {cable.edges} edges; the first begins half an edge "
+        f"inside the clamp, whose face is at x = 0.",
+        f"Mass {cable.mass_per_length:.4g} kg/m, {mass}: for the way to rest only, as there is no "
+        f"gravity. Damping is critical in the first mode.",
+        "For MuJoCo 4.0 and later: a flex as a cable, integrator discrete.",
+    )
+
+
+def _describe(root: Xml.Element, cable: _Cable) -> None:
+    step = _STEP / cable.first_frequency
+    Xml.SubElement(root, "option", timestep=f"{step:.6g}", integrator="discrete", gravity="0 0 0")
+    world = Xml.SubElement(root, "worldbody")
+    places = (np.arange(cable.edges + 1) - 0.5) * cable.spacing
+    flex = Xml.SubElement(
+        world,
+        "flexcomp",
+        name=CABLE,
+        type="direct",
+        dim="1",
+        radius=f"{cable.radius:.9g}",
+        mass=f"{cable.mass_per_length * cable.spacing * (cable.edges + 1):.9g}",
+        point="  ".join(f"{place:.9g} 0 0" for place in places),
+        element="  ".join(f"{edge} {edge + 1}" for edge in range(cable.edges)),
+    )
+    _behave(flex, cable, step)
+    sensors = Xml.SubElement(root, "sensor")
+    tip = f"{CABLE}_{cable.edges}"
+    Xml.SubElement(sensors, "framepos", name=TIP_SENSOR, objtype="body", objname=tip)
+
+
+def _behave(flex: Xml.Element, cable: _Cable, step: float) -> None:
+    """Stiffness, damping, clamp; edges that keep their length; no contacts."""
+    Xml.SubElement(flex, "edge", equality="true", solref=f"{2.0 * step:.6g} 1", solimp=_NEVER_GIVES)
+    Xml.SubElement(flex, "contact", contype="0", conaffinity="0", selfcollide="none")
+    circle = np.pi / 4.0 * cable.radius**4
+    Xml.SubElement(
+        flex,
+        "elasticity",
+        young=f"{cable.stiffness / circle:.9g}",
+        shear=f"{cable.torsional_stiffness / (2.0 * circle):.9g}",
+        damping=f"{2.0 / cable.first_frequency:.6g}",
+    )
+    Xml.SubElement(flex, "pin", id="0 1")

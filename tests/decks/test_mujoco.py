@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+from xml.etree import ElementTree as Xml
+
+import numpy as np
+import pytest
+
+from labpipe.decks.facts import copper_mass, linear_range
+from labpipe.decks.mujoco import mujoco_deck
+from labpipe.records.arrays import Floats
+from labpipe.wire.cantilever import bend_under_force, straight
+from labpipe.wire.laws import LinearLaw
+from tests.builders.wire_tables import LENGTH, wire_table
+
+STEPS = 700
+"""35 times the time 1 / (first angular frequency)."""
+
+
+def settled(deck: str, load: float) -> tuple[Floats, Any]:
+    """Hang a load on the tip, wait, and give back where the tip is."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(deck)
+    data = mujoco.MjData(model)
+    tip = int(model.sensor("tip").objid[0])
+    data.xfrc_applied[tip, 1] = load
+    for _ in range(STEPS):
+        mujoco.mj_step(model, data)
+    assert not any(warning.number for warning in data.warning)
+    assert float(np.max(np.abs(data.qvel))) < 1e-6
+    return np.array(data.sensor("tip").data), data
+
+
+def bent(stiffness: float, length: float, load: float) -> tuple[float, float]:
+    law = LinearLaw(stiffness)
+    shape = bend_under_force(law, straight(law), length, np.array([0.0, load]))
+    return float(shape.x[-1]), float(shape.y[-1])
+
+
+@pytest.mark.parametrize("name", ["A1", "C5"])
+@pytest.mark.parametrize(("length", "edges"), [(LENGTH, 40), (0.3, 20)])
+def test_a_small_load_bends_the_cable_as_the_wire_model_says(
+    name: str, length: float, edges: int
+) -> None:
+    table = wire_table(name)
+    stiffness = table.stick_stiffness
+    load = 0.5 * linear_range(table, stiffness) * stiffness / length
+    tip, _ = settled(mujoco_deck(table, length=length, edges=edges), load)
+    _, deflection = bent(stiffness, length, load)
+    assert tip[1] == pytest.approx(deflection, rel=0.005)
+    assert tip[1] == pytest.approx(load * length**3 / (3.0 * stiffness), rel=0.005)
+    # up to there, it is the wire itself that bends so
+    assert load * length < np.interp(linear_range(table, stiffness), table.curvature, table.moment)
+
+
+def test_a_large_load_bends_it_along_the_elastica() -> None:
+    table = wire_table("A2")
+    stiffness = 1.2e-3
+    load = 2.0 * stiffness / LENGTH**2
+    tip, _ = settled(mujoco_deck(table, stiffness=stiffness), load)
+    x, y = bent(stiffness, LENGTH, load)
+    assert tip[:2] == pytest.approx([x, y], rel=0.01)
+    assert tip[2] == pytest.approx(0.0, abs=1e-9)
+    # alpha = 2 of the table of the elastica
+    assert tip[1] / LENGTH == pytest.approx(0.493457, rel=0.01)
+
+
+def test_the_deflection_does_not_depend_on_the_mass() -> None:
+    table = wire_table("A2")
+    load = 1e-3
+    tips = [settled(mujoco_deck(table, mass_per_length=mass), load)[0][1] for mass in (2e-3, 50e-3)]
+    assert tips[0] == pytest.approx(tips[1], rel=1e-6)
+
+
+def test_the_clamp_is_where_the_deck_says() -> None:
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(mujoco_deck(wire_table(), edges=10))
+    places = model.flex_vert0
+    assert model.nflexvert == 11 == len(places)
+    assert model.flex_radius[0] == pytest.approx(0.8e-3)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    x = np.array(data.flexvert_xpos)[:, 0]
+    assert x[0] + x[1] == pytest.approx(0.0, abs=1e-12)
+    assert x[-1] == pytest.approx(LENGTH)
+
+
+def test_numbers_of_the_model() -> None:
+    table = wire_table("A2")
+    root = Xml.fromstring(mujoco_deck(table))  # our own text
+    flex = root.find("worldbody/flexcomp")
+    assert flex is not None
+    elasticity = flex.find("elasticity")
+    assert elasticity is not None
+    circle = np.pi / 4.0 * float(flex.attrib["radius"]) ** 4
+    assert float(elasticity.attrib["young"]) * circle == pytest.approx(table.stick_stiffness)
+    twist = float(elasticity.attrib["shear"]) * 2.0 * circle
+    assert twist == pytest.approx(table.torsional_stiffness)
+    points = np.array(flex.attrib["point"].split(), dtype=np.float64).reshape(-1, 3)
+    mass_per_length = float(flex.attrib["mass"]) / len(points) / (points[1, 0] - points[0, 0])
+    assert mass_per_length == pytest.approx(copper_mass(table), rel=1e-6)
+
+
+def test_the_deck_says_where_its_linear_law_holds() -> None:
+    table = wire_table("A2")
+    said = mujoco_deck(table)
+    end = linear_range(table, table.stick_stiffness)
+    assert f"it is within 5 % of the wire's law up to a curvature of {end:.4g} 1/m" in said
+    assert "Nothing in the model stops there." in said
+    assert "8960 kg/m3 (copper, assumed)" in said
+    assert "Beyond this range the deck is not valid." in said
+    soft = mujoco_deck(table, stiffness=1e-4, mass_per_length=5e-3)
+    assert "it is more than 5 % off the wire's law from zero on" in soft
+    assert "Mass 0.005 kg/m, as given" in soft
+
+
+@pytest.mark.parametrize("name", ["<A & B>", 'say "A2" -- twice', "x" * 300, "two\nlines", "-->"])
+def test_a_name_breaks_nothing(name: str) -> None:
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_string(mujoco_deck(replace(wire_table(), name=name), edges=3))
+    assert model.nflex == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"stiffness": 0.0}, r"stiffness=0\.0: allowed are finite numbers > 0"),
+        ({"stiffness": float("nan")}, r"stiffness=nan: allowed"),
+        ({"length": -1.0}, r"length=-1\.0: allowed are finite numbers > 0"),
+        ({"edges": 2}, r"edges=2: allowed are numbers >= 3"),
+        ({"mass_per_length": 0.0}, r"mass_per_length=0\.0: allowed"),
+    ],
+)
+def test_refused(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        mujoco_deck(wire_table(), **changes)
