@@ -33,7 +33,7 @@ def locked(folder: Path) -> Iterator[None]:
     ends, so that no stale lock can be left behind.
     """
     path = folder / LOCK_FILE
-    with storing(path):
+    with storing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         handle = _own(path)
     try:

@@ -19,6 +19,7 @@ _CAUSES = {
     errno.EROFS: ("a folder to write in", "a read-only disk", "Choose another folder with --out."),
     errno.ENOENT: ("a folder to write in", "no such folder", "Make the folder first."),
     errno.ENOTDIR: ("a folder to write in", "a file in its place", "Choose another folder."),
+    errno.EEXIST: ("a folder to write in", "a file in its place", "Choose another folder."),
 }
 
 

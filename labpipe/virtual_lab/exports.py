@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.store.replace import storing
 from labpipe.virtual_lab.control_desk import write_control_desk
 from labpipe.virtual_lab.instruments import Observation
 from labpipe.virtual_lab.motive import write_motive
@@ -34,9 +35,20 @@ def write_exports(observation: Observation, folder: Path) -> Path:
     Returns
     -------
     The folder.
+
+    Raises
+    ------
+    StoreError
+        If the system refuses, such as where a file stands in place of the folder.
     """
+    with storing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        _write(observation, folder)
+    return folder
+
+
+def _write(observation: Observation, folder: Path) -> None:
     scenario, seed = observation.scenario, observation.seed
-    folder.mkdir(parents=True, exist_ok=True)
     started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
     saved = started + timedelta(seconds=round(float(observation.force_record.clock[-1])))
     record = observation.force_record
@@ -52,7 +64,6 @@ def write_exports(observation: Observation, folder: Path) -> Path:
     (folder / SHEET_FILE).write_text(write_sheet(scenario), encoding="utf-8")
     text = json.dumps(truth_as_json(observation), indent=None)
     (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
-    return folder
 
 
 def truth_as_json(observation: Observation) -> dict[str, object]:

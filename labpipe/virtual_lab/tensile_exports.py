@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.store.replace import storing
 from labpipe.virtual_lab.exports import SHEET_FILE, TRUTH_FILE
 from labpipe.virtual_lab.mts_suite import write_test_suite
 from labpipe.virtual_lab.r_controller import write_r_controller
@@ -80,13 +81,16 @@ def simulate_tensile(scenario: TensileScenario, folder: Path, seed: int) -> Path
     ------
     ValueError
         If the scenario asks for what is not allowed.
+    StoreError
+        If the system refuses, such as where a file stands in place of the folder.
     """
     observation = observe_tensile(scenario, seed)
-    folder.mkdir(parents=True, exist_ok=True)
-    files = _write_export(observation, folder)
-    (folder / SHEET_FILE).write_text(write_tensile_sheet(scenario, files), encoding="utf-8")
-    text = json.dumps(tensile_truth_as_json(observation))
-    (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
+    with storing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        files = _write_export(observation, folder)
+        (folder / SHEET_FILE).write_text(write_tensile_sheet(scenario, files), encoding="utf-8")
+        text = json.dumps(tensile_truth_as_json(observation))
+        (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
     return folder
 
 

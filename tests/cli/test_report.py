@@ -59,6 +59,17 @@ def test_options_and_what_is_said(run: Run, processed: Path, tmp_path: Path) -> 
     assert "<title>Two pulls" in (goal / "report.html").read_text(encoding="utf-8")
 
 
+def test_a_file_where_the_folder_should_be(run: Run, processed: Path, tmp_path: Path) -> None:
+    (tmp_path / "told").write_text("mine")
+    ran = run("report", processed, "--out", tmp_path / "told")
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err == (
+        f"labpipe report: {tmp_path / 'told'}: expected a folder to write in, found a file in its"
+        " place. Choose another folder.\n"
+    )
+    assert (tmp_path / "told").read_text() == "mine"
+
+
 def test_no_path(run: Run) -> None:
     ran = run("report")
     assert ran.status == 2

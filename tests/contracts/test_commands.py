@@ -105,6 +105,29 @@ def test_bad_input_is_status_2_and_one_message(
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("process", "LAB", "--out", "FILE"),
+        ("simulate", "--cycles", "1", "--fps", "20 Hz", "--rate", "100 Hz", "--out", "FILE"),
+        ("new", "FILE", "--protocol", "tensile", "--frame", "a.csv", "--type", "T", "--spool", "s",
+         "--sample", "1"),
+    ],
+)  # fmt: skip
+def test_a_file_where_a_folder_is_to_be_made(
+    run: Run, lab: Lab, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
+    (tmp_path / "mine").write_text("mine")
+    places = {"LAB": lab.raw, "FILE": tmp_path / "mine"}
+    ran = run(*(places.get(word, word) for word in arguments))
+    assert ran.status == BAD_INPUT, ran
+    assert re.search(
+        r"mine[^\n]*: expected a folder to write in, found a file in its place\. Choose", ran.err
+    ), ran
+    assert ran.err.count(": expected ") == 1
+    assert (tmp_path / "mine").read_text() == "mine"
+
+
 def test_version(run: Run) -> None:
     assert run("--version").out == f"labpipe {__version__}\n"
 

@@ -65,10 +65,10 @@ def test_lock_file_removed_by_its_last_owner_is_made_anew(
         assert (tmp_path / LOCK_FILE).exists()
 
 
-def test_file_in_place_of_the_folder(tmp_path: Path) -> None:
+@pytest.mark.parametrize("folder", ["x", "x/y"])
+def test_file_in_place_of_the_folder(tmp_path: Path, folder: str) -> None:
     (tmp_path / "x").write_text("")
-    with (
-        pytest.raises(StoreError, match=r"expected a folder to write in, found a file in its"),
-        locked(tmp_path / "x" / "y"),
-    ):
+    said = f"{folder}: expected a folder to write in, found a file in its place. Choose another"
+    with pytest.raises(StoreError, match=said), locked(tmp_path / folder):
         pass
+    assert (tmp_path / "x").read_text() == ""

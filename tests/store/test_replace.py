@@ -47,6 +47,7 @@ def test_no_folder(tmp_path: Path) -> None:
         (errno.EPERM, "expected a folder to write in, found no permission. Change"),
         (errno.EROFS, "expected a folder to write in, found a read-only disk. Choose"),
         (errno.ENOTDIR, "expected a folder to write in, found a file in its place. Choose"),
+        (errno.EEXIST, "expected a folder to write in, found a file in its place. Choose"),
         (errno.EIO, "expected a file that can be written, found .*Input/output error.*Look at"),
     ],
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.errors import StoreError
 from labpipe.virtual_lab.exports import write_exports
 from labpipe.virtual_lab.instruments import Observation
 
@@ -47,3 +48,10 @@ def test_again_is_the_same_to_the_byte(
     again = write_exports(observation, tmp_path / "again")
     for path in folder.iterdir():
         assert (again / path.name).read_bytes() == path.read_bytes()
+
+
+def test_a_file_in_place_of_the_folder(observation: Observation, tmp_path: Path) -> None:
+    (tmp_path / "raw").write_text("mine")
+    for folder in (tmp_path / "raw", tmp_path / "raw" / "A2-085-1"):
+        with pytest.raises(StoreError, match=r"a folder to write in, found a file in its place"):
+            write_exports(observation, folder)

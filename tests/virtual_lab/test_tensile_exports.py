@@ -10,6 +10,7 @@ import numpy as np
 import openpyxl
 import pytest
 
+from labpipe.errors import StoreError
 from labpipe.virtual_lab.tensile_campaign import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_exports import observe_tensile, simulate_tensile
 from labpipe.virtual_lab.tensile_scenario import ExportLayout, GripSlip, TensileScenario
@@ -73,3 +74,9 @@ def test_seed_changes_noise_and_nothing_else() -> None:
     one, two = observe_tensile(TUBE, 1), observe_tensile(TUBE, 2)
     assert not np.array_equal(one.record.force, two.record.force)
     np.testing.assert_array_equal(one.truth.force, two.truth.force)
+
+
+def test_a_file_in_place_of_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "raw").write_text("mine")
+    with pytest.raises(StoreError, match=r"a folder to write in, found a file in its place"):
+        simulate_tensile(PARTED, tmp_path / "raw" / "parts", 21)
