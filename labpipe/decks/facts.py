@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe import __version__
+from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
 COPPER_DENSITY = 8960.0
@@ -33,8 +34,10 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
     )
 
 
-def linear_range(table: WireTable, stiffness: float, *, tolerance: float = 0.05) -> float:
-    """Curvature up to which a constant stiffness is as good as the wire's law.
+def linear_range(
+    table: WireTable, stiffness: float, *, tolerance: float = 0.05
+) -> tuple[float, float] | None:
+    """Curvatures between which a constant stiffness is as good as the wire's law.
 
     Parameters
     ----------
@@ -44,26 +47,37 @@ def linear_range(table: WireTable, stiffness: float, *, tolerance: float = 0.05)
 
     Returns
     -------
-    1/m; the end of the table where the two stay close all along, 0 where they part at once.
+    From and to, 1/m: the first stretch on which the two are as close as that. None if there is none
+    within the table.
 
     Notes
     -----
     Between two points the moment is on a straight line a + b kappa, so that stiffness kappa =
-    (1 + tolerance) (a + b kappa) is solved there, and likewise from below.
+    (1 -+ tolerance) (a + b kappa) is solved there.
     """
-    secant = table.moment[1:] / table.curvature[1:]
-    ratio = stiffness / secant
-    outside = np.abs(ratio - 1.0) > tolerance
-    if not outside.any():
-        return float(table.curvature[-1])
-    after = int(np.argmax(outside)) + 1
-    if after == 1:  # from zero to the first point the quotient does not change
-        return 0.0
-    left, right = table.curvature[after - 1 : after + 1]
-    low, high = table.moment[after - 1 : after + 1]
-    slope = (high - low) / (right - left)
-    bound = 1.0 + np.copysign(tolerance, ratio[after - 1] - 1.0)
-    return float(bound * (low - slope * left) / (stiffness - bound * slope))
+    knots = np.union1d(
+        table.curvature,
+        np.concatenate([_meets(table, stiffness, 1.0 + off) for off in (-tolerance, tolerance)]),
+    )
+    middle = 0.5 * (knots[1:] + knots[:-1])
+    moment = np.interp(middle, table.curvature, table.moment)
+    inside = np.abs(stiffness * middle / moment - 1.0) <= tolerance
+    if not inside.any():
+        return None
+    first = int(np.argmax(inside))
+    leaves = np.flatnonzero(~inside[first:])
+    last = first + int(leaves[0]) if len(leaves) else len(inside)
+    return float(knots[first]), float(knots[last])
+
+
+def _meets(table: WireTable, stiffness: float, bound: float) -> Floats:
+    """Curvatures, beside the points, at which the linear moment is so many times the wire's."""
+    left, right = table.curvature[:-1], table.curvature[1:]
+    slope = np.diff(table.moment) / np.diff(table.curvature)
+    apart = stiffness - bound * slope
+    start = bound * (table.moment[:-1] - slope * left)
+    at = start / np.where(apart == 0.0, np.inf, apart)
+    return at[(at > left) & (at < right)]
 
 
 def skew_excess(table: WireTable) -> float:

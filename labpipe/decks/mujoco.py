@@ -102,7 +102,7 @@ def mujoco_deck(
 
     Notes
     -----
-    The deck says up to which curvature the constant stiffness is within 5 % of the wire's law
+    The deck says at which curvatures the constant stiffness is within 5 % of the wire's law
     (`linear_range`).
     """
     require_mass(mass_per_length)
@@ -137,16 +137,18 @@ def _require_cable(cable: _Cable) -> None:
 
 def _comments(table: WireTable, cable: _Cable, *, is_assumed: bool) -> tuple[str, ...]:
     close = linear_range(table, cable.stiffness)
-    if close > 0.0:
-        validity = f"it is within 5 % of the wire's law up to a curvature of {close:.4g} 1/m"
+    if close is None:
+        validity = "nowhere within 5 % of the wire's law"
     else:
-        validity = "it is more than 5 % off the wire's law from zero on"
+        validity = (
+            f"within 5 % of the wire's law at curvatures from {close[0]:.4g} to {close[1]:.4g} 1/m"
+        )
     density = f"strands of {COPPER_DENSITY:g} kg/m3 (copper, assumed), no insulation"
     mass = density if is_assumed else "as given"
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
-        f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2; {validity}, "
-        f"of a table that ends at {table.curvature[-1]:.6g} 1/m. Nothing in the model stops there.",
+        f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2, {validity}. "
+        f"Nothing in the model stops there.",
         f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of strands that do not grip "
         f"each other, a lower bound. The cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",

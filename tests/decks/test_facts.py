@@ -43,29 +43,52 @@ def test_every_deck_says_name_version_units_range_and_law() -> None:
 def test_a_linear_law_is_good_up_to_the_point_where_it_is_off_by_the_tolerance() -> None:
     table = table_of([0.0, 1.0, 2.0], [0.0, 1.0, 1.5])
     # kappa = 1.05 (0.5 + 0.5 kappa)
-    assert linear_range(table, 1.0) == pytest.approx(0.525 / 0.475)
+    assert linear_range(table, 1.0) == pytest.approx((0.0, 0.525 / 0.475))
     # 0.97 kappa = 1.05 (0.5 + 0.5 kappa): it starts below the law and leaves above it
-    assert linear_range(table, 0.97) == pytest.approx(0.525 / (0.97 - 0.525))
+    assert linear_range(table, 0.97) == pytest.approx((0.0, 0.525 / (0.97 - 0.525)))
 
 
-def test_a_soft_linear_law_may_leave_below() -> None:
+def test_a_softer_linear_law_is_good_on_a_stretch() -> None:
+    table = table_of([0.0, 1.0, 2.0, 9.0], [0.0, 1.0, 1.5, 5.0])
+    # 0.8 kappa = (1 -+ 0.05) (0.5 + 0.5 kappa)
+    first, last = linear_range(table, 0.8) or (0.0, 0.0)
+    assert first == pytest.approx(0.475 / (0.8 - 0.475))
+    assert last == pytest.approx(0.525 / (0.8 - 0.525))
+
+
+def test_a_linear_law_may_leave_below() -> None:
     table = table_of([0.0, 1.0, 2.0], [0.0, 1.0, 3.0])
     # 0.98 kappa = 0.95 (-1 + 2 kappa)
-    assert linear_range(table, 0.98) == pytest.approx(0.95 / (1.9 - 0.98))
+    assert linear_range(table, 0.98) == pytest.approx((0.0, 0.95 / (1.9 - 0.98)))
 
 
 def test_a_linear_law_may_be_good_throughout_or_nowhere() -> None:
     table = table_of([0.0, 1.0, 2.0], [0.0, 1.0, 2.0])
-    assert linear_range(table, 1.04) == 2.0
-    assert linear_range(table, 1.06) == 0.0
+    assert linear_range(table, 1.04) == (0.0, 2.0)
+    assert linear_range(table, 1.06) is None
+
+
+def test_a_stretch_between_two_points_is_found() -> None:
+    table = table_of([0.0, 1.0, 9.0], [0.0, 1.0, 1.08])
+    first, last = linear_range(table, 0.5) or (0.0, 0.0)
+    assert 1.0 < first < last < 9.0
+    for at, ratio in ((first, 0.95), (last, 1.05)):
+        assert 0.5 * at / (0.99 + 0.01 * at) == pytest.approx(ratio)
 
 
 @pytest.mark.parametrize("name", ["A1", "A3", "C5"])
-def test_at_the_end_of_the_linear_range_a_wire_is_off_by_five_per_cent(name: str) -> None:
+@pytest.mark.parametrize("curvature", [0.0, 20.0])
+def test_at_the_ends_of_the_range_a_wire_is_off_by_five_per_cent(
+    name: str, curvature: float
+) -> None:
     table = wire_table(name)
-    end = linear_range(table, table.stick_stiffness)
-    moment = float(np.interp(end, table.curvature, table.moment))
-    assert table.stick_stiffness * end / moment == pytest.approx(1.05, rel=1e-9)
+    stiffness = float(np.interp(curvature, table.curvature, table.secant_stiffness))
+    first, last = linear_range(table, stiffness) or (0.0, 0.0)
+    assert first <= curvature < last
+    for at, ratio in ((first, 0.95), (last, 1.05)):
+        moment = float(np.interp(at, table.curvature, table.moment))
+        inside_table = 0.0 < at < table.curvature[-1]
+        assert not inside_table or stiffness * at / moment == pytest.approx(ratio, rel=1e-9)
 
 
 def test_bending_askew_of_a_linear_law_is_right() -> None:
