@@ -14,6 +14,8 @@ _LONG_LINE = 20
 _STRAIGHT = re.compile(r"M[ML\d.\s-]*")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
+_FAMILIES = re.compile(r"'STIXGeneral'(, ('[^']*'|[a-z-]+))*")
+"""The fonts of the style; a browser finds a letter that the first ones lack by itself."""
 _FONT = "STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif"
 
 
@@ -87,7 +89,7 @@ def _slim(element: ET.Element, wanted: set[str], prefix: str) -> None:
 
 def _classify(element: ET.Element, classes: dict[str, str]) -> None:
     """Put the look of an element under a name made of it."""
-    look = element.attrib.pop("style", "").replace("'STIXGeneral'", _FONT)
+    look = _FAMILIES.sub(_FONT, element.attrib.pop("style", ""))
     if look:
         name = f"s{zlib.crc32(look.encode()):x}"
         classes[name] = look

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -32,11 +33,17 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
     Parameters
     ----------
     changes : settings of matplotlib on top of the style
+
+    Notes
+    -----
+    Matplotlib's warning of a letter that no font here has is not passed on: the figure shows a box
+    in its place, and the name stands whole in the summary, the page and the workbook.
     """
     import matplotlib as mpl
 
     own: Any = dict(changes or {})
-    with mpl.rc_context(own, fname=str(STYLE_FILE)):
+    with mpl.rc_context(own, fname=str(STYLE_FILE)), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         yield
 
 

@@ -1,10 +1,23 @@
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib as mpl
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 
-from labpipe.report.page import finish_layout, new_page, panel_letter, put_key, say, side_key, style
+from labpipe.report.page import (
+    STYLE_FILE,
+    finish_layout,
+    new_page,
+    panel_letter,
+    put_key,
+    say,
+    side_key,
+    style,
+    titled_page,
+)
 from tests.store.builders_result import build_result
 
 RESULT = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)
@@ -16,6 +29,27 @@ def test_style_is_given_back() -> None:
         assert mpl.rcParams["svg.hashsalt"] == "labpipe"
         assert mpl.rcParams["font.size"] == 9
     assert dict(mpl.rcParams) == before
+
+
+def drawn(words: str) -> bytes:
+    page = titled_page(words, "", width_mm=90, height_mm=20)
+    page.set_layout_engine("none")
+    pixels: Any = FigureCanvasAgg(page)
+    pixels.draw()
+    return bytes(pixels.buffer_rgba())
+
+
+def test_letters_that_the_first_font_lacks_come_from_another() -> None:
+    """Else matplotlib warns, which is an error here."""
+    with mpl.rc_context(fname=str(STYLE_FILE)):
+        drawn("عين")
+        with pytest.raises(UserWarning, match="missing from font"):
+            drawn("\U000f0000")
+
+
+def test_letters_that_no_font_has_are_boxes_without_a_warning() -> None:
+    with style():
+        assert drawn("\U000f0000 A2") != drawn(" A2")
 
 
 def test_page_has_title_footnote_and_room_for_them() -> None:
