@@ -18,7 +18,7 @@ L 3 4
 L 5.00001 -6.5
 " clip-path="url(#clip)" style="fill: none; stroke: #0072b2"/>
   <use xlink:href="#mark" x="10.98765" y="2" style="stroke: #000"/>
-  <text style="font: 9px 'STIXGeneral', serif, 'DejaVu Sans', sans-serif; fill: #000">a &lt; b</text>
+  <text style="font: 9px 'STIXGeneral', serif, 'DejaVu Sans'; fill: #000">a &lt; b</text>
  </g></g>
  <defs><clipPath id="clip"><rect x="0" y="0" width="9.87654" height="1"/></clipPath></defs>
 </svg>"""
