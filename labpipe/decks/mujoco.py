@@ -18,6 +18,7 @@ Transactions on Graphics 27 (2008) 63.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from xml.etree import ElementTree as Xml
 
@@ -35,7 +36,9 @@ TIP_SENSOR = "tip"
 FEWEST_EDGES = 3
 
 _FIRST_ROOT = 1.8751040687119611  # of cos x cosh x = -1: first mode of a cantilever
-_STEP = 0.05  # of the time 1 / (first angular frequency)
+_STEP = 0.05  # of the time 1 / (first angular frequency), for up to so many edges:
+_USUAL_EDGES = 40  # with more, shorter steps keep the constraint on their lengths as stiff
+_REST = 35.0  # times the time 1 / (first angular frequency)
 _NEVER_GIVES = "0.9999 0.9999 0.001"  # impedance: the edges keep their length
 _WIDEST_NAME = 100
 
@@ -70,6 +73,16 @@ class _Cable:
         """First angular frequency of the clamped cable, rad/s."""
         stretch = np.sqrt(self.stiffness / self.mass_per_length)
         return float(_FIRST_ROOT**2 * stretch / self.length**2)
+
+    @property
+    def step(self) -> float:
+        """Time step, s."""
+        return _STEP / self.first_frequency * min(1.0, _USUAL_EDGES / self.edges)
+
+    @property
+    def steps_to_rest(self) -> int:
+        """After how many steps a load on the tip has settled."""
+        return math.ceil(_REST / self.first_frequency / self.step)
 
 
 def mujoco_deck(
@@ -155,14 +168,16 @@ def _comments(table: WireTable, cable: _Cable, *, is_assumed: bool) -> tuple[str
         f"Free length {cable.length:.6g} m, {cable.edges} edges; the first begins half an edge "
         f"inside the clamp, whose face is at x = 0.",
         f"Mass {cable.mass_per_length:.4g} kg/m, {mass}: for the way to rest only, as there is no "
-        f"gravity. Damping is critical in the first mode.",
+        "gravity.",
+        f"Damping is critical in the first mode: at rest after {cable.steps_to_rest} steps.",
         "For MuJoCo 4.0 and later: a flex as a cable, integrator discrete.",
     )
 
 
 def _describe(root: Xml.Element, cable: _Cable) -> None:
-    step = _STEP / cable.first_frequency
-    Xml.SubElement(root, "option", timestep=f"{step:.6g}", integrator="discrete", gravity="0 0 0")
+    Xml.SubElement(
+        root, "option", timestep=f"{cable.step:.6g}", integrator="discrete", gravity="0 0 0"
+    )
     world = Xml.SubElement(root, "worldbody")
     places = (np.arange(cable.edges + 1) - 0.5) * cable.spacing
     flex = Xml.SubElement(
@@ -176,15 +191,17 @@ def _describe(root: Xml.Element, cable: _Cable) -> None:
         point="  ".join(f"{place:.9g} 0 0" for place in places),
         element="  ".join(f"{edge} {edge + 1}" for edge in range(cable.edges)),
     )
-    _behave(flex, cable, step)
+    _behave(flex, cable)
     sensors = Xml.SubElement(root, "sensor")
     tip = f"{CABLE}_{cable.edges}"
     Xml.SubElement(sensors, "framepos", name=TIP_SENSOR, objtype="body", objname=tip)
 
 
-def _behave(flex: Xml.Element, cable: _Cable, step: float) -> None:
+def _behave(flex: Xml.Element, cable: _Cable) -> None:
     """Stiffness, damping, clamp; edges that keep their length; no contacts."""
-    Xml.SubElement(flex, "edge", equality="true", solref=f"{2.0 * step:.6g} 1", solimp=_NEVER_GIVES)
+    Xml.SubElement(
+        flex, "edge", equality="true", solref=f"{2.0 * cable.step:.6g} 1", solimp=_NEVER_GIVES
+    )
     Xml.SubElement(flex, "contact", contype="0", conaffinity="0", selfcollide="none")
     circle = np.pi / 4.0 * cable.radius**4
     Xml.SubElement(

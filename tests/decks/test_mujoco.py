@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree as Xml
@@ -14,9 +15,6 @@ from labpipe.wire.cantilever import bend_under_force, straight
 from labpipe.wire.laws import LinearLaw
 from tests.builders.wire_tables import LENGTH, wire_table
 
-STEPS = 700
-"""35 times the time 1 / (first angular frequency)."""
-
 
 def settled(deck: str, load: float) -> tuple[Floats, Any]:
     """Hang a load on the tip, wait, and give back where the tip is."""
@@ -26,7 +24,9 @@ def settled(deck: str, load: float) -> tuple[Floats, Any]:
     data = mujoco.MjData(model)
     tip = int(model.sensor("tip").objid[0])
     data.xfrc_applied[tip, 1] = load
-    for _ in range(STEPS):
+    steps = re.search(r"at rest after (\d+) steps", deck)
+    assert steps is not None
+    for _ in range(int(steps[1])):
         mujoco.mj_step(model, data)
     assert not any(warning.number for warning in data.warning)
     assert float(np.max(np.abs(data.qvel))) < 1e-6
@@ -67,6 +67,18 @@ def test_a_large_load_bends_it_along_the_elastica() -> None:
     assert tip[2] == pytest.approx(0.0, abs=1e-9)
     # alpha = 2 of the table of the elastica
     assert tip[1] / LENGTH == pytest.approx(0.493457, rel=0.01)
+
+
+@pytest.mark.parametrize("edges", [20, 120])
+def test_the_cable_keeps_its_length(edges: int) -> None:
+    table = wire_table("A2")
+    load = 5.0 * table.stick_stiffness / LENGTH**2
+    tip, data = settled(mujoco_deck(table, edges=edges), load)
+    vertices = np.array(data.flexvert_xpos)
+    length = np.sum(np.linalg.norm(np.diff(vertices, axis=0), axis=1))
+    assert length * (edges - 0.5) / edges == pytest.approx(LENGTH, rel=2e-3)
+    # alpha = 5 of the table of the elastica
+    assert tip[1] / LENGTH == pytest.approx(0.713792, rel=0.005)
 
 
 def test_the_deflection_does_not_depend_on_the_mass() -> None:
