@@ -96,6 +96,24 @@ class CantileverShape:
     state: WireState
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EndLoadPath:
+    """What it takes to bring the tip to a row of deflections; arrays of shape (n,).
+
+    Parameters
+    ----------
+    load : N, normal to the clamped axis
+    clamp_moment : N m
+    """
+
+    load: Floats
+    clamp_moment: Floats
+
+    def part(self, start: int) -> EndLoadPath:
+        """The path from a point on, with the same arrays."""
+        return EndLoadPath(self.load[start:], self.clamp_moment[start:])
+
+
 @dataclass(frozen=True, slots=True)
 class StringRig:
     """The string and what hangs on it.
@@ -236,6 +254,27 @@ def end_load_curve(
 
     Parameters
     ----------
+    law, length, deflections, n_stations : as for `end_load_path`
+
+    Returns
+    -------
+    Shape (n,), N.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found on the way.
+    """
+    return end_load_path(law, length, deflections, n_stations=n_stations).load
+
+
+def end_load_path(
+    law: MomentLaw, length: float, deflections: Floats, *, n_stations: int = DEFAULT_STATIONS
+) -> EndLoadPath:
+    """End load and clamp moment at each of a row of tip deflections, from straight.
+
+    Parameters
+    ----------
     law : law of the wire
     length : m
     deflections : shape (n,), m, in the order in which they are reached
@@ -243,7 +282,7 @@ def end_load_curve(
 
     Returns
     -------
-    Shape (n,), N.
+    Load and clamp moment at each deflection.
 
     Raises
     ------
@@ -257,16 +296,16 @@ def end_load_curve(
     """
     grows = np.diff(deflections, prepend=0.0) > 0.0
     n_growing = len(grows) if grows.all() else int(np.argmin(grows))
-    loads = np.empty(len(deflections))
+    path = EndLoadPath(*np.empty((2, len(deflections))))
     state, done = straight(law, n_stations), 0
     if n_growing:
         first = end_loads(law, length, deflections[:n_growing])
         done = len(first.load) - 1
-        loads[:done] = first.load[:-1]
-        if done < len(loads):
+        path.load[:done], path.clamp_moment[:done] = first.load[:-1], first.clamp_moment[:-1]
+        if done < len(path.load):
             state = _last_state(law, state, length, first)
-    _go_on(law, state, length, deflections[done:], loads[done:])
-    return loads
+    _go_on(law, state, length, deflections[done:], path.part(done))
+    return path
 
 
 def _last_state(law: MomentLaw, state: WireState, length: float, first: EndLoads) -> WireState:
@@ -280,16 +319,17 @@ def _last_state(law: MomentLaw, state: WireState, length: float, first: EndLoads
 
 
 def _go_on(
-    law: MomentLaw, state: WireState, length: float, deflections: Floats, loads: Floats
+    law: MomentLaw, state: WireState, length: float, deflections: Floats, path: EndLoadPath
 ) -> None:
-    """Fill in the loads at further deflections, each from the trend of the two states before."""
+    """Fill in a path at further deflections, each from the trend of the two states before."""
     before = state
     for number, deflection in enumerate(deflections.tolist()):
         ahead = _trend(before, state, deflection)
         found = ahead and _settle(law, state, length, deflection, ahead)
         if found is None:
             found = bend_to_deflection(law, state, length, deflection).state
-        before, state, loads[number] = state, found, found.force[1]
+        before, state = state, found
+        path.load[number], path.clamp_moment[number] = found.force[1], found.moment[0]
 
 
 def _trend(before: WireState, state: WireState, travel: float) -> tuple[Floats, float] | None:

@@ -10,7 +10,7 @@ The axial forces F are those of `wire.friction`, the strands' own moments m thos
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -154,19 +154,13 @@ def moment_curvature(
         match the rings, or if tension is negative.
     """
     bent = np.asarray(curvature, dtype=np.float64)
-    size = np.abs(bent)
-    stick, slip, friction = np.full((3, len(bent)), np.nan)
-    for side, turn in ((bent >= 0.0, 0.0), (bent < 0.0, np.pi)):
-        if side.any():
-            sine = sines(section, orientation + turn)
-            bundle = arrange(section, contacts, sine, tension=tension)
-            stick[side], slip[side], friction[side] = _axial_moments(bundle, size[side])
+    stick, slip, friction = _axial_parts(section, contacts, bent, tension, orientation)
     elastic, own, slope = _own_moments(section, bent)
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
     return MomentCurve(
         bent,
-        np.sign(bent) * stick,
-        np.sign(bent) * slip,
+        stick,
+        slip,
         elastic * bent,
         own - elastic * bent,
         tube * bent,
@@ -176,8 +170,22 @@ def moment_curvature(
     )
 
 
-def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+def _axial_parts(
+    section: CrossSection, contacts: Contacts, bent: Floats, tension: float, orientation: float
+) -> tuple[Floats, Floats, Floats]:
     """Moments of sticking and of slipping strands, N m, and the slope of both together, N m^2."""
+    stick, slip, slope = np.full((3, len(bent)), np.nan)
+    for side, turn, sign in ((bent >= 0.0, 0.0, 1.0), (bent < 0.0, np.pi, -1.0)):
+        if side.any():
+            sine = sines(section, orientation + turn)
+            bundle = arrange(section, contacts, sine, tension=tension)
+            parts = _axial_moments(bundle, np.abs(bent[side]))
+            stick[side], slip[side], slope[side] = sign * parts[0], sign * parts[1], parts[2]
+    return stick, slip, slope
+
+
+def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+    """The same for bending one way."""
     stick, total, slope = np.empty((3, len(curvature)))
     for start in range(0, len(curvature), _CHUNK):
         part = slice(start, start + _CHUNK)
@@ -220,8 +228,26 @@ def orientation_range(
     section, contacts, curvature, tension : as for `moment_curvature`
     n_orientations : evenly spread over the full turn, the first at 0
     """
-    moments = [
-        moment_curvature(section, contacts, curvature, tension=tension, orientation=turn).moment
-        for turn in 2.0 * np.pi * np.arange(n_orientations) / n_orientations
-    ]
+    first = moment_curvature(section, contacts, curvature, tension=tension)
+    moments = []
+    for turn in _different_turns(section, n_orientations):
+        stick, slip, _ = _axial_parts(section, contacts, first.curvature, tension, turn)
+        moments.append(replace(first, stick=stick, slip=slip).moment)
     return np.min(moments, axis=0), np.max(moments, axis=0)
+
+
+def _different_turns(section: CrossSection, count: int) -> Floats:
+    """Turns of the section, rad, but for those that only swap strands of a ring."""
+    turns = 2.0 * np.pi * np.arange(count) / count
+    layer = section.layer[section.layer >= int(section.has_core)]
+    reach = float(section.radius.max()) or 1.0
+    arms = section_arms(section) / reach
+    seen = set()
+    kept = []
+    for turn in turns:
+        strands = np.array([layer, arms * sines(section, turn), arms]).round(9) + 0.0
+        key = strands[:, np.lexsort(strands)].tobytes()
+        if key not in seen:
+            seen.add(key)
+            kept.append(turn)
+    return np.array(kept)

@@ -176,3 +176,29 @@ def test_a_curvature_beyond_the_material_is_refused() -> None:
     with pytest.raises(ValueError, match=r"known up to 0.005, which is 31.25 1/m"):
         moment_curvature(section, contacts_of(section), KAPPA)
     assert ANNEALED_COPPER.largest_strain == np.inf
+
+
+@pytest.mark.parametrize("name", ["A2", "C4"])
+def test_the_range_over_orientations_leaves_out_no_turn(name: str) -> None:
+    section, contacts = wire(name), contacts_of(wire(name))
+    kappa = np.array([-5.0, 0.05, 5.0, 40.0])
+    low, high = orientation_range(section, contacts, kappa)
+    turns = 2.0 * np.pi * np.arange(24) / 24
+    moments = [moment_curvature(section, contacts, kappa, orientation=t).moment for t in turns]
+    assert low == pytest.approx(np.min(moments, axis=0), rel=1e-9)
+    assert high == pytest.approx(np.max(moments, axis=0), rel=1e-9)
+
+
+def test_the_range_over_orientations_of_strands_without_order() -> None:
+    section = wire("A2")
+    rng = np.random.default_rng(3)
+    away = rng.normal(scale=1e-5, size=(2, 7)) * (section.radius > 0.0)
+    loose = replace(section, x=section.x + away[0], y=section.y + away[1])
+    kappa = np.array([0.05, 5.0])
+    low, high = orientation_range(loose, contacts_of(loose), kappa, n_orientations=7)
+    moments = [
+        moment_curvature(loose, contacts_of(loose), kappa, orientation=turn).moment
+        for turn in 2.0 * np.pi * np.arange(7) / 7
+    ]
+    assert low == pytest.approx(np.min(moments, axis=0), rel=1e-12)
+    assert high == pytest.approx(np.max(moments, axis=0), rel=1e-12)
