@@ -1,4 +1,4 @@
-"""Force against displacement, raw and filtered, the cycles told apart."""
+"""Force against displacement, raw and as processed, the cycles told apart."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import TestResult
 from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, panel_letter, put_key, say
 from labpipe.report.thinning import extremes
+from labpipe.report.treatment import treatment
 from labpipe.report.wording import scale, why_missing
 
 if TYPE_CHECKING:
@@ -30,14 +31,14 @@ _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
 
 
 def draw(result: TestResult) -> Figure:
-    """Draw (a) the calibrated samples as recorded and (b) the filtered, zeroed curve."""
+    """Draw (a) the calibrated samples as recorded and (b) the curve that numbers come from."""
     page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=82, has_key=True)
     raw, filtered = page.subplots(1, 2, sharex=True, sharey=True)
     plot_raw(result, raw)
     plot_filtered(result, filtered)
     filtered.set_ylabel("")
     panel_letter(raw, "a", "Raw")
-    panel_letter(filtered, "b", "Filtered")
+    panel_letter(filtered, "b", treatment(result).value.capitalize())
     if result.curve is not None and result.curve.branches:
         _explain(page, [raw, filtered], result.curve)
     return page
@@ -145,6 +146,7 @@ def _explain(page: Figure, panels: list[Axes], curve: Curve) -> None:
     others = [
         Line2D([], [], color=GREY, linestyle=look, label=str(direction))
         for direction, look in _STYLES.items()
+        if any(branch.direction is direction for branch in curve.branches)
     ]
     peak = Line2D(
         [], [], color=GREY, marker="v", markerfacecolor="white", linestyle="", label="peak"

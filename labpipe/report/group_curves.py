@@ -209,11 +209,19 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
             keys.append(Patch(label="95 % band, point by point", **_POINTWISE))
         if _is_known(band.lower_all):
             keys.append(Line2D([], [], label="95 % band, whole curve", **_ALL))
-    if not is_scaled and any(_others(sample) for sample in group.samples):
-        keys.append(Line2D([], [], color=GREY, alpha=_FAINT, label="unloading, later cycles"))
+    faint = "" if is_scaled else _faint_words(group)
+    if faint:
+        keys.append(Line2D([], [], color=GREY, alpha=_FAINT, label=faint))
     if any(value_of(sample, "failure_force") is not None for sample in group.samples):
         keys.append(Line2D([], [], color=RED, marker="x", linestyle="", label="failure"))
     return keys
+
+
+def _faint_words(group: Group) -> str:
+    """What is drawn of the samples beside their first loading."""
+    unloading = any(sample.unloading for sample in group.samples)
+    later = any(len(sample.loading) > 1 for sample in group.samples)
+    return ", ".join(["unloading"] * unloading + ["later cycles"] * later)
 
 
 def _others(sample: Sample) -> list[SampleCurve]:

@@ -11,6 +11,7 @@ from labpipe.records.curve import ClockFit
 from labpipe.records.result import TestResult
 from labpipe.report.page import DOUBLE_COLUMN, GREY, new_page, say, side_key
 from labpipe.report.thinning import extremes
+from labpipe.report.treatment import treatment_of_force
 from labpipe.report.wording import scale, why_missing
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ def draw(result: TestResult) -> Figure:
 
 
 def plot_force(result: TestResult, axes: Axes) -> None:
-    """Draw the force against time: samples as recorded in grey, the filtered curve over them."""
+    """Draw the force against time: samples as recorded in grey, the curve over them."""
     up = scale(result, "force", "N")
     aligned, curve = result.aligned, result.curve
     if aligned is not None and "force" in aligned.series:
@@ -63,7 +64,7 @@ def plot_force(result: TestResult, axes: Axes) -> None:
             curve.force * up.factor,
             color="C0",
             linewidth=0.8,
-            label="filtered",
+            label=treatment_of_force(result).value,
         )
     if not axes.lines:
         say(axes, why_missing(result, "force"))

@@ -89,6 +89,28 @@ def test_few_cycles_get_a_key_many_a_colour_bar(result: TestResult) -> None:
     assert [bar.get_yticks()[0], bar.get_yticks()[-1]] == [1, 35]
 
 
+def test_key_names_no_unloading_where_there_is_none(result: TestResult) -> None:
+    assert result.curve is not None
+    pulled = replace(result, curve=replace(result.curve, branches=result.curve.branches[:1]))
+    names = [text.get_text() for text in draw(pulled).legends[0].get_texts()]
+    assert names == ["cycle 1", "loading", "peak"]
+
+
+def test_panel_b_says_whether_anything_was_filtered(result: TestResult) -> None:
+    assert result.curve is not None
+    assert result.aligned is not None
+    series = result.aligned.series
+    plain = replace(
+        result.curve, force=series["force"].values, displacement=series["displacement"].values
+    )
+    slack = replace(plain, displacement=plain.displacement - 1e-3)
+    titles = [
+        draw(replace(result, curve=curve)).axes[1].get_title(loc="left")
+        for curve in (result.curve, plain, slack)
+    ]
+    assert titles == ["(b) Filtered", "(b) Not filtered", "(b) Corrected, not filtered"]
+
+
 @pytest.mark.parametrize("count", [0, 1, 6, 7, 40])
 def test_cycle_colours_differ(count: int) -> None:
     with style():

@@ -49,7 +49,12 @@ def test_later_cycles_are_faint() -> None:
     plot_samples(build_group("A", six_samples(cycles=3)), axes)
     faint = [line for line in axes.lines if line.get_alpha() is not None]
     assert len(faint) == 6 * (2 + 2)
-    assert "unloading, later cycles" in labels(draw_curves(build_group("A", six_samples(cycles=2))))
+    two = six_samples(cycles=2)
+    assert "unloading, later cycles" in labels(draw_curves(build_group("A", two)))
+    once = [replace(sample, loading=sample.loading[:1]) for sample in two]
+    assert "unloading" in labels(draw_curves(build_group("A", once)))
+    pulled = [replace(sample, unloading=()) for sample in two]
+    assert "later cycles" in labels(draw_curves(build_group("A", pulled)))
 
 
 def test_one_sample_has_no_band_and_the_figure_says_so() -> None:

@@ -45,6 +45,15 @@ def test_force_raw_and_filtered(result: TestResult) -> None:
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), result.curve.force)
 
 
+def test_a_force_that_was_not_filtered_is_not_called_so(result: TestResult) -> None:
+    axes = Figure().subplots()
+    assert result.curve is not None
+    assert result.aligned is not None
+    plain = replace(result.curve, force=result.aligned.series["force"].values)
+    plot_force(replace(result, curve=plain), axes)
+    assert [line.get_label() for line in axes.lines] == ["raw", "not filtered"]
+
+
 def test_turning_points_lie_on_the_motion(result: TestResult) -> None:
     assert turning_points(result).tolist() == [3, 7, 11, 15, 19, 23, 27]
     axes = Figure().subplots()
