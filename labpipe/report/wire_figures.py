@@ -1,0 +1,113 @@
+"""The figures of a sheet of wires: which there are, their names, and how they are saved."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from labpipe.errors import StoreError, complaint
+from labpipe.records.wire import WireTable
+from labpipe.report.page import style
+from labpipe.report.saving import save_page
+from labpipe.report.wire_cantilever import cantilever_figure
+from labpipe.report.wire_look import pages
+from labpipe.report.wire_sections import section_figure
+from labpipe.report.wire_stiffness import comparison_figure, moment_figure, stiffness_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_NOT_IN_A_FILE = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
+_OF_ONE_WIRE: dict[str, Callable[[WireTable], Figure]] = {
+    "stiffness": stiffness_figure,
+    "moment": moment_figure,
+    "cantilever": cantilever_figure,
+}
+
+
+class WireDrawing(NamedTuple):
+    """A figure before it is drawn.
+
+    Parameters
+    ----------
+    name : of its files, without the ending
+    draw : makes it
+    """
+
+    name: str
+    draw: Callable[[], Figure]
+
+
+def wire_drawings(tables: Sequence[WireTable]) -> Iterator[WireDrawing]:
+    """List the figures of a sheet of wires.
+
+    Parameters
+    ----------
+    tables : of the wires, in the order of the sheet
+
+    Yields
+    ------
+    ``sections-1`` and ``comparison-1`` with the first dozen of wires, ``sections-2`` ...; then
+    of each wire ``NAME.stiffness``, ``NAME.moment`` and ``NAME.cantilever``. There is no comparison
+    with one wire alone.
+    """
+    for number, some in enumerate(pages(tables), start=1):
+        yield WireDrawing(f"sections-{number}", partial(section_figure, some))
+        if len(some) > 1:
+            yield WireDrawing(f"comparison-{number}", partial(comparison_figure, some))
+    for table in tables:
+        stem = _NOT_IN_A_FILE.sub("-", table.name)
+        for kind, draw in _OF_ONE_WIRE.items():
+            yield WireDrawing(f"{stem}.{kind}", partial(draw, table))
+
+
+def save_wire_figures(
+    tables: Sequence[WireTable], folder: Path, *, say: Callable[[str], None] = lambda _: None
+) -> list[Path]:
+    """Draw the figures of a sheet of wires, each as SVG and as PNG.
+
+    Parameters
+    ----------
+    tables : of the wires, in the order of the sheet
+    folder : made if it is not there
+    say : told the name of each figure as it is drawn
+
+    Returns
+    -------
+    The files, in the order of `wire_drawings`.
+
+    Raises
+    ------
+    StoreError
+        If a file cannot be written.
+
+    Notes
+    -----
+    The same tables give the same bytes with the same version of matplotlib.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        return _save(tables, folder, say)
+    except OSError as error:
+        message = complaint(
+            folder,
+            "",
+            expected="a folder that figures of wires can be written to",
+            found=str(error),
+            remedy="Make room, or change the permissions, and run the model again.",
+        )
+        raise StoreError(message) from error
+
+
+def _save(tables: Sequence[WireTable], folder: Path, say: Callable[[str], None]) -> list[Path]:
+    # names of wires are text, whatever signs of mathematics they hold
+    with style({"text.parse_math": False}), ThreadPoolExecutor(max_workers=1) as packer:
+        saved = []
+        for drawing in wire_drawings(tables):
+            say(drawing.name)
+            saved.append(save_page(drawing.draw, folder, drawing.name, packer))
+        return [path for each in saved if each.packing.result() is None for path in each.files]

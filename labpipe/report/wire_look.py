@@ -1,0 +1,146 @@
+"""What the figures of wires share: display units, words, the page, looks of several wires."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from labpipe.records.arrays import Flags
+from labpipe.records.quality import Severity
+from labpipe.records.wire import WireTable
+from labpipe.report.group_look import WIDTH, Look
+from labpipe.report.page import put_key, titled_page
+from labpipe.report.wording import Scale
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.figure import Figure
+
+CURVATURE = Scale(1.0, "1/m")
+LENGTH = Scale(1e3, "mm")
+MOMENT = Scale(1e3, "N·mm")
+STIFFNESS = Scale(1e6, "N·mm²")
+FORCE = Scale(1.0, "N")
+
+MOST_WIRES = 12
+"""Wires on one page: more could not be told apart."""
+
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
+_LONGEST_NAME = 24
+_NOTE_CHARACTERS = 0.8
+"""Characters of a footnote for each mm of the page's width."""
+_KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
+"""mm of a key's line, and of each character behind it."""
+
+
+class Words(NamedTuple):
+    """Title, footnote and key of a page.
+
+    Parameters
+    ----------
+    title : one line
+    note : footnote, broken into lines by the page
+    keys : signs to explain
+    """
+
+    title: str
+    note: str = ""
+    keys: Sequence[Artist] = ()
+
+
+def wire_page(words: Words, *, height_mm: float, width_mm: float = WIDTH) -> Figure:
+    """Make an empty page with as many columns in its key as have room.
+
+    Parameters
+    ----------
+    words : what is around the panels
+    height_mm : mm, without the lines of the key and of the footnote
+    width_mm : mm on paper
+    """
+    columns = _columns([len(str(key.get_label())) for key in words.keys], width_mm - 3.0)
+    rows = math.ceil(len(words.keys) / columns)
+    lines = textwrap.wrap(words.note, int(_NOTE_CHARACTERS * width_mm))
+    page = titled_page(
+        words.title,
+        "\n".join(lines),
+        width_mm=width_mm,
+        height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
+        key_rows=rows,
+    )
+    if words.keys:
+        put_key(page, words.keys, columns=columns)
+    return page
+
+
+def _columns(lengths: Sequence[int], room: float) -> int:
+    """Columns of a key: one line if all fits, else as many as the longest words allow."""
+    widths = [_KEY_HANDLE + _KEY_CHARACTER * length for length in lengths]
+    if sum(widths) <= room:
+        return max(len(widths), 1)
+    most = max(int(room / max(widths)), 1)
+    return math.ceil(len(widths) / math.ceil(len(widths) / most))
+
+
+def short_name(table: WireTable) -> str:
+    """Name of a wire, cut where it is too long for a line that holds more than it."""
+    name = " ".join(table.name.split())
+    return name if len(name) <= _LONGEST_NAME else name[: _LONGEST_NAME - 1] + "…"
+
+
+def strand_words(table: WireTable) -> str:
+    """Strands in words, such as ``19 × 0.24 mm``; of different ones, layer by layer.
+
+    Examples
+    --------
+    Layers of one strand of 0.3 mm and six of 0.25 mm are ``1 × 0.3 + 6 × 0.25 mm``.
+    """
+    groups: list[tuple[int, str]] = []
+    for count, diameter in zip(table.spec.layer_counts, table.spec.strand_diameters, strict=True):
+        size = f"{LENGTH.factor * diameter:.3g}"
+        if groups and groups[-1][1] == size:
+            groups[-1] = (groups[-1][0] + count, size)
+        else:
+            groups.append((count, size))
+    return " + ".join(f"{count} \u00d7 {size}" for count, size in groups) + f" {LENGTH.unit}"
+
+
+def wire_title(table: WireTable) -> str:
+    """Name, strands, layout and diameter of a wire in one line."""
+    diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
+    return (
+        f"{short_name(table)}  ·  wire model  ·  {strand_words(table)}, {table.layout.kind}"
+        f"  ·  wire {diameter:.3g} {LENGTH.unit}"
+    )
+
+
+def warnings_of(table: WireTable) -> str:
+    """Sentences of the notes that are more than information, one after the other."""
+    told = [note.message for note in table.notes if note.severity is not Severity.INFO]
+    return " ".join(told)
+
+
+def wire_looks(tables: Sequence[WireTable]) -> list[Look]:
+    """Give each wire of a page a colour and a dash of its own, to be told apart in grey too."""
+    import matplotlib as mpl
+
+    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    return [
+        # the dash moves on where the colours begin anew, so that no pair comes twice
+        Look(own[number % len(own)], _DASHES[(number + number // len(own)) % len(_DASHES)])
+        for number in range(len(tables))
+    ]
+
+
+def pages(tables: Sequence[WireTable]) -> list[Sequence[WireTable]]:
+    """Share wires out to pages of `MOST_WIRES`."""
+    return [tables[start : start + MOST_WIRES] for start in range(0, len(tables), MOST_WIRES)]
+
+
+def bent(table: WireTable) -> Flags:
+    """Tell which points of a table have a place on a logarithmic axis: all but zero curvature."""
+    found: Flags = np.asarray(table.curvature > 0.0)
+    return found

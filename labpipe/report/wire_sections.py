@@ -1,0 +1,249 @@
+"""Cross-sections of wires: strands to scale, layers in colour, the bore dashed, the insulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.wire import WireLayout, WireTable
+from labpipe.report.page import DOUBLE_COLUMN, GREY
+from labpipe.report.wire_look import (
+    LENGTH,
+    MOST_WIRES,
+    STIFFNESS,
+    Words,
+    short_name,
+    strand_words,
+    wire_page,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Patch
+
+_COLUMNS = 4
+_CELL_MM = 42.0
+_TEXT_MM = 15.0
+_ALIKE = 2.5
+"""Largest wire over smallest up to which all of a page are drawn to one scale."""
+_MARGIN = 1.06
+_BAR_SHARE = 0.5
+_INSULATION: dict[str, Any] = {"facecolor": "#dedede", "edgecolor": GREY, "linewidth": 0.6}
+_BORE: dict[str, Any] = {
+    "fill": False, "edgecolor": "black", "linewidth": 0.6, "linestyle": (0, (4, 2))
+}  # fmt: skip
+_AXIS: dict[str, Any] = {"color": "black", "linewidth": 0.5, "linestyle": (0, (8, 2, 1.5, 2))}
+
+
+def section_figure(tables: Sequence[WireTable]) -> Figure:
+    """Draw the sections of several wires beside each other.
+
+    Parameters
+    ----------
+    tables : 1 to 12 wires
+
+    Returns
+    -------
+    A page with a panel for each wire: all to one scale where the largest wire is at most 2.5 times
+    the smallest, else each to its own; each with a bar for the scale, its strands and its two
+    limits of stiffness. The neutral axis lies as the model bends the wire.
+
+    Raises
+    ------
+    ValueError
+        If there is no wire, or there are more than fit on a page.
+    """
+    if not 1 <= len(tables) <= MOST_WIRES:
+        message = f"{len(tables)} wires: allowed are 1 to {MOST_WIRES} on a page"
+        raise ValueError(message)
+    columns = min(_COLUMNS, len(tables))
+    rows = math.ceil(len(tables) / columns)
+    width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
+    page = wire_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 6.0, width_mm=width)
+    panels = page.subplots(rows, columns, squeeze=False).ravel()
+    for table, axes, reach in zip(tables, panels, _reaches(tables), strict=False):
+        plot_section(table, axes, reach=reach)
+    for axes in panels[len(tables) :]:
+        axes.set_axis_off()
+    return page
+
+
+def plot_section(table: WireTable, axes: Axes, *, reach: float | None = None) -> None:
+    """Draw one section, with a bar for the scale below it and its name and numbers above.
+
+    Parameters
+    ----------
+    table : of the wire
+    axes : to draw on
+    reach : m, from the wire's axis to the edge of the panel; None to fit the wire
+    """
+    layout = table.layout
+    edge = LENGTH.factor * _MARGIN * (reach or layout.wire_radius)
+    for patch in [*_surroundings(layout), *strand_patches(layout, table.spec.orientation)]:
+        axes.add_patch(patch)
+    if layout.kind == "compressed":
+        x, y = _turned(layout, table.spec.orientation)
+        axes.plot(x, y, ".", color="black", markersize=2.0)
+    axes.plot([-edge, edge], [0.0, 0.0], **_AXIS)
+    axes.set_aspect("equal")
+    axes.set_xlim(-edge, edge)
+    axes.set_ylim(-1.22 * edge, edge)
+    axes.set_axis_off()
+    axes.set_title(_about(table), fontsize=8, linespacing=1.25)
+    _draw_bar(axes, edge)
+
+
+def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
+    """Outlines of the strands in mm, the neutral axis being the x axis.
+
+    Parameters
+    ----------
+    layout : where they lie
+    orientation : rad, by which the section is turned
+
+    Returns
+    -------
+    One patch for each strand: circles; of compressed strands, sectors of rings of the strands'
+    areas, which fill the circle inside them.
+    """
+    from matplotlib.patches import Circle, Wedge
+
+    colours = layer_colours()
+    looks = [{"facecolor": colours[each % len(colours)], **_OUTLINE} for each in layout.layer]
+    x, y = _turned(layout, orientation)
+    if layout.kind != "compressed":
+        radii = LENGTH.factor * layout.diameter / 2.0
+        return [
+            Circle((across, up), radius, **look)
+            for across, up, radius, look in zip(x, y, radii, looks, strict=True)
+        ]
+    outer = _ring_edges(layout)
+    angle = np.degrees(np.arctan2(y, x))
+    half = 180.0 / np.bincount(layout.layer)[layout.layer]
+    return [
+        Wedge((0.0, 0.0), outer[at + 1], turn - wide, turn + wide, width=thick, **look)
+        for at, turn, wide, thick, look in zip(
+            layout.layer, angle, half, np.diff(outer)[layout.layer], looks, strict=True
+        )
+    ]
+
+
+_OUTLINE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.4}
+
+
+def layer_colours() -> list[str]:
+    """Colours of the layers from the innermost outwards."""
+    import matplotlib as mpl
+
+    own: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    return own
+
+
+def _turned(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
+    """Centres in mm, turned so that the neutral axis is the x axis."""
+    cosine, sine = math.cos(orientation), math.sin(orientation)
+    x = LENGTH.factor * (cosine * layout.x - sine * layout.y)
+    y = LENGTH.factor * (sine * layout.x + cosine * layout.y)
+    return x, y
+
+
+def _ring_edges(layout: WireLayout) -> Floats:
+    """Radii in mm between rings that hold the area of their strands without gaps, from 0 on."""
+    areas = np.bincount(layout.layer, weights=layout.diameter**2)
+    return np.asarray(LENGTH.factor * np.sqrt(np.concatenate([[0.0], np.cumsum(areas)])) / 2.0)
+
+
+def _surroundings(layout: WireLayout) -> list[Patch]:
+    from matplotlib.patches import Annulus, Circle
+
+    outer, bore = LENGTH.factor * layout.wire_radius, LENGTH.factor * layout.bore_radius
+    wall = Annulus((0.0, 0.0), outer, outer - bore, **_INSULATION)
+    return [wall, Circle((0.0, 0.0), bore, **_BORE)]
+
+
+def _about(table: WireTable) -> str:
+    diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
+    stick, slip = (
+        STIFFNESS.factor * value for value in (table.stick_stiffness, table.slip_stiffness)
+    )
+    return (
+        f"{short_name(table)}: {strand_words(table)}\n"
+        f"{table.layout.kind}, wire {diameter:.3g} {LENGTH.unit}\n"
+        f"stick {_plain(stick)}, slip {_plain(slip)} {STIFFNESS.unit}"
+    )
+
+
+def _plain(value: float) -> str:
+    """Three significant digits, without a power of ten."""
+    digits = max(2 - math.floor(math.log10(value)), 0) if value > 0.0 else 0
+    return f"{value:.{digits}f}" if digits else f"{round(value, -_spare(value)):.0f}"
+
+
+def _spare(value: float) -> int:
+    return max(math.floor(math.log10(value)) - 2, 0) if value > 0.0 else 0
+
+
+def _draw_bar(axes: Axes, edge: float) -> None:
+    """A bar of a round length near half the panel's half width, with the length beside it."""
+    power = 10.0 ** math.floor(math.log10(_BAR_SHARE * 2.0 * edge))
+    length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= edge)
+    level = -1.1 * edge
+    axes.plot([-edge, length - edge], [level, level], color="black", solid_capstyle="butt")
+    axes.text(
+        length - edge + 0.05 * edge, level, f"{length:g} {LENGTH.unit}", va="center", fontsize=7
+    )
+
+
+def _reaches(tables: Sequence[WireTable]) -> list[float]:
+    """Half widths of the panels: one for all where the wires are of like size."""
+    radii = [table.layout.wire_radius for table in tables]
+    return [max(radii)] * len(radii) if _is_one_scale(tables) else radii
+
+
+def _is_one_scale(tables: Sequence[WireTable]) -> bool:
+    radii = [table.layout.wire_radius for table in tables]
+    return max(radii) <= _ALIKE * min(radii)
+
+
+def _words(tables: Sequence[WireTable]) -> Words:
+    scale = ""
+    if len(tables) > 1:
+        scale = ", all to one scale" if _is_one_scale(tables) else ", each to its own scale"
+    note = ""
+    if any(table.layout.kind == "compressed" for table in tables):
+        note = (
+            "Compressed strands: sectors of rings with the area of each strand, without gaps; dots"
+            " are the centroids that the model works with."
+        )
+    return Words(f"Cross-sections as the wire model has them{scale}", note, _keys(tables))
+
+
+def _keys(tables: Sequence[WireTable]) -> list[Artist]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    has_core = any(np.sum(table.layout.layer == 0) == 1 for table in tables)
+    layers = max(int(table.layout.layer.max()) for table in tables) + 1
+    keys: list[Artist] = [
+        Patch(label=_layer_name(number, has_core=has_core), facecolor=colour, **_OUTLINE)
+        for number, colour in zip(range(layers), layer_colours(), strict=False)
+    ]
+    bore = {"color": _BORE["edgecolor"], "linestyle": _BORE["linestyle"], "linewidth": 0.6}
+    return [
+        *keys,
+        Patch(label="insulation", **_INSULATION),
+        Line2D([], [], label="bore", **bore),
+        Line2D([], [], label="neutral axis", **_AXIS),
+    ]
+
+
+def _layer_name(number: int, *, has_core: bool) -> str:
+    if has_core:
+        return "core" if number == 0 else f"ring {number}"
+    return f"ring {number + 1}"

@@ -1,0 +1,257 @@
+"""The results of a sheet of wires as a workbook: summary, notes, and a sheet for each wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from labpipe.errors import StoreError, complaint
+from labpipe.records.arrays import Ints
+from labpipe.records.quality import Severity
+from labpipe.records.wire import WireTable
+from labpipe.report.wire_look import CURVATURE, FORCE, LENGTH, MOMENT, STIFFNESS
+from labpipe.report.wire_summary import SUMMARY, row_error, shown_rows
+from labpipe.report.wording import Scale
+from labpipe.report.workbook import sheet_name
+
+if TYPE_CHECKING:
+    from openpyxl.cell import Cell
+    from openpyxl.styles import NamedStyle
+    from openpyxl.workbook import Workbook
+
+MOST_ROWS = 12_000
+"""Rows of all laws together: with more, a workbook of hundreds of wires takes longer to write than
+the model to run."""
+_FEWEST_ROWS = 40
+"""Rows of each law that are shown at least: straight lines between them stay within 1 %."""
+_HEADING = "heading of a column"
+_READ_ME, _SUMMARY, _NOTES = "read me", "wires", "notes"
+_NARROWEST, _WIDEST = 11, 60
+_LAW: tuple[tuple[str, str, Scale], ...] = (
+    ("curvature", "curvature", CURVATURE),
+    ("moment", "moment", MOMENT),
+    ("of sticking strands", "stick", MOMENT),
+    ("of slipping strands", "slip", MOMENT),
+    ("of the strands' own bending", "bending", MOMENT),
+    ("lost to yielding", "plastic", MOMENT),
+    ("of the insulation", "insulation", MOMENT),
+    ("secant stiffness", "secant_stiffness", STIFFNESS),
+    ("tangent stiffness", "tangent_stiffness", STIFFNESS),
+    ("lowest moment of all orientations", "lowest_moment", MOMENT),
+    ("highest moment of all orientations", "highest_moment", MOMENT),
+)
+_ABOUT = (
+    "Laws of wires on first loading, from the wire model of labpipe. Numbers are in the units of"
+    " their headings, with all digits. 1 N·mm² is 1e-6 N·m². An empty cell: no such number.",
+    "Sheet 'wires': one row for each wire; its name leads to its sheet. Sheet 'notes': what was"
+    " refused, limited or taken as a default.",
+    "Moment = sticking strands + slipping strands + strands' own bending + lost to yielding +"
+    " insulation; what yielding takes is negative.",
+    "Secant stiffness is moment / curvature, tangent stiffness its slope. Stick stiffness: no"
+    " strand slips or yields. Slip stiffness: no friction, and no strand yields.",
+    "A law ends with its last row. Nothing is said beyond it. With very many wires, their sheets"
+    " show fewer rows than the law has: see the last columns of 'wires'.",
+    "End load: normal to the clamped axis, at the tip of the cantilever of the wire's length, by"
+    " straight lines between the points of its curve; empty beyond its end.",
+    "Torsional stiffness: of strands that do not grip each other, a lower bound.",
+    "Strands: centres of the section before it is turned; layer 0 is the innermost.",
+)
+
+Value: TypeAlias = str | float | None
+
+
+class Sheet(NamedTuple):
+    """A sheet before it is written.
+
+    Parameters
+    ----------
+    name : free of what a sheet's name may not hold, and no other sheet's
+    heads : headings
+    rows : below them
+    frozen : cell above and left of which all stays in view
+    """
+
+    name: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Value]]
+    frozen: str = "A2"
+
+
+def save_wire_workbook(
+    tables: Sequence[WireTable], path: Path, *, refused: Mapping[str, str] | None = None
+) -> None:
+    """Write the results of a sheet of wires as an xlsx file.
+
+    Parameters
+    ----------
+    tables : of the wires, in the order of the sheet
+    path : of the file
+    refused : name of each wire without a table -> why
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+
+    Notes
+    -----
+    With many wires, the sheet of each shows some rows of its law, `MOST_ROWS` of all wires
+    together but 40 of each at least; the summary says how many, and how far straight lines between them are from
+    the whole law. Text stays text: a wire called ``=1+1`` is not a formula. Numbers that are not
+    finite are empty cells. Characters that a workbook cannot hold are shown as U+FFFD.
+    """
+    try:
+        with path.open("wb") as file:  # first: a book that was begun has to be saved
+            _book(tables, refused or {}).save(file)
+    except OSError as error:
+        message = complaint(
+            path,
+            "",
+            expected="a workbook that can be written",
+            found=str(error),
+            remedy="Make room, change the permissions, or close it where it is open, and run the"
+            " model again.",
+        )
+        raise StoreError(message) from error
+
+
+def _book(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Workbook:
+    from openpyxl import Workbook
+
+    # cells go to disk as they come: hundreds of sheets take less time and memory
+    book = Workbook(write_only=True)
+    book.add_named_style(_heading())
+    most = max(MOST_ROWS // max(len(tables), 1), _FEWEST_ROWS)
+    shown = [shown_rows(table, most) for table in tables]
+    names = _names(tables)
+    links = {table.name: name for table, name in zip(tables, names, strict=True)}
+    _add(book, Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT]))
+    _add(book, _summary(tables, refused, shown), links)
+    _add(book, _notes(tables, refused))
+    for table, name, rows in zip(tables, names, shown, strict=True):
+        _add(book, _wire(table, name, rows))
+    book.active = 1
+    return book
+
+
+def _names(tables: Sequence[WireTable]) -> list[str]:
+    """Names of the wires' sheets, in their order."""
+    names = [_READ_ME, _SUMMARY, _NOTES]
+    for table in tables:
+        names.append(sheet_name(table.name, names))
+    return names[3:]
+
+
+def _summary(
+    tables: Sequence[WireTable], refused: Mapping[str, str], shown: Sequence[Ints]
+) -> Sheet:
+    heads = (
+        "wire", *(column.heading for column in SUMMARY), "rows of the law", "rows shown",
+        "error between the rows shown, largest (% of moment)",
+    )  # fmt: skip
+    rows: list[Sequence[Value]] = [
+        (name, *(None for _ in SUMMARY[:-2]), f"not modelled: {reason}")
+        for name, reason in refused.items()
+    ]
+    for table, kept in zip(tables, shown, strict=True):
+        about = (len(table.curvature), len(kept), row_error(table, kept))
+        rows.append((table.name, *(column.value(table) for column in SUMMARY), *about))
+    return Sheet(_SUMMARY, heads, rows, "B2")
+
+
+def _notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Sheet:
+    rows: list[Sequence[Value]] = [
+        (name, "not modelled", "", reason, "refused") for name, reason in refused.items()
+    ]
+    for severity in reversed(Severity):
+        rows += [
+            (table.name, str(note.severity), note.where, note.message, note.code)
+            for table in tables
+            for note in table.notes
+            if note.severity is severity
+        ]
+    return Sheet(_NOTES, ("wire", "kind", "where", "what", "code"), rows)
+
+
+def _wire(table: WireTable, name: str, shown: Ints) -> Sheet:
+    """The law, the cantilever, the onsets of slip and the strands beside each other."""
+    layout = table.layout
+    blocks: list[tuple[str, Iterable[Any]]] = [
+        (scale.label(words), (scale.factor * getattr(table, field)[shown]).tolist())
+        for words, field, scale in _LAW
+    ]
+    blocks += [
+        ("", ()),
+        (LENGTH.label("tip deflection"), (LENGTH.factor * table.tip_deflection).tolist()),
+        (FORCE.label("end load"), (FORCE.factor * table.tip_force).tolist()),
+        ("", ()),
+        (CURVATURE.label("strands begin to slip"), (CURVATURE.factor * table.slip_onsets).tolist()),
+        ("", ()),
+        ("layer of a strand", layout.layer.tolist()),
+        (LENGTH.label("its centre, x"), (LENGTH.factor * layout.x).tolist()),
+        (LENGTH.label("its centre, y"), (LENGTH.factor * layout.y).tolist()),
+        (LENGTH.label("its diameter"), (LENGTH.factor * layout.diameter).tolist()),
+    ]
+    rows = list(zip_longest(*(values for _, values in blocks)))
+    return Sheet(name, [head for head, _ in blocks], rows)
+
+
+def _add(book: Workbook, sheet: Sheet, links: Mapping[str, str] | None = None) -> None:
+    """Write a sheet: bold headings that stay in view, columns as wide as their text.
+
+    A text in the first column that is in `links` leads to the sheet of that name.
+    """
+    from openpyxl.utils import get_column_letter
+
+    page: Any = book.create_sheet(sheet.name)
+    page.freeze_panes = sheet.frozen
+    for number, width in enumerate(_widths(sheet), start=1):
+        page.column_dimensions[get_column_letter(number)].width = width
+    heads = [_text(page, head) for head in sheet.heads]
+    for cell in heads:
+        cell.style = _HEADING
+    page.append(heads)
+    for first, *others in sheet.rows:
+        link = (links or {}).get(str(first), "")
+        page.append([_cell(page, first, link), *(_cell(page, value) for value in others)])
+
+
+def _heading() -> NamedStyle:
+    from openpyxl.styles import Alignment, Font, NamedStyle
+
+    wrapped = Alignment(wrap_text=True, vertical="top")
+    return NamedStyle(_HEADING, font=Font(bold=True), alignment=wrapped)
+
+
+def _widths(sheet: Sheet) -> list[int]:
+    """Width of each column: of its longest text; headings are broken into lines."""
+    widths = [max(_NARROWEST, *map(len, head.split(" "))) for head in sheet.heads]
+    for row in sheet.rows:
+        for at, value in enumerate(row):
+            if isinstance(value, str):
+                widths[at] = max(widths[at], len(value))
+    return [min(width + 2, _WIDEST) for width in widths]
+
+
+def _cell(page: Any, value: Value, link: str = "") -> Cell | float | None:
+    if isinstance(value, str):
+        return _text(page, value, link)
+    return None if value is None or not math.isfinite(value) else value
+
+
+def _text(page: Any, text: str, link: str = "") -> Cell:
+    from openpyxl.cell import WriteOnlyCell
+    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
+    from openpyxl.worksheet.hyperlink import Hyperlink
+
+    cell: Cell = WriteOnlyCell(page, ILLEGAL_CHARACTERS_RE.sub("\ufffd", text))
+    if cell.data_type != "s":  # begins like a formula, or is called like an error
+        cell.data_type = "s"
+        cell.quotePrefix = True
+    if link:
+        cell.hyperlink = Hyperlink(ref="A1", location=f"'{link}'!A1")
+        cell.style = "Hyperlink"
+    return cell

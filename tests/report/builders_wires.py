@@ -1,0 +1,42 @@
+"""Synthetic tables that figures and workbooks of wires are tested with."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireTable
+from labpipe.wire.cross_section import Insulation, compressed, lay_up, strand_diameter
+from labpipe.wire.materials import ANNEALED_COPPER
+from tests.builders.wire_tables import layout_of, wire_table
+
+DEFAULTS_TAKEN = QualityNote(
+    "defaults_taken", Severity.INFO, "A3", "Not in the sheet: Poisson's ratio 0.34."
+)
+CUT = QualityNote(
+    "cantilever_cut",
+    Severity.WARNING,
+    "A3",
+    "The curve stops at a deflection of 60 mm, where the clamp leaves the range of the law.",
+)
+
+
+def troubled() -> WireTable:
+    """A wire with notes, and without a cantilever curve."""
+    nothing = np.zeros(0)
+    notes = (DEFAULTS_TAKEN, CUT)
+    return replace(wire_table("A3"), notes=notes, tip_deflection=nothing, tip_force=nothing)
+
+
+@cache
+def compressed_wire() -> WireTable:
+    """The section of B1, seven compressed strands in a wall of 0.2 mm, with the law of A1."""
+    strand = strand_diameter(0.35e-6, 7)
+    layers = lay_up(7, strand, [float(np.radians(12.0))], ANNEALED_COPPER)
+    section = compressed(layers, Insulation(0.35e-3, 0.2e-3, 1e9))
+    table = wire_table("A1", "B1")
+    spec = replace(table.spec, wire_diameter=1.1e-3, strand_diameters=(strand, strand))
+    return replace(table, layout=layout_of(section), spec=spec)
