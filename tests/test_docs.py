@@ -6,6 +6,7 @@ import ast
 import json
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -179,10 +180,42 @@ def test_every_result_is_documented_and_no_other() -> None:
         assert "**Example**: " in text, heading
 
 
+@cache
+def constants_of(path: Path) -> dict[str, str]:
+    """Texts that a module gives a name in capitals, or takes from another module under one."""
+    found: dict[str, str] = {}
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        match node:
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Constant(value=str() as text)):
+                found[name] = text
+            case ast.ImportFrom(module=str() as module, names=names):
+                other = ROOT / f"{module.replace('.', '/')}.py"
+                known = constants_of(other) if other.is_file() else {}
+                found |= {
+                    each.asname or each.name: known[each.name]
+                    for each in names
+                    if each.name in known
+                }
+    return {name: text for name, text in found.items() if name.isupper()}
+
+
+class Spelled(ast.NodeTransformer):
+    """Put the text of a constant where its name stands."""
+
+    def __init__(self, constants: dict[str, str]) -> None:
+        self.constants = constants
+
+    def visit_Name(self, node: ast.Name) -> ast.expr:
+        if isinstance(node.ctx, ast.Load) and node.id in self.constants:
+            return ast.Constant(self.constants[node.id])
+        return node
+
+
 def trees(*layers: str) -> Iterator[ast.AST]:
     for layer in layers or ("readers", "processing", "fitting", "pipeline"):
         for path in sorted((ROOT / "labpipe" / layer).rglob("*.py")):
-            yield from ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            yield from ast.walk(Spelled(constants_of(path)).visit(tree))
 
 
 def text_of(node: ast.expr) -> str | None:
@@ -212,6 +245,12 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":
             yield text_of(given[1]), "info"
+
+
+def test_codes_behind_a_constant_are_seen() -> None:
+    path = ROOT / "labpipe" / "pipeline" / "settings.py"
+    assert constants_of(path)["PROTOCOLS_DIFFER"] == "protocols_differ"
+    assert ("protocols_differ", "warning") in {pair for n in trees("pipeline") for pair in noted(n)}
 
 
 def test_every_quality_note_is_documented_and_no_other() -> None:
