@@ -297,32 +297,44 @@ def end_load_path(
     grows = np.diff(deflections, prepend=0.0) > 0.0
     n_growing = len(grows) if grows.all() else int(np.argmin(grows))
     path = EndLoadPath(*np.empty((2, len(deflections))))
-    state, done = straight(law, n_stations), 0
+    before = state = straight(law, n_stations)
+    done = 0
     if n_growing:
         first = end_loads(law, length, deflections[:n_growing])
         done = len(first.load) - 1
         path.load[:done], path.clamp_moment[:done] = first.load[:-1], first.clamp_moment[:-1]
         if done < len(path.load):
+            before = _guess(before, length, first, max(done - 2, 0))
             state = _last_state(law, state, length, first)
-    _go_on(law, state, length, deflections[done:], path.part(done))
+    _go_on(law, (before, state), length, deflections[done:], path.part(done))
     return path
 
 
-def _last_state(law: MomentLaw, state: WireState, length: float, first: EndLoads) -> WireState:
-    """State at the end of a first loading, from the straight one, at the stations of the latter."""
-    position = chebyshev_stations(len(state.moment)).position
-    guess = first.moment_at(-1, length * (1.0 - position)), float(first.load[-1])
-    found = _settle(law, state, length, float(first.deflection[-1]), guess)
+def _guess(virgin: WireState, length: float, first: EndLoads, row: int) -> WireState:
+    """Nearly the state at one row of a first loading, at the stations of the straight wire."""
+    from_tip = length * (1.0 - chebyshev_stations(len(virgin.moment)).position)
+    moment, load = first.moment_at(row, from_tip), float(first.load[row])
+    return replace(virgin, moment=moment, load=load, travel=float(first.deflection[row]))
+
+
+def _last_state(law: MomentLaw, virgin: WireState, length: float, first: EndLoads) -> WireState:
+    """State at the end of a first loading."""
+    guess = _guess(virgin, length, first, -1)
+    found = _settle(law, virgin, length, guess.travel, (guess.moment, guess.load))
     if found is None:
-        return bend_to_deflection(law, state, length, float(first.deflection[-1])).state
+        return bend_to_deflection(law, virgin, length, guess.travel).state
     return found
 
 
 def _go_on(
-    law: MomentLaw, state: WireState, length: float, deflections: Floats, path: EndLoadPath
+    law: MomentLaw,
+    last_two: tuple[WireState, WireState],
+    length: float,
+    deflections: Floats,
+    path: EndLoadPath,
 ) -> None:
     """Fill in a path at further deflections, each from the trend of the two states before."""
-    before = state
+    before, state = last_two
     for number, deflection in enumerate(deflections.tolist()):
         ahead = _trend(before, state, deflection)
         found = ahead and _settle(law, state, length, deflection, ahead)

@@ -30,7 +30,9 @@ from labpipe.wire.cross_section import CrossSection, Layer
 
 _ON_AXIS = 1e-12  # sine of a strand on the neutral axis, but for rounding
 _NEAR_AXIS = 1e-9
-_FIRST_GUESS, _MOST_DOUBLINGS, _HALVINGS = 1e-9, 60, 54  # of the curvature of first slip, 1/m
+_FIRST_GUESS, _MOST_RAISES = 1e-9, 60  # of the curvature of first slip, 1/m
+_SHARES = np.arange(17)[:, None] / 16.0
+_ROUNDS = 14  # each to a sixteenth: to rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,8 +273,8 @@ def axial_forces(bundle: Bundle, curvature: Floats) -> AxialForces:
     Parameters
     ----------
     bundle : rings made ready
-    curvature : shape (curvatures, 1), or (1, strands) with one for each strand; 1/m, not negative;
-        for bending the other way turn the section by half a turn
+    curvature : shape (curvatures, 1), or (n, strands) with its own for each strand; 1/m, not
+        negative; for bending the other way turn the section by half a turn
 
     Returns
     -------
@@ -347,7 +349,7 @@ def slip_onsets(
 
     Notes
     -----
-    Found by bisection to rounding. Within a ring the strands near the neutral axis slip first when
+    Found to rounding, by narrowing down. Within a ring the strands near the neutral axis slip first when
     friction is even (theta_e / sin theta grows with theta), not those farthest from it, as a
     sentence of the source's 3.2.1 has it.
     """
@@ -355,19 +357,22 @@ def slip_onsets(
     near = np.where(sine == 0.0, _NEAR_AXIS, sine)
     bundle = arrange(section, contacts, near, tension=tension)
 
-    def sticks(curvature: Floats) -> Flags:
-        stuck: Flags = axial_forces(bundle, curvature[None]).stuck[0]
-        return stuck
-
     lower, upper = np.zeros(len(near)), np.full(len(near), _FIRST_GUESS)
-    for _ in range(_MOST_DOUBLINGS):
-        still = sticks(upper)
+    for _ in range(_MOST_RAISES):
+        still = _stuck(bundle, upper[None])[0]
         if not still.any():
             break
         lower, upper = np.where(still, upper, lower), np.where(still, 4.0 * upper, upper)
-    never = sticks(upper)
-    for _ in range(_HALVINGS):
-        middle = (lower + upper) / 2.0
-        still = sticks(middle)
-        lower, upper = np.where(still, middle, lower), np.where(still, upper, middle)
+    never = _stuck(bundle, upper[None])[0]
+    for _ in range(_ROUNDS):
+        rungs = lower + (upper - lower) * _SHARES  # of a ladder, so many at once
+        slips = ~_stuck(bundle, rungs[1:-1])
+        first = np.where(slips.any(axis=0), slips.argmax(axis=0) + 1, len(_SHARES) - 1)
+        strand = np.arange(len(near))
+        lower, upper = rungs[first - 1, strand], rungs[first, strand]
     return np.where(never, np.inf, lower)
+
+
+def _stuck(bundle: Bundle, curvature: Floats) -> Flags:
+    stuck: Flags = axial_forces(bundle, curvature).stuck
+    return stuck
