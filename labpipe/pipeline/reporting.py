@@ -212,7 +212,10 @@ def _group(
 
 
 def _of_specimen(sample: Sample) -> Sample:
-    """The sample with those results alone that say something about the specimen."""
+    """The sample with those results alone that say something about the specimen.
+
+    A group has numbers of these only, so that no table or figure has to leave any out.
+    """
     kept = [each for each in sample.results if is_main(each.name)]
     return replace(sample, results=tuple(kept))
 

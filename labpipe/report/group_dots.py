@@ -11,8 +11,8 @@ import numpy as np
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group, GroupNumber, MeanInterval
 from labpipe.records.result import Status
-from labpipe.report.group_look import RED, group_page, spool_looks
-from labpipe.report.numbers import display_of, in_words, is_main, shown_in, unit_words
+from labpipe.report.group_look import RED, group_page, panel_grid, spool_looks
+from labpipe.report.numbers import display_of, in_words, shown_in, unit_words
 from labpipe.report.page import GREY
 
 if TYPE_CHECKING:
@@ -86,12 +86,9 @@ def draw_dots(group: Group) -> Figure:
     page = group_page(
         group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
     )
-    columns = min(_COLUMNS, len(numbers))
-    panels = page.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for number, axes in zip(numbers, panels, strict=False):
+    panels = panel_grid(page, len(numbers), columns=_COLUMNS)
+    for number, axes in zip(numbers, panels, strict=True):
         plot_dots(group, number, axes)
-    for spare in panels[len(numbers) :]:
-        spare.set_axis_off()
     return page
 
 
@@ -200,8 +197,8 @@ def _keep_in_view(rows: list[Row], factor: float, axes: Axes) -> None:
 
 
 def _is_first(name: str) -> bool:
-    """Tell numbers of the specimen as a whole, or of its first cycle, from all others."""
-    return is_main(name) and name.partition(".")[2] in {"", "1"}
+    """Tell numbers of the specimen as a whole, or of its first cycle, from those of later ones."""
+    return name.partition(".")[2] in {"", "1"}
 
 
 def _keys(numbers: list[GroupNumber]) -> list[Artist]:

@@ -93,6 +93,23 @@ def group_page(
     return page
 
 
+def panel_grid(page: Figure, count: int, *, columns: int) -> list[Axes]:
+    """Make panels of one height axis, row by row.
+
+    Parameters
+    ----------
+    page : they are put on
+    count : of panels, at least one
+    columns : side by side at the most
+    """
+    columns = min(columns, count)
+    rows = math.ceil(count / columns)
+    panels = page.subplots(rows, columns, squeeze=False, sharey=True).ravel()
+    for spare in panels[count:]:
+        spare.set_axis_off()
+    return list(panels[:count])
+
+
 def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:
     """Displacement and values of a curve at the points that are drawn.
 

@@ -15,6 +15,7 @@ from labpipe.report.group_look import (
     group_page,
     group_scale,
     label_axes,
+    panel_grid,
     spool_looks,
     thin,
 )
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PANELS = 8
+_COLUMNS = 2
 _HEIGHT = 62.0
 _MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
 _CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
@@ -47,19 +49,16 @@ def draw_slips(group: Group) -> Figure:
     """
     samples = with_slips(group)
     shown, rest = samples[:MOST_PANELS], samples[MOST_PANELS:]
-    columns = min(2, len(shown))
-    rows = math.ceil(len(shown) / columns)
+    rows = math.ceil(len(shown) / _COLUMNS)
     note = (
         f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
     )
     page = group_page(group, _keys(shown), height_mm=_HEIGHT * rows, note=note)
-    panels = page.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for sample, axes in zip(shown, panels, strict=False):
+    panels = panel_grid(page, len(shown), columns=_COLUMNS)
+    for sample, axes in zip(shown, panels, strict=True):
         plot_slips(group, sample, axes)
         axes.set_title(sample.test, loc="left")
         axes.label_outer(remove_inner_ticks=True)
-    for spare in panels[len(shown) :]:
-        spare.set_axis_off()
     return page
 
 

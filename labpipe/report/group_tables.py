@@ -13,7 +13,6 @@ from labpipe.report.numbers import (
     display_of,
     heading,
     in_words,
-    is_main,
     shown_in,
     unit_words,
     with_names_in_words,
@@ -82,11 +81,7 @@ def _concern_row(concern: Concern) -> tuple[Cell, ...]:
 def key_numbers(group: Group) -> Table:
     """Make the table of means: interval, what was averaged, standard deviation."""
     ways = {name: len(own) for name, own in mixed(group.numbers).items()}
-    rows = tuple(
-        _mean_row(group, each, ways.get(each.name, 1))
-        for each in group.numbers
-        if is_main(each.name)
-    )
+    rows = tuple(_mean_row(group, each, ways.get(each.name, 1)) for each in group.numbers)
     heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
     notes = (*_no_intervals(group), *_why_so_wide(group))
     return Table(f"{group.name}: means", heads, rows, notes)
@@ -94,7 +89,7 @@ def key_numbers(group: Group) -> Table:
 
 def _why_so_wide(group: Group) -> Iterator[str]:
     """Why a mean over two spool means is so unsure, and what would help."""
-    if any(_is_over_two_spools(each) for each in group.numbers if is_main(each.name)):
+    if any(_is_over_two_spools(each) for each in group.numbers):
         yield (
             "Intervals over two spool means are wide because two values leave one degree of"
             " freedom, where Student's t is 12.7. More samples of these spools would hardly help;"
@@ -111,7 +106,7 @@ def _no_intervals(group: Group) -> tuple[str, ...]:
     """Why means have no interval; those that share a reason stand together."""
     reasons: dict[str, list[str]] = {}
     for each in group.numbers:
-        if is_main(each.name) and each.mean is not None and each.mean.chosen.reason:
+        if each.mean is not None and each.mean.chosen.reason:
             reason = split_reason(each.mean.chosen.reason)[1]
             reasons.setdefault(reason, []).append(in_words(each.name))
     return tuple(f"No interval: {why} ({'; '.join(names)})" for why, names in reasons.items())
@@ -156,9 +151,9 @@ def spool_means(group: Group) -> Table:
     What all decisions have in common stands once, below the table.
     """
     spools = tuple(dict.fromkeys(sample.specimen.spool for sample in group.samples))
-    own = [each for each in group.numbers if is_main(each.name)]
+    own = [each for each in group.numbers if each.mean is not None]
     decisions, shared = _decisions([each.mean for each in own if each.mean is not None])
-    rows = [_spool_row(group, each, spools) for each in own if each.mean is not None]
+    rows = [_spool_row(group, each, spools) for each in own]
     heads = ("Number", *(f"Spool {spool}" for spool in spools))
     title = f"{group.name}: spool means, and how they are averaged"
     if not any(decisions):
@@ -206,7 +201,7 @@ def _spool_row(group: Group, number: GroupNumber, spools: Sequence[str]) -> tupl
 
 def sample_tables(group: Group) -> list[Table]:
     """Make tables with a row per sample and a column per number, a few numbers in each."""
-    own = [each for each in group.numbers if is_main(each.name)]
+    own = list(group.numbers)
     parts = [own[start : start + _COLUMNS] for start in range(0, len(own), _COLUMNS)]
     return [_sample_table(group, part, len(parts), at) for at, part in enumerate(parts, start=1)]
 
