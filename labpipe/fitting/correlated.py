@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import lgamma
+from functools import lru_cache
 
 import numpy as np
 
+from labpipe.fitting.cosines import slowest_cosines
 from labpipe.fitting.estimates import Estimate
+from labpipe.fitting.student import density, half_width, share_within
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 
@@ -21,6 +23,12 @@ _FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
 _PRIOR = -0.4
 """Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
 correlation over a tenth of the window (the studies beside the tests)."""
+_LONG = 10_000
+"""Samples above which the time of a fit is that of passing over them."""
+_INDEPENDENT = 1e8
+"""Condition of the products of columns below which two steps of Cholesky are exact to rounding."""
+_NOTHING = 1e-15
+"""Chance of a spectrum below which it cannot move a half width."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,17 +111,12 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     if count < spent + 4:
         message = f"expected at least {spent + 4} samples for {spent} coefficients, found {count}"
         raise ValueError(message)
-    scale = np.linalg.norm(design, axis=0)
-    basis, triangle = np.linalg.qr(design / scale)
-    to_coefficients = np.linalg.inv(triangle) / scale[:, None]
-    plain = basis.T @ values
-    residuals = values - basis @ plain
+    basis, to_coefficients = orthonormal(design)
+    plain = basis @ values
+    residuals = values - plain @ basis
     terms = count if weighted else min(count, TERMS)
-    spectra, prior = _spectra(count, terms)
-    from scipy.fft import dct
-
-    waves = dct(np.column_stack([basis, residuals]), axis=0, norm="ortho")[:terms]
-    noise = _Noise.of(spectra, prior, waves[:, :spent], waves[:, spent])
+    waves = slowest_cosines([*basis, residuals], terms).T
+    noise = _Noise.of(_spectra(count, terms), waves[:, :spent], waves[:, spent])
     shifts, unit = noise.weighted_fit() if weighted else noise.plain_fit(waves[:, :spent])
     shift = noise.chances @ shifts
     deviation = float(np.sqrt(residuals @ residuals / (count - spent)))
@@ -128,6 +131,46 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
         residual_deviation=deviation,
         n=count,
     )
+
+
+def orthonormal(design: Floats) -> tuple[Floats, Floats]:
+    """Orthonormal basis of the columns of a design.
+
+    Parameters
+    ----------
+    design : shape (n, p), full rank, without NaN
+
+    Returns
+    -------
+    basis : shape (p, n), orthonormal rows
+    to_coefficients : shape (p, p); the coefficients of the columns from those of the basis
+
+    Notes
+    -----
+    Of long columns by two steps of Cholesky (Fukaya et al., SIAM J. Sci. Comput. 42 (2020) A477),
+    which only form products: as good as Householder's reflections as long as the columns are far
+    from dependent, and several times as fast. Else by reflections.
+    """
+    scale = np.sqrt(np.einsum("np,np->p", design, design))
+    if len(design) > _LONG:
+        gram = (design.T @ design) / np.outer(scale, scale)
+        if np.linalg.cond(gram) < _INDEPENDENT:
+            first = np.linalg.inv(np.linalg.cholesky(gram)) / scale
+            basis = first @ design.T
+            second = np.linalg.inv(np.linalg.cholesky(basis @ basis.T))
+            return second @ basis, (second @ first).T
+    columns, triangle = np.linalg.qr(design / scale)
+    return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spectra:
+    """Spectra of noise at the cosines (g, terms), 1 / spectra, sums of logs (g,), prior (g,)."""
+
+    spectra: Floats
+    inverse: Floats
+    logs: Floats
+    prior: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,24 +188,21 @@ class _Noise:
     unit: Floats
 
     @classmethod
-    def of(cls, spectra: Floats, prior: Floats, waves: Floats, residuals: Floats) -> _Noise:
+    def of(cls, grid: _Spectra, waves: Floats, residuals: Floats) -> _Noise:
         terms, spent = waves.shape
         freedom = terms - spent
-        products = (waves[:, :, None] * waves[:, None, :]).reshape(terms, -1)
-        information: Floats = ((1.0 / spectra) @ products).reshape(-1, spent, spent)
+        information = (grid.inverse @ _products(waves)).reshape(-1, spent, spent)
         inverse: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        score = (residuals / spectra) @ waves
-        shifts = np.einsum("gij,gj->gi", inverse, score)
-        squares = (1.0 / spectra) @ residuals**2 - np.einsum("gi,gi->g", shifts, score)
+        score = grid.inverse @ (residuals[:, None] * waves)
+        shifts: Floats = np.einsum("gij,gj->gi", inverse, score)
+        squares = grid.inverse @ residuals**2 - np.einsum("gi,gi->g", shifts, score)
         squares = np.asarray(np.maximum(squares, np.finfo(float).tiny), dtype=np.float64)
         likelihood = -0.5 * (
-            np.log(spectra).sum(axis=1)
-            + np.linalg.slogdet(information)[1]
-            + freedom * np.log(squares)
+            grid.logs + np.linalg.slogdet(information)[1] + freedom * np.log(squares)
         )
-        chances = prior * np.exp(likelihood - likelihood.max())
+        chances = grid.prior * np.exp(likelihood - likelihood.max())
         variances: Floats = np.asarray(squares / freedom, dtype=np.float64)
-        return cls(spectra, chances / chances.sum(), variances, freedom, shifts, inverse)
+        return cls(grid.spectra, chances / chances.sum(), variances, freedom, shifts, inverse)
 
     def weighted_fit(self) -> tuple[Floats, Floats]:
         """Generalised least squares for each spectrum: change of coefficients, unit covariance."""
@@ -173,14 +213,19 @@ class _Noise:
 
         What the basis has beyond the last cosine meets noise of at most that cosine's power.
         """
-        products = (waves[:, :, None] * waves[:, None, :]).reshape(len(waves), -1)
         spent = waves.shape[1]
         beyond = np.eye(spent) - waves.T @ waves
-        unit = (self.spectra @ products).reshape(-1, spent, spent)
+        unit = (self.spectra @ _products(waves)).reshape(-1, spent, spent)
         return np.zeros_like(self.shifts), unit + self.spectra[:, -1, None, None] * beyond
 
 
-def _spectra(count: int, terms: int) -> tuple[Floats, Floats]:
+def _products(waves: Floats) -> Floats:
+    """All products of two columns, shape (terms, p^2)."""
+    return (waves[:, :, None] * waves[:, None, :]).reshape(len(waves), -1)
+
+
+@lru_cache(maxsize=8)
+def _spectra(count: int, terms: int) -> _Spectra:
     """Spectra of autoregressive noise at the cosines, 1 at frequency zero, and their prior.
 
     Each with floors of white noise beneath, from none to a third: a load cell has both, and a pure
@@ -198,7 +243,8 @@ def _spectra(count: int, terms: int) -> tuple[Floats, Floats]:
     mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _FLOORS]
     half = 0.5 * prior[1:]  # white noise beneath, or none: the one as likely as the other
     likely = [prior[mirrored], prior[:1], half, *[half / len(_FLOORS)] * len(_FLOORS)]
-    return np.vstack([1.0 / spectra[mirrored], spectra, *mixed]), np.concatenate(likely)
+    each = np.vstack([1.0 / spectra[mirrored], spectra, *mixed])
+    return _Spectra(each, 1.0 / each, np.log(each).sum(axis=1), np.concatenate(likely))
 
 
 def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:
@@ -206,28 +252,26 @@ def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:
 
     Newton's steps: the share that a half width holds is concave, so they do not overshoot.
     """
-    from scipy.special import stdtr, stdtrit
-
     deviations = np.sqrt(np.maximum(variances, 0.0))
     safe = np.where(deviations > 0.0, deviations, 1.0)
-    half: Floats = float(stdtrit(noise.freedom, 0.975)) * np.exp(noise.chances @ np.log(safe))
+    half: Floats = half_width(0.95, noise.freedom) * np.exp(noise.chances @ np.log(safe))
     least = 0.1 * half
+    counted = noise.chances > _NOTHING
+    chances, safe, offsets = noise.chances[counted], safe[counted], offsets[counted]
     for _ in range(12):
-        high, low = (half - offsets) / safe, (-half - offsets) / safe
-        share = noise.chances @ (stdtr(noise.freedom, high) - stdtr(noise.freedom, low))
-        slope = noise.chances @ (
-            (_density(high, noise.freedom) + _density(low, noise.freedom)) / safe
-        )
-        step = (0.95 - share) / slope
+        share, slope = _held(half, safe, offsets, noise.freedom)
+        step = (0.95 - chances @ share) / (chances @ slope)
         half = np.maximum(half + step, least)
         if np.all(np.abs(step) <= 1e-6 * half):
             break
     return np.where(np.any(deviations > 0.0, axis=0), half, 0.0)
 
 
-def _density(t: Floats, freedom: int) -> Floats:
-    """Density of Student's t."""
-    log_top = lgamma(0.5 * (freedom + 1)) - lgamma(0.5 * freedom)
-    density: Floats = np.exp(log_top - 0.5 * (freedom + 1) * np.log1p(t * t / freedom))
-    density /= np.sqrt(np.pi * freedom)
-    return density
+def _held(half: Floats, safe: Floats, offsets: Floats, freedom: int) -> tuple[Floats, Floats]:
+    """Share that a half width holds of each t-distribution, and what it gains per width."""
+    if not offsets.any():
+        t = half / safe
+        return share_within(t, freedom), 2.0 * density(t, freedom) / safe
+    high, low = (half - offsets) / safe, (half + offsets) / safe
+    share = 0.5 * (share_within(high, freedom) + share_within(low, freedom))
+    return share, (density(high, freedom) + density(low, freedom)) / safe

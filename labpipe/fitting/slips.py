@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Failure
+from labpipe.fitting.medians import running_median
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.slips import Slip, SlipDecision
@@ -163,13 +164,11 @@ class _Found:
 
 def _stands_alone(f: Floats) -> Flags:
     """Samples far off the median of five, whose neighbours agree with each other."""
-    from scipy.ndimage import median_filter
-
     if len(f) < _LEAST:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
     usual = float(np.median(steps))
-    off = np.abs(f - median_filter(f, 5, mode="nearest"))
+    off = np.abs(f - running_median(f, 5))
     pairs = 0.5 * (f[1:] + f[:-1])
     apart = np.full(len(f), np.inf)
     apart[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual)
@@ -235,12 +234,10 @@ def _seen(f: Floats, min_drop: float) -> tuple[Floats, Ints]:
 
 def _sizes(f: Floats, window: int) -> Floats:
     """How much lower the window behind a sample lies than the one up to it, trend taken off."""
-    from scipy.ndimage import median_filter
-
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     ends = np.arange(window, len(f) - window + 1)
     inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
-    inner = inner - median_filter(inner, 8 * window + 1, mode="nearest")
+    inner = inner - running_median(inner, 8 * window + 1)
     sizes = np.zeros(len(f))
     sizes[ends - 1] = inner
     return sizes

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.fitting.medians import running_median
 from labpipe.records.arrays import Floats, Ints
 
 _WINDOW = 7
@@ -41,9 +42,7 @@ def stray_samples(force: Floats) -> Ints:
     f = force[known]
     if len(f) < 2 * _WINDOW:
         return np.zeros(0, dtype=np.int64)
-    from scipy.ndimage import median_filter
-
-    level = median_filter(f, _WINDOW, mode="nearest")
+    level = running_median(f, _WINDOW)
     off = f - level
     far = max(_FAR * 1.4826 * float(np.median(np.abs(off))), _FLOOR * float(np.ptp(level)))
     runs = [_core(run, off) for run in _runs(np.flatnonzero(np.abs(off) > far))]

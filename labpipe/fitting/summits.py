@@ -8,6 +8,7 @@ import numpy as np
 
 from labpipe.fitting.correlated import LinearFit, fit_linear
 from labpipe.fitting.estimates import Estimate
+from labpipe.fitting.medians import running_median
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 
@@ -37,10 +38,7 @@ class _Kink:
 
 def short_median(force: Floats) -> Floats:
     """Median of five neighbours; at the ends the last sample counts more than once."""
-    from scipy.ndimage import median_filter
-
-    median: Floats = median_filter(force, min(5, len(force)), mode="nearest")
-    return median
+    return running_median(force, min(5, len(force)))
 
 
 def height_at_end(d: Floats, f: Floats, *, step: float) -> Estimate:

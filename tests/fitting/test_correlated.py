@@ -5,7 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.correlated import fit_linear
+from labpipe.fitting.correlated import fit_linear, orthonormal
+from labpipe.records.arrays import Floats
+
+
+def columns(count: int) -> Floats:
+    x = np.linspace(-1.0, 1.0, count)
+    return np.column_stack([np.ones(count), 1e-3 * x, 40.0 * np.maximum(x - 0.2, 0.0)])
+
+
+@pytest.mark.parametrize("count", [30, 9_999, 10_001, 60_000])
+def test_basis_is_orthonormal_and_spans_the_columns(count: int) -> None:
+    design = columns(count)
+    basis, to_coefficients = orthonormal(design)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(3), rtol=0, atol=1e-14)
+    wanted = np.array([2.0, -5e3, 0.3])
+    found = to_coefficients @ (basis @ (design @ wanted))
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+def test_basis_of_columns_that_nearly_depend_on_each_other() -> None:
+    design = np.column_stack([columns(20_000), columns(20_000)[:, 1] + 1e-9])
+    basis, _ = orthonormal(design)
+    np.testing.assert_allclose(basis @ basis.T, np.eye(4), rtol=0, atol=1e-14)
 
 
 def test_exact_model_has_no_error() -> None:
