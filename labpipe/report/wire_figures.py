@@ -14,9 +14,10 @@ from labpipe.records.wire import WireTable
 from labpipe.report.page import style
 from labpipe.report.saving import save_page
 from labpipe.report.wire_cantilever import cantilever_figure
+from labpipe.report.wire_comparison import comparison_figure
 from labpipe.report.wire_look import pages
 from labpipe.report.wire_sections import section_figure
-from labpipe.report.wire_stiffness import comparison_figure, moment_figure, stiffness_figure
+from labpipe.report.wire_stiffness import moment_figure, stiffness_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

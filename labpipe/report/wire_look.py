@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from labpipe.records.arrays import Flags
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.report.group_look import WIDTH, Look
@@ -18,12 +18,15 @@ from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 CURVATURE = Scale(1.0, "1/m")
 LENGTH = Scale(1e3, "mm")
 MOMENT = Scale(1e3, "N·mm")
 STIFFNESS = Scale(1e6, "N·mm²")
+_LARGE_STIFFNESS = Scale(1.0, "N·m²")
 FORCE = Scale(1.0, "N")
 
 MOST_WIRES = 12
@@ -31,6 +34,7 @@ MOST_WIRES = 12
 
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _LONGEST_NAME = 24
+_FEW_DECADES = 500.0
 _NOTE_CHARACTERS = 0.8
 """Characters of a footnote for each mm of the page's width."""
 _KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
@@ -61,7 +65,7 @@ def wire_page(words: Words, *, height_mm: float, width_mm: float = WIDTH) -> Fig
     height_mm : mm, without the lines of the key and of the footnote
     width_mm : mm on paper
     """
-    columns = _columns([len(str(key.get_label())) for key in words.keys], width_mm - 3.0)
+    columns = _columns([len(str(key.get_label())) for key in words.keys], width_mm - 2.0)
     rows = math.ceil(len(words.keys) / columns)
     lines = textwrap.wrap(words.note, int(_NOTE_CHARACTERS * width_mm))
     page = titled_page(
@@ -83,6 +87,12 @@ def _columns(lengths: Sequence[int], room: float) -> int:
         return max(len(widths), 1)
     most = max(int(room / max(widths)), 1)
     return math.ceil(len(widths) / math.ceil(len(widths) / most))
+
+
+def stiffness_scale(tables: Sequence[WireTable]) -> Scale:
+    """Unit for the stiffnesses of a page: N·mm², or N·m² where a wire has 1 N·m² or more."""
+    largest = max(table.stick_stiffness for table in tables)
+    return STIFFNESS if largest < 1.0 else _LARGE_STIFFNESS
 
 
 def short_name(table: WireTable) -> str:
@@ -144,3 +154,35 @@ def bent(table: WireTable) -> Flags:
     """Tell which points of a table have a place on a logarithmic axis: all but zero curvature."""
     found: Flags = np.asarray(table.curvature > 0.0)
     return found
+
+
+def set_log(axes: Axes, across: Floats) -> None:
+    """Draw against curvature on two logarithmic axes with plain numbers.
+
+    Parameters
+    ----------
+    axes : with all its lines
+    across : shape (n,), 1/m; its first and last are the ends of the axis
+    """
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.set_xlim(across[0], across[-1])
+    axes.set_xlabel(CURVATURE.label("Curvature"))
+    for axis in (axes.xaxis, axes.yaxis):
+        number_log(axis)
+
+
+def number_log(axis: Axis) -> None:
+    """Write plain numbers at 1, 2 and 5 of each decade where there are few decades, else at 1.
+
+    Parameters
+    ----------
+    axis : a logarithmic one, with its limits set
+    """
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    steps = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())

@@ -10,16 +10,18 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireLayout, WireTable
+from labpipe.report.numbers import write_number
 from labpipe.report.page import DOUBLE_COLUMN, GREY
 from labpipe.report.wire_look import (
     LENGTH,
     MOST_WIRES,
-    STIFFNESS,
     Words,
     short_name,
+    stiffness_scale,
     strand_words,
     wire_page,
 )
+from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -28,8 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 _COLUMNS = 4
-_CELL_MM = 42.0
-_TEXT_MM = 15.0
+_CELL_MM = 47.0
+_TEXT_MM = 19.0
 _ALIKE = 2.5
 """Largest wire over smallest up to which all of a page are drawn to one scale."""
 _MARGIN = 1.06
@@ -65,16 +67,19 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
     columns = min(_COLUMNS, len(tables))
     rows = math.ceil(len(tables) / columns)
     width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
-    page = wire_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 6.0, width_mm=width)
+    page = wire_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 8.0, width_mm=width)
     panels = page.subplots(rows, columns, squeeze=False).ravel()
+    unit = stiffness_scale(tables)
     for table, axes, reach in zip(tables, panels, _reaches(tables), strict=False):
-        plot_section(table, axes, reach=reach)
+        plot_section(table, axes, reach=reach, unit=unit)
     for axes in panels[len(tables) :]:
         axes.set_axis_off()
     return page
 
 
-def plot_section(table: WireTable, axes: Axes, *, reach: float | None = None) -> None:
+def plot_section(
+    table: WireTable, axes: Axes, *, reach: float | None = None, unit: Scale | None = None
+) -> None:
     """Draw one section, with a bar for the scale below it and its name and numbers above.
 
     Parameters
@@ -82,6 +87,7 @@ def plot_section(table: WireTable, axes: Axes, *, reach: float | None = None) ->
     table : of the wire
     axes : to draw on
     reach : m, from the wire's axis to the edge of the panel; None to fit the wire
+    unit : of the stiffnesses; None to suit the wire
     """
     layout = table.layout
     edge = LENGTH.factor * _MARGIN * (reach or layout.wire_radius)
@@ -95,7 +101,7 @@ def plot_section(table: WireTable, axes: Axes, *, reach: float | None = None) ->
     axes.set_xlim(-edge, edge)
     axes.set_ylim(-1.22 * edge, edge)
     axes.set_axis_off()
-    axes.set_title(_about(table), fontsize=8, linespacing=1.25)
+    axes.set_title(_about(table, unit or stiffness_scale([table])), fontsize=8, linespacing=1.25)
     _draw_bar(axes, edge)
 
 
@@ -167,26 +173,17 @@ def _surroundings(layout: WireLayout) -> list[Patch]:
     return [wall, Circle((0.0, 0.0), bore, **_BORE)]
 
 
-def _about(table: WireTable) -> str:
+def _about(table: WireTable, unit: Scale) -> str:
     diameter = 2.0 * LENGTH.factor * table.layout.wire_radius
     stick, slip = (
-        STIFFNESS.factor * value for value in (table.stick_stiffness, table.slip_stiffness)
+        write_number(value, None, unit.factor, digits=3).value
+        for value in (table.stick_stiffness, table.slip_stiffness)
     )
     return (
-        f"{short_name(table)}: {strand_words(table)}\n"
+        f"{short_name(table)}\n{strand_words(table)}\n"
         f"{table.layout.kind}, wire {diameter:.3g} {LENGTH.unit}\n"
-        f"stick {_plain(stick)}, slip {_plain(slip)} {STIFFNESS.unit}"
+        f"stick {stick}, slip {slip} {unit.unit}"
     )
-
-
-def _plain(value: float) -> str:
-    """Three significant digits, without a power of ten."""
-    digits = max(2 - math.floor(math.log10(value)), 0) if value > 0.0 else 0
-    return f"{value:.{digits}f}" if digits else f"{round(value, -_spare(value)):.0f}"
-
-
-def _spare(value: float) -> int:
-    return max(math.floor(math.log10(value)) - 2, 0) if value > 0.0 else 0
 
 
 def _draw_bar(axes: Axes, edge: float) -> None:

@@ -1,4 +1,4 @@
-"""Stiffness and moment of a wire against its curvature, alone and beside those of other wires."""
+"""Stiffness and moment of a wire against its curvature, and what they are made of."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
+from labpipe.report.numbers import write_number
 from labpipe.report.page import panel_letter
 from labpipe.report.wire_look import (
     CURVATURE,
     MOMENT,
-    MOST_WIRES,
-    STIFFNESS,
     Words,
     bent,
-    short_name,
+    number_log,
+    set_log,
+    stiffness_scale,
     warnings_of,
-    wire_looks,
     wire_page,
     wire_title,
 )
+from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
 
 _HEIGHT, _PAIR_HEIGHT = 76.0, 62.0
@@ -49,10 +49,9 @@ _WHOLE: dict[str, Any] = {"color": "black", "linewidth": 1.2, "zorder": 4}
 _ELASTIC: dict[str, Any] = {
     "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.4)), "zorder": 3
 }  # fmt: skip
-_HEADROOM, _TOO_CLOSE, _FEW_DECADES = 1.4, 1.35, 500.0
+_HEADROOM, _TOO_CLOSE = 1.4, 1.35
 _MOST_ELASTIC = 2.0
 """How far a panel goes for the line without yielding, in largest moments."""
-_RANGES = "Each line ends where the range of its law ends."
 _PARTS = (
     ("insulation", "#c8c8c8", ""),
     ("strands' own bending", "#E69F00", "\\\\\\\\"),
@@ -90,7 +89,8 @@ def plot_stiffness(table: WireTable, axes: Axes) -> None:
     axes : to draw on
     """
     use = bent(table)
-    across, up = table.curvature[use], STIFFNESS.factor
+    across, unit = table.curvature[use], stiffness_scale([table])
+    up = unit.factor
     lowest, highest = (
         up * moment[use] / across for moment in (table.lowest_moment, table.highest_moment)
     )
@@ -99,56 +99,35 @@ def plot_stiffness(table: WireTable, axes: Axes) -> None:
     axes.plot(across, up * table.tangent_stiffness[use], **_TANGENT)
     axes.plot(across, up * table.secant_stiffness[use], **_SECANT)
     axes.set_yscale("log")
-    _mark_limits(table, axes)
-    _set_log(axes, across)
-    axes.set_ylabel(STIFFNESS.label("Bending stiffness"))
+    _mark_limits(table, axes, unit)
+    set_log(axes, across)
+    axes.set_ylabel(unit.label("Bending stiffness"))
     _mark_onsets(table, axes)
 
 
-def _mark_limits(table: WireTable, axes: Axes) -> None:
+def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
     """Both limits as lines across the panel, named beside it, where no curve can be."""
+    stick, slip = (unit.factor * value for value in (table.stick_stiffness, table.slip_stiffness))
     low, high = axes.get_ylim()
-    axes.set_ylim(low, max(high, _HEADROOM * STIFFNESS.factor * table.stick_stiffness))
-    levels = {
-        f"all stick\n{STIFFNESS.factor * table.stick_stiffness:.4g}": table.stick_stiffness,
-        f"all slip\n{STIFFNESS.factor * table.slip_stiffness:.4g}": table.slip_stiffness,
-    }
-    for level in levels.values():
-        axes.axhline(STIFFNESS.factor * level, **_LIMIT)
-    if table.stick_stiffness < _TOO_CLOSE * table.slip_stiffness:
-        levels = {"\n".join(levels): table.slip_stiffness}
-    for words, level in levels.items():
-        axes.text(
-            1.01, STIFFNESS.factor * level, words, transform=axes.get_yaxis_transform(),
-            va="center", fontsize=8,
-        )  # fmt: skip
+    axes.set_ylim(low, max(high, _HEADROOM * stick))
+    names = {stick: f"all stick\n{_digits(stick)}", slip: f"all slip\n{_digits(slip)}"}
+    for level in (stick, slip):
+        axes.axhline(level, **_LIMIT)
+    if stick < _TOO_CLOSE * slip:
+        names = {slip: f"all stick\n{_digits(stick)}\nall slip\n{_digits(slip)}"}
+    beside = axes.get_yaxis_transform()
+    for level, words in names.items():
+        axes.text(1.01, level, words, transform=beside, va="center", fontsize=8)
+
+
+def _digits(value: float) -> str:
+    return write_number(value, None, digits=4).value
 
 
 def _mark_onsets(table: WireTable, axes: Axes) -> None:
     seen = table.slip_onsets[table.slip_onsets <= table.curvature[-1]]
     level = np.full(len(seen), 0.035)
     axes.plot(seen, level, transform=axes.get_xaxis_transform(), **_ONSET)
-
-
-def _set_log(axes: Axes, across: Floats) -> None:
-    """Curvature, and what is drawn against it, on logarithmic axes with plain numbers."""
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xlim(across[0], across[-1])
-    axes.set_xlabel(CURVATURE.label("Curvature"))
-    for axis in (axes.xaxis, axes.yaxis):
-        _number(axis)
-
-
-def _number(axis: Axis) -> None:
-    """Plain numbers at 1, 2 and 5 of each decade where there are few decades, else at 1."""
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    low, high = axis.get_view_interval()
-    steps = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
-    axis.set_major_locator(LogLocator(subs=steps))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())
 
 
 def _stiffness_keys(table: WireTable) -> list[Artist]:
@@ -221,7 +200,7 @@ def plot_shares(table: WireTable, axes: Axes) -> None:
     _stack(axes, across, [100.0 * part[use] / table.moment[use] for part in moment_parts(table)])
     axes.set_xscale("log")
     axes.set_xlim(across[0], across[-1])
-    _number(axes.xaxis)
+    number_log(axes.xaxis)
     axes.set_ylim(0.0, 100.0)
     axes.set_xlabel(CURVATURE.label("Curvature"))
     axes.set_ylabel("Share of the moment (%)")
@@ -251,53 +230,4 @@ def _moment_keys() -> list[Artist]:
         *(Patch(label=name, **_fill(colour, hatch)) for name, colour, hatch in reversed(_PARTS)),
         Line2D([], [], label="whole moment", **_WHOLE),
         Line2D([], [], label="without yielding", **_ELASTIC),
-    ]
-
-
-def comparison_figure(tables: Sequence[WireTable]) -> Figure:
-    """Draw secant stiffness and moment of several wires against curvature, one line each.
-
-    Parameters
-    ----------
-    tables : 1 to 12 wires
-
-    Raises
-    ------
-    ValueError
-        If there is no wire, or there are more than can be told apart.
-    """
-    if not 1 <= len(tables) <= MOST_WIRES:
-        message = f"{len(tables)} wires: allowed are 1 to {MOST_WIRES} on a page"
-        raise ValueError(message)
-    words = Words("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
-    page = wire_page(words, height_mm=_HEIGHT)
-    left, right = page.subplots(1, 2)
-    for table, look in zip(tables, wire_looks(tables), strict=True):
-        style: dict[str, Any] = {"color": look.colour, "linestyle": look.dash}
-        use = bent(table)
-        left.plot(table.curvature[use], STIFFNESS.factor * table.secant_stiffness[use], **style)
-        right.plot(table.curvature, MOMENT.factor * table.moment, **style)
-    _set_log(left, _shared_range(tables))
-    left.set_ylabel(STIFFNESS.label("Secant bending stiffness"))
-    right.set_xlim(left=0.0)
-    right.set_ylim(bottom=0.0)
-    right.set_xlabel(CURVATURE.label("Curvature"))
-    right.set_ylabel(MOMENT.label("Bending moment"))
-    panel_letter(left, "a", "secant stiffness")
-    panel_letter(right, "b", "moment")
-    return page
-
-
-def _shared_range(tables: Sequence[WireTable]) -> Floats:
-    """Smallest and largest curvature that any of the wires has, 1/m."""
-    curvatures = [table.curvature[bent(table)] for table in tables]
-    return np.array([min(each[0] for each in curvatures), max(each[-1] for each in curvatures)])
-
-
-def _wire_keys(tables: Sequence[WireTable]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
-    return [
-        Line2D([], [], color=look.colour, linestyle=look.dash, label=short_name(table))
-        for table, look in zip(tables, wire_looks(tables), strict=True)
     ]

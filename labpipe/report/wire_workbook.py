@@ -99,9 +99,9 @@ def save_wire_workbook(
     Notes
     -----
     With many wires, the sheet of each shows some rows of its law, `MOST_ROWS` of all wires
-    together but 40 of each at least; the summary says how many, and how far straight lines between them are from
-    the whole law. Text stays text: a wire called ``=1+1`` is not a formula. Numbers that are not
-    finite are empty cells. Characters that a workbook cannot hold are shown as U+FFFD.
+    together but 40 of each at least; the summary says how many, and how far straight lines between
+    them are from the whole law. Text stays text: a wire called ``=1+1`` is not a formula. Numbers
+    that are not finite are empty cells. Characters that a workbook cannot hold are shown as U+FFFD.
     """
     try:
         with path.open("wb") as file:  # first: a book that was begun has to be saved

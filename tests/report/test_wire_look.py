@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -72,11 +73,14 @@ def test_zero_curvature_has_no_place_on_a_logarithmic_axis() -> None:
     assert used[1:].all()
 
 
-@pytest.mark.parametrize(("count", "words", "columns"), [(3, 5, 3), (6, 20, 3), (12, 24, 2)])
+@pytest.mark.parametrize(
+    ("count", "words", "columns"), [(3, 5, 3), (6, 20, 3), (6, 24, 3), (12, 26, 2)]
+)
 def test_key_has_as_many_columns_as_there_is_room_for(count: int, words: int, columns: int) -> None:
     keys = [Line2D([], [], label="x" * words) for _ in range(count)]
     page = wire_page(Words("title", "note", keys), height_mm=50.0)
-    FigureCanvasAgg(page).draw()
+    canvas: Any = FigureCanvasAgg(page)
+    canvas.draw()
     across = {round(text.get_window_extent().x0) for text in page.legends[0].get_texts()}
     assert len(across) == columns
     assert [text.get_text() for text in page.texts] == ["title", "note"]

@@ -10,7 +10,6 @@ from matplotlib.figure import Figure
 
 from labpipe.report.page import style
 from labpipe.report.wire_stiffness import (
-    comparison_figure,
     moment_figure,
     moment_parts,
     plot_parts,
@@ -67,6 +66,15 @@ def test_limits_that_are_near_each_other_share_a_place() -> None:
     axes = Figure().subplots()
     plot_stiffness(replace(table, slip_stiffness=0.9 * table.stick_stiffness), axes)
     assert [text.get_text() for text in axes.texts] == ["all stick\n1446\nall slip\n1301"]
+
+
+def test_stiff_wires_are_shown_in_newton_square_metres() -> None:
+    table = wire_table("A1")
+    stiff = replace(table, stick_stiffness=51.55, secant_stiffness=1e4 * table.secant_stiffness)
+    axes = stiffness_figure(stiff).axes[0]
+    assert axes.get_ylabel() == "Bending stiffness (N·m²)"
+    assert axes.texts[0].get_text() == "all stick\n51.55"
+    np.testing.assert_allclose(line(axes, 2)[1], stiff.secant_stiffness[1:])
 
 
 def test_onsets_within_the_range_are_marked() -> None:
@@ -132,22 +140,3 @@ def test_moment_figure_has_two_panels() -> None:
         "strands that stick", "strands that slip", "strands' own bending", "insulation",
         "whole moment", "without yielding",
     ]  # fmt: skip
-
-
-def test_wires_beside_each_other() -> None:
-    tables = [wire_table(name) for name in ("A1", "A2", "A3")]
-    page = comparison_figure(tables)
-    assert labels(page) == ["A1", "A2", "A3"]
-    left, right = page.axes
-    for number, table in enumerate(tables):
-        np.testing.assert_allclose(line(left, number)[1], 1e6 * table.secant_stiffness[1:])
-        np.testing.assert_allclose(line(right, number)[1], 1e3 * table.moment)
-    assert left.get_xlim()[1] == pytest.approx(tables[0].curvature[-1])
-    assert page.texts[1].get_text() == "Each line ends where the range of its law ends."
-
-
-@pytest.mark.parametrize("count", [0, 13])
-def test_number_of_wires_in_a_comparison(count: int) -> None:
-    tables = [wire_table("A1")] * count
-    with pytest.raises(ValueError, match=f"{count} wires: allowed are 1 to 12 on a page"):
-        comparison_figure(tables)
