@@ -7,7 +7,6 @@ import numpy as np
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.lines import fit_line
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Interval
 
 
 def fit_compliance(
@@ -64,27 +63,3 @@ def correct_displacement(displacement: Floats, force: Floats, *, compliance: flo
     """
     corrected: Floats = displacement - compliance * force
     return corrected
-
-
-def widen(estimate: Estimate, *, change: float) -> Estimate:
-    """Add to an estimate what an uncertain input changes.
-
-    Parameters
-    ----------
-    estimate : of any unit
-    change : in the same unit, what the number changes when the input grows by one standard
-        uncertainty: compute it twice, with the compliance C and with C + u, and take the difference
-
-    Returns
-    -------
-    The estimate with the change added in quadrature to its error and to both sides of its interval;
-    a lopsided interval stays so (GUM, JCGM 100:2008, sec. 5.1.3).
-    """
-    error = float(np.hypot(estimate.error, change))
-    if estimate.interval is None:
-        return Estimate(estimate.value, error, estimate.n)
-    more = 0.5 * (Interval.normal_95(0.0, change).upper - Interval.normal_95(0.0, change).lower)
-    below = float(np.hypot(estimate.value - estimate.interval.lower, more))
-    above = float(np.hypot(estimate.interval.upper - estimate.value, more))
-    interval = Interval(estimate.value - below, estimate.value + above)
-    return Estimate(estimate.value, error, estimate.n, interval)

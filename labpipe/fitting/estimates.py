@@ -50,7 +50,10 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
 
     Returns
     -------
-    The estimate; each side of an interval of its own grows by the normal 95 % part of `errors`.
+    The estimate; each side of an interval of its own grows by the normal 95 % part of `errors`, in
+    quadrature: a lopsided interval stays so (GUM, JCGM 100:2008, sec. 5.1.3). What an uncertain
+    input changes is such an error: compute the number twice, the second time with the input one
+    standard uncertainty larger, and take the difference.
     """
     more = hypot(*errors)
     interval = estimate.interval
@@ -60,3 +63,28 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
         lower, upper = hypot(below, added), hypot(above, added)
         interval = Interval(estimate.value - lower, estimate.value + upper)
     return Estimate(estimate.value, hypot(estimate.error, more), estimate.n, interval)
+
+
+def scaled(estimate: Estimate, factor: float = 1.0, *, more: float = 0.0) -> Estimate:
+    """Multiply an estimate by a number, and add an independent standard error in proportion.
+
+    Parameters
+    ----------
+    estimate : with or without an interval of its own
+    factor : may be negative
+    more : standard error in the unit of `estimate`
+
+    Returns
+    -------
+    The estimate; both sides of an interval of its own grow as the error does, so that it keeps the
+    quantile it was made with. An interval around an estimate without an error has no quantile and
+    is left out: that of the new error is the normal one then.
+    """
+    error, value = hypot(estimate.error, more), factor * estimate.value
+    interval = None
+    if estimate.interval is not None and estimate.error > 0.0:
+        wider = abs(factor) * error / estimate.error
+        below = wider * (estimate.value - estimate.interval.lower)
+        above = wider * (estimate.interval.upper - estimate.value)
+        interval = Interval(value - below, value + above)
+    return Estimate(value, abs(factor) * error, estimate.n, interval)

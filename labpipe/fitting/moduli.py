@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate
-from labpipe.records.curve import Interval
+from labpipe.fitting.estimates import Estimate, scaled
 
 
 def rectangle_area(width: float, thickness: float) -> float:
@@ -57,7 +56,7 @@ def modulus(
     """
     factor = gauge_length / area
     others = abs(stiffness.value) * float(np.hypot(length_uncertainty, area_uncertainty))
-    return _scaled(stiffness, factor, others)
+    return scaled(stiffness, factor, more=others)
 
 
 def stiffness_per_peak_force(stiffness: Estimate, peak_force: Estimate) -> Estimate:
@@ -80,17 +79,4 @@ def stiffness_per_peak_force(stiffness: Estimate, peak_force: Estimate) -> Estim
     (50.0, 0.353553)
     """
     share = peak_force.error / peak_force.value
-    return _scaled(stiffness, 1.0 / peak_force.value, abs(stiffness.value) * share)
-
-
-def _scaled(stiffness: Estimate, factor: float, more: float) -> Estimate:
-    """Stiffness times a factor, with a further standard error in the stiffness's unit."""
-    error = float(np.hypot(stiffness.error, more))
-    value = factor * stiffness.value
-    if stiffness.interval is None or stiffness.error == 0.0:
-        return Estimate(value, abs(factor) * error, stiffness.n)
-    wider = error / stiffness.error
-    below = wider * (stiffness.value - stiffness.interval.lower)
-    above = wider * (stiffness.interval.upper - stiffness.value)
-    interval = Interval(value - abs(factor) * below, value + abs(factor) * above)
-    return Estimate(value, abs(factor) * error, stiffness.n, interval)
+    return scaled(stiffness, 1.0 / peak_force.value, more=abs(stiffness.value) * share)

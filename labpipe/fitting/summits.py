@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.fitting.correlated import LinearFit, fit_linear
-from labpipe.fitting.estimates import Estimate
+from labpipe.fitting.estimates import Estimate, scaled
 from labpipe.fitting.medians import running_median
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -251,9 +251,4 @@ def _carried(d: Floats, f: Floats, at: float) -> tuple[Estimate, float]:
 
 def _blurred(estimate: Estimate, width: float) -> Estimate:
     """The estimate of a number that may lie anywhere in a range of a width around it."""
-    error = float(np.hypot(estimate.error, width / np.sqrt(12.0)))
-    if estimate.interval is None or estimate.error == 0.0:
-        return Estimate(estimate.value, error, estimate.n)
-    half = (estimate.interval.upper - estimate.value) * error / estimate.error
-    interval = Interval(estimate.value - half, estimate.value + half)
-    return Estimate(estimate.value, error, estimate.n, interval)
+    return scaled(estimate, more=width / np.sqrt(12.0))

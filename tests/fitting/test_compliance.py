@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.compliance import correct_displacement, fit_compliance, widen
+from labpipe.fitting.compliance import correct_displacement, fit_compliance
 from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.records.curve import Interval
 
 F = np.linspace(0.0, 1000.0, 201)
 D = 1e-4 * (1.0 - np.exp(-F / 30.0)) + 2e-7 * F
@@ -40,11 +39,3 @@ def test_correction_takes_the_machine_off() -> None:
     corrected = correct_displacement(np.array([0.0, 1e-3, 2e-3]), force, compliance=1e-6)
     assert corrected[:2] == pytest.approx([0.0, 0.9e-3])
     assert np.isnan(corrected[2])
-
-
-def test_an_uncertain_input_widens() -> None:
-    assert widen(Estimate(1.0, 3.0, 9), change=4.0) == Estimate(1.0, 5.0, 9)
-    found = widen(Estimate(1.0, 0.1, 9, Interval(0.9, 1.4)), change=0.1)
-    assert found.interval is not None
-    assert 1.0 - found.interval.lower == pytest.approx(np.hypot(0.1, 0.196), rel=1e-3)
-    assert found.interval.upper - 1.0 == pytest.approx(np.hypot(0.4, 0.196), rel=1e-3)
