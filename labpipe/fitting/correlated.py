@@ -40,7 +40,7 @@ class LinearFit:
     coefficients : shape (p,)
     covariance : shape (p, p), averaged over the correlation times that the residuals allow
     half_widths : shape (p,), of the 95 % intervals
-    classical_errors : shape (p,), standard errors as if the residuals were independent
+    unit_errors : shape (p,), standard errors in independent noise of variance 1
     residual_deviation : residual standard deviation, n - p degrees of freedom
     n : number of samples
     """
@@ -48,7 +48,7 @@ class LinearFit:
     coefficients: Floats
     covariance: Floats
     half_widths: Floats
-    classical_errors: Floats
+    unit_errors: Floats
     residual_deviation: float
     n: int
 
@@ -64,6 +64,11 @@ class LinearFit:
         error = float(np.sqrt(direction @ self.covariance @ direction))
         half = self.quantile * error
         return Estimate(value, error, self.n, Interval(value - half, value + half))
+
+    @property
+    def classical_errors(self) -> Floats:
+        """Standard errors (p,) as if the residuals were independent."""
+        return self.residual_deviation * self.unit_errors
 
     @property
     def quantile(self) -> float:
@@ -127,7 +132,7 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
         coefficients=to_coefficients @ (plain + shift),
         covariance=np.tensordot(noise.chances, each, axes=1) + spread,
         half_widths=_half_widths(noise, np.diagonal(each, axis1=1, axis2=2), offsets),
-        classical_errors=deviation * np.linalg.norm(to_coefficients, axis=1),
+        unit_errors=np.asarray(np.linalg.norm(to_coefficients, axis=1), dtype=np.float64),
         residual_deviation=deviation,
         n=count,
     )

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.correlated import LinearFit, fit_linear
+from labpipe.fitting.correlated import LinearFit, fit_linear, orthonormal
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -41,6 +41,25 @@ class TwoSegments:
     stop: float
 
 
+@dataclass(frozen=True, slots=True)
+class Hinge:
+    """Two lines that meet, as least squares has them.
+
+    Parameters
+    ----------
+    break_point : m
+    level : N, force at the break
+    first, second : N/m, slopes before and behind the break
+    squares : N^2, sum of squared residuals
+    """
+
+    break_point: float
+    level: float
+    first: float
+    second: float
+    squares: float
+
+
 def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failure:
     """Continuous line of two straight segments, the global least-squares optimum.
 
@@ -65,20 +84,52 @@ def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failu
     half width in units of independent noise; this profile of the sum of squares may be lopsided.
     At least four samples stand on each side.
     """
+    scan = _scan(displacement, force)
+    return scan if isinstance(scan, Failure) else _described(scan, scan.best())
+
+
+def find_hinge(displacement: Floats, force: Floats) -> Hinge | Failure:
+    """The optimum of `fit_two_segments` alone: no intervals, and a bend even where there is none.
+
+    Parameters
+    ----------
+    displacement, force : as `fit_two_segments` takes them
+
+    Returns
+    -------
+    The two lines, or a failure ``too_few_samples`` or ``not_increasing``.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.02, 41)
+    >>> hinge = find_hinge(d, 30.0 - 4000.0 * np.maximum(0.01 - d, 0.0))
+    >>> round(hinge.break_point, 9), round(hinge.first, 6), round(hinge.level, 9)
+    (0.01, 4000.0, 30.0)
+    """
+    scan = _scan(displacement, force)
+    if isinstance(scan, Failure):
+        return scan
+    at = scan.best()
+    basis, to_coefficients = orthonormal(scan.design(at)[:, :3])
+    plain = basis @ scan.y
+    left = scan.y - plain @ basis
+    level, first, second = (float(each) for each in to_coefficients @ plain)
+    return Hinge(scan.d_of(at), level, first, second, float(left @ left))
+
+
+def _scan(displacement: Floats, force: Floats) -> _Scan | Failure:
     known = ~np.isnan(displacement) & ~np.isnan(force)
     d, f = displacement[known], force[known]
     if len(d) < _LEAST:
         return Failure("too_few_samples", f"{len(d)} samples in the stretch, {_LEAST} are needed")
-    if d[-1] <= d[0] or np.polyfit(np.arange(len(d)), d, 1)[0] <= 0.0:
+    if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
         found = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
         return Failure("not_increasing", found)
     order = np.argsort(d, kind="stable")
-    scan = _Scan.of(d[order], f[order])
-    at, squares = scan.best()
-    return _described(scan, at, squares)
+    return _Scan.of(d[order], f[order])
 
 
-def _described(scan: _Scan, at: float, squares: float) -> TwoSegments | Failure:
+def _described(scan: _Scan, at: float) -> TwoSegments | Failure:
     hinge = fit_linear(scan.design(at)[:, :3], scan.y)
     first, second = float(hinge.coefficients[1]), float(hinge.coefficients[2])
     bend = hinge.along(np.array([0.0, -1.0, 1.0]))
@@ -90,7 +141,7 @@ def _described(scan: _Scan, at: float, squares: float) -> TwoSegments | Failure:
         )
     whole = fit_linear(scan.design(at), scan.y)
     half, error = float(whole.half_widths[3]), float(np.sqrt(whole.covariance[3, 3]))
-    interval = scan.places_within(at, half / scan.unit_error(at))
+    interval = scan.places_within(at, half / float(whole.unit_errors[3]))
     if interval is None:
         ends = f"{scan.d[0]:.6g} to {scan.d[-1]:.6g} m"
         return Failure("no_bend", f"the break cannot be told from an end of the stretch, {ends}")
@@ -99,7 +150,7 @@ def _described(scan: _Scan, at: float, squares: float) -> TwoSegments | Failure:
         second=_centred(whole, 2, second),
         break_point=Estimate(scan.d_of(at), error / abs(bend.value), whole.n, interval),
         level=float(hinge.coefficients[0]),
-        squares=squares,
+        squares=hinge.residual_deviation**2 * (hinge.n - len(hinge.coefficients)),
         start=float(scan.d[0]),
         stop=float(scan.d[-1]),
     )
@@ -146,11 +197,6 @@ class _Scan:
             [np.ones_like(ahead), np.minimum(ahead, 0.0), np.maximum(ahead, 0.0), jump]
         )
 
-    def unit_error(self, at: float) -> float:
-        """Standard error of the jump for independent noise of variance 1."""
-        triangle = np.linalg.qr(self.design(at), mode="r")
-        return float(np.linalg.norm(np.linalg.inv(triangle)[3]))
-
     def squares_at(self, at: Floats) -> Floats:
         """Least sum of squares with the break held, shape of `at`."""
         below = self.sums[:, np.searchsorted(self.x, at, side="right")]
@@ -178,14 +224,11 @@ class _Scan:
         found: Floats = meet[(meet >= low) & (meet <= high)]
         return found
 
-    def best(self) -> tuple[float, float]:
-        """Break and sum of squares of the global optimum."""
+    def best(self) -> float:
+        """Break of the global optimum."""
         inside = self.x[_SIDE - 1 : len(self.x) - _SIDE + 1]
         places = np.concatenate([inside, self.crossings()])
-        at = float(places[int(np.argmin(self.squares_at(places)))])
-        design = self.design(at)[:, :3]
-        left = self.y - design @ np.linalg.lstsq(design, self.y, rcond=None)[0]
-        return at, float(left @ left)
+        return float(places[int(np.argmin(self.squares_at(places)))])
 
     def places_within(self, at: float, reach: float) -> Interval | None:
         """Ends of all breaks whose sum of squares exceeds the least by at most reach^2."""

@@ -72,7 +72,8 @@ def _polynomial(coefficients: Floats, x: Floats) -> Floats:
     total = rows[-1]
     for row in rows[-2::-1]:
         total = total * powers[_ROW] + row
-    return total.reshape(x.shape)
+    values: Floats = total.reshape(x.shape)
+    return values
 
 
 def density(t: Floats, freedom: int) -> Floats:
