@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.patches import Patch
 
 _COLUMNS = 4
-_CELL_MM = 47.0
+_CELL_MM = 45.0
 _TEXT_MM = 19.0
 _ALIKE = 2.5
 """Largest wire over smallest up to which all of a page are drawn to one scale."""
@@ -97,7 +97,7 @@ def plot_section(
         x, y = _turned(layout, table.spec.orientation)
         axes.plot(x, y, ".", color="black", markersize=2.0)
     axes.plot([-edge, edge], [0.0, 0.0], **_AXIS)
-    axes.set_aspect("equal")
+    axes.set_aspect("equal", anchor="S")  # room that is left over goes between key and titles
     axes.set_xlim(-edge, edge)
     axes.set_ylim(-1.22 * edge, edge)
     axes.set_axis_off()
