@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.loops import loop_energy
-from labpipe.fitting.strays import stray_samples
+from labpipe.fitting.strays import bridged, stray_samples
 from labpipe.fitting.summits import LEAST, height_at_end, height_of_top, short_median
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
@@ -203,7 +203,7 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
     greater.
     """
     count = point.sample + 1
-    displacement, force = displacement[:count], _bridged(force)[:count]
+    displacement, force = displacement[:count], bridged(force, stray_samples(force))[:count]
     work = loop_energy(np.arange(count, dtype=np.float64), displacement, force, clock_error=0.0)
     if isinstance(work, Failure):
         return work
@@ -211,14 +211,6 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
     noise = np.sqrt(_slow_noise(force) * float(np.sum(np.gradient(displacement) ** 2)))
     error = float(np.hypot(max(work.error, float(noise)), more / np.sqrt(12.0)))
     return Estimate(work.value + 0.5 * more, error, work.n)
-
-
-def _bridged(force: Floats) -> Floats:
-    strays = stray_samples(force)
-    sound = np.setdiff1d(np.flatnonzero(~np.isnan(force)), strays)
-    bridged = force.copy()
-    bridged[strays] = np.interp(strays, sound, force[sound])
-    return bridged
 
 
 def _slow_noise(f: Floats) -> float:

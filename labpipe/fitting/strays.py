@@ -51,6 +51,24 @@ def stray_samples(force: Floats) -> Ints:
     return numbers
 
 
+def bridged(force: Floats, strays: Ints) -> Floats:
+    """Put stray samples on the line between their neighbours.
+
+    Parameters
+    ----------
+    force : shape (n,), N; NaN stay and are no neighbours
+    strays : numbers of samples, as `stray_samples` gives them
+
+    Returns
+    -------
+    shape (n,), a new array
+    """
+    sound = np.setdiff1d(np.flatnonzero(~np.isnan(force)), strays)
+    mended = force.copy()
+    mended[strays] = np.interp(strays, sound, force[sound])
+    return mended
+
+
 def _runs(numbers: Ints) -> list[Ints]:
     cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
     ends = [0, *cuts.tolist(), len(numbers)]

@@ -15,7 +15,7 @@ from labpipe.fitting.compliance import correct_displacement
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, find_failure
 from labpipe.fitting.slips import add_back, find_slips, samples_before
-from labpipe.fitting.strays import stray_samples
+from labpipe.fitting.strays import bridged, stray_samples
 from labpipe.fitting.toe import fit_slack
 from labpipe.pipeline.bench import Bench
 from labpipe.protocol.rig import CurveBlock, MachineCompliance
@@ -74,16 +74,13 @@ def _bridge_strays(bench: Bench) -> None:
     strays = stray_samples(curve.force)
     if not len(strays):
         return
-    good = np.setdiff1d(np.flatnonzero(~np.isnan(curve.force)), strays)
-    force = curve.force.copy()
-    force[strays] = np.interp(strays, good, force[good])
     at = 1e3 * float(curve.displacement[strays[0]])
     message = (
         f"{len(strays)} samples far off their neighbours, the first {curve.force[strays[0]]:.4g} N "
         f"at {at:.4g} mm: put on the line between them"
     )
     bench.note("stray_samples", Severity.WARNING, bench.force, message)
-    bench.curve = replace(curve, force=force)
+    bench.curve = replace(curve, force=bridged(curve.force, strays))
 
 
 def _take_off_give(bench: Bench, compliance: MachineCompliance) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.strays import stray_samples
+from labpipe.fitting.strays import bridged, stray_samples
 
 D = np.linspace(0.0, 0.04, 401)
 RISE = 9000.0 * D + np.random.default_rng(0).normal(0.0, 0.5, len(D))
@@ -36,3 +36,11 @@ def test_ends_and_few_samples() -> None:
     force[[0, -1]] = 1200.0
     assert stray_samples(force).tolist() == []
     assert stray_samples(RISE[:13]).tolist() == []
+
+
+def test_strays_are_bridged_over_missing_samples_too() -> None:
+    force = np.array([0.0, 1.0, 90.0, np.nan, 4.0, 5.0])
+    mended = bridged(force, np.array([2]))
+    np.testing.assert_allclose(mended, [0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
+    assert force[2] == 90.0
+    np.testing.assert_array_equal(bridged(force, np.array([], dtype=np.int64)), force)
