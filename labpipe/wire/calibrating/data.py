@@ -1,0 +1,112 @@
+"""Measured loading curves made ready: checked, grouped by rig, whitened."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.records.calibration import CalibrationFailure
+from labpipe.wire.cantilever import StringRig
+
+DEEPEST = 0.65
+"""Largest deflection over length: beyond, a first loading may end (see `wire.first_loading`)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredCurve:
+    """The first loading of one sample.
+
+    Parameters
+    ----------
+    wire : name of the wire
+    test, sample : names; tests of one sample share its factor
+    length : free length, m
+    deflection : shape (n,), m, of the tip from its place at rest
+    force : shape (n,), N, of the load cell, zeroed at rest. Points where either is NaN are left out
+    noise : standard deviation of the force, N, one number or shape (n,); noise of the deflection
+        is to be in it, as the slope of the curve times that noise
+    rig : the string and what hangs on it; None for an end load normal to the undeformed axis
+    """
+
+    wire: str
+    test: str
+    sample: str
+    length: float
+    deflection: Floats
+    force: Floats
+    noise: float | Floats
+    rig: StringRig | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
+        shape = (len(self.deflection),)
+        object.__setattr__(self, "force", frozen(self.force, shape=shape))
+        object.__setattr__(self, "noise", frozen(np.broadcast_to(self.noise, shape), shape=shape))
+
+    @property
+    def peak(self) -> float:
+        """The largest force, N."""
+        return float(np.nanmax(np.abs(self.force)))
+
+
+def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
+    """Leave out points without a number, and curves without points; refuse what cannot be fitted.
+
+    Returns
+    -------
+    The curves, or a failure ``no_sample_usable``, ``wires_mixed``, ``noise_not_positive`` or
+    ``deflection_too_large``.
+    """
+    known = tuple(_known(curve) for curve in curves)
+    known = tuple(curve for curve in known if len(curve.force))
+    if not known:
+        message = f"none of {len(curves)} curves has a point with deflection and force"
+        return CalibrationFailure("no_sample_usable", message)
+    wires = sorted({curve.wire for curve in known})
+    if len(wires) > 1:
+        message = f"curves of {len(wires)} wires: {', '.join(wires)}; one wire is calibrated"
+        return CalibrationFailure("wires_mixed", message)
+    for curve in known:
+        if not np.all(np.asarray(curve.noise) > 0.0):
+            message = f"{curve.test}: a noise of {np.min(curve.noise):.4g} N; it must be positive"
+            return CalibrationFailure("noise_not_positive", message)
+        deepest = float(np.max(np.abs(curve.deflection)))
+        if deepest > DEEPEST * curve.length:
+            message = (
+                f"{curve.test}: a deflection of {deepest:.4g} m on {curve.length:.4g} m; the first "
+                f"loading is followed to {DEEPEST:g} of the length"
+            )
+            return CalibrationFailure("deflection_too_large", message)
+    return known
+
+
+def _known(curve: MeasuredCurve) -> MeasuredCurve:
+    known = np.isfinite(curve.deflection) & np.isfinite(curve.force)
+    return replace(
+        curve,
+        deflection=curve.deflection[known],
+        force=curve.force[known],
+        noise=np.asarray(curve.noise)[known],
+    )
+
+
+def whiten(values: Floats, correlation: float) -> Floats:
+    """Take out of neighbours what they share, for first-order autoregressive noise of variance 1.
+
+    Parameters
+    ----------
+    values : shape (n, ...), in order of time, over their noise
+    correlation : of neighbours, at least 0 and below 1
+
+    Returns
+    -------
+    Same shape, uncorrelated where the noise is such.
+    """
+    if correlation == 0.0:
+        return values
+    out = values.copy()
+    out[1:] -= correlation * values[:-1]
+    out[1:] /= np.sqrt(1.0 - correlation**2)
+    return out

@@ -1,0 +1,217 @@
+"""The loading curve of the clamped wire on first loading, by the first integral (PHYSICS 5).
+
+Every point of the curve is two equations for the tip's force P and its lean beta (see
+`wire.first_integral`): the arc length is the wire's, and the string points from the tip to its
+anchor. No station, no history: all points are solved at once. It holds on first loading from
+straight, while the moment grows everywhere. The path of `wire.cantilever` is an independent one,
+and the one to take for cycles.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.wire.cantilever import StringRig
+from labpipe.wire.first_integral import (
+    Balance,
+    Pair,
+    Rule,
+    balance_of,
+    misfit,
+    respond_to,
+    rule_of,
+    slopes,
+    solve_pair,
+    tension_of,
+    weight_of,
+)
+from labpipe.wire.loading_law import LoadingLaw
+
+_ITERATIONS = 60
+_TOLERANCE = 1e-11
+_LONGEST_STEP, _LONGEST_TURN = 3.0, 0.2  # of the excess of the force in logarithms, of the lean
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadingCurve:
+    """The curve of a cantilever on first loading; arrays of shape (n,), the first point at rest.
+
+    Parameters
+    ----------
+    deflection : m, of the tip across the undeformed axis, increasing
+    tension : N, of the string, which is what the load cell reads; the end load where there is none
+    x : m, place of the tip along the undeformed axis
+    tip_angle : rad, of the tangent at the tip from the undeformed axis
+    clamp_curvature, clamp_moment : 1/m, N m
+    stiffness : N/m, slope of tension against deflection
+    tension_change : shape (parameters, n), N, derivative at constant deflection by each of the
+        law's parameters
+    """
+
+    deflection: Floats
+    tension: Floats
+    x: Floats
+    tip_angle: Floats
+    clamp_curvature: Floats
+    clamp_moment: Floats
+    stiffness: Floats
+    tension_change: Floats
+
+    def __post_init__(self) -> None:
+        shape = (len(self.deflection),)
+        for name in (
+            *("deflection", "tension", "x", "tip_angle", "clamp_curvature", "clamp_moment"),
+            "stiffness",
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+        change = frozen(self.tension_change, shape=(None, *shape))
+        object.__setattr__(self, "tension_change", change)
+
+    @property
+    def force(self) -> Floats:
+        """Tension above that at rest, N: what a zeroed load cell reads."""
+        return np.asarray(self.tension - self.tension[0])
+
+
+def load_cantilever(
+    law: LoadingLaw, length: float, rig: StringRig | None = None, *, has_memory: bool = True
+) -> LoadingCurve:
+    """Load a straight cantilever until the moment at its clamp is the last of the law.
+
+    Parameters
+    ----------
+    law : law of first loading
+    length : m
+    rig : string and counterweight; the string just spans to the straight wire, so that its tension
+        at rest is the weight, and pulls from then on. None for an end load normal to the axis
+    has_memory : whether the law unloads otherwise than it loads
+
+    Returns
+    -------
+    The curve: rest, then a point for each of the law's. With memory it ends where the force across
+    the wire at the tip is largest (at about 0.7 of the length): beyond, the moment near the tip
+    falls, and this is no longer a first loading.
+
+    Raises
+    ------
+    ValueError
+        If no equilibrium is found.
+
+    Notes
+    -----
+    Newton's method for P and beta of all points at once; P is counted from the least force that
+    can hold the moment, W*(M0) / (1 + sin(beta)), in logarithms.
+    """
+    rule = rule_of(law)
+    excess, lean = _guess(law, rule, length, rig)
+    for _ in range(_ITERATIONS):
+        sine = np.sin(lean)
+        growth = np.exp(excess)
+        balance = balance_of(rule, rule.energy / (1.0 + sine) + growth, lean)
+        shift = -rule.energy * balance.cosine / (1.0 + sine) ** 2
+        (a, b), (c, d) = slopes(balance, rig)
+        matrix = ((a * growth, b + a * shift), (c * growth, d + c * shift))
+        wide, turn = solve_pair(matrix, balance.arc_length - length, misfit(balance, rig))
+        error = np.abs(wide * growth) / balance.force + np.abs(turn)
+        if error.max() <= _TOLERANCE:
+            return _curve(law, rule, balance, rig, has_memory=has_memory)
+        excess = excess - np.minimum(np.maximum(wide, -_LONGEST_STEP), _LONGEST_STEP)
+        lean = lean - np.minimum(np.maximum(turn, -_LONGEST_TURN), _LONGEST_TURN)
+    count = int(np.sum(error > _TOLERANCE))
+    message = f"length={length!r}: no equilibrium found at {count} of {len(lean)} loads"
+    raise ValueError(message)
+
+
+def _guess(law: LoadingLaw, rule: Rule, length: float, rig: StringRig | None) -> Pair:
+    """Excess force in logarithms and lean, from a shortening by a fifteenth of (kappa L)^2."""
+    x = length / (1.0 + (law.curvature[law.points] * length) ** 2 / 15.0)
+    excess = np.maximum(rule.moment / x - rule.energy, 0.05 * rule.energy)
+    lean = np.zeros_like(x) if rig is None else (x - rig.anchor_x) / rig.string_length
+    return np.log(excess), lean
+
+
+def _curve(
+    law: LoadingLaw, rule: Rule, at: Balance, rig: StringRig | None, *, has_memory: bool
+) -> LoadingCurve:
+    curvature = law.curvature[law.points]
+    slope = _slope(at, rig, curvature)
+    change = _changes(law, rule, at, rig, slope)
+    sine = rule.energy / at.force - at.sine
+    falls = np.flatnonzero(np.diff(at.force * np.sqrt(1.0 - sine**2)) <= 0.0)
+    stop = int(falls[0]) + 1 if has_memory and len(falls) else len(sine)
+    weight, tension = weight_of(rig), tension_of(at, rig)
+
+    def from_rest(rest: float, values: Floats) -> Floats:
+        return np.concatenate([[rest], values[:stop]])
+
+    return LoadingCurve(
+        from_rest(0.0, at.y),
+        from_rest(weight, tension),
+        from_rest(float(at.arc_length[0]), at.x),
+        from_rest(0.0, np.arcsin(sine) + at.lean),
+        from_rest(0.0, curvature),
+        from_rest(0.0, rule.moment),
+        from_rest(float((tension[0] - weight) / at.y[0]), slope),
+        np.hstack([np.zeros((len(change), 1)), change[:, :stop]]),
+    )
+
+
+def _slope(at: Balance, rig: StringRig | None, curvature: Floats) -> Floats:
+    """Slope of tension against deflection, N/m, as the moment at the clamp grows.
+
+    The integrals change with their upper end, where Q = -P sin(beta), and with W*(M0).
+    """
+    arc = curvature * at.cube_q + 1.0 / (at.force * at.cosine)
+    across = curvature * at.force * at.cube - at.sine / at.cosine / at.force
+    along = respond_to(at, rig, arc, across, 1.0 / at.force)
+    return along.tension / along.deflection
+
+
+def _changes(
+    law: LoadingLaw, rule: Rule, at: Balance, rig: StringRig | None, slope: Floats
+) -> Floats:
+    """Derivatives of the tension at constant deflection by the law's parameters."""
+    end = law.energy_change[:, law.points]
+    inside = law.node_energy_change.reshape(len(end), law.node_energy.size)[:, rule.nodes]
+    arc = end * at.cube_q - rule.total(inside * at.cubes_q)
+    across = at.force * (end * at.cube - rule.total(inside * at.cubes))
+    changed = respond_to(at, rig, arc, across, np.zeros_like(end))
+    return changed.tension - slope * changed.deflection
+
+
+def force_at(curve: LoadingCurve, deflection: Floats) -> tuple[Floats, Floats]:
+    """Force above that at rest, and its derivatives, at given deflections.
+
+    Parameters
+    ----------
+    curve : the loading curve
+    deflection : shape (n,), m, any order; a law is the same both ways, so that noise about zero
+        finds forces of both signs
+
+    Returns
+    -------
+    Force, shape (n,), N, to about 3e-5 of itself, and its derivative by each of the law's
+    parameters, shape (parameters, n). NaN where the deflection is NaN.
+
+    Raises
+    ------
+    ValueError
+        Beyond the end of the curve.
+    """
+    size = np.abs(deflection)
+    if np.any(size > curve.deflection[-1]):
+        message = (
+            f"deflection={np.nanmax(size):.6g} m: the curve ends at {curve.deflection[-1]:.6g} m, "
+            f"where the tip stands at {np.degrees(curve.tip_angle[-1]):.3g} deg"
+        )
+        raise ValueError(message)
+    change = curve.tension_change
+    values = np.vstack([curve.force, change])
+    rises = np.vstack([curve.stiffness, np.gradient(change, curve.deflection, axis=1)])
+    found = CubicHermiteSpline(curve.deflection, values, rises, axis=1)(size)
+    found *= np.sign(deflection)
+    return found[0], found[1:]
