@@ -1,28 +1,25 @@
-"""The tables of the page: what stands in each cell, in words and display units."""
+"""The tables of a group: what stands in each cell, in words and display units."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from labpipe.records.group import Campaign, Group, GroupNumber, NestedMean, Sample
+from labpipe.records.group import Group, GroupNumber, NestedMean, Sample
 from labpipe.records.result import Result, Status
-from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
+from labpipe.report.concerns import decision_words, split_reason
 from labpipe.report.numbers import (
     display_of,
     heading,
     in_words,
     shown_in,
     unit_words,
-    with_names_in_words,
     write_mean,
     write_number,
 )
 from labpipe.statistics.methods import mixed
 
 DASH = "\u2013"
-_NO_METHOD = "No sample has this number."
 _COLUMNS = 4
 """Numbers side by side in a table of samples: as many as a page and a phone can take."""
 
@@ -59,23 +56,6 @@ class Table:
     heads: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     notes: tuple[str, ...] = ()
-
-
-def concern_tables(campaign: Campaign) -> list[Table]:
-    """Make a table for each kind of concern that there is, worst first."""
-    concerns = find_concerns(campaign)
-    tables = []
-    for kind in Kind:
-        own = [each for each in concerns if each.kind is kind]
-        if own:
-            rows = tuple(_concern_row(each) for each in own)
-            tables.append(Table(f"{kind} ({len(own)})", ("Test", "What", "Why"), rows))
-    return tables
-
-
-def _concern_row(concern: Concern) -> tuple[Cell, ...]:
-    test = Cell(concern.test or "the whole group", concern.group)
-    return test, Cell(concern.what or DASH), Cell(concern.reason, concern.code)
 
 
 def key_numbers(group: Group) -> Table:
@@ -266,73 +246,3 @@ def slip_table(group: Group) -> Table | None:
         "What was done",
     )
     return Table(f"{group.name}: slips in the grips", heads, tuple(rows)) if rows else None
-
-
-def difference_table(campaign: Campaign) -> Table | None:
-    """Make the table of differences between groups; None where there are none."""
-    displays = {group.name: display_of(group) for group in campaign.groups}
-    rows = []
-    for each in campaign.differences:
-        shown = shown_in(each.name, each.unit, displays.get(each.first, {}))
-        found = each.difference
-        written = write_number(found.mean, found.interval, shown.factor)
-        none = split_reason(found.reason)[1] or DASH
-        margin = math.nan if each.margin is None else each.margin
-        matters = write_number(margin, None, shown.factor, digits=3).value
-        rows.append(
-            (
-                Cell(heading(each.name, shown.unit), f"{each.second} minus {each.first}"),
-                Cell(written.value),
-                Cell(written.interval or none),
-                Cell(matters),
-                Cell(each.verdict),
-            )
-        )
-    heads = ("Number", "Difference", "95 % interval", "Does not matter below", "In words")
-    return Table("Differences between groups", heads, tuple(rows)) if rows else None
-
-
-def method_tables(campaign: Campaign) -> list[Table]:
-    """Make a table per protocol that says how each number and its interval were made."""
-    samples: dict[str, list[Sample]] = {}
-    for group in campaign.groups:
-        samples.setdefault(group.protocol, []).extend(group.samples)
-    return [_method_table(protocol, own) for protocol, own in samples.items() if own]
-
-
-def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
-    methods: dict[str, dict[str, None]] = {}
-    for sample in samples:
-        for result in sample.results:
-            known = methods.setdefault(result.name, {})
-            if result.method:
-                known[result.method] = None
-    rows = tuple(
-        (Cell(in_words(name), name), Cell(with_names_in_words("; ".join(each)) or _NO_METHOD))
-        for name, each in methods.items()
-    )
-    return Table(f"Protocol {protocol}: how each number was made", ("Number", "Method"), rows)
-
-
-def table_of_tests(campaign: Campaign) -> Table:
-    """Make the list of tests: what was tested, by which protocol, where the result is."""
-    rows = []
-    for group in campaign.groups:
-        across = shown_in("", "m", display_of(group))
-        for sample in group.samples:
-            sizes = ", ".join(
-                f"{name.replace('_', ' ')} {across.factor * size:.4g} {unit_words(across.unit)}"
-                for name, size in sample.specimen.dimensions.items()
-            )
-            specimen = sample.specimen
-            rows.append(
-                (
-                    Cell(sample.test),
-                    Cell(specimen.type, f"spool {specimen.spool}, sample {specimen.sample}"),
-                    Cell(sizes or DASH),
-                    Cell(sample.protocol),
-                    Cell(sample.source or DASH),
-                )
-            )
-    heads = ("Test", "Specimen", "Dimensions", "Protocol", "Read from")
-    return Table("Tests in this report", heads, tuple(rows))

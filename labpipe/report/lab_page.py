@@ -8,18 +8,20 @@ from typing import TYPE_CHECKING, Any
 
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
+from labpipe.report.campaign_tables import (
+    concern_tables,
+    difference_table,
+    method_tables,
+    table_of_tests,
+)
 from labpipe.report.concerns import find_concerns, split_reason
 from labpipe.report.group_figures import SavedFigure
 from labpipe.report.group_look import count_words
 from labpipe.report.group_tables import (
-    concern_tables,
-    difference_table,
     key_numbers,
-    method_tables,
     sample_tables,
     slip_table,
     spool_means,
-    table_of_tests,
 )
 from labpipe.report.numbers import with_names_in_words
 

@@ -2,22 +2,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from labpipe.records.group import Campaign
 from labpipe.report.group_tables import (
     Cell,
     Table,
-    concern_tables,
-    difference_table,
     key_numbers,
-    method_tables,
     sample_tables,
     slip_table,
     spool_means,
-    table_of_tests,
 )
 from tests.builders.campaigns import (
-    build_campaign,
-    build_difference,
     build_group,
     build_sample,
     six_samples,
@@ -27,18 +20,6 @@ from tests.builders.campaigns import (
 
 def row(table: Table, head: str) -> tuple[Cell, ...]:
     return next(cells for cells in table.rows if cells[0].text.startswith(head))
-
-
-def test_concerns_are_counted_in_their_captions() -> None:
-    tables = concern_tables(build_campaign())
-    assert [table.caption for table in tables] == [
-        "Tests that could not be read (1)",
-        "Failed: numbers that could not be computed (1)",
-        "Doubtful: numbers to be checked (1)",
-        "Marked as outliers (they stay in every mean) (1)",
-        "Slips in the grips (1)",
-        "Warnings (2)",
-    ]
 
 
 def test_means_say_what_was_averaged() -> None:
@@ -101,34 +82,6 @@ def test_slips() -> None:
     assert table.heads[1:3] == ("Displacement (mm)", "Force lost (N)")
     assert table.rows[0][1] == Cell("12.000", "11.990 to 12.010")
     assert slip_table(build_group("A", six_samples(slips=0))) is None
-
-
-def test_differences() -> None:
-    table = difference_table(build_campaign())
-    assert table is not None
-    assert [cell.text for cell in table.rows[0]] == [
-        "Stiffness, first region (N/mm)", "-1.42", "-1.60 to -1.24", "0.500",
-        "They differ by more than the margin of 10 %.",
-    ]  # fmt: skip
-    unknown = replace(build_difference(), margin=None)
-    unknown = replace(unknown, difference=replace(unknown.difference, interval=None))
-    table = difference_table(Campaign("Synthetic", (), (unknown,)))
-    assert table is not None
-    assert [cell.text for cell in table.rows[0][2:4]] == ["\u2013", "\u2013"]
-    assert difference_table(Campaign("Synthetic", ())) is None
-
-
-def test_methods_and_tests() -> None:
-    campaign = build_campaign()
-    (methods,) = method_tables(campaign)
-    assert methods.caption == "Protocol twist-tube: how each number was made"
-    assert row(methods, "Peak force, cycle 1")[1].text == "parabola through the top of the curve"
-    tests = table_of_tests(campaign)
-    assert len(tests.rows) == 7
-    assert [cell.text for cell in tests.rows[0]] == [
-        "tt-s1a", "twist-tube-10", "length 75 mm", "twist-tube",
-        "processed/synthetic/tt-s1a/result.h5",
-    ]  # fmt: skip
 
 
 def test_a_mean_over_numbers_made_in_two_ways_says_so() -> None:
