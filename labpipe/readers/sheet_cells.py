@@ -1,0 +1,177 @@
+"""Cells of the tables that people keep in a spreadsheet: text, each with its place for messages.
+
+Writes these files: a person, with a spreadsheet program (xlsx) or a text editor (csv parted by
+comma, semicolon or tab, UTF-8).
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import read_head, reading
+
+_SEPARATORS = ",;\t"
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell.
+
+    Parameters
+    ----------
+    text : as shown, without blanks around it; dates as 2026-03-04
+    place : such as ``cell C4``, or ``line 4, column 3`` in a csv
+    """
+
+    text: str
+    place: str
+
+
+Row: TypeAlias = tuple[Cell, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table with a heading.
+
+    Parameters
+    ----------
+    heading : the cells of the first row that is not blank
+    rows : those below it, blank ones left out, each as long as the heading
+    """
+
+    heading: Row
+    rows: tuple[Row, ...]
+
+
+def is_workbook(path: Path) -> bool:
+    """Whether a file is a workbook (a zip archive) rather than text.
+
+    Raises
+    ------
+    ReadError
+        If there is no such file, or it is empty.
+    """
+    return read_head(path).startswith(b"PK\x03\x04")
+
+
+def sheet_names(path: Path) -> list[str]:
+    """Names of the sheets of a workbook, in its order.
+
+    Raises
+    ------
+    ReadError
+        If the workbook is damaged.
+    """
+    from python_calamine import CalamineError, CalamineWorkbook
+
+    with reading(path, "an xlsx workbook", also=(CalamineError,)):
+        return list(CalamineWorkbook.from_path(str(path)).sheet_names)
+
+
+def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
+    """All cells of one sheet of a workbook.
+
+    Parameters
+    ----------
+    path : the workbook
+    sheet : number, counted from 0, or name
+
+    Raises
+    ------
+    ReadError
+        If the workbook is damaged.
+    """
+    from openpyxl.utils import get_column_letter
+    from python_calamine import CalamineError, CalamineWorkbook
+
+    with reading(path, "an xlsx workbook", also=(CalamineError,)):
+        book = CalamineWorkbook.from_path(str(path))
+        page = (
+            book.get_sheet_by_name(sheet)
+            if isinstance(sheet, str)
+            else book.get_sheet_by_index(sheet)
+        )
+        rows = page.to_python(skip_empty_area=False)
+    return [
+        [
+            Cell(_shown(value), f"cell {get_column_letter(column)}{line}")
+            for column, value in enumerate(row, start=1)
+        ]
+        for line, row in enumerate(rows, start=1)
+    ]
+
+
+def csv_cells(path: Path) -> list[list[Cell]]:
+    """All cells of a csv, parted by what its first line has most of.
+
+    Raises
+    ------
+    ReadError
+        If it is no UTF-8 text.
+    """
+    with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
+        text = path.read_text(encoding="utf-8-sig")
+        first = next((line for line in text.splitlines() if line.strip()), "")
+        separator = max(_SEPARATORS, key=first.count)
+        reader = csv.reader(text.splitlines(keepends=True), delimiter=separator, strict=True)
+        return [_csv_row(row, reader.line_num) for row in reader]
+
+
+def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = "") -> Table:
+    """Part cells into a heading and the rows below it.
+
+    Parameters
+    ----------
+    cells : of the whole sheet
+    path : named in errors
+    rows_of : what a row stands for, such as ``one row per test``
+    place : of the table in the file, for messages; empty for the whole file
+
+    Raises
+    ------
+    ReadError
+        If there is no row below a heading, or a cell beyond it.
+    """
+    filled = [row for row in cells if any(cell.text for cell in row)]
+    if len(filled) < 2:
+        expected, remedy = f"a heading and {rows_of}", "Fill in the table."
+        found = f"{len(filled)} rows"
+        raise ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))
+    heading = _without_tail(filled[0])
+    return Table(heading, tuple(_fitted(row, len(heading), path) for row in filled[1:]))
+
+
+def _csv_row(row: Iterable[str], line: int) -> list[Cell]:
+    return [
+        Cell(text.strip(), f"line {line}, column {column}")
+        for column, text in enumerate(row, start=1)
+    ]
+
+
+def _shown(value: object) -> str:
+    """Write the value of a cell as a person sees it: 1 for 1.0."""
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return str(value).strip()
+
+
+def _without_tail(row: list[Cell]) -> Row:
+    filled = [number for number, cell in enumerate(row) if cell.text]
+    return tuple(row[: filled[-1] + 1])
+
+
+def _fitted(row: list[Cell], width: int, path: Path) -> Row:
+    """Bring a row to the length of the heading."""
+    for cell in row[width:]:
+        if cell.text:
+            expected, found = "a cell below a heading", f"'{cell.text}'"
+            remedy = "Give its column a name in the first row, or empty the cell."
+            text = complaint(path, cell.place, expected=expected, found=found, remedy=remedy)
+            raise ReadError(text)
+    return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))

@@ -1,0 +1,371 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from openpyxl import Workbook
+
+from labpipe.errors import ReadError
+from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.records.wire import WireSpec
+
+Row = dict[str, object]
+A2: Row = {
+    "wire": "A2",
+    "wire_diameter_mm": 1.6,
+    "strands": 7,
+    "strand_diameter_mm": 0.32,
+    "lay_angles_deg": 12,
+    "insulation_thickness_mm": 0.3,
+}
+
+
+def write_book(path: Path, rows: list[Row], *, first: str = "wires") -> Path:
+    book = Workbook()
+    page = book.active
+    assert page is not None
+    page.title = first
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    page.append(names)
+    for row in rows:
+        page.append([row.get(name) for name in names])
+    book.save(path)
+    return path
+
+
+@pytest.fixture
+def sheet(tmp_path: Path) -> Path:
+    return tmp_path / "w.xlsx"
+
+
+def one(sheet: Path, **cells: object) -> WireSpec:
+    [spec] = read_wire_sheet(write_book(sheet, [A2 | cells]))
+    return spec
+
+
+def faults(sheet: Path, *rows: Row) -> list[str]:
+    write_book(sheet, list(rows))
+    with pytest.raises(ReadError) as info:
+        read_wire_sheet(sheet)
+    return [line.removeprefix(f"{sheet}, sheet 'wires', ") for line in str(info.value).split("\n")]
+
+
+def fault(sheet: Path, **cells: object) -> str:
+    [message] = faults(sheet, A2 | cells)
+    return message
+
+
+def test_a_short_row_and_what_is_taken_besides(sheet: Path) -> None:
+    spec = one(sheet)
+    assert (spec.name, spec.place) == ("A2", "sheet 'wires', row 2")
+    assert (spec.wire_diameter, spec.insulation_thickness) == (0.0016, 0.0003)
+    assert (spec.layer_counts, spec.strand_diameters) == ((1, 6), (0.00032, 0.00032))
+    assert spec.lay_angles == pytest.approx((np.radians(12.0),), rel=1e-11)
+    assert spec.defaults == {
+        "insulation_modulus": "insulation modulus 1000 MPa",
+        "conductor_modulus": "conductor modulus 110 GPa",
+        "poisson": "poisson 0.34",
+        "copper_k": "copper k 530 MPa",
+        "copper_n": "copper n 0.44",
+        "friction_strand": "friction strand 0.21",
+        "friction_insulation": "friction insulation 0.1",
+        "radial_force": "radial force 0.15 N",
+        "length": "length 85 mm",
+        "tension": "tension 0 N",
+        "orientation": "orientation 0 deg",
+        "largest_curvature": "largest curvature at a bending radius of five wire diameters",
+        "layout": "layout auto",
+    }
+
+
+def test_a_row_that_says_everything(sheet: Path) -> None:
+    row: Row = A2 | {
+        "strands": 13,
+        "strand_diameter_mm": None,
+        "wire_diameter_mm": 2.4,
+        "layer_counts": "1;12",
+        "strand_diameters_mm": "0.5;0.3",
+        "conductor_area_mm2": 1.04,
+        "lay_angles_deg": "-15",
+        "layer_radii_mm": "0;0.4",
+        "insulation_modulus_mpa": 800,
+        "conductor_modulus_gpa": 70,
+        "poisson": 0.33,
+        "copper_k_mpa": 300,
+        "copper_n": 0.2,
+        "friction_strand": 0.3,
+        "friction_insulation": 0,
+        "radial_force_n": 0.2,
+        "layout": "Compressed",
+        "length_mm": 100,
+        "tension_n": 5,
+        "orientation_deg": 90,
+        "largest_curvature_per_m": 60,
+        "remark": "made up",
+    }
+    [spec] = read_wire_sheet(write_book(sheet, [row]))
+    assert spec.layer_counts == (1, 12)
+    assert spec.strand_diameters == (0.0005, 0.0003)
+    assert spec.layer_radii == (0.0, 0.0004)
+    assert spec.layout == "compressed"
+    assert (spec.insulation_modulus, spec.conductor_modulus) == (8e8, 7e10)
+    assert (spec.copper_k, spec.copper_n, spec.poisson) == (3e8, 0.2, 0.33)
+    assert (spec.friction_strand, spec.friction_insulation, spec.radial_force) == (0.3, 0.0, 0.2)
+    assert (spec.length, spec.tension, spec.largest_curvature) == (0.1, 5.0, 60.0)
+    assert spec.orientation == pytest.approx(np.pi / 2.0, rel=1e-11)
+    assert spec.defaults == {}
+
+
+def test_the_sheet_named_wires_is_read_or_else_the_first(sheet: Path) -> None:
+    write_book(sheet, [A2], first="2026")
+    assert read_wire_sheet(sheet)[0].place == "sheet '2026', row 2"
+    book = Workbook()
+    page = book.create_sheet("Wires")
+    page.append(list(A2))
+    page.append(list(A2.values()))
+    book.save(sheet)
+    assert read_wire_sheet(sheet)[0].place == "sheet 'Wires', row 2"
+
+
+def test_a_csv(tmp_path: Path) -> None:
+    path = tmp_path / "w.csv"
+    cells = ["A3", "1.8", "19", "0.24", "12;-15", "0.3"]
+    path.write_text("\t".join(A2) + "\n" + "\t".join(cells) + "\n", encoding="utf-8")
+    [spec] = read_wire_sheet(path)
+    assert spec.layer_counts == (1, 6, 12)
+    assert spec.place == "line 2"
+
+
+def test_strand_diameter_from_the_area(sheet: Path) -> None:
+    spec = one(sheet, strand_diameter_mm=None, conductor_area_mm2=0.56)
+    assert spec.strand_diameters[0] == pytest.approx(np.sqrt(4 * 0.56e-6 / np.pi / 7), rel=1e-12)
+    both = one(sheet, conductor_area_mm2=0.56)
+    assert both.strand_diameters == (0.00032, 0.00032)  # 0.563 mm^2: within 2 %
+
+
+def test_a_single_strand_has_no_lay(sheet: Path) -> None:
+    spec = one(sheet, strands=1, lay_angles_deg=None, strand_diameter_mm=0.8)
+    assert (spec.layer_counts, spec.lay_angles) == ((1,), ())
+
+
+def test_three_strands_without_core(sheet: Path) -> None:
+    spec = one(sheet, strands=3, layer_counts="3")
+    assert (spec.layer_counts, len(spec.lay_angles)) == ((3,), 1)
+
+
+def test_a_stress_table_takes_the_place_of_the_copper(tmp_path: Path) -> None:
+    (tmp_path / "soft.csv").write_text("strain,stress_mpa\n0.001,110\n0.1,150\n", encoding="utf-8")
+    path = tmp_path / "w.csv"
+    text = ",".join([*A2, "stress_table", "copper_n"])
+    rows = ["A2,1.6,7,0.32,12,0.3,soft.csv,", "A4,1.6,7,0.32,12,0.3,soft.csv,"]
+    path.write_text("\n".join([text, *rows]), encoding="utf-8")
+    first, second = read_wire_sheet(path)
+    assert first.stress_table == ((0.001, 0.1), (110e6, 150e6))
+    assert second.stress_table is first.stress_table
+    assert not {"conductor_modulus", "copper_k", "copper_n"} & set(first.defaults)
+    path.write_text("\n".join([text, rows[0] + "0.4"]), encoding="utf-8")
+    with pytest.raises(ReadError) as info:
+        read_wire_sheet(path)
+    assert str(info.value) == (
+        f"{path}, line 2, column 7 (stress_table): expected either a stress table, whose first"
+        " slope is the modulus, or the numbers, found a stress table and copper_n."
+        " Empty one or the other."
+    )
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        (
+            {"strands": 8},
+            "cell C2 (strands): expected 7 strands as 1 lay angle give (1 + 6), found 8. Correct"
+            " the number of strands or the layers, or fill in layer_counts.",
+        ),
+        (
+            {"strands": 19, "layer_counts": "1;6;11"},
+            "cell C2 (strands): expected 18 strands as the layer counts give (1 + 6 + 11),"
+            " found 19. Correct the number of strands or the layers, or fill in layer_counts.",
+        ),
+        (
+            {"lay_angles_deg": "12;-15", "layer_counts": "1;6"},
+            "cell E2 (lay_angles_deg): expected one lay angle for each ring of 1 + 6, 1, found 2."
+            " Give one angle per ring; the core has none.",
+        ),
+        (
+            {"lay_angles_deg": 90},
+            "cell E2 (lay_angles_deg): expected angles between -90 and 90 deg, parted by ';',"
+            " found '90'. Correct the cell.",
+        ),
+        (
+            {"conductor_area_mm2": 0.58},
+            "cell G2 (conductor_area_mm2): expected the 0.563 mm^2 of the strands within 2%,"
+            " found 0.58 mm^2. Correct the area or the strand diameter, or empty one of them.",
+        ),
+        (
+            {"strand_diameters_mm": "0.3;0.3"},
+            "cell G2 (strand_diameters_mm): expected one of both, found strand_diameter_mm and"
+            " strand_diameters_mm. Empty one of the cells.",
+        ),
+        (
+            {"strand_diameter_mm": None, "strand_diameters_mm": "0.3"},
+            "cell G2 (strand_diameters_mm): expected 2 diameters, one per layer, found 1."
+            " Correct the list.",
+        ),
+        (
+            {"strand_diameter_mm": None},
+            "cell D2 (strand_diameter_mm): expected a conductor area or a strand diameter,"
+            " found blank cells. Fill in conductor_area_mm2 or strand_diameter_mm.",
+        ),
+        (
+            {"insulation_thickness_mm": 0.8},
+            "cell F2 (insulation_thickness_mm): expected a wall less than half of the wire's"
+            " 1.6 mm, found 0.8 mm. Correct the wall or the wire's diameter.",
+        ),
+        (
+            {"strand_diameter_mm": 1.1},
+            "cell D2 (strand_diameter_mm): expected strands in a bore of 1 mm (1.6 mm less two"
+            " walls of 0.3 mm), found one of 1.1 mm. Correct the wire's diameter, its wall or the"
+            " strands.",
+        ),
+        (
+            {"strand_diameter_mm": 0.4},
+            "cell D2 (strand_diameter_mm): expected copper in a bore of 1 mm (1.6 mm less two"
+            " walls of 0.3 mm), 0.7854 mm^2, found 0.8796 mm^2. Correct the wire's diameter, its"
+            " wall or the strands.",
+        ),
+        (
+            {"wire_diameter_mm": None},
+            "cell B2 (wire_diameter_mm): expected a number > 0 in mm, found a blank cell."
+            " Fill it in.",
+        ),
+        (
+            {"wire_diameter_mm": "1,6"},
+            "cell B2 (wire_diameter_mm): expected a number with a point, found the decimal comma"
+            " of '1,6'. Write 1.6.",
+        ),
+        (
+            {"layout": "hexagon"},
+            "cell G2 (layout): expected one of 'auto', 'hexagonal', 'concentric', 'packed',"
+            " 'compressed', found 'hexagon'. Did you mean 'hexagonal'?",
+        ),
+        (
+            {"layer_radii_mm": "0;0.3"},
+            "cell G2 (layer_radii_mm): expected a blank cell, found radii, for the layout 'auto'"
+            " that sets its own. Say compressed as the layout, or empty the cell.",
+        ),
+        (
+            {"layer_radii_mm": "0.3", "layout": "compressed"},
+            "cell G2 (layer_radii_mm): expected 2 radii that grow, one per layer, found '0.3'."
+            " Correct the list.",
+        ),
+        (
+            {"largest_curvature_per_m": 1250},
+            "cell G2 (largest_curvature_per_m): expected a curvature below 1250 1/m, where the"
+            " bending radius is the wire's, found 1250 1/m. Give a smaller one.",
+        ),
+        ({"wire": None}, "cell A2 (wire): expected a name, found a blank cell. Name the wire."),
+    ],
+)
+def test_rows_that_are_refused(sheet: Path, cells: Row, message: str) -> None:
+    assert fault(sheet, **cells) == message
+
+
+@pytest.mark.parametrize("name", ["A/2", "..", "a.", "con", "NUL.csv", "a" * 101, "a\tb"])
+def test_names_that_no_file_can_have(sheet: Path, name: str) -> None:
+    assert fault(sheet, wire=name) == (
+        f"cell A2 (wire): expected a name that a file can have, found {name!r}."
+        ' Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at most.'
+    )
+
+
+def test_all_faults_are_told_at_once(sheet: Path) -> None:
+    rows = [A2, A2 | {"wire": "a2"}, A2 | {"wire": "A3", "strands": 8, "lay_angles_deg": "x"}]
+    rows.append(A2 | {"wire": "A4", "strands": 8})
+    assert [line.partition(":")[0] for line in faults(sheet, *rows)] == [
+        "cell A3 (wire)",
+        "cell E4 (lay_angles_deg)",
+        "cell C5 (strands)",
+    ]
+
+
+def test_headings_are_told_before_the_rows(sheet: Path) -> None:
+    row = {name.replace("diameter", "diamter"): cell for name, cell in A2.items()}
+    assert faults(sheet, row | {"strands": "x"}) == [
+        "cell B1: expected one of 'wire_diameter_mm', 'strand_diameter_mm',"
+        " 'strand_diameters_mm', ..., found 'wire_diamter_mm'. Did you mean 'wire_diameter_mm'?",
+        "cell D1: expected one of 'strand_diameter_mm', 'strand_diameters_mm',"
+        " 'wire_diameter_mm', ..., found 'strand_diamter_mm'. Did you mean 'strand_diameter_mm'?",
+    ]
+
+
+def test_a_sheet_without_wires(sheet: Path) -> None:
+    write_book(sheet, [A2])
+    book = Workbook()
+    page = book.active
+    assert page is not None
+    page.append(list(A2))
+    book.save(sheet)
+    with pytest.raises(ReadError) as info:
+        read_wire_sheet(sheet)
+    assert str(info.value) == (
+        f"{sheet}, sheet 'Sheet': expected a heading and one row per wire, found 1 rows."
+        " Fill in the table."
+    )
+
+
+def test_damaged_and_missing_files(sheet: Path) -> None:
+    with pytest.raises(ReadError, match=r"expected a file, found none of that name"):
+        read_wire_sheet(sheet)
+    write_book(sheet, [A2])
+    sheet.write_bytes(sheet.read_bytes()[:1500])
+    with pytest.raises(ReadError, match=r"expected an xlsx workbook, found a damaged one"):
+        read_wire_sheet(sheet)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(st.dictionaries(st.sampled_from([*A2, "layout", "layer_counts"]), st.text(max_size=6)))
+def test_any_text_is_read_or_refused_in_words(tmp_path: Path, cells: dict[str, str]) -> None:
+    path = tmp_path / "w.csv"
+    row = {name: str(cell) for name, cell in A2.items()} | cells
+    quoted = ('"' + cell.replace('"', '""') + '"' for cell in row.values())
+    path.write_text(",".join(row) + "\n" + ",".join(quoted) + "\n", encoding="utf-8")
+    try:
+        specs = read_wire_sheet(path)
+    except ReadError as error:
+        message = str(error)
+    else:
+        message = f"{path}: read"
+        assert all(spec.wire_diameter > 0.0 for spec in specs)
+    assert message.startswith(str(path))
+
+
+TWO, THREE = (12.0, -15.0), (12.0, -15.0, 12.0)
+EXAMPLES = {  # wire and strand diameter, mm (area, mm^2, for compressed strands), lay angles, wall
+    "A1": (1.4, 0.26, (12.0,), 0.3),
+    "A2": (1.6, 0.32, (12.0,), 0.3),
+    "A3": (1.8, 0.24, TWO, 0.3),
+    "B1": (1.1, 2.0 * np.sqrt(0.35 / 7.0 / np.pi), (12.0,), 0.2),
+    "B2": (1.25, 2.0 * np.sqrt(0.49 / 7.0 / np.pi), (12.0,), 0.2),
+    "C1": (1.4, 0.16, TWO, 0.3),
+    "C2": (1.6, 0.19, TWO, 0.3),
+    "C3": (1.8, 0.23, TWO, 0.3),
+    "C4": (2.1, 0.21, THREE, 0.3),
+    "C5": (2.6, 0.26, THREE, 0.3),
+}
+
+
+def test_the_example_sheet_holds_the_wires_of_the_source(repository: Path) -> None:
+    specs = read_wire_sheet(repository / "examples" / "wires.xlsx")
+    assert [spec.name for spec in specs] == list(EXAMPLES)
+    for spec, (outer, strand, angles, wall) in zip(specs, EXAMPLES.values(), strict=True):
+        assert spec.wire_diameter == pytest.approx(outer * 1e-3, rel=1e-12)
+        counts = (1, 6, 12, 18)[: len(angles) + 1]
+        assert spec.layer_counts == counts
+        assert spec.strand_diameters == pytest.approx([strand * 1e-3] * len(counts), rel=1e-11)
+        assert np.degrees(spec.lay_angles) == pytest.approx(angles, rel=1e-10)
+        assert spec.insulation_thickness == pytest.approx(wall * 1e-3, rel=1e-12)
+        assert spec.layout == ("compressed" if spec.name.startswith("B") else "auto")
+        assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"}
