@@ -349,8 +349,8 @@ def slip_onsets(
 
     Notes
     -----
-    Found to rounding, by narrowing down. Within a ring the strands near the neutral axis slip first when
-    friction is even (theta_e / sin theta grows with theta), not those farthest from it, as a
+    Found to rounding, by narrowing down. Within a ring the strands near the neutral axis slip first
+    when friction is even (theta_e / sin theta grows with theta), not those farthest from it, as a
     sentence of the source's 3.2.1 has it.
     """
     sine = sines(section, orientation)

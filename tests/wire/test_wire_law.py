@@ -7,7 +7,7 @@ from labpipe.wire.bending_history import bend_along
 from labpipe.wire.cantilever import bend_under_force, straight
 from labpipe.wire.laws import respond, virgin_plays
 from labpipe.wire.moment_curvature import moment_curvature
-from labpipe.wire.wire_law import play_law, polygon_law
+from labpipe.wire.wire_law import concave_law, play_law, polygon_law
 from tests.builders.stranded_wires import contacts_of, wire
 
 
@@ -53,3 +53,23 @@ def test_laws_that_plays_cannot_follow() -> None:
         polygon_law(kappa, np.array([1.0, 3.0, 3.5]))
     with pytest.raises(ValueError, match=r"largest_curvature=0.0: allowed are finite numbers > 0"):
         play_law(wire("A2"), contacts_of(wire("A2")), largest_curvature=0.0)
+
+
+def test_a_concave_law_is_its_own_polygon() -> None:
+    kappa, moment = np.array([1.0, 2.0, 4.0]), np.array([1.0, 1.8, 3.0])
+    found, same = concave_law(kappa, moment), polygon_law(kappa, moment)
+    assert found.half_widths == pytest.approx(same.half_widths)
+    assert found.compliances == pytest.approx(same.compliances)
+
+
+def test_a_concave_law_bridges_what_stiffens_a_little() -> None:
+    kappa, moment = np.array([1.0, 2.0, 3.0]), np.array([1.0, 1.495, 2.0])
+    law = concave_law(kappa, moment)
+    assert law.half_widths.tolist() == [1.0]
+    assert respond(law, np.array([1.5]), virgin_plays(law, 1)).curvature[0] == pytest.approx(2.0)
+    with pytest.raises(
+        ValueError, match=r"stiffens at curvature=2 1/m: .* 7.1 % above it, allowed is 1 %"
+    ):
+        concave_law(kappa, np.array([1.0, 1.4, 2.0]))
+    with pytest.raises(ValueError, match=r"softens before curvature=3 1/m"):
+        concave_law(kappa, np.array([1.0, 1.5, 1.495]))

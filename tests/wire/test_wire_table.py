@@ -1,0 +1,246 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.wire.cantilever import bend_to_deflection, straight
+from labpipe.wire.cross_section import CrossSection, Layer, concentric
+from labpipe.wire.from_spec import WireError, build
+from labpipe.wire.materials import Elastic
+from labpipe.wire.moment_curvature import moment_curvature
+from labpipe.wire.wire_law import concave_law
+from labpipe.wire.wire_table import (
+    axial_stiffness,
+    curvature_grid,
+    layout_of,
+    torsional_stiffness,
+    wire_table,
+)
+
+HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
+"""Stick stiffness, 1e-3 N m^2, of the source's Table 3.5 as hexagons (PHYSICS 4)."""
+A2 = WireSpec(
+    "A2", 1.6e-3, (1, 6), (0.32e-3,) * 2, (float(np.radians(12.0)),), 0.3e-3, place="line 2"
+)
+
+
+@pytest.fixture(scope="module")
+def examples() -> dict[str, WireTable]:
+    sheet = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
+    return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet)}
+
+
+def codes(table: WireTable) -> list[str]:
+    return [note.code for note in table.notes]
+
+
+def test_the_wires_of_table_3_5_from_the_example_sheet(examples: dict[str, WireTable]) -> None:
+    for name, expected in HEXAGONAL.items():
+        assert examples[name].layout.kind == "hexagonal"
+        assert 1e3 * examples[name].stick_stiffness == pytest.approx(expected, rel=3e-3)
+
+
+def test_every_example_is_told_over_its_whole_range(examples: dict[str, WireTable]) -> None:
+    for name, table in examples.items():
+        assert codes(table) in (["defaults_taken"], ["defaults_taken", "overlap_tolerated"]), name
+        assert table.curvature[0] == table.moment[0] == 0.0
+        assert table.curvature[-1] == pytest.approx(1.0 / (5.0 * table.spec.wire_diameter))
+        assert np.all(np.diff(table.curvature) > 0.0)
+        assert np.all(np.diff(table.moment) > 0.0)
+        assert np.isin(table.slip_onsets, table.curvature).all()
+        parts = table.stick + table.slip + table.bending + table.plastic + table.insulation
+        assert parts == pytest.approx(table.moment, rel=1e-12, abs=1e-18)
+        assert np.all(table.lowest_moment <= table.moment)
+        assert np.all(table.moment <= table.highest_moment)
+        assert table.secant_stiffness[0] == table.tangent_stiffness[0]
+        assert table.tangent_stiffness[0] == pytest.approx(table.stick_stiffness, rel=1e-6)
+        assert len(table.tip_force) >= 40
+        assert table.tip_deflection[-1] == pytest.approx(0.8 * table.spec.length)
+        assert np.all(np.diff(table.tip_force) > 0.0)
+
+
+def test_the_table_resolves_the_law(examples: dict[str, WireTable]) -> None:
+    """Straight lines between its points are within 0.1 % of the law."""
+    table = examples["C4"]
+    built = build(table.spec)
+    between = (table.curvature[1:-1] + table.curvature[2:]) / 2.0
+    moment = moment_curvature(built.section, built.contacts, between).moment
+    lines = np.interp(between, table.curvature, table.moment)
+    assert lines == pytest.approx(moment, rel=1e-3)
+
+
+def test_the_cantilever_is_that_of_the_law(examples: dict[str, WireTable]) -> None:
+    table = examples["A2"]
+    law = concave_law(table.curvature[1:], table.moment[1:])
+    state = straight(law)
+    for number in (12, 24):
+        deflection = float(table.tip_deflection[number])
+        shape = bend_to_deflection(law, state, table.spec.length, deflection)
+        state = shape.state
+        assert shape.force[1] == pytest.approx(table.tip_force[number], rel=1e-4)
+
+
+def test_defaults_are_said_in_one_note() -> None:
+    spec = replace(A2, defaults={"length": "length 85 mm", "poisson": "poisson 0.34"})
+    [note] = wire_table(spec).notes
+    assert (note.code, note.severity, note.where) == ("defaults_taken", "info", "line 2")
+    assert note.message == "the sheet does not say, so taken are: length 85 mm, poisson 0.34"
+
+
+def test_a_cantilever_that_leaves_the_range_is_cut_and_said() -> None:
+    table = wire_table(replace(A2, largest_curvature=20.0))
+    assert codes(table) == ["cantilever_cut"]
+    assert 0.1 < table.tip_deflection[-1] / A2.length < 0.8
+    assert len(table.tip_force) >= 40
+    assert table.notes[0].message.endswith(
+        "not 68 mm: beyond, the curvature at the clamp leaves the range of the law, 20 1/m"
+    )
+    law = concave_law(table.curvature[1:], table.moment[1:])
+    end = bend_to_deflection(law, straight(law), A2.length, float(table.tip_deflection[-1]))
+    assert end.moment[0] == pytest.approx(table.moment[-1], rel=1e-3)
+
+
+def test_a_cut_where_the_tip_unloads_stays_within_the_range() -> None:
+    whole = wire_table(A2)
+    for largest in (50.0, 55.0, 60.0):
+        table = wire_table(replace(A2, largest_curvature=largest))
+        if codes(table):
+            assert table.tip_deflection[-1] < whole.tip_deflection[-1]
+            assert table.tip_force[-1] < whole.tip_force[-1]
+
+
+def test_a_stress_table_ends_the_range() -> None:
+    soft = ((0.001, 0.005, 0.01), (110e6, 130e6, 150e6))
+    table = wire_table(replace(A2, stress_table=soft))
+    assert codes(table)[0] == "range_shortened"
+    assert table.curvature[-1] == pytest.approx(62.5)
+    assert np.all(np.isfinite(table.moment))
+    assert len(table.tip_force) >= 40
+
+
+def test_tension_is_said_and_stiffens_slipping_strands() -> None:
+    table, without = wire_table(replace(A2, tension=20.0)), wire_table(A2)
+    [note] = table.notes
+    assert note.code == "tension"
+    assert note.message == (
+        "the law holds under a tension of 20 N, there before bending; the cantilever bends by that"
+        " law, the pull of the tension on its shape left out"
+    )
+    assert table.moment[100] > without.moment[100]
+
+
+def test_without_friction_nothing_sticks() -> None:
+    table = wire_table(replace(A2, friction_strand=0.0, friction_insulation=0.0))
+    assert table.slip_onsets.shape == (0,)
+    assert table.slip == pytest.approx(np.zeros(len(table.slip)), abs=1e-15)
+    assert table.tangent_stiffness[1] == pytest.approx(table.slip_stiffness, rel=1e-2)
+
+
+def test_one_strand() -> None:
+    spec = replace(A2, layer_counts=(1,), strand_diameters=(0.8e-3,), lay_angles=())
+    table = wire_table(spec)
+    assert table.stick_stiffness == table.slip_stiffness
+    assert table.highest_moment == pytest.approx(table.lowest_moment)
+    turning = 110e9 / (2.0 * 1.34) * np.pi * 0.8e-3**4 / 32.0
+    assert table.torsional_stiffness == pytest.approx(turning)
+
+
+@pytest.mark.parametrize("strands", [2, 3, 4])
+def test_strands_without_core(strands: int) -> None:
+    table = wire_table(replace(A2, layer_counts=(strands,), strand_diameters=(0.3e-3,)))
+    assert table.layout.kind == "packed"
+    assert np.all(np.diff(table.moment) > 0.0)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 3.0])
+@pytest.mark.parametrize("angle", [1.0, 45.0, 80.0])
+def test_odd_wires_are_told_or_refused_in_words(angle: float, friction: float) -> None:
+    spec = replace(
+        A2,
+        lay_angles=(float(np.radians(angle)),),
+        friction_strand=friction,
+        friction_insulation=friction,
+        tension=50.0,
+    )
+    table = wire_table(spec)
+    assert np.all(np.isfinite(table.moment))
+    assert np.all(table.tip_deflection <= 0.8 * spec.length)
+
+
+def test_what_cannot_be_built_is_refused() -> None:
+    with pytest.raises(WireError, match=r"strands overlap .* by"):
+        wire_table(replace(A2, strand_diameters=(0.36e-3, 0.36e-3)))
+    with pytest.raises(WireError, match=r"tension=-1.0: allowed are finite numbers >= 0"):
+        wire_table(replace(A2, tension=-1.0))
+
+
+def test_a_law_that_softens_is_refused_with_the_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
+    def softening(*arguments: object, **options: object) -> object:
+        curve = moment_curvature(*arguments, **options)  # type: ignore[arg-type]
+        return replace(curve, insulation=curve.insulation - 1e-3 * (curve.curvature > 10.0))
+
+    monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", softening)
+    with pytest.raises(WireError, match=r"the law softens: the moment falls from .* at 9\.\d+ 1/m"):
+        wire_table(A2)
+
+
+def test_a_law_that_stiffens_has_no_cantilever(monkeypatch: pytest.MonkeyPatch) -> None:
+    def stiffening(*arguments: object, **options: object) -> object:
+        curve = moment_curvature(*arguments, **options)  # type: ignore[arg-type]
+        return replace(curve, insulation=curve.insulation + 1e-2 * (curve.curvature > 10.0))
+
+    monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", stiffening)
+    table = wire_table(A2)
+    assert codes(table) == ["cantilever_cut"]
+    assert table.notes[0].message.startswith("no curve of the cantilever: the law stiffens at")
+    assert table.tip_force.tolist() == [0.0]
+
+
+def test_the_grid_gives_way_to_the_onsets() -> None:
+    onsets = np.array([1e-3, 0.02])
+    grid = curvature_grid(100.0, onsets)
+    assert np.isin(onsets, grid).all()
+    assert grid[0] == 0.0
+    assert grid[-1] == 100.0
+    assert len(grid) in (202, 203)
+    assert np.all(np.diff(grid[1:]) > 5e-5 * grid[1:-1])
+
+
+def rope(angle: float) -> CrossSection:
+    return concentric((Layer(1, 1e-3, 0.0, Elastic(1e11)), Layer(6, 1e-3, angle, Elastic(1e11))))
+
+
+def test_axial_and_torsional_stiffness_of_straight_strands() -> None:
+    area, second = np.pi * 1e-6 / 4.0, np.pi * 1e-12 / 64.0
+    assert axial_stiffness(rope(0.0)) == pytest.approx(7.0 * 1e11 * area)
+    assert torsional_stiffness(rope(0.0)) == pytest.approx(7.0 * 1e11 * second / 1.34)
+
+
+def test_stiffness_of_helices_by_their_strain_energy() -> None:
+    """Strain of a helix that is stretched, or turned at its ends, by finite differences."""
+    angle, radius, area, second = 0.3, 1e-3, np.pi * 1e-6 / 4.0, np.pi * 1e-12 / 64.0
+    along = 1.0 / np.cos(angle)  # length of strand per length of wire
+
+    stretched = np.hypot(1.0 + 1e-6, np.tan(angle)) / along - 1.0
+    energy = 1e11 * area * stretched**2 * along / (1e-6) ** 2
+    core = 1e11 * area
+    assert axial_stiffness(rope(angle)) == pytest.approx(core + 6.0 * energy, rel=1e-5)
+
+    tangent = np.array([0.0, np.sin(angle), np.cos(angle)])
+    turn = np.array([0.0, 0.0, 1.0]) / along  # of the section per length of strand, for 1 rad/m
+    twist = float(turn @ tangent)
+    bend = float(np.linalg.norm(turn - twist * tangent))
+    stored = 1e11 * second * (twist**2 / 1.34 + bend**2) * along
+    expected = 1e11 * second / 1.34 + 6.0 * stored
+    assert torsional_stiffness(rope(angle)) == pytest.approx(expected, rel=1e-12)
+    assert radius > 0.0
+
+
+def test_a_layout_needs_a_tube() -> None:
+    with pytest.raises(ValueError, match=r"the section has no insulation: allowed is one with"):
+        layout_of(rope(0.1))
