@@ -16,8 +16,8 @@ from openpyxl import load_workbook
 from labpipe.cli import main
 from labpipe.pipeline.reporting import make_campaign
 from labpipe.pipeline.targets import find_results
-from labpipe.virtual_lab.tensile_campaign import TABLE_2_3, corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_exports import simulate_tensile
+from labpipe.virtual_lab.tensile_samples import TABLE_2_3, corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_scenario import GripSlip, TensileScenario
 from tests.builders.small_tests import Run, state
 

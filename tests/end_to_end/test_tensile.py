@@ -15,7 +15,7 @@ from labpipe.cli import main
 from labpipe.records.slips import SlipDecision
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
-from labpipe.virtual_lab.tensile_campaign import (
+from labpipe.virtual_lab.tensile_samples import (
     TABLE_2_3,
     corrugated_tube,
     pet_tape,

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import pytest
 
-from labpipe.virtual_lab.tensile_campaign import twist_tube
+from labpipe.virtual_lab.tensile_samples import twist_tube
 from tests.builders import bad_input
 from tests.builders.small_tests import Run, state
 from tests.builders.tensile_tests import TensileLab, make_tensile

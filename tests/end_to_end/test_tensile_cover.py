@@ -19,7 +19,7 @@ from scipy.stats import binomtest
 
 from labpipe.records.result import Status
 from labpipe.virtual_lab import TensileScenario, observe_tensile
-from labpipe.virtual_lab.tensile_campaign import (
+from labpipe.virtual_lab.tensile_samples import (
     GAIN_UNCERTAINTY,
     TABLE_2_3,
     corrugated_tube,

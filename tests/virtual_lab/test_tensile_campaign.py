@@ -8,12 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile_campaign import (
-    TABLE_2_3,
-    simulate_tensile_campaign,
-    tensile_scenarios,
-)
+from labpipe.virtual_lab.tensile_campaign import simulate_tensile_campaign, tensile_scenarios
 from labpipe.virtual_lab.tensile_exports import observe_tensile
+from labpipe.virtual_lab.tensile_samples import TABLE_2_3
 from labpipe.virtual_lab.tensile_scenario import Program
 
 SCENARIOS = {scenario.name: scenario for scenario in tensile_scenarios()}

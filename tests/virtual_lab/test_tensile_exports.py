@@ -11,8 +11,8 @@ import openpyxl
 import pytest
 
 from labpipe.errors import StoreError
-from labpipe.virtual_lab.tensile_campaign import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_exports import observe_tensile, simulate_tensile
+from labpipe.virtual_lab.tensile_samples import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_scenario import ExportLayout, GripSlip, TensileScenario
 
 TUBE = replace(corrugated_tube("CT-10-slit-2"), slips=(GripSlip(18.75e-3, 0.47),))

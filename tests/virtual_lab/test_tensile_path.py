@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile_campaign import GIVE, corrugated_tube, pet_tape, twist_tube
 from labpipe.virtual_lab.tensile_path import (
     TensilePath,
     loading_force,
     rounded_ramp,
     specimen_force,
 )
+from labpipe.virtual_lab.tensile_samples import GIVE, corrugated_tube, pet_tape, twist_tube
 from labpipe.virtual_lab.tensile_scenario import BilinearLaw, GripSlip
 
 LAW = BilinearLaw(2e3, 0.5e3, 10e-3, knee=4e-3, slack=1e-3, toe=0.6e-3)

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile_campaign import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_path import TensilePath
 from labpipe.virtual_lab.tensile_record import record_frame, sample_times, slow_noise
+from labpipe.virtual_lab.tensile_samples import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_scenario import FrameInstruments
 
 QUIET = FrameInstruments(rate=100.0, first_sample=0.0195)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from labpipe.virtual_lab.tensile_campaign import corrugated_tube, twist_tube
+from labpipe.virtual_lab.tensile_samples import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_scenario import BilinearLaw, GripSlip
 
 

@@ -9,7 +9,8 @@ import pytest
 import yaml
 
 from labpipe.protocol.load import load_test_sheet, resolve
-from labpipe.virtual_lab.tensile_campaign import corrugated_tube, tensile_scenarios, twist_tube
+from labpipe.virtual_lab.tensile_campaign import tensile_scenarios
+from labpipe.virtual_lab.tensile_samples import corrugated_tube, twist_tube
 from labpipe.virtual_lab.tensile_scenario import TensileScenario
 from labpipe.virtual_lab.tensile_sheet import write_tensile_sheet
 

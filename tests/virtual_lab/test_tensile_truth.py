@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.tensile_campaign import (
+from labpipe.virtual_lab.tensile_exports import observe_tensile
+from labpipe.virtual_lab.tensile_path import TensilePath
+from labpipe.virtual_lab.tensile_samples import (
     GIVE,
     TABLE_2_3,
     corrugated_tube,
@@ -15,8 +17,6 @@ from labpipe.virtual_lab.tensile_campaign import (
     stiff_bar,
     twist_tube,
 )
-from labpipe.virtual_lab.tensile_exports import observe_tensile
-from labpipe.virtual_lab.tensile_path import TensilePath
 from labpipe.virtual_lab.tensile_scenario import GripSlip, TensileScenario
 from labpipe.virtual_lab.tensile_truth import SlipTruth, TensileTruth, in_series
 
