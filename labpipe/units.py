@@ -52,6 +52,9 @@ frame = [] = frame
 _PLAIN = {
     ("mm", "m"): 1e-3,
     ("cm", "m"): 1e-2,
+    ("um", "m"): 1e-6,
+    ("N/mm", "N/m"): 1e3,
+    ("um/N", "m/N"): 1e-6,
     ("m", "mm"): 1e3,
     ("ms", "s"): 1e-3,
     ("mN", "N"): 1e-3,
@@ -101,6 +104,13 @@ _SI = {
     "m/N",
 }
 
+_COHERENT = {
+    unit: (factor, coherent)
+    for (unit, coherent), factor in _PLAIN.items()
+    if coherent in _SI and unit not in _SI
+}
+"""What the plain units are in coherent ones, so that it is known what they are not."""
+
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
@@ -142,7 +152,10 @@ def si_factor(unit: str, si_unit: str) -> float:
         return 1.0
     if (unit, si_unit) in _PLAIN:
         return _PLAIN[unit, si_unit]
-    if unit in _SI and si_unit in _SI:
+    if si_unit in _SI and (unit in _SI or unit in _COHERENT):
+        quick, coherent = _COHERENT.get(unit, (1.0, unit))
+        if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _PLAIN):
+            return quick * si_factor(coherent, si_unit)
         raise ValueError(_other_dimension(unit, si_unit))
     import pint
 
