@@ -29,6 +29,7 @@ first steps:
   labpipe check raw/A2              is everything there, and spelt right?
   labpipe process raw/A2/A2-085-1   numbers and figures
   labpipe report processed/A2       means, bands and tables of many tests
+  labpipe model examples/wires.xlsx stiffness of wires from their dimensions
 """
 
 
@@ -75,6 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     _check(_command(commands, "check", "protocols and tests against each other and the files"))
     _process(_command(commands, "process", "exports to result.h5, summary.json and figures"))
     _report(_command(commands, "report", "processed tests to one page, figures and a workbook"))
+    _model(_command(commands, "model", "wire dimensions to stiffness tables and simulation decks"))
     _simulate(_command(commands, "simulate", "synthetic exports of a test, with known truth"))
     return parser
 
@@ -133,6 +135,15 @@ def _report(parser: argparse.ArgumentParser) -> None:
     where = "folder of the report (default: report, beside the tests)"
     parser.add_argument("--out", type=Path, metavar="DIR", help=where)
     parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
+
+
+def _model(parser: argparse.ArgumentParser) -> None:
+    what = "wire sheet, xlsx or csv: one row per wire"
+    parser.add_argument("sheet", type=Path, metavar="WIRES", help=what)
+    where = "folder of the results (default: processed/<name of the sheet>)"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    parser.add_argument("--json", action="store_true", help="print the tables as JSON, in SI units")
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:

@@ -100,7 +100,7 @@ def report_table(reported: Reported) -> str:
         lines += [_mean_line(number, display, width) for number in group.numbers]
         lines.append("")
     lines.append(
-        f"report: {_from_here(reported.files[0])}" if reported.files else "report: nothing written"
+        f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
     )
     return "\n".join(lines)
 
@@ -155,11 +155,16 @@ def headline(processed: Processed) -> str:
     result = processed.result
     counts = Counter(each.status for each in result.results)
     said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    return f"{result.test}  ({result.protocol}): {said}  ->  {_from_here(processed.folder)}"
+    return f"{result.test}  ({result.protocol}): {said}  ->  {from_here(processed.folder)}"
 
 
-def _from_here(path: Path) -> Path:
-    """A path as seen from the working folder, if it lies below."""
+def from_here(path: Path) -> Path:
+    """A path as seen from the working folder, if it lies below.
+
+    Parameters
+    ----------
+    path : absolute or relative
+    """
     here = Path.cwd()
     return path.relative_to(here) if path.is_relative_to(here) else path
 

@@ -42,12 +42,22 @@ def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
     ValueError
         If a law cannot be put into a deck (see `thin`).
     """
-    into = folder / FOLDER
-    into.mkdir(exist_ok=True)
+    (folder / FOLDER).mkdir(exist_ok=True)
     written = []
     for table in tables:
-        for ending, text_of in DECKS.items():
-            path = into / f"{file_stem(table.name)}.{ending}"
+        paths = deck_paths(table.name, folder)
+        for path, text_of in zip(paths, DECKS.values(), strict=True):
             path.write_text(text_of(table), encoding="utf-8", newline="\n")
-            written.append(path)
+        written += paths
     return written
+
+
+def deck_paths(name: str, folder: Path) -> list[Path]:
+    """Files of the decks of a wire, in the order of `DECKS`.
+
+    Parameters
+    ----------
+    name : of the wire
+    folder : of the results
+    """
+    return [folder / FOLDER / f"{file_stem(name)}.{ending}" for ending in DECKS]

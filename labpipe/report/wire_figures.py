@@ -61,9 +61,20 @@ def wire_drawings(tables: Sequence[WireTable]) -> Iterator[WireDrawing]:
         if len(some) > 1:
             yield WireDrawing(f"comparison-{number}", partial(comparison_figure, some))
     for table in tables:
-        stem = _NOT_IN_A_FILE.sub("-", table.name)
-        for kind, draw in _OF_ONE_WIRE.items():
-            yield WireDrawing(f"{stem}.{kind}", partial(draw, table))
+        names = own_figures(table.name)
+        for name, draw in zip(names, _OF_ONE_WIRE.values(), strict=True):
+            yield WireDrawing(name, partial(draw, table))
+
+
+def own_figures(name: str) -> list[str]:
+    """Names of the figures of one wire alone, without endings.
+
+    Parameters
+    ----------
+    name : of the wire
+    """
+    stem = _NOT_IN_A_FILE.sub("-", name)
+    return [f"{stem}.{kind}" for kind in _OF_ONE_WIRE]
 
 
 def save_wire_figures(

@@ -1,0 +1,87 @@
+"""What ``labpipe model`` says of its wires on a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labpipe.cli.telling import from_here
+from labpipe.records.quality import Severity
+
+if TYPE_CHECKING:
+    from labpipe.pipeline.modelling import Modelled
+    from labpipe.records.wire import WireTable
+
+_HEADING = (
+    *("wire", "strands", "layout", "EI stick", "EI slip"),
+    *("first slip", "range", "force at 0.3 L"),
+)
+_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
+_WORDS = 3  # columns of words, flush left
+_DEFLECTION = 0.3  # of the length
+
+
+def model_table(modelled: Modelled) -> str:
+    """Lay out the main numbers of modelled wires for a terminal.
+
+    Parameters
+    ----------
+    modelled : the wires of a sheet
+
+    Returns
+    -------
+    A line per wire, the notes that many of them share told once, then where the files are.
+    """
+    rows = [_HEADING, _UNITS, *(_cells(table) for table in modelled.tables)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADING))]
+    lines = [_line(row, widths) for row in rows]
+    lines += ["", *_notes(modelled.tables)]
+    if modelled.refused:
+        lines.append(f"  not modelled: {', '.join(modelled.refused)} (reasons below)")
+    lines.append(f"results: {from_here(modelled.folder)}")
+    return "\n".join(lines)
+
+
+def _cells(table: WireTable) -> tuple[str, ...]:
+    onset = f"{table.slip_onsets[0]:.3g}" if len(table.slip_onsets) else "none"
+    return (
+        table.name,
+        str(len(table.layout.x)),
+        table.layout.kind,
+        f"{1e6 * table.stick_stiffness:.5g}",
+        f"{1e6 * table.slip_stiffness:.5g}",
+        onset,
+        f"{table.curvature[-1]:.4g}",
+        _force(table),
+    )
+
+
+def _force(table: WireTable) -> str:
+    """End load at the deflection of the heading; a dash where the curve does not reach it."""
+    wanted = _DEFLECTION * table.spec.length
+    if not len(table.tip_deflection) or wanted > table.tip_deflection[-1]:
+        return "-"
+    return f"{np.interp(wanted, table.tip_deflection, table.tip_force):.4g}"
+
+
+def _line(row: Sequence[str], widths: Sequence[int]) -> str:
+    cells = [
+        f"{cell:<{width}}" if column < _WORDS else f"{cell:>{width}}"
+        for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+    ]
+    return "  ".join(cells).rstrip()
+
+
+def _notes(tables: Sequence[WireTable]) -> list[str]:
+    """Notes with the wires they concern, equal ones once; warnings first."""
+    wires: dict[tuple[Severity, str], list[str]] = {}
+    for table in tables:
+        for note in table.notes:
+            wires.setdefault((note.severity, note.message), []).append(table.name)
+    order = sorted(wires, key=lambda key: key[0] is Severity.INFO)
+    return [
+        f"  {severity}: {message}  [{', '.join(wires[severity, message])}]"
+        for severity, message in order
+    ]
