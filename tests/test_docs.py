@@ -241,7 +241,7 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
             yield text_of(given[1]), "warning"
         case "block":
             yield text_of(given[0]), "error"
-        case "_note":
+        case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":
             yield text_of(given[1]), "info"

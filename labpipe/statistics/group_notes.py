@@ -1,0 +1,109 @@
+"""What a reader of the means of a group must know of the samples and numbers behind them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from labpipe.records.group import GroupNumber, Sample
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Status
+from labpipe.statistics.outliers import too_few_for_outliers
+
+
+def sample_keys(samples: Sequence[Sample]) -> list[str]:
+    """Give each sample a name: its test, with the file behind it where two tests share one.
+
+    Parameters
+    ----------
+    samples : of one group
+
+    Returns
+    -------
+    As many names as samples, each once.
+    """
+    times = Counter(sample.test for sample in samples)
+    return [
+        sample.test if times[sample.test] == 1 else f"{sample.test} ({sample.source or number})"
+        for number, sample in enumerate(samples, start=1)
+    ]
+
+
+def group_note(code: str, message: str, severity: Severity = Severity.INFO) -> QualityNote:
+    """Make a note on a group as a whole."""
+    return QualityNote(code, severity, "group", message)
+
+
+def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+    """Tell of samples that are none, one, repeated, or of several sizes.
+
+    Parameters
+    ----------
+    samples : of one group
+    """
+    if not samples:
+        return [group_note("empty_group", "there is no sample in this group", Severity.WARNING)]
+    notes = []
+    if len(samples) == 1:
+        message = f"one sample ({samples[0].test}): no interval and no band"
+        notes.append(group_note("one_sample", message, Severity.WARNING))
+    times = Counter((sample.specimen.spool, sample.specimen.sample) for sample in samples)
+    for (spool, sample), count in times.items():
+        if count > 1:
+            message = (
+                f"sample {sample} of spool {spool} was tested {count} times; "
+                f"the means count it as {count} samples"
+            )
+            notes.append(group_note("sample_repeated", message, Severity.WARNING))
+    return [*notes, *_dimension_notes(samples)]
+
+
+def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+    names = dict.fromkeys(name for sample in samples for name in sample.specimen.dimensions)
+    notes = []
+    for name in names:
+        given = [sample.specimen.dimensions.get(name, float("nan")) for sample in samples]
+        low, high = float(np.nanmin(given)), float(np.nanmax(given))
+        if high - low > 0.01 * abs(high):
+            message = (
+                f"the samples differ in {name}: {1e3 * low:.4g} mm to {1e3 * high:.4g} mm; "
+                "a mean over them mixes what this changes with scatter"
+            )
+            notes.append(group_note("dimensions_differ", message, Severity.WARNING))
+    return notes
+
+
+def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
+    """Tell which means hold doubtful values, and which were not tested for outliers.
+
+    Parameters
+    ----------
+    numbers : of one group
+    """
+    doubtful = [
+        f"{number.name} ({', '.join(doubted)})"
+        for number in numbers
+        if (doubted := _doubted(number))
+    ]
+    notes = []
+    if doubtful:
+        message = f"doubtful values are in the means of: {'; '.join(doubtful)}"
+        notes.append(group_note("doubtful_in_mean", message, Severity.WARNING))
+    few = [number.name for number in numbers if number.values and _too_few(number)]
+    if few:
+        message = f"too few samples for a test of outliers: {'; '.join(few)}"
+        notes.append(group_note("outliers_not_tested", message))
+    return notes
+
+
+def _doubted(number: GroupNumber) -> list[str]:
+    return [key for key, each in number.values.items() if each.status is Status.DOUBTFUL]
+
+
+def _too_few(number: GroupNumber) -> str:
+    if number.mean is None:
+        return ""
+    spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
+    return too_few_for_outliers(spools)
