@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import fields
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from labpipe.readers.wire_columns import (
 )
 from labpipe.records.wire import WireSpec
 
+SILENT = WireSpec("W", 1.6e-3, (1, 6), (0.32e-3,) * 2, (0.2,), 0.3e-3)
 BY_NAME = {column.name: column for column in COLUMNS}
 WHOLE_HEADING = [
     *("wire", "wire_diameter_mm", "strands", "strand_diameter_mm"),
@@ -147,3 +149,14 @@ def test_columns_state_their_unit_in_their_name() -> None:
         return not column.unit or column.name.endswith(endings[column.unit])
 
     assert all(agrees(column) for column in COLUMNS)
+
+
+def test_every_column_and_its_default_is_documented(repository: Path) -> None:
+    page = (repository / "docs" / "how-to" / "wire-sheet.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]*) \|", page, flags=re.MULTILINE)
+    assert {name for name, _ in rows} == set(KNOWN)
+    documented = dict(rows)
+    for column in COLUMNS:
+        default = getattr(SILENT, column.field, None)
+        if isinstance(default, float) and not column.is_needed:
+            assert float(documented[column.name]) == pytest.approx(default / column.factor)
