@@ -21,6 +21,7 @@ _HEADING = (
 _UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
 _WORDS = 3  # columns of words, flush left
 _DEFLECTION = 0.3  # of the length
+_MOST_NAMED = 10  # wires after a note
 
 
 def model_table(modelled: Modelled) -> str:
@@ -39,7 +40,8 @@ def model_table(modelled: Modelled) -> str:
     lines = [_line(row, widths) for row in rows]
     lines += ["", *_notes(modelled.tables)]
     if modelled.refused:
-        lines.append(f"  not modelled: {', '.join(modelled.refused)} (reasons below)")
+        names = _named(tuple(modelled.refused), 0)
+        lines.append(f"  not modelled: {names} (reasons below)")
     lines.append(f"results: {from_here(modelled.folder)}")
     return "\n".join(lines)
 
@@ -82,6 +84,15 @@ def _notes(tables: Sequence[WireTable]) -> list[str]:
             wires.setdefault((note.severity, note.message), []).append(table.name)
     order = sorted(wires, key=lambda key: key[0] is Severity.INFO)
     return [
-        f"  {severity}: {message}  [{', '.join(wires[severity, message])}]"
+        f"  {severity}: {message}  [{_named(wires[severity, message], len(tables))}]"
         for severity, message in order
     ]
+
+
+def _named(names: Sequence[str], count: int) -> str:
+    """Name some wires; all of very many are named in the workbook."""
+    if len(names) <= _MOST_NAMED:
+        return ", ".join(names)
+    if len(names) == count:
+        return f"all {count} wires"
+    return f"{', '.join(names[:_MOST_NAMED])} and {len(names) - _MOST_NAMED} more"

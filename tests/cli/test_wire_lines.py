@@ -70,3 +70,18 @@ def test_refused_wires_are_named_and_the_folder_comes_last() -> None:
     lines = said(wire_table("A2"), refused={"X1": "too thick"})
     assert lines[-2] == "  not modelled: X1 (reasons below)"
     assert lines[-1] == f"results: {Path('processed/wires')}"
+
+
+def test_of_many_wires_some_are_named() -> None:
+    taken = QualityNote("defaults_taken", Severity.INFO, "sheet", "poisson 0.34 taken")
+    cut = QualityNote("cantilever_cut", Severity.WARNING, "cantilever", "it stops")
+    tables = [
+        replace(
+            wire_table("A2"), name=f"W{number}", notes=(taken, cut) if number < 12 else (taken,)
+        )
+        for number in range(13)
+    ]
+    lines = said(*tables)
+    names = ", ".join(f"W{number}" for number in range(10))
+    assert f"  warning: it stops  [{names} and 2 more]" in lines
+    assert "  info: poisson 0.34 taken  [all 13 wires]" in lines
