@@ -405,8 +405,7 @@ def _turns_far(
 ) -> bool:
     """Whether any part of the wire turns by more than a step may from moments to an equilibrium."""
     before = respond(law, moment, plays).curvature
-    after = respond(law, found.moment, found.plays).curvature
-    turn = length * chebyshev_stations(len(moment)).from_clamp @ (after - before)
+    turn = length * chebyshev_stations(len(moment)).from_clamp @ (found.curvature - before)
     return bool(np.max(np.abs(turn)) > _LARGEST_TURN)
 
 

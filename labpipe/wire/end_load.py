@@ -22,6 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.laws import MomentLaw
@@ -228,10 +229,11 @@ def _at_deflections(ladder: EndLoads, length: float, wanted: Floats) -> EndLoads
     """States of given deflections: Newton for clamp moment and tip's sine, from the ladder."""
     polygon = ladder.polygon
     _, energy = _at_clamp(polygon, ladder.clamp_moment)
-    logs = np.log(wanted), np.log(ladder.deflection)
-    below = np.minimum(logs[0] - logs[1][0], 0.0)  # under the lowest rung all is in proportion
-    clamp = np.interp(*logs, np.log(ladder.clamp_moment)) + below
-    level = np.exp(np.interp(*logs, np.log(np.arctanh(energy / ladder.load))) + below)
+    rungs = np.log([ladder.deflection, ladder.clamp_moment, np.arctanh(energy / ladder.load)])
+    between = CubicSpline(rungs[0], rungs[1:], axis=1)
+    below = np.minimum(np.log(wanted) - rungs[0, 0], 0.0)  # under the lowest, all in proportion
+    clamp, level = between(np.log(wanted) - below) + below
+    level = np.exp(level)
     for _ in range(_MOST_NEWTON):
         step = _newton_step(polygon, np.exp(clamp), level, length, wanted)
         clamp, level = clamp + step[0], np.clip(level + step[1], level / 4.0, _STEEPEST)

@@ -102,12 +102,13 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """What it found: moments, history, force at the tip and load."""
+    """What it found: moments, history, force at the tip, load, and the curvatures."""
 
     moment: Floats
     plays: Floats
     force: Floats
     load: float
+    curvature: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -160,7 +161,8 @@ def solve(
         largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
         if np.max(np.abs(change[:-1])) <= _TOLERANCE * largest:
             last = _bent(problem, moment, load)
-            return Equilibrium(moment, last.response.plays, last.wanted.force, float(load))
+            response, force = last.response, last.wanted.force
+            return Equilibrium(moment, response.plays, force, float(load), response.curvature)
     return None
 
 
