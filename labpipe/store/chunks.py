@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import Executor
+from dataclasses import dataclass, field
 from math import prod
 from typing import Any
 
@@ -16,6 +17,9 @@ import h5py
 import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
+
+from labpipe.store import layout
+from labpipe.store.layout import Field
 
 CHUNK_BYTES = 1 << 18
 _LEVEL = 1
@@ -150,3 +154,44 @@ def string_array(texts: tuple[str, ...]) -> NDArray[Any]:
     encoded = [text.encode() for text in texts]
     longest = max((len(text) for text in encoded), default=0) or 1
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", longest))
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """An open group, the threads that deflate, and what has been written so far.
+
+    Parameters
+    ----------
+    group : open HDF5 group
+    pool : threads that deflate the chunks
+    written : arrays by dataset, to verify the file by
+    """
+
+    group: Any
+    pool: Executor
+    written: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def inside(self, name: str) -> Target:
+        """Make a group in this one."""
+        return Target(self.group.create_group(name), self.pool, self.written)
+
+    def array(self, name: str, values: NDArray[Any], kind: Field, unit: str = "") -> Any:
+        """Write an array; `unit` counts where the layout leaves the unit open."""
+        stated = kind.unit or unit
+        dataset = write_array(self.group, name, values, unit=stated, axes=kind.axes, pool=self.pool)
+        self.written[dataset.name] = values
+        return dataset
+
+    def strings(self, name: str, texts: tuple[str, ...], axis: str) -> None:
+        """Write a dataset of strings."""
+        self.array(name, string_array(texts), Field((axis,), layout.TEXT))
+
+    def fields(self, record: object, kinds: Any) -> None:
+        """Write those fields of a record that are arrays, each as the layout says."""
+        for name, kind in kinds.items():
+            self.array(name, getattr(record, name), kind)
+
+    def texts(self, name: str, values: tuple[str, ...]) -> None:
+        """Write an attribute that is a list of strings."""
+        data = np.array(values, dtype=object)
+        self.group.attrs.create(name, data, dtype=h5py.string_dtype())

@@ -19,12 +19,12 @@ from labpipe.records.curve import (
     Series,
     Shape,
 )
-from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from labpipe.records.recording import Recording
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
 from labpipe.records.slips import Slip, SlipDecision
 from labpipe.store import layout
 from labpipe.store.checked import array, arrays, opened, strings, text, texts
+from labpipe.store.recordings import read_notes, read_recording
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +126,7 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
         **{name: text(root, name) for name in layout.ROOT_TEXTS},
         "specimen": _specimen(root),
         "inputs": _inputs(group) if raw else (),
-        "recordings": {role: _recording(group[role]) for role in roles},
+        "recordings": {role: read_recording(group[role]) for role in roles},
     }
 
 
@@ -136,7 +136,7 @@ def _outcome(root: Any) -> dict[str, Any]:
     return {
         "curve": None if curve is None else _curve(curve),
         "results": _results(root[layout.RESULTS]),
-        "quality": _notes(root[layout.QUALITY]),
+        "quality": read_notes(root[layout.QUALITY]),
         "display": json.loads(text(root, layout.DISPLAY)),
         "figures": texts(root, layout.FIGURES),
         "slips": () if curve is None else _slips(curve),
@@ -164,44 +164,6 @@ def _inputs(raw: Any) -> tuple[InputFile, ...]:
         )
         found |= {int(i): InputFile(role, file, sha, int(size)) for i, file, sha, size in rows}
     return tuple(found[number] for number in sorted(found))
-
-
-def _recording(group: Any) -> Recording:
-    has_markers = layout.MARKERS in group
-    return Recording(
-        **{name: text(group, name) for name in layout.RECORDING_TEXTS},
-        clocks=tuple(_clock(group, name) for name in texts(group, "clocks")),
-        channels=tuple(_channel(group, name) for name in texts(group, "channels")),
-        markers=_markers(group) if has_markers else None,
-        metadata=json.loads(text(group, layout.METADATA)),
-        notes=_notes(group[layout.NOTES]),
-    )
-
-
-def _clock(group: Any, name: str) -> Clock:
-    time = array(group, name, layout.CLOCK_TIME)
-    return Clock(text(group[name], "clock"), time, text(group[name], "unit"))
-
-
-def _channel(group: Any, name: str) -> Channel:
-    said = {key: text(group[name], where) for key, where in layout.CHANNEL_TEXTS.items()}
-    unit = text(group[name], "unit")
-    values = array(group, name, layout.CHANNEL)
-    return Channel(**said, values=values, unit=None if unit == layout.NO_UNIT else unit)
-
-
-def _markers(group: Any) -> MarkerTracks:
-    markers, bodies = group[layout.MARKERS], group[layout.BODIES]
-    return MarkerTracks(
-        **arrays(markers, layout.MARKER_FIELDS),
-        names=strings(markers, layout.NAMES, "marker"),
-        rate=float(markers.attrs["rate"]),
-        unit_in_file=text(markers, "unit_in_file"),
-        bodies=tuple(
-            RigidBody(name=text(bodies[name], "name"), **arrays(bodies[name], layout.BODY_FIELDS))
-            for name in texts(bodies, "bodies")
-        ),
-    )
 
 
 def _aligned(root: Any) -> Aligned | None:
@@ -314,12 +276,4 @@ def _result(name: str, group: Any) -> Result:
         reason=text(group, "reason"),
         method=text(group, "method"),
         n=int(group.attrs["n"]),
-    )
-
-
-def _notes(group: Any) -> tuple[QualityNote, ...]:
-    columns = [strings(group, name, "note") for name in layout.NOTE_COLUMNS]
-    return tuple(
-        QualityNote(code, Severity(severity), where, message)
-        for code, severity, where, message in zip(*columns, strict=True)
     )
