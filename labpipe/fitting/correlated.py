@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
-from labpipe.fitting.cosines import slowest_cosines
 from labpipe.fitting.estimates import Estimate
+from labpipe.fitting.noise_spectra import (
+    TERMS,
+    Evidence,
+    Grid,
+    Noise,
+    cubic_basis,
+    exact_covariance,
+)
 from labpipe.fitting.student import density, half_width, share_within
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 
-TERMS = 128
-"""Cosines that the noise is judged by: half waves over the window."""
-_LONGEST = 0.2
-"""Longest correlation time that is considered, as a share of the window."""
-_SPECTRA = 24
-_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
-_PRIOR = -0.4
-"""Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
-correlation over a tenth of the window (the studies beside the tests)."""
 _LONG = 10_000
 """Samples above which the time of a fit is that of passing over them."""
 _INDEPENDENT = 1e8
@@ -78,7 +75,9 @@ class LinearFit:
         return float(np.max(self.half_widths[known] / errors[known])) if known.any() else 1.96
 
 
-def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> LinearFit:
+def fit_linear(
+    design: Floats, values: Floats, *, weighted: bool = False, beside: Sequence[Floats] = ()
+) -> LinearFit:
     """Least squares with intervals that hold for serially correlated residuals.
 
     Parameters
@@ -87,6 +86,9 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     values : shape (n,), without NaN
     weighted : False for ordinary least squares, whose coefficients everybody gets; True for
         generalised least squares, better where a jump is looked for in strongly correlated noise
+    beside : other stretches of the same signal, of at least 8 samples each, sampled alike and
+        without NaN, in which it is smooth: what is left of them about a cubic speaks of the noise
+        as the residuals do. A short stretch alone cannot tell how far its noise remembers
 
     Returns
     -------
@@ -111,6 +113,10 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     them with `weighted`): hum, filters and rounding do not speak of the mean over a window (the
     thought of the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018)
     541). A curve that is not of the model's shape looks like slow noise and widens the interval.
+    Stretches beside the fit multiply the likelihood of each spectrum by theirs, all of one
+    variance; the longest of all stretches sets the range of correlation times. The window may then
+    be shorter than the noise remembers, so that the covariance of ordinary least squares is the
+    exact one and not that of cosines.
     """
     count, spent = design.shape
     if count < spent + 4:
@@ -119,10 +125,16 @@ def fit_linear(design: Floats, values: Floats, *, weighted: bool = False) -> Lin
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values
     residuals = values - plain @ basis
-    terms = count if weighted else min(count, TERMS)
-    waves = slowest_cosines([*basis, residuals], terms).T
-    noise = _Noise.of(_spectra(count, terms), waves[:, :spent], waves[:, spent])
-    shifts, unit = noise.weighted_fit() if weighted else noise.plain_fit(waves[:, :spent])
+    most = max([count, *(len(each) for each in beside)])
+    grid = Grid(most, most if weighted else min(most, TERMS))
+    own = Evidence.of(basis, residuals, grid, count if weighted else TERMS)
+    others = [Evidence.of(cubic_basis(len(each)), each, grid, TERMS) for each in beside]
+    noise = Noise.of([own, *others], grid)
+    if weighted:
+        shifts, unit = own.shifts, own.unit
+    else:
+        shifts = np.zeros_like(own.shifts)
+        unit = exact_covariance(basis, grid) if beside else own.plain_covariance()
     shift = noise.chances @ shifts
     deviation = float(np.sqrt(residuals @ residuals / (count - spent)))
     each = to_coefficients @ (unit * noise.variances[:, None, None]) @ to_coefficients.T
@@ -168,91 +180,7 @@ def orthonormal(design: Floats) -> tuple[Floats, Floats]:
     return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Spectra:
-    """Spectra of noise at the cosines (g, terms), 1 / spectra, sums of logs (g,), prior (g,)."""
-
-    spectra: Floats
-    inverse: Floats
-    logs: Floats
-    prior: Floats
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Noise:
-    """What the residuals say of each correlation time on the grid.
-
-    spectra (g, terms); chances (g,) sum to 1; variances (g,) scale of each spectrum; freedom.
-    """
-
-    spectra: Floats
-    chances: Floats
-    variances: Floats
-    freedom: int
-    shifts: Floats
-    unit: Floats
-
-    @classmethod
-    def of(cls, grid: _Spectra, waves: Floats, residuals: Floats) -> _Noise:
-        terms, spent = waves.shape
-        freedom = terms - spent
-        information = (grid.inverse @ _products(waves)).reshape(-1, spent, spent)
-        inverse: Floats = np.asarray(np.linalg.inv(information), dtype=np.float64)
-        score = grid.inverse @ (residuals[:, None] * waves)
-        shifts: Floats = np.einsum("gij,gj->gi", inverse, score)
-        squares = grid.inverse @ residuals**2 - np.einsum("gi,gi->g", shifts, score)
-        squares = np.asarray(np.maximum(squares, np.finfo(float).tiny), dtype=np.float64)
-        likelihood = -0.5 * (
-            grid.logs + np.linalg.slogdet(information)[1] + freedom * np.log(squares)
-        )
-        chances = grid.prior * np.exp(likelihood - likelihood.max())
-        variances: Floats = np.asarray(squares / freedom, dtype=np.float64)
-        return cls(grid.spectra, chances / chances.sum(), variances, freedom, shifts, inverse)
-
-    def weighted_fit(self) -> tuple[Floats, Floats]:
-        """Generalised least squares for each spectrum: change of coefficients, unit covariance."""
-        return self.shifts, self.unit
-
-    def plain_fit(self, waves: Floats) -> tuple[Floats, Floats]:
-        """Ordinary least squares: its covariance under each spectrum.
-
-        What the basis has beyond the last cosine meets noise of at most that cosine's power.
-        """
-        spent = waves.shape[1]
-        beyond = np.eye(spent) - waves.T @ waves
-        unit = (self.spectra @ _products(waves)).reshape(-1, spent, spent)
-        return np.zeros_like(self.shifts), unit + self.spectra[:, -1, None, None] * beyond
-
-
-def _products(waves: Floats) -> Floats:
-    """All products of two columns, shape (terms, p^2)."""
-    return (waves[:, :, None] * waves[:, None, :]).reshape(len(waves), -1)
-
-
-@lru_cache(maxsize=8)
-def _spectra(count: int, terms: int) -> _Spectra:
-    """Spectra of autoregressive noise at the cosines, 1 at frequency zero, and their prior.
-
-    Each with floors of white noise beneath, from none to a third: a load cell has both, and a pure
-    first-order process that is to explain the white part comes out too quick and too small.
-    """
-    longest = _LONGEST * count
-    times = np.geomspace(longest / (_LONGEST * 4.0 * terms), longest, _SPECTRA - 1)
-    factors = np.append(0.0, np.exp(-1.0 / times))[:, None]
-    turns = np.cos(np.pi * np.arange(terms) / count)
-    spectra: Floats = (1.0 - factors) ** 2 / (1.0 - 2.0 * factors * turns + factors**2)
-    prior = np.append(1.0, (times / times[0]) ** _PRIOR)
-    # The mirror images rise with frequency. Without them white noise would lie at the edge of what
-    # is allowed, and its intervals would come out too wide.
-    mirrored = slice(None, 0, -1)
-    mixed = [floor + (1.0 - floor) * spectra[1:] for floor in _FLOORS]
-    half = 0.5 * prior[1:]  # white noise beneath, or none: the one as likely as the other
-    likely = [prior[mirrored], prior[:1], half, *[half / len(_FLOORS)] * len(_FLOORS)]
-    each = np.vstack([1.0 / spectra[mirrored], spectra, *mixed])
-    return _Spectra(each, 1.0 / each, np.log(each).sum(axis=1), np.concatenate(likely))
-
-
-def _half_widths(noise: _Noise, variances: Floats, offsets: Floats) -> Floats:
+def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
     """Half widths that hold 95 % of the mixture of t-distributions.
 
     Newton's steps: the share that a half width holds is concave, so they do not overshoot.
