@@ -7,6 +7,7 @@ branches; the aligned signals stay as measured.
 from __future__ import annotations
 
 from dataclasses import replace
+from math import hypot
 
 import numpy as np
 
@@ -64,6 +65,13 @@ def loading_stretch(bench: Bench) -> slice:
     if isinstance(bench.failure, FailurePoint) and bench.failure.sample < branch.stop:
         return slice(branch.start, max(bench.failure.sample + 1, branch.start))
     return slice(branch.start, branch.stop)
+
+
+def repair_error(bench: Bench, *, before: int) -> float:
+    """Standard error of a repaired force at a sample, N: that of all drops added back before it."""
+    repaired = [slip for slip in bench.slips if slip.decision is SlipDecision.REPAIRED]
+    errors = [slip.drop_interval.standard_error for slip in repaired if slip.start < before]
+    return hypot(*errors)
 
 
 def _bridge_strays(bench: Bench) -> None:
@@ -184,8 +192,8 @@ def _repair(bench: Bench, curve: Curve) -> None:
             upper=before.interval.upper + raised,
         )
         moved = replace(before, value=before.value + raised, interval=interval)
-        errors = [slip.drop_interval.standard_error for slip in bench.slips]
-        bench.failure = replace(bench.failure, force=widened(moved, *errors))
+        error = repair_error(bench, before=bench.failure.sample)
+        bench.failure = replace(bench.failure, force=widened(moved, error))
     bench.curve = replace(curve, force=force)
 
 

@@ -10,6 +10,7 @@ from labpipe.fitting.corners import fit_corner
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, peak_before_failure
 from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.corrections import repair_error
 from labpipe.pipeline.cycle_numbers import curve_of, peak_displacement_of, unscaled_peak
 from labpipe.processing.strokes import noise_level
 from labpipe.records.arrays import Floats
@@ -109,12 +110,20 @@ def unscaled_peak_force(bench: Bench, branches: list[Branch]) -> Estimate | Fail
     return peak if isinstance(peak, Failure) or pulls > 0.0 else _turned_over(peak)
 
 
+def repaired_peak_force(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
+    """As `unscaled_peak_force`, with the uncertainty of the drops that were added back."""
+    peak = unscaled_peak_force(bench, branches)
+    if isinstance(peak, Failure):
+        return peak
+    return widened(peak, repair_error(bench, before=branches[0].stop))
+
+
 def peak_force_of_cycle(
     bench: Bench, branches: list[Branch], displacement: Floats
 ) -> Estimate | Failure:
     """Largest force of a cycle, N."""
     del displacement
-    peak, signal = unscaled_peak_force(bench, branches), bench.raw[bench.force]
+    peak, signal = repaired_peak_force(bench, branches), bench.raw[bench.force]
     if isinstance(peak, Failure):
         return peak
     return widened(peak, signal.zero_error, signal.relative_error * peak.value)

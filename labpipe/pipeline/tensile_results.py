@@ -27,7 +27,7 @@ from labpipe.pipeline.corrections import loading_branch, loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of
 from labpipe.pipeline.cycle_results import broken_off
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
-from labpipe.pipeline.sharp_turns import unscaled_peak_force
+from labpipe.pipeline.sharp_turns import repaired_peak_force
 from labpipe.protocol.results import Modulus
 from labpipe.protocol.rig import SpecimenBlock
 from labpipe.records.arrays import Floats
@@ -123,7 +123,7 @@ def _normalised(bench: Bench, of: str) -> Estimate | Failure:
 
 def _largest_peak(bench: Bench) -> Estimate | Failure:
     """Largest force of all cycles, N, with the uncertainty of its zero but not of its scale."""
-    peaks = [unscaled_peak_force(bench, branches) for branches in bench.cycles()]
+    peaks = [repaired_peak_force(bench, branches) for branches in bench.cycles()]
     known = [peak for peak in peaks if isinstance(peak, Estimate)]
     if not known:
         return next(peak for peak in peaks if isinstance(peak, Failure))
@@ -212,8 +212,19 @@ def energy_to_break_result(bench: Bench) -> list[Result]:
         return [to_result(bench, asked, found)]
     way = curve.displacement[failure.sample] - curve.displacement[branch.start]
     zero = bench.raw[bench.force].zero_error * float(way)
-    energy = _scaled(bench, widened(found, zero))
+    added = _repaired_work(bench, curve.displacement, failure.sample)
+    energy = _scaled(bench, widened(found, zero, added))
     return [to_result(bench, asked, energy, doubt=_in_steps(failure))]
+
+
+def _repaired_work(bench: Bench, displacement: Floats, last: int) -> float:
+    """Standard error of the work, J, that drops added back have done up to a sample."""
+    ways = [
+        slip.drop_interval.standard_error * float(displacement[last] - slip.position)
+        for slip in bench.slips
+        if slip.decision is SlipDecision.REPAIRED and slip.start < last
+    ]
+    return float(np.linalg.norm(ways))
 
 
 def _failure(bench: Bench) -> FailurePoint | Failure:
