@@ -15,6 +15,8 @@ _FAR = 8.0
 """Robust deviations from the short median that a stray sample is away at least."""
 _FLOOR = 0.01
 """Share of the signal's range that it is away at least: less does no harm."""
+_SOME = 200
+"""Medians that are looked at to see how far the signal goes at least."""
 _STEPS = 4.0
 """Largest steps of the neighbours that it is away at least, so that a sharp turn is none."""
 
@@ -40,7 +42,7 @@ def stray_samples(force: Floats) -> Ints:
     """
     known = np.flatnonzero(~np.isnan(force)).astype(np.int64)
     f = force[known]
-    if len(f) < 2 * _WINDOW:
+    if len(f) < 2 * _WINDOW or _is_smooth(f):
         return np.zeros(0, dtype=np.int64)
     level = running_median(f, _WINDOW)
     off = f - level
@@ -67,6 +69,19 @@ def bridged(force: Floats, strays: Ints) -> Floats:
     mended = force.copy()
     mended[strays] = np.interp(strays, sound, force[sound])
     return mended
+
+
+def _is_smooth(f: Floats) -> bool:
+    """Whether no sample can be far off, as the steps are too small: most long records are done.
+
+    A sample is at most three steps away from any median of seven that it is in; the range of some
+    of these medians is at most that of all.
+    """
+    steps = np.diff(f)
+    largest = max(float(steps.max()), -float(steps.min()))
+    windows = np.lib.stride_tricks.sliding_window_view(f, _WINDOW)
+    some = np.median(windows[:: max(1, len(windows) // _SOME)], axis=1)
+    return _LONGEST * largest <= _FLOOR * float(np.ptp(some))
 
 
 def _runs(numbers: Ints) -> list[Ints]:

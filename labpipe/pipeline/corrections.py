@@ -7,6 +7,7 @@ branches; the aligned signals stay as measured.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from math import hypot
 
 import numpy as np
@@ -243,20 +244,19 @@ def _take_off_slack(bench: Bench, block: SlackBlock) -> None:
 def _slack(bench: Bench, curve: Curve, stretch: slice, block: SlackBlock) -> Estimate | Failure:
     """Slack with the error from the zero of the force: a line too high meets zero early."""
     displacement, force = curve.displacement[stretch], curve.force[stretch]
-    off = bench.raw[bench.force].zero_error
-    found, raised, above = (
-        fit_slack(displacement, each, start_share=block.start, stop_share=block.stop)
-        for each in (force, force + off, force - force[0])
-    )
+    fit = partial(fit_slack, displacement, start_share=block.start, stop_share=block.stop)
+    found = fit(force)
     if isinstance(found, Failure):
         return found
     first = float(displacement[0])
-    if found.value < first and not _preload_explains(found, above, first):
+    if found.value < first and not _preload_explains(found, fit(force - force[0]), first):
         return Failure(
             "no_toe",
             f"the line meets zero force at {1e3 * found.value:.4g} mm, before the first sample at "
             f"{1e3 * first:.4g} mm and {force[0]:.4g} N: the curve is steepest where it begins",
         )
+    off = bench.raw[bench.force].zero_error
+    raised = fit(force + off) if off else found
     change = 0.0 if isinstance(raised, Failure) else abs(raised.value - found.value)
     return widened(found, change)
 

@@ -11,6 +11,7 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import AT_REST, Branch, Direction
 
 _MOST_POINTS = 50_000
+_FIRST_LOOK = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +84,8 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     known = ~np.isnan(motion)
     if known.sum() < 3:
         return ()
-    motion = np.interp(time, time[known], motion[known])
+    if not known.all():
+        motion = np.interp(time, time[known], motion[known])
     extremes = _extremes(motion, min_stroke)
     tolerance = 5.0 * noise_level(motion)
     pairs = list(pairwise(extremes))
@@ -104,16 +106,29 @@ def _extremes(motion: Floats, min_stroke: float) -> list[int]:
     rising = bool(values[begin] == values[: begin + 1].max())
     sign = 1 if rising else -1
     found = [int(np.argmin(sign * values[: begin + 1]))]
-    extreme = begin
-    for index, value in enumerate(values[begin:].tolist(), start=begin):
-        ahead = sign * (value - float(values[extreme]))
-        if ahead > 0:
-            extreme = index
-        elif -ahead >= min_stroke:
-            found.append(extreme)
-            extreme, sign = index, -sign
-    found.append(extreme)
+    turned: int | None = begin
+    while turned is not None:
+        extreme, turned = _next_turn(sign * values, turned, min_stroke)
+        found.append(extreme)
+        sign = -sign
     return [index * stride for index in found]
+
+
+def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int | None]:
+    """The highest sample from one on, and where the values have come back from it, if they do.
+
+    Looked for in stretches that double, so that many strokes do not make many passes to the end.
+    """
+    length = _FIRST_LOOK
+    while True:
+        ahead = values[start : start + length]
+        back = np.maximum.accumulate(ahead) - ahead >= min_stroke
+        at = int(np.argmax(back))
+        if back[at]:
+            return start + int(np.argmax(ahead[: at + 1])), start + at
+        if start + length >= len(values):
+            return start + int(np.argmax(ahead)), None
+        length *= 2
 
 
 def _trimmed(
