@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.correlated import LinearFit, fit_linear
+from labpipe.fitting.correlated import LinearFit, fit_linear, orthonormal
 from labpipe.fitting.estimates import Estimate, scaled
 from labpipe.fitting.medians import running_median
 from labpipe.records.arrays import Floats
@@ -213,7 +213,8 @@ def _parabola_top(d: Floats, f: Floats, step: float) -> Estimate:
         return fit_linear(np.ones((len(f), 1)), f).estimate(0)
     end = float(d[-1]) + 0.5 * step
     scale = float(np.ptp(d)) or 1.0
-    curvature, slope, _ = (float(each) for each in np.polyfit((d - end) / scale, f, 2))
+    basis, to_coefficients = orthonormal(np.vander((d - end) / scale, 3))
+    curvature, slope, _ = (float(each) for each in to_coefficients @ (basis @ f))
     vertex = end - scale * slope / (2.0 * curvature) if curvature < 0.0 else end
     if d[0] < vertex < end:
         return _carried(d, f, vertex)[0]
