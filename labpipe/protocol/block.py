@@ -20,7 +20,8 @@ from labpipe.protocol.faults import Fault, faults_of, raised
 class Block(BaseModel):
     """A block of keys: frozen, closed to unknown keys, its faults told in our words."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # Built when first used: a test uses a protocol and a sheet, not each block on its own.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
     @classmethod
     def keys(cls) -> list[str]:
