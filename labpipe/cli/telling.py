@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labpipe.pipeline.process import Processed
-from labpipe.records.group import GroupNumber
 from labpipe.records.result import Result, Status
 from labpipe.report.numbers import shown_in
 
 if TYPE_CHECKING:
     from labpipe.pipeline.reporting import Reported
+    from labpipe.records.group import GroupNumber
 
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
