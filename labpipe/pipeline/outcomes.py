@@ -6,11 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.pipeline.bench import Bench
 from labpipe.records.curve import Interval
 from labpipe.records.result import Result, Status
 from labpipe.records.slips import SlipDecision
+
+CURVE = ("force", "displacement", "clock")
+"""What a number rests on that is read from the curve."""
+NO_BRANCH = Failure("no_cycle", "the motion has no loading branch")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,3 +86,19 @@ def _added_back(bench: Bench) -> str:
     """What repaired slips have added to the force, for the method of what rests on it."""
     drops = [slip.drop for slip in bench.slips if slip.decision is SlipDecision.REPAIRED]
     return f"; {sum(drops):.3g} N of slips added back" if drops else ""
+
+
+def with_force_scale(bench: Bench, estimate: Estimate) -> Estimate:
+    """Add the uncertainty of the scale of the force.
+
+    Parameters
+    ----------
+    bench : knows the relative standard error of its force
+    estimate : in proportion to the force
+    """
+    return widened(estimate, bench.raw[bench.force].relative_error * abs(estimate.value))
+
+
+def slack_error(bench: Bench) -> float:
+    """Standard error of the slack that was taken off the displacement, m; 0 where none was."""
+    return bench.slack.error if isinstance(bench.slack, Estimate) else 0.0

@@ -25,16 +25,18 @@ from labpipe.pipeline.layout import lay_out
 from labpipe.pipeline.marker_steps import MarkerBench
 from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
 from labpipe.pipeline.steps import take_step
+from labpipe.pipeline.stiffness_results import (
+    line_stiffness,
+    modulus_result,
+    normalised_stiffness,
+    two_segments,
+)
 from labpipe.pipeline.tensile_results import (
     compliance_result,
     energy_to_break_result,
     failure_results,
-    line_stiffness,
-    modulus_result,
-    normalised_stiffness,
     slack_result,
     slip_results,
-    two_segments,
 )
 from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
 from labpipe.protocol.results import (

@@ -5,17 +5,23 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pytest
 
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
-from labpipe.records.result import Result
+from labpipe.records.result import Result, Status
 
 NOISE = 0.02
 STEP = 2e-5
 """m per sample."""
+LINE = "stiffness, from: 2 mm, to: 10 mm"
+SECTION = "{length: 100 mm, section: {width: 10 mm, thickness: 2 mm, outer_diameter: 10 mm, "
+SECTION += "inner_diameter: 8 mm, wall: 0.5 mm, area: 5 mm**2}}"
+BREAK = "failure: {force_below: 50 %}"
+MARKED = "slips: {decision: marked, min_drop: 0.5 N}"
 
 
 def pull(
@@ -75,3 +81,15 @@ def pulled(
 def codes(bench: Bench) -> dict[str, str]:
     """Messages of the notes, by code."""
     return {note.code: note.message for note in bench.notes}
+
+
+def holds(found: Result, true: float, unit: str) -> None:
+    assert found.status is Status.OK
+    assert found.unit == unit
+    assert found.interval is not None
+    assert found.value is not None
+    half = 0.5 * (found.interval.upper - found.interval.lower)
+    assert found.value == pytest.approx(true, abs=2.0 * half)
+    assert found.value == pytest.approx(true, rel=0.01)
+    assert found.method
+    assert found.n >= 1
