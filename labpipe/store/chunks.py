@@ -26,8 +26,19 @@ _LEVEL = 1
 _MODULUS = 65535
 
 
+Packed = dict[tuple[object, ...], list[bytes]]
+"""Chunks made so far, by where in memory their array lies and how."""
+
+
 def write_array(
-    group: Any, name: str, array: NDArray[Any], *, unit: str, axes: tuple[str, ...], pool: Executor
+    group: Any,
+    name: str,
+    array: NDArray[Any],
+    *,
+    unit: str,
+    axes: tuple[str, ...],
+    pool: Executor,
+    packed: Packed,
 ) -> Any:
     """Write one array of numbers as a chunked dataset with its unit and axes.
 
@@ -38,6 +49,8 @@ def write_array(
     array : any shape and number type, axis 0 is the one that is cut into chunks
     unit, axes : become attributes
     pool : threads that deflate the chunks
+    packed : chunks of the arrays written so far, which must still be alive: the same time axis is
+        in several groups, and is deflated once
 
     Returns
     -------
@@ -61,11 +74,25 @@ def write_array(
         track_times=False,
     )
     label(dataset, unit=unit, axes=axes)
-    blocks = _blocks(array, chunk) if array.size else ()
-    for number, packed in enumerate(pool.map(_packed, blocks)):
+    for number, deflated in enumerate(_deflated(array, chunk, pool, packed)):
         corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
-        dataset.id.write_direct_chunk(corner, packed)
+        dataset.id.write_direct_chunk(corner, deflated)
     return dataset
+
+
+def _deflated(
+    array: NDArray[Any], chunk: tuple[int, ...], pool: Executor, packed: Packed
+) -> Iterator[bytes]:
+    """Chunks of an array, made in the pool unless they have been made before."""
+    place = (array.ctypes.data, array.shape, array.strides, array.dtype.str)
+    if place in packed:
+        yield from packed[place]
+        return
+    made: list[bytes] = []
+    for deflated in pool.map(_packed, _blocks(array, chunk) if array.size else ()):
+        made.append(deflated)
+        yield deflated
+    packed[place] = made
 
 
 def label(dataset: Any, *, unit: str, axes: tuple[str, ...]) -> None:
@@ -165,20 +192,30 @@ class Target:
     group : open HDF5 group
     pool : threads that deflate the chunks
     written : arrays by dataset, to verify the file by
+    packed : chunks of these arrays
     """
 
     group: Any
     pool: Executor
     written: dict[str, NDArray[Any]] = field(default_factory=dict)
+    packed: Packed = field(default_factory=dict)
 
     def inside(self, name: str) -> Target:
         """Make a group in this one."""
-        return Target(self.group.create_group(name), self.pool, self.written)
+        return Target(self.group.create_group(name), self.pool, self.written, self.packed)
 
     def array(self, name: str, values: NDArray[Any], kind: Field, unit: str = "") -> Any:
         """Write an array; `unit` counts where the layout leaves the unit open."""
         stated = kind.unit or unit
-        dataset = write_array(self.group, name, values, unit=stated, axes=kind.axes, pool=self.pool)
+        dataset = write_array(
+            self.group,
+            name,
+            values,
+            unit=stated,
+            axes=kind.axes,
+            pool=self.pool,
+            packed=self.packed,
+        )
         self.written[dataset.name] = values
         return dataset
 
