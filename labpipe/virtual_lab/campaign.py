@@ -11,11 +11,12 @@ from labpipe.virtual_lab.exports import write_exports
 from labpipe.virtual_lab.instruments import observe
 from labpipe.virtual_lab.scenario import CantileverScenario, Mishaps, Pose, Stretch
 
-_MISHAPS = (
+MISHAPS = (
     Mishaps(),
     Mishaps(n_gaps=4, long_gap=0.0, switch=Stretch(1, 0.62, 1.0), unlabelled=None),
     Mishaps(n_gaps=12, long_gap=0.8, switch=None, unlabelled=Stretch(2, 0.3, 0.33)),
 )
+"""What goes wrong in the tests of a campaign, in turn."""
 
 
 def simulate_test(scenario: CantileverScenario, folder: Path, seed: int) -> Path:
@@ -93,5 +94,5 @@ def _sample(
             drift=float(random.uniform(-60e-6, 60e-6)),
         ),
         pose=Pose(yaw=float(random.uniform(0.3, 0.9))),
-        mishaps=_MISHAPS[(number - 1) % len(_MISHAPS)],
+        mishaps=MISHAPS[(number - 1) % len(MISHAPS)],
     )

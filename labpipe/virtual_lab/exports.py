@@ -18,7 +18,9 @@ from labpipe.store.replace import storing
 from labpipe.virtual_lab.control_desk import write_control_desk
 from labpipe.virtual_lab.instruments import Observation
 from labpipe.virtual_lab.motive import write_motive
+from labpipe.virtual_lab.scenario import VirtualWire
 from labpipe.virtual_lab.sheet import FORCE_FILE, MARKER_FILE, write_sheet
+from labpipe.virtual_lab.stranded import StrandedWire
 
 SHEET_FILE, TRUTH_FILE = "test.yaml", "truth.json"
 _DIGITS = 12
@@ -86,6 +88,7 @@ def truth_as_json(observation: Observation) -> dict[str, object]:
         "true_gain": observation.force_record.true_gain,
         "rotation_specimen_to_lab": _rounded(scenario.pose.rotation()),
         "law": asdict(scenario.mechanics.wire),
+        "wire": _wire(scenario.mechanics.wire),
         "markers": [
             {"label": label, "arc_length": _rounded(arc_length)}
             for label, arc_length in zip(take.labels, take.arc_lengths, strict=True)
@@ -106,6 +109,13 @@ def truth_as_json(observation: Observation) -> dict[str, object]:
             for shape in truth.shapes
         ],
     }
+
+
+def _wire(wire: VirtualWire) -> dict[str, float] | None:
+    """What a calibration looks for, where the wire is one of strands."""
+    if not isinstance(wire, StrandedWire):
+        return None
+    return {**wire.parameters, "sample_factor": wire.factor}
 
 
 def _rounded(values: Floats | float) -> object:

@@ -69,7 +69,8 @@ def record_force(
     The record.
     """
     cell = scenario.load_cell
-    gain = cell.gain * (1.0 + cell.gain_uncertainty * random.standard_normal())
+    drawn = cell.gain_uncertainty * random.standard_normal()
+    gain = cell.gain * (1.0 + (drawn if cell.gain_error is None else cell.gain_error))
     progress = schedule.progress_at(schedule.force_times)
     sensed = path.tension(progress)
     sensed += cell.noise * random.standard_normal(len(sensed))

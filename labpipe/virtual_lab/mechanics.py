@@ -161,17 +161,45 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
         if number > 1 and _same(state, starts[-2]):  # loops of a rate-independent law close
             cycles.append([_later(segment, 2.0 * test.stroke) for segment in cycles[-1]])
             continue
-        segments, state = _cycle(test, law, rig, state, begin)
+        segments, state = _cycle(law, rig, state, begin, test=test, goals=(test.stroke, 0.0))
         cycles.append(segments)
     return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
 
 
+def solve_loading(test: MechanicalTest) -> MechanicalPath:
+    """Solve the first loading of a test alone.
+
+    Parameters
+    ----------
+    test : wire and rig
+
+    Returns
+    -------
+    The path up to a progress of one stroke; it is not for looking up beyond.
+
+    Raises
+    ------
+    ValueError
+        If there is no equilibrium somewhere on it.
+    """
+    law = test.wire.law()
+    rig, rest = _set_up(test, law)
+    segments, _ = _cycle(law, rig, rest.state, 0.0, test=test, goals=(test.stroke,))
+    return MechanicalPath(test, rig, rest, tuple(segments))
+
+
 def _cycle(
-    test: MechanicalTest, law: MomentLaw, rig: StringRig, state: WireState, progress: float
+    law: MomentLaw,
+    rig: StringRig,
+    state: WireState,
+    progress: float,
+    *,
+    test: MechanicalTest,
+    goals: tuple[float, ...],
 ) -> tuple[list[Segment], WireState]:
     segments: list[Segment] = []
     cycle = round(progress / (2.0 * test.stroke)) + 1
-    for goal in (test.stroke, 0.0):
+    for goal in goals:
         for shapes in _branch(test, law, rig, state, goal):
             segments.append(_segment(shapes, cycle, goal > 0.0, progress))
             state, progress = shapes[-1].state, float(segments[-1].progress[-1])
@@ -221,7 +249,8 @@ def _taut(
     test: MechanicalTest, law: MomentLaw, rig: StringRig, here: CantileverShape, goal: float
 ) -> Iterator[list[CantileverShape]]:
     shapes = [here]
-    for travel in np.linspace(here.state.travel, goal, test.steps_per_branch + 1)[1:]:
+    share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
+    for travel in here.state.travel + share * (goal - here.state.travel):
         ahead = bend_to_travel(law, shapes[-1].state, test.length, rig, float(travel))
         if ahead.tension > 0.0:
             shapes.append(ahead)

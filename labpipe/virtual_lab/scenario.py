@@ -10,10 +10,12 @@ down. The marker clock is the true time base; force time = offset + (1 + drift) 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.stranded import StrandedWire
 from labpipe.wire.laws import PlayLaw
 from labpipe.wire.play_fit import stick_slip_law
 
@@ -68,6 +70,10 @@ class WireModel:
         )
 
 
+VirtualWire: TypeAlias = WireModel | StrandedWire
+"""A wire by the numbers of its law, or by what it is made of."""
+
+
 @dataclass(frozen=True, slots=True)
 class MechanicalTest:
     """What decides the quasi-static path of a test; equal tests share one solution.
@@ -84,10 +90,12 @@ class MechanicalTest:
     stroke : m
     cycles : each a loading and an unloading branch
     steps_per_branch : solved positions of the clamp per branch, interpolated between
+    crowding : 1 for even positions; above, they lie closer at the start of each branch, where a
+        wire that begins to slip gives way fastest: travel goes with this power of their number
     n_stations : along the wire
     """
 
-    wire: WireModel = WireModel()
+    wire: VirtualWire = WireModel()
     length: float = 0.085
     string_length: float = 0.760
     counterweight: float = 0.0027
@@ -95,6 +103,7 @@ class MechanicalTest:
     stroke: float = 0.053
     cycles: int = 3
     steps_per_branch: int = 150
+    crowding: float = 1.0
     n_stations: int = 64
 
 
@@ -126,6 +135,7 @@ class LoadCell:
     ----------
     gain : N/V, nominal: what the calibration sheet says
     gain_uncertainty : relative standard uncertainty from which the true gain is drawn
+    gain_error : relative error of the true gain, where tests share it; None to draw it
     offset : V, output at no load
     noise : N, rms, white
     bits, full_scale : of the converter, +- `full_scale` in V
@@ -133,6 +143,7 @@ class LoadCell:
 
     gain: float = 0.5
     gain_uncertainty: float = 0.002
+    gain_error: float | None = None
     offset: float = 0.013
     noise: float = 4e-3
     bits: int = 16

@@ -39,6 +39,7 @@ def test_truth(folder: Path, observation: Observation) -> None:
     assert {event["kind"] for event in truth["mishaps"]} == {"gap", "switch", "unlabelled"}
     assert [marker["label"] for marker in truth["markers"]] == list(observation.take.labels)
     assert truth["law"]["stick_stiffness"] == 5e-3
+    assert truth["wire"] is None
     assert len(truth["shapes"][0]["x"]) == 41
 
 

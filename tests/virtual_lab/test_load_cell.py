@@ -55,6 +55,17 @@ def test_true_gain_scatters_as_stated() -> None:
     assert np.mean(gains) == pytest.approx(0.5, abs=2e-4)
 
 
+def test_a_shared_gain_error_is_not_drawn() -> None:
+    scenario = _quick(CantileverScenario())
+    path, schedule = solve_path(scenario.mechanics), plan(scenario)
+    shared = replace(scenario, load_cell=LoadCell(gain_error=0.01))
+    drawn, given = (
+        record_force(path, each, schedule, np.random.default_rng(3)) for each in (scenario, shared)
+    )
+    assert given.true_gain == pytest.approx(0.505)
+    assert given.volts * given.true_gain == pytest.approx(drawn.volts * drawn.true_gain, abs=4e-4)
+
+
 def test_motor_signals(observation: Observation) -> None:
     record = observation.force_record
     assert set(record.frequency) == {0.0, 8000.0}

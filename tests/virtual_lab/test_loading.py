@@ -1,0 +1,97 @@
+"""First loadings in memory: true by an independent way, noise as stated, scaling exact."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from labpipe.virtual_lab.loading import Loading, observe_loading
+from labpipe.virtual_lab.mechanics import solve_loading, solve_path
+from labpipe.virtual_lab.scenario import GRAVITY, CantileverScenario, LoadCell
+from labpipe.virtual_lab.stranded import WIRES
+from labpipe.virtual_lab.wire_campaign import wire_test
+from labpipe.wire.cantilever import StringRig
+from labpipe.wire.first_loading import load_cantilever
+from labpipe.wire.loading_law import law_of_plays
+
+WEIGHT = 0.0027 * GRAVITY
+
+
+def scenario(name: str = "A3", factor: float = 1.0) -> CantileverScenario:
+    return replace(
+        CantileverScenario(),
+        mechanics=wire_test(WIRES[name].scaled(factor), 0.085),
+        load_cell=LoadCell(gain_error=0.01, noise=1e-3),
+    )
+
+
+@pytest.fixture(scope="module")
+def loading() -> Loading:
+    return observe_loading(scenario(), 3, n_points=4000)
+
+
+@pytest.mark.parametrize("name", ["A3", "B1"])
+def test_the_true_curve_is_that_of_the_first_integral(name: str) -> None:
+    """One goes station by station with a history, the other all at once without any."""
+    found = observe_loading(scenario(name), 1)
+    law = replace(WIRES[name], n_plays=240).law()
+    largest = 1.2 * 0.085 * float(found.true_force[-1])
+    rig = StringRig(0.76, WEIGHT, 0.085, 0.76)
+    curve = load_cantilever(law_of_plays(law, largest, n_points=160), 0.085, rig)
+    wanted = CubicSpline(curve.deflection, curve.force)(found.true_deflection)
+    assert found.true_force == pytest.approx(wanted, rel=2e-4, abs=2e-5)
+
+
+def test_a_sample_is_interpolated_exactly() -> None:
+    test = scenario(factor=1.1).mechanics
+    found = observe_loading(scenario(factor=1.1), 1)
+    path = solve_loading(test)
+    assert found.true_force == pytest.approx(path.tension(found.travel) - WEIGHT, abs=1e-7)
+    assert found.true_deflection == pytest.approx(path.deflection(found.travel), abs=1e-9)
+
+
+def test_loading_alone_is_the_beginning_of_the_whole_test() -> None:
+    test = replace(scenario().mechanics, cycles=1)
+    alone, whole = solve_loading(test).segments, solve_path(test).segments
+    assert len(alone) == 1
+    np.testing.assert_array_equal(alone[0].tension, whole[0].tension)
+
+
+def test_noise_and_gain(loading: Loading) -> None:
+    noise = loading.force * 1.01 - loading.true_force
+    assert np.std(noise) == pytest.approx(1e-3, rel=0.05)
+    assert abs(np.mean(noise)) < 6e-5
+    assert np.std(loading.deflection - loading.true_deflection) == pytest.approx(3e-5, rel=0.05)
+    assert loading.travel[-1] == 0.053
+    quiet = observe_loading(scenario(), 3, noise=0.0)
+    assert quiet.force == pytest.approx(quiet.true_force / 1.01)
+
+
+def test_seeds(loading: Loading) -> None:
+    again = observe_loading(scenario(), 3, n_points=4000)
+    np.testing.assert_array_equal(again.force, loading.force)
+    assert not np.array_equal(observe_loading(scenario(), 4, n_points=4000).force, loading.force)
+
+
+def test_a_gain_of_its_own_is_drawn() -> None:
+    usual = scenario()
+    drawn = replace(usual, load_cell=LoadCell(gain_uncertainty=0.1, noise=0.0))
+    ratios = []
+    for seed in range(60):
+        found = observe_loading(drawn, seed, n_points=3)
+        ratios.append(found.true_force[-1] / found.force[-1] - 1.0)
+    assert np.std(ratios) == pytest.approx(0.1, rel=0.3)
+
+
+def test_what_does_not_scale_is_refused() -> None:
+    usual = scenario()
+    with pytest.raises(ValueError, match=r"wire=WireModel, slack=0.0015: allowed are a Stranded"):
+        observe_loading(CantileverScenario(), 1)
+    slack = replace(usual, mechanics=replace(usual.mechanics, slack=0.001))
+    with pytest.raises(ValueError, match=r"slack=0.001: allowed are a StrandedWire and None"):
+        observe_loading(slack, 1)
+    with pytest.raises(ValueError, match=r"factor=1.3: allowed are numbers from 0.8 to 1.25"):
+        observe_loading(scenario(factor=1.3), 1)
