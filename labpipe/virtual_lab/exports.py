@@ -21,6 +21,7 @@ from labpipe.virtual_lab.motive import write_motive
 from labpipe.virtual_lab.scenario import VirtualWire
 from labpipe.virtual_lab.sheet import FORCE_FILE, MARKER_FILE, write_sheet
 from labpipe.virtual_lab.stranded import StrandedWire
+from labpipe.wire.laws import MomentLaw, respond, virgin_plays
 
 SHEET_FILE, TRUTH_FILE = "test.yaml", "truth.json"
 _DIGITS = 12
@@ -89,6 +90,7 @@ def truth_as_json(observation: Observation) -> dict[str, object]:
         "rotation_specimen_to_lab": _rounded(scenario.pose.rotation()),
         "law": asdict(scenario.mechanics.wire),
         "wire": _wire(scenario.mechanics.wire),
+        "first_loading": _first_loading(scenario.mechanics.wire.law()),
         "markers": [
             {"label": label, "arc_length": _rounded(arc_length)}
             for label, arc_length in zip(take.labels, take.arc_lengths, strict=True)
@@ -116,6 +118,13 @@ def _wire(wire: VirtualWire) -> dict[str, float] | None:
     if not isinstance(wire, StrandedWire):
         return None
     return {**wire.parameters, "sample_factor": wire.factor}
+
+
+def _first_loading(law: MomentLaw) -> dict[str, object]:
+    """Corners of the law of first loading, from zero and straight in between, N m and 1/m."""
+    moment = np.concatenate([[0.0], law.half_widths])
+    curvature = respond(law, moment, virgin_plays(law, len(moment))).curvature
+    return {"moment": moment.tolist(), "curvature": curvature.tolist()}
 
 
 def _rounded(values: Floats | float) -> object:

@@ -40,6 +40,9 @@ def test_truth(folder: Path, observation: Observation) -> None:
     assert [marker["label"] for marker in truth["markers"]] == list(observation.take.labels)
     assert truth["law"]["stick_stiffness"] == 5e-3
     assert truth["wire"] is None
+    law = truth["first_loading"]
+    assert (law["moment"][0], law["curvature"][0]) == (0.0, 0.0)
+    assert np.interp(1e-3, law["moment"], law["curvature"]) == pytest.approx(1e-3 / 5e-3)
     assert len(truth["shapes"][0]["x"]) == 41
 
 
