@@ -328,30 +328,38 @@ def _last_state(law: MomentLaw, virgin: WireState, length: float, first: EndLoad
 
 def _go_on(
     law: MomentLaw,
-    last_two: tuple[WireState, WireState],
+    first: tuple[WireState, WireState],
     length: float,
     deflections: Floats,
     path: EndLoadPath,
 ) -> None:
-    """Fill in a path at further deflections, each from the trend of the two states before."""
-    before, state = last_two
+    """Fill in a path at further deflections, each from the trend of the states before."""
+    states = list(first)
     for number, deflection in enumerate(deflections.tolist()):
-        ahead = _trend(before, state, deflection)
-        found = ahead and _settle(law, state, length, deflection, ahead)
+        ahead = _trend(states, deflection)
+        found = ahead and _settle(law, states[-1], length, deflection, ahead)
         if found is None:
-            found = bend_to_deflection(law, state, length, deflection).state
-        before, state = state, found
+            found = bend_to_deflection(law, states[-1], length, deflection).state
+        states = [*states[-2:], found]
         path.load[number], path.clamp_moment[number] = found.force[1], found.moment[0]
 
 
-def _trend(before: WireState, state: WireState, travel: float) -> tuple[Floats, float] | None:
-    """Moments and load at a travel if all goes on as in the last step; None where it cannot."""
-    last = state.travel - before.travel
-    share = (travel - state.travel) / last if last else -1.0
-    if not 0.0 < share <= _FARTHEST_TREND:
+def _trend(states: list[WireState], travel: float) -> tuple[Floats, float] | None:
+    """Moments and load at a travel on the parabola through the last states; None where it cannot.
+
+    A straight line for two states, and where the last three did not go one way.
+    """
+    at = [state.travel for state in states]
+    steps = np.diff([*at, travel])
+    if not 0.0 < (travel - at[-1]) * steps[-2] <= _FARTHEST_TREND * steps[-2] ** 2:
         return None
-    moment = state.moment + share * (state.moment - before.moment)
-    return moment, state.load + share * (state.load - before.load)
+    if steps[0] * steps[-1] <= 0.0:
+        states, at = states[-2:], at[-2:]
+    shares = [
+        float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at
+    ]  # Lagrange's
+    moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
+    return moment, sum(n * state.load for n, state in zip(shares, states, strict=True))
 
 
 def _settle(

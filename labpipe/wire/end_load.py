@@ -10,7 +10,9 @@ so that with S = (W*(M0) - W*(M)) / P = sin(theta) and q = sqrt(1 - S^2) = cos(t
     length = 1/P int_0^M0 dM / q,   deflection = 1/P int_0^M0 S dM / q.
 
 For plays the law is a polygon, W* is a parabola between its corners, and Gauss's rule from corner
-to corner is good to 1e-8. Nothing is marched: all deflections are solved at once.
+to corner is good to 1e-8. Towards the tip of a far bent wire 1 / q grows as 1 / M: there, where the
+law is still straight, the variable is u with M ~ sinh u, in which it levels out. Nothing is
+marched: all deflections are solved at once.
 
 Beyond a deflection of about 0.7 of the length the lever of the parts near the tip shrinks faster
 than the load grows: their moment falls, and what they remember matters (0.3 % of the load at 0.8).
@@ -30,13 +32,14 @@ from labpipe.wire.laws import MomentLaw
 _FARTHEST = 0.9  # of the length: beyond, the wire hardly moves and the tip is upright
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
 _NODES, _WEIGHTS = (_NODES + 1.0) / 2.0, _WEIGHTS / 2.0
-_GRADED = (np.arange(1, 25) / 24.0) ** 2  # panels besides the corners, fine where theta levels out
-_LADDER = np.concatenate([np.geomspace(1e-6, 1e-2, 9), np.linspace(0.03, 1.0, 40)])
-_RAISE, _MOST_RAISES, _MOST_NEWTON = 1.2, 40, 30
-_STEEPEST = 12.0  # artanh of the tip's sine: beyond, the tip is upright to ten digits
-_SETTLED = 1e-6  # of moment and artanh: after such a step of Newton they are good to 1e-12
+_GRADED = np.concatenate([np.geomspace(1e-3, 0.08, 12), (np.arange(7, 25) / 24.0) ** 2])
+"""Panels besides the corners, as shares of the largest moment: fine where theta levels out."""
+_LADDER = np.concatenate([np.geomspace(1e-6, 0.1, 14), np.geomspace(0.2, 5.0, 82)])
+"""Clamp moments of first guesses, in that of a constant stiffness; steps of 4 % at the end."""
+_MOST_RAISES, _MOST_NEWTON = 40, 30
+_STEEPEST = 12.0  # artanh of the tip's sine: then it is upright to ten digits
+_SETTLED = 1e-6  # of moment and artanh, the last step: what is found is then good to 1e-10
 _LARGEST_STEP = 1.0
-_UPRIGHT = 1e-20  # of the squared cosine, which rounding could make negative
 _GROWN = 1e-9  # of the length: less is rounding
 
 
@@ -49,7 +52,8 @@ class Polygon:
     moment : N m, from 0, increasing
     curvature : 1/m
     energy : complementary energy W*, N
-    compliance : shape (corners - 1,), 1/(N m^2), d(curvature) / d(moment) between corners
+    compliance : shape (corners - 1,), 1/(N m^2), d(curvature) / d(moment) between corners; the
+        first of them is a thousandth of the last moment, or less
     """
 
     moment: Floats
@@ -86,14 +90,12 @@ class EndLoads:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Integrals:
-    """Over the wire: of 1/q up to each corner, of S/q, 1/q^3 and S/q^3; and the clamp's values."""
+    """Over the wire: of 1/q up to each corner, of S/q, 1/q^3 and S/q^3."""
 
     length: Floats
     rise: Floats
     cubed: Floats
     cubed_rise: Floats
-    curvature: Floats
-    energy: Floats
 
 
 def polygon_of(law: MomentLaw, top: float) -> Polygon:
@@ -105,13 +107,30 @@ def polygon_of(law: MomentLaw, top: float) -> Polygon:
     top : N m, the last corner
     """
     widths = law.half_widths
-    moment = np.union1d(np.append(0.0, widths[widths < top]), top * _GRADED)
-    giving = np.append(0.0, np.cumsum(law.compliances))
-    slope = 1.0 / law.stiffness + giving[np.searchsorted(widths, moment[:-1], side="right")]
+    return _through(law, np.union1d(widths[widths < top], top * _GRADED))
+
+
+def _through(law: MomentLaw, corners: Floats) -> Polygon:
+    """Polygon through points of a first loading at some moments; W* is that of the polygon."""
+    moment = np.append(0.0, corners)
     step = np.diff(moment)
-    curvature = np.append(0.0, np.cumsum(slope * step))
-    energy = np.append(0.0, np.cumsum((curvature[:-1] + slope * step / 2.0) * step))
-    return Polygon(moment, curvature, energy, slope)
+    curvature = _curvature_of(law, moment)
+    energy = np.append(0.0, np.cumsum((curvature[1:] + curvature[:-1]) / 2.0 * step))
+    return Polygon(moment, curvature, energy, np.diff(curvature) / step)
+
+
+def _corners(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
+    """Moments and curvatures at which a law bends, zero first, and the slope behind each."""
+    moment = np.append(0.0, law.half_widths)
+    slopes = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
+    return moment, np.append(0.0, np.cumsum(slopes[:-1] * np.diff(moment))), slopes
+
+
+def _curvature_of(law: MomentLaw, moment: Floats) -> Floats:
+    """Curvature of first loading at moments, 1/m."""
+    corner, reached, slopes = _corners(law)
+    last = np.searchsorted(corner, moment, side="right") - 1
+    return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
 
 
 def end_loads(law: MomentLaw, length: float, deflections: Floats) -> EndLoads:
@@ -131,12 +150,12 @@ def end_loads(law: MomentLaw, length: float, deflections: Floats) -> EndLoads:
     Notes
     -----
     A part unloads where its moment falls; only what lies beyond the law's first corner remembers
-    it. Whether it does is looked at on 40 even steps of the clamp's moment.
+    it. Whether it does is looked at on steps of 4 % of the clamp's moment.
     """
     ladder = _ladder(law, length, min(float(deflections[-1]), _FARTHEST * length))
     last = min(ladder.deflection[_memory_limit(law, ladder, length)], deflections[-1])
     wanted = np.append(deflections[deflections <= last], last)
-    return _at_deflections(ladder, length, wanted)
+    return _at_deflections(ladder, law, length, wanted)
 
 
 def deflection_at(law: MomentLaw, length: float, clamp_moment: float) -> float:
@@ -147,57 +166,91 @@ def deflection_at(law: MomentLaw, length: float, clamp_moment: float) -> float:
     law : of the wire
     length : m
     clamp_moment : N m, positive
+
+    Notes
+    -----
+    For a large moment and length the end of the wire is upright, and the deflection approaches the
+    length: 1 - 2 (sqrt 2 - 1) EI / (M0 L) of it for a constant stiffness.
     """
     polygon = polygon_of(law, clamp_moment)
     return float(_at_moments(polygon, length, np.array([clamp_moment])).deflection[0])
 
 
 def _ladder(law: MomentLaw, length: float, farthest: float) -> EndLoads:
-    """States at rising clamp moments, the last one at or beyond a deflection."""
-    top = _moment_of(law, 3.0 * farthest / length**2)
+    """States at rising clamp moments, the last one at or beyond a deflection: first guesses.
+
+    On a polygon of few corners; but the first corner of the law is one, for `_memory_limit`.
+    """
+    base = _moment_of(law, 3.0 * farthest / length**2)
     for _ in range(_MOST_RAISES):
-        if deflection_at(law, length, top) >= farthest:
+        rungs = base * _LADDER
+        few = np.union1d(law.half_widths[:1], rungs[-1] * _GRADED)
+        found = _at_moments(_through(law, few[few <= rungs[-1]]), length, rungs)
+        if found.deflection[-1] >= farthest:
             break
-        top *= _RAISE
-    return _at_moments(polygon_of(law, top), length, top * _LADDER)
+        base = float(rungs[-1])
+    return _rows(found, int(np.argmax(found.deflection >= farthest)) + 1)
+
+
+def _rows(states: EndLoads, count: int) -> EndLoads:
+    """The first of some states."""
+    return EndLoads(
+        states.deflection[:count],
+        states.load[:count],
+        states.clamp_moment[:count],
+        states.tail[:count],
+        states.polygon,
+    )
 
 
 def _moment_of(law: MomentLaw, curvature: float) -> float:
     """Moment of first loading at a curvature, N m."""
-    corners = np.append(0.0, law.half_widths)
-    slopes = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
-    reached = np.append(0.0, np.cumsum(slopes[:-1] * np.diff(corners)))
+    corner, reached, slopes = _corners(law)
     last = int(np.searchsorted(reached, curvature, side="right")) - 1
-    return float(corners[last] + (curvature - reached[last]) / slopes[last])
+    return float(corner[last] + (curvature - reached[last]) / slopes[last])
 
 
 def _memory_limit(law: MomentLaw, ladder: EndLoads, length: float) -> int:
     """Number of the last rung before any part that has passed the first corner unloads."""
+    last = len(ladder.load) - 1
     if not len(law.half_widths):
-        return len(_LADDER) - 1
+        return last
     edge = ladder.polygon.moment[1:]
     bent = (edge >= law.half_widths[0]) & (edge < ladder.clamp_moment[:-1, None])
     falls = ((np.diff(ladder.tail, axis=0) > _GROWN * length) & bent).any(axis=1)
-    return max(int(np.argmax(falls)) - 1, 0) if falls.any() else len(_LADDER) - 1
+    return max(int(np.argmax(falls)) - 1, 0) if falls.any() else last
 
 
-def _integrate(polygon: Polygon, clamp: Floats, compliance: Floats) -> _Integrals:
-    """Quadrature for states of clamp moments `clamp` and `compliance` = 1 / P, shape (n,) both."""
+def _tip_gap(level: Floats) -> Floats:
+    """One less the tip's sine, tanh(level), without rounding: 1e-10 where the tip is upright."""
+    return 2.0 / (np.exp(2.0 * level) + 1.0)
+
+
+def _integrate(polygon: Polygon, clamp: Floats, compliance: Floats, gap: Floats) -> _Integrals:
+    """Quadrature for states of clamp moments `clamp`, `compliance` = 1 / P, and 1 - tip's sine."""
     width = np.clip(clamp[:, None] - polygon.moment[:-1], 0.0, np.diff(polygon.moment))
     way = _NODES[:, None, None] * width  # nodes first: sums over them are of whole rows
-    inside = (polygon.compliance / 2.0 * way + polygon.curvature[:-1]) * way + polygon.energy[:-1]
-    own_curvature, own_energy = _at_clamp(polygon, clamp)
-    sine = (own_energy[:, None] - inside) * compliance[:, None]
-    square = 1.0 / np.maximum((1.0 - sine) * (1.0 + sine), _UPRIGHT)
-    per_length = _WEIGHTS[:, None, None] * width * np.sqrt(square)
+    share = _WEIGHTS[:, None, None] * width
+    stretch = np.sqrt(polygon.compliance[0] / 2.0 * compliance / gap)
+    reach = np.arcsinh(stretch * width[:, 0])
+    u = _NODES[:, None] * reach
+    way[:, :, 0] = np.sinh(u) / stretch
+    share[:, :, 0] = _WEIGHTS[:, None] * reach * np.cosh(u) / stretch
+    way *= (polygon.compliance / 2.0 * way + polygon.curvature[:-1]) * compliance[:, None]
+    way += polygon.energy[:-1] * compliance[:, None] + gap[:, None]  # now 1 - S
+    np.minimum(way, 1.0, out=way)  # it is more beyond the clamp, in panels of no width
+    square = 1.0 / (way * (2.0 - way))
+    per_length = share * np.sqrt(square)
     cubed = per_length * square
+    # sech^2 u, which the nodes do not follow: in this panel the sine is that of the tip
+    cubed[:, :, 0] = np.tanh(reach) / stretch * (gap * (2.0 - gap)) ** -1.5 / len(_NODES)
+    length = np.cumsum(per_length.sum(axis=0), axis=1)
+    cubed_sum = cubed.sum(axis=(0, 2))
     return _Integrals(
-        np.cumsum(per_length.sum(axis=0), axis=1),
-        np.einsum("kij,kij->i", per_length, sine),
-        cubed.sum(axis=(0, 2)),
-        np.einsum("kij,kij->i", cubed, sine),
-        own_curvature,
-        own_energy,
+        length,
+        length[:, -1] - np.einsum("kij,kij->i", per_length, way),
+        cubed_sum,
+        cubed_sum - np.einsum("kij,kij->i", cubed, way),
     )
 
 
@@ -214,45 +267,56 @@ def _at_moments(polygon: Polygon, length: float, clamp: Floats) -> EndLoads:
     curvature, energy = _at_clamp(polygon, clamp)
     level = np.minimum(curvature * length / 2.0, 2.0)
     for _ in range(_MOST_NEWTON):
+        gap = _tip_gap(level)
         sine = np.tanh(level)
-        found = _integrate(polygon, clamp, sine / energy)
-        gap = length - sine / energy * found.length[:, -1]
-        step = gap * energy / ((1.0 - sine**2) * found.cubed)
-        step = np.clip(step, -_LARGEST_STEP, _LARGEST_STEP)
-        level = np.clip(level + step, level / 4.0, _STEEPEST)
-        if np.all(np.abs(step) < _SETTLED * level):
+        found = _integrate(polygon, clamp, sine / energy, gap)
+        missing = length - sine / energy * found.length[:, -1]
+        step = missing * energy / (gap * (2.0 - gap) * found.cubed)
+        before = level
+        level = _within(level, np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
+        if np.all(np.abs(level - before) < _SETTLED * level):
             break
-    return _states(polygon, clamp, np.tanh(level) / energy)
+    return _states(polygon, clamp, level, length)
 
 
-def _at_deflections(ladder: EndLoads, length: float, wanted: Floats) -> EndLoads:
+def _within(level: Floats, step: Floats) -> Floats:
+    """A level after a step, positive and at most `_STEEPEST`."""
+    return np.clip(level + step, level / 4.0, _STEEPEST)
+
+
+def _at_deflections(ladder: EndLoads, law: MomentLaw, length: float, wanted: Floats) -> EndLoads:
     """States of given deflections: Newton for clamp moment and tip's sine, from the ladder."""
-    polygon = ladder.polygon
-    _, energy = _at_clamp(polygon, ladder.clamp_moment)
+    clamp, level = _first_guess(ladder, wanted)
+    polygon = polygon_of(law, float(ladder.clamp_moment[-1]))
+    for _ in range(_MOST_NEWTON):
+        step = _newton_step(polygon, np.exp(clamp), level, length, wanted)
+        before = level
+        clamp, level = clamp + step[0], _within(level, step[1])
+        if np.all(np.abs([step[0], level - before]) < _SETTLED * np.minimum(level, 1.0)):
+            break
+    return _states(polygon, np.exp(clamp), level, length)
+
+
+def _first_guess(ladder: EndLoads, wanted: Floats) -> Floats:
+    """Logarithm of the clamp's moment, and `level`, at deflections between those of a ladder."""
+    _, energy = _at_clamp(ladder.polygon, ladder.clamp_moment)
     rungs = np.log([ladder.deflection, ladder.clamp_moment, np.arctanh(energy / ladder.load)])
     between = CubicSpline(rungs[0], rungs[1:], axis=1)
     below = np.minimum(np.log(wanted) - rungs[0, 0], 0.0)  # under the lowest, all in proportion
     clamp, level = between(np.log(wanted) - below) + below
-    level = np.exp(level)
-    for _ in range(_MOST_NEWTON):
-        step = _newton_step(polygon, np.exp(clamp), level, length, wanted)
-        clamp, level = clamp + step[0], np.clip(level + step[1], level / 4.0, _STEEPEST)
-        if np.all(np.abs(step) < _SETTLED * np.minimum(level, 1.0)):
-            break
-    _, energy = _at_clamp(polygon, np.exp(clamp))
-    return _states(polygon, np.exp(clamp), np.tanh(level) / energy)
+    return np.array([clamp, np.exp(level)])
 
 
 def _newton_step(
     polygon: Polygon, clamp: Floats, level: Floats, length: float, wanted: Floats
 ) -> Floats:
     """Change of the logarithm of the clamp's moment, and of `level`, shape (2, n)."""
-    sine = np.tanh(level)
-    _, energy = _at_clamp(polygon, clamp)
-    c = sine / energy  # 1 / P
-    found = _integrate(polygon, clamp, c)
-    per_clamp = c * found.curvature
-    c_by_clamp, c_by_level = -per_clamp / energy * clamp, (1.0 - sine**2) / energy
+    curvature, energy = _at_clamp(polygon, clamp)
+    gap = _tip_gap(level)
+    c = np.tanh(level) / energy  # 1 / P
+    found = _integrate(polygon, clamp, c, gap)
+    per_clamp = c * curvature
+    c_by_clamp, c_by_level = -per_clamp / energy * clamp, gap * (2.0 - gap) / energy
     rise_by_c = found.rise + found.cubed_rise
     length_by_clamp = c * clamp * (1.0 + per_clamp * found.cubed_rise) + c_by_clamp * found.cubed
     rise_by_clamp = c * clamp * per_clamp * found.cubed + c_by_clamp * rise_by_c
@@ -262,17 +326,22 @@ def _newton_step(
             [rise_by_clamp, rise_by_c * c_by_level],
         ]
     )
-    gap = np.array([length - c * found.length[:, -1], wanted - c * found.rise])
-    step = np.linalg.solve(np.moveaxis(jacobian, 2, 0), gap.T[..., None])[..., 0].T
+    missing = np.array([length - c * found.length[:, -1], wanted - c * found.rise])
+    step = np.linalg.solve(np.moveaxis(jacobian, 2, 0), missing.T[..., None])[..., 0].T
     return np.asarray(np.clip(step, -_LARGEST_STEP, _LARGEST_STEP))
 
 
-def _states(polygon: Polygon, clamp: Floats, compliance: Floats) -> EndLoads:
-    found = _integrate(polygon, clamp, compliance)
+def _states(polygon: Polygon, clamp: Floats, level: Floats, length: float) -> EndLoads:
+    """States of clamp moments and levels; what is left of the length at the steepest is upright."""
+    _, energy = _at_clamp(polygon, clamp)
+    compliance = np.tanh(level) / energy
+    found = _integrate(polygon, clamp, compliance, _tip_gap(level))
+    tail = compliance[:, None] * found.length
+    upright = np.where(level >= _STEEPEST, np.maximum(length - tail[:, -1], 0.0), 0.0)
     return EndLoads(
-        compliance * found.rise,
+        compliance * found.rise + upright,
         1.0 / compliance,
         clamp,
-        compliance[:, None] * found.length,
+        tail + upright[:, None],
         polygon,
     )

@@ -30,9 +30,9 @@ from labpipe.wire.cross_section import CrossSection, Layer
 
 _ON_AXIS = 1e-12  # sine of a strand on the neutral axis, but for rounding
 _NEAR_AXIS = 1e-9
-_FIRST_GUESS, _MOST_RAISES = 1e-9, 60  # of the curvature of first slip, 1/m
-_SHARES = np.arange(17)[:, None] / 16.0
-_ROUNDS = 14  # each to a sixteenth: to rounding
+_GUESSES = 1e-9 * 4.0 ** np.arange(61)[:, None]  # of the curvature of first slip, 1/m
+_SHARES = np.arange(129)[:, None] / 128.0
+_ROUNDS = 8  # each to a 128th: to rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,13 +357,10 @@ def slip_onsets(
     near = np.where(sine == 0.0, _NEAR_AXIS, sine)
     bundle = arrange(section, contacts, near, tension=tension)
 
-    lower, upper = np.zeros(len(near)), np.full(len(near), _FIRST_GUESS)
-    for _ in range(_MOST_RAISES):
-        still = _stuck(bundle, upper[None])[0]
-        if not still.any():
-            break
-        lower, upper = np.where(still, upper, lower), np.where(still, 4.0 * upper, upper)
-    never = _stuck(bundle, upper[None])[0]
+    slips = ~_stuck(bundle, np.broadcast_to(_GUESSES, (len(_GUESSES), len(near))))
+    never, first = ~slips.any(axis=0), slips.argmax(axis=0)
+    upper = _GUESSES[first, 0]
+    lower = np.where(first == 0, 0.0, _GUESSES[first - 1, 0])
     for _ in range(_ROUNDS):
         rungs = lower + (upper - lower) * _SHARES  # of a ladder, so many at once
         slips = ~_stuck(bundle, rungs[1:-1])
