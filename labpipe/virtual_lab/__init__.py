@@ -19,6 +19,7 @@ from labpipe.virtual_lab.wire_campaign import (
     WireCampaign,
     WireGroup,
     observe_wires,
+    simulate_wires,
     wire_campaign,
     wire_scenarios,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "simulate_tensile",
     "simulate_tensile_campaign",
     "simulate_test",
+    "simulate_wires",
     "tensile_scenarios",
     "wire_campaign",
     "wire_scenarios",

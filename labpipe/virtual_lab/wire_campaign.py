@@ -85,7 +85,7 @@ def wire_campaign(
     cycles: int = 3,
     seed: int = 1,
 ) -> list[Path]:
-    """Run the campaign and write the exports, test sheets and truths.
+    """Run the usual campaign and write the exports, test sheets and truths.
 
     Parameters
     ----------
@@ -98,6 +98,22 @@ def wire_campaign(
     The folders of the tests.
     """
     campaign = WireCampaign(samples=samples, rate=rate, fps=fps, cycles=cycles)
+    return simulate_wires(campaign, folder, seed)
+
+
+def simulate_wires(campaign: WireCampaign, folder: Path, seed: int = 1) -> list[Path]:
+    """Run a campaign and write the exports, test sheets and truths.
+
+    Parameters
+    ----------
+    campaign : how
+    folder : one folder per test is made in it
+    seed : the same seed gives the same files
+
+    Returns
+    -------
+    The folders of the tests.
+    """
     return [
         simulate_test(scenario, folder / scenario.name, seed=own)
         for scenario, own in wire_scenarios(campaign, seed)
