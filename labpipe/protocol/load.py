@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import yaml
 from pydantic import ValidationError
@@ -18,6 +18,9 @@ from labpipe.protocol.sheet import COPY_IT, TestSheet
 from labpipe.protocol.shipped import find_protocol
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text
+
+if TYPE_CHECKING:
+    from labpipe.protocol.calibration_plan import CalibrationPlan
 
 _B = TypeVar("_B", bound=Block)
 
@@ -79,6 +82,27 @@ def load_test_sheet(path: Path) -> TestSheet:
     """
     document = parse_yaml(read_text(path), str(path))
     return _checked(TestSheet, document, lambda sheet: _leaving(sheet, path.parent))
+
+
+def load_calibration_plan(path: Path) -> CalibrationPlan:
+    """Read what is asked of a calibration.
+
+    Parameters
+    ----------
+    path : the YAML file
+
+    Returns
+    -------
+    The plan, defaults filled in.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
+    from labpipe.protocol.calibration_plan import CalibrationPlan  # tests do without it
+
+    return _checked(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
 def parse_test_sheet(text: str, name: str) -> TestSheet:

@@ -32,7 +32,18 @@ from labpipe.protocol.steps import Step
 from labpipe.protocol.words import FileStem, Remark
 
 
-def _version(value: object) -> int:
+def known_version(value: object) -> int:
+    """Take the version of a file, if this labpipe knows it.
+
+    Parameters
+    ----------
+    value : as written
+
+    Raises
+    ------
+    PydanticCustomError
+        If it is another one.
+    """
     if str(value) != "1":
         remedy = "A newer labpipe may know this version."
         raise error_of(
@@ -44,7 +55,7 @@ def _version(value: object) -> int:
 class Protocol(Block):
     """How one kind of test is processed, from its exports to its results."""
 
-    version: Annotated[Literal[1], BeforeValidator(_version), WithJsonSchema({"const": 1})]
+    version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
     name: FileStem = Field(description="As the file is called, without .yaml")
     about: Remark = Field("", description="What it is for, in one line")
     sources: dict[Role, Source] = Field(min_length=1)
