@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import subprocess
@@ -57,6 +58,16 @@ def test_reader_of_a_pipe_that_goes_away(pristine: Lab) -> None:
     assert ended.stdout == "{"
     assert ended.stderr == ""
     assert ended.returncode == DONE
+
+
+def test_collector_works_again_once_all_is_imported(
+    lab: Lab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["labpipe", "check", str(lab.raw)])
+    assert main() == 0
+    assert gc.isenabled()
+    assert gc.get_freeze_count() > 0
+    gc.unfreeze()
 
 
 def test_check(run: Run, lab: Lab) -> None:
