@@ -26,7 +26,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.wire.laws import MomentLaw
 
 _FARTHEST = 0.9  # of the length: beyond, the wire hardly moves and the tip is upright
@@ -228,30 +228,43 @@ def _tip_gap(level: Floats) -> Floats:
 
 def _integrate(polygon: Polygon, clamp: Floats, compliance: Floats, gap: Floats) -> _Integrals:
     """Quadrature for states of clamp moments `clamp`, `compliance` = 1 / P, and 1 - tip's sine."""
-    width = np.clip(clamp[:, None] - polygon.moment[:-1], 0.0, np.diff(polygon.moment))
-    way = _NODES[:, None, None] * width  # nodes first: sums over them are of whole rows
-    share = _WEIGHTS[:, None, None] * width
+    rows, whole = np.arange(len(clamp)), np.arange(len(polygon.compliance))
+    last = np.searchsorted(polygon.moment[1:-1], clamp, side="right")
+    energy, share = _nodes_of(polygon, whole, np.diff(polygon.moment))
+    fall = energy[:, None] * compliance[:, None]  # nodes first: sums over them are of whole rows
+    share = share[:, None] * (whole < last[:, None])
+    energy, share[:, rows, last] = _nodes_of(polygon, last, clamp - polygon.moment[last])
+    fall[:, rows, last] = energy * compliance
     stretch = np.sqrt(polygon.compliance[0] / 2.0 * compliance / gap)
-    reach = np.arcsinh(stretch * width[:, 0])
+    reach = np.arcsinh(stretch * np.minimum(clamp, polygon.moment[1]))
     u = _NODES[:, None] * reach
-    way[:, :, 0] = np.sinh(u) / stretch
+    fall[:, :, 0] = gap * np.sinh(u) ** 2
     share[:, :, 0] = _WEIGHTS[:, None] * reach * np.cosh(u) / stretch
-    way *= (polygon.compliance / 2.0 * way + polygon.curvature[:-1]) * compliance[:, None]
-    way += polygon.energy[:-1] * compliance[:, None] + gap[:, None]  # now 1 - S
-    np.minimum(way, 1.0, out=way)  # it is more beyond the clamp, in panels of no width
-    square = 1.0 / (way * (2.0 - way))
-    per_length = share * np.sqrt(square)
-    cubed = per_length * square
+    fall += gap[:, None]  # now 1 - S
+    np.minimum(fall, 1.0, out=fall)  # it is more beyond the clamp, where nothing is summed
+    square = 2.0 - fall  # in place from here: new memory costs more than the sums
+    square *= fall
+    np.reciprocal(square, out=square)
+    per_length = np.sqrt(square)
+    per_length *= share
+    cubed = np.multiply(per_length, square, out=square)
     # sech^2 u, which the nodes do not follow: in this panel the sine is that of the tip
     cubed[:, :, 0] = np.tanh(reach) / stretch * (gap * (2.0 - gap)) ** -1.5 / len(_NODES)
     length = np.cumsum(per_length.sum(axis=0), axis=1)
     cubed_sum = cubed.sum(axis=(0, 2))
     return _Integrals(
         length,
-        length[:, -1] - np.einsum("kij,kij->i", per_length, way),
+        length[:, -1] - np.einsum("kij,kij->i", per_length, fall),
         cubed_sum,
-        cubed_sum - np.einsum("kij,kij->i", cubed, way),
+        cubed_sum - np.einsum("kij,kij->i", cubed, fall),
     )
+
+
+def _nodes_of(polygon: Polygon, panel: Ints, width: Floats) -> tuple[Floats, Floats]:
+    """W* at Gauss's nodes of some panels, begun at their lower ends, and the nodes' shares."""
+    way = _NODES[:, None] * width
+    energy = (polygon.compliance[panel] / 2.0 * way + polygon.curvature[panel]) * way
+    return energy + polygon.energy[panel], _WEIGHTS[:, None] * width
 
 
 def _at_clamp(polygon: Polygon, moment: Floats) -> tuple[Floats, Floats]:
