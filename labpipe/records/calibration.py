@@ -70,14 +70,14 @@ class Profile:
     ----------
     value : of the parameter, increasing
     deviance : rise of the objective over its least, all others fitted anew
-    threshold : of the deviance, at the ends of the 95 % interval: t^2 of `freedom` degrees
-    freedom : degrees of freedom
+    threshold_below, threshold_above : of the deviance, at the lower and the upper end of the 95 %
+        interval: the square of a quantile of t, averaged over what the scatter of samples may be
     """
 
     value: Floats
     deviance: Floats
-    threshold: float
-    freedom: float
+    threshold_below: float
+    threshold_above: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "value", frozen(self.value, shape=(None,)))
@@ -169,6 +169,32 @@ class Separability:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class ScatterMixture:
+    """What is known of the parameters for each scatter of samples that the tests allow.
+
+    Parameters
+    ----------
+    chance : shape (scatters,), sum to 1
+    scatter : shape (scatters,), standard deviation of the samples' factors, in logarithms
+    shift : shape (scatters, 4), of the logarithms of the parameters and of the gain, from the fit
+    covariance : shape (scatters, 4, 4)
+    freedom : degrees of freedom of the noise
+    """
+
+    chance: Floats
+    scatter: Floats
+    shift: Floats
+    covariance: Floats
+    freedom: float
+
+    def __post_init__(self) -> None:
+        count = len(self.chance)
+        shapes = {"chance": (count,), "scatter": (count,), "shift": (count, 4)}
+        for name, shape in {**shapes, "covariance": (count, 4, 4)}.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class CurveAgreement:
     """One measured curve against the model.
 
@@ -237,9 +263,7 @@ class Calibration:
     correlations : shape (3, 3), of the logarithms; NaN in rows of fixed parameters
     covariance : shape (4, 4), of the logarithms and of the load cell's gain, last; 0 for what is
         fixed
-    covariance_by_level : shape (2, 4, 4), its derivatives by the logarithms of the variances of
-        noise and of samples
-    level_covariance : shape (2, 2), of the estimates of those logarithms
+    mixture : the same for each scatter of samples that the tests allow
     levels : noise, scatter, gain
     separability : of the three parameters, all taken as free
     friction_separability : of mu_s, mu_p and F_rad; None where nothing rubs
@@ -254,8 +278,7 @@ class Calibration:
     parameters: tuple[CalibratedParameter, ...]
     correlations: Floats
     covariance: Floats
-    covariance_by_level: Floats
-    level_covariance: Floats
+    mixture: ScatterMixture
     levels: NoiseLevels
     separability: Separability
     friction_separability: Separability | None
@@ -272,8 +295,6 @@ class Calibration:
         shapes: dict[str, tuple[int, ...]] = {
             "correlations": (3, 3),
             "covariance": (4, 4),
-            "covariance_by_level": (2, 4, 4),
-            "level_covariance": (2, 2),
         }
         for name, shape in shapes.items():
             object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))

@@ -58,7 +58,7 @@ def exact_curve(
     law = law_of(wire_of(name))
     state, rig = straight(law), rig_of(length)
     deflections, forces = [0.0], [0.0]
-    for goal in 1.06 * deepest * np.linspace(0.0, 1.0, 50)[1:] ** 1.3:
+    for goal in 1.06 * deepest * np.linspace(0.0, 1.0, 50)[1:] ** 1.6:
         if has_string:
             shape = bend_to_travel(law, state, length, rig, float(goal))
             forces.append(shape.tension - WEIGHT)

@@ -17,9 +17,10 @@ from labpipe.records.calibration import (
 from labpipe.records.curve import Interval
 from labpipe.wire.calibrating.data import MeasuredCurve
 from labpipe.wire.calibrating.finding import Found, Settings, Wire, find
+from labpipe.wire.calibrating.mixture import mix, quantiles
 from labpipe.wire.calibrating.search import Fit, P, Point, Problem, search
 from labpipe.wire.calibrating.settling import refine
-from labpipe.wire.calibrating.variances import quantile, uncertainty
+from labpipe.wire.calibrating.variances import uncertainty
 
 _ENOUGH = 0.9  # share of draws that must be fitted
 
@@ -120,16 +121,23 @@ def _fit_draw(found: Found, problem: Problem) -> _Draw | None:
     except ValueError:
         return None
     spread = uncertainty(problem, fit, found.free, levels, is_scatter_known=found.is_scatter_known)
+    mixture = mix(problem, fit, found.free, levels, is_scatter_known=_is_given(found))
+    low, high = quantiles(mixture, np.eye(P + 1)[:P])
     distance, covered = np.full((2, P), np.nan)
-    for number in np.flatnonzero(found.free):
+    for number in np.flatnonzero(found.free).tolist():
         error = np.sqrt(spread.covariance[number, number])
-        distance[number] = (fit.point.logs[number] - truth.logs[number]) / error
-        limit = quantile(spread.freedom(np.eye(P + 1)[number])) ** 2
+        away = truth.logs[number] - fit.point.logs[number]
+        distance[number] = -away / error
+        limit = (low[number] if away < 0.0 else high[number]) / error
         others = found.free.copy()
         others[number] = False
-        held = search(problem, levels, _at(fit, truth.logs, int(number)), others)
-        covered[number] = held.objective - fit.objective <= limit
+        held = search(problem, levels, _at(fit, truth.logs, number), others)
+        covered[number] = held.objective - fit.objective <= limit**2
     return _Draw(distance, covered)
+
+
+def _is_given(found: Found) -> bool:
+    return found.is_scatter_known or found.problem.n_samples == 1
 
 
 def _at(fit: Fit, truth: Floats, number: int) -> Point:

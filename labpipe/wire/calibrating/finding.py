@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from labpipe.records.arrays import Flags
-from labpipe.records.calibration import CalibrationFailure, ParameterChoice
+from labpipe.records.calibration import CalibrationFailure, ParameterChoice, ScatterMixture
 from labpipe.wire.calibrating.choices import pose
 from labpipe.wire.calibrating.data import MeasuredCurve, usable
+from labpipe.wire.calibrating.mixture import mix
 from labpipe.wire.calibrating.parts import take_apart
 from labpipe.wire.calibrating.search import Fit, Levels, Problem
 from labpipe.wire.calibrating.settling import settle
@@ -60,6 +61,7 @@ class Found:
     problem, free : what was fitted
     fit, levels : the least of the objective
     spread : covariance, and what degrees of freedom need
+    mixture : covariance for each scatter that the tests allow
     """
 
     wire: Wire
@@ -69,6 +71,7 @@ class Found:
     fit: Fit
     levels: Levels
     spread: Uncertainty
+    mixture: ScatterMixture
 
     @property
     def is_scatter_known(self) -> bool:
@@ -105,4 +108,6 @@ def find(
         return CalibrationFailure("model_cannot_follow", str(error))
     is_known = settings.scatter is not None
     spread = uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
-    return Found(wire, settings, problem, free, fit, levels, spread)
+    is_given = is_known or problem.n_samples == 1
+    mixture = mix(problem, fit, free, levels, is_scatter_known=is_given)
+    return Found(wire, settings, problem, free, fit, levels, spread, mixture)

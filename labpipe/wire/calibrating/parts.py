@@ -28,11 +28,11 @@ from labpipe.wire.friction import Contacts, slip_onsets
 from labpipe.wire.loading_law import NODES, LoadingLaw, panel_rule
 from labpipe.wire.materials import RambergOsgood
 from labpipe.wire.moment_curvature import moment_curvature
-from labpipe.wire.strand_bending import helix_factor, strand_moment
+from labpipe.wire.strand_bending import elastic_share, helix_factor
 
-_STRAINS = (1e-9, 1.0, 32)
-"""Rim strains that the copper's table spans, and its knots per decade."""
-_ENERGY_NODES = 24
+_STRAINS = (1e-9, 100.0, 32)
+"""Rim strains that the copper's table spans, and its knots per decade: soft copper at a small
+strain is hard copper at a large one."""
 _REFINED, _BEYOND = 24, 4.0  # friction: knots between the onsets, how far beyond the last
 _STRAIGHT = 1e-9  # of the first slope: a smaller change of slope is no corner
 _POINTS = 44  # of a loading curve
@@ -160,24 +160,21 @@ def _exponent(material: object) -> float:
 def _copper(section: CrossSection, exponent: float) -> CopperPart:
     layers = [layer for layer in section.layers if _exponent(layer.material) == exponent]
     rim = max(layer.diameter for layer in layers) / 2.0
-    most = min(min(layer.material.largest_strain, _STRAINS[1]) for layer in layers)
+    most = min(_STRAINS[1], *(layer.material.largest_strain for layer in layers))
     count = round(np.log10(most / _STRAINS[0]) * _STRAINS[2])
     curvature = np.geomspace(_STRAINS[0], most, count) / rim * (1.0 - 1e-12)
-    places, weights = panel_rule(_ENERGY_NODES)
-
-    def moment(at: Floats) -> Floats:
-        total = np.zeros_like(at)
-        for layer in layers:
-            share = layer.count * helix_factor(layer.lay_angle, layer.poisson)
-            total += share * strand_moment(layer.material, layer.diameter, at).moment
-        return total
-
-    # The fourth power of the places puts nodes where a moment of low exponent still bends.
-    inside = moment(curvature[:, None] * places**2)
-    energy = inside @ (weights * 2.0 * places) / curvature
-    table = np.column_stack([moment(curvature) / curvature, energy])
+    moment = np.zeros_like(curvature)
+    for layer in layers:
+        share = elastic_share(layer.material, curvature * layer.diameter / 2.0)
+        stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
+        lay = helix_factor(layer.lay_angle, layer.poisson)
+        moment += layer.count * lay * stiffness * curvature * share
+    level = np.log(curvature)
+    work = CubicSpline(level, moment * curvature).antiderivative()
+    energy = work(level) + 0.5 * moment[0] * curvature[0]
+    table = np.column_stack([moment / curvature, energy / curvature**2])
     return CopperPart(
-        exponent, float(curvature[0]), float(curvature[-1]), CubicSpline(np.log(curvature), table)
+        exponent, float(curvature[0]), float(curvature[-1]), CubicSpline(level, table)
     )
 
 

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import PARAMETERS, Calibration, Prediction
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.wire.calibrating.finding import Wire
+from labpipe.wire.calibrating.mixture import quantiles
 from labpipe.wire.calibrating.model import loading_curve
 from labpipe.wire.calibrating.parts import take_apart
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import force_at
+
+_NORMAL = float(ndtri(0.975))
 
 
 def predict(
@@ -56,7 +59,8 @@ def predict(
 
     Notes
     -----
-    Point by point: value -+ t s with Satterthwaite's degrees of freedom of s^2, which sums levels.
+    Point by point; quantiles of t averaged over what the scatter of samples may be. What is known
+    (noise, another gain) is added as 1.96 s in quadrature.
     """
     parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
     values = np.array([parameter.value for parameter in calibration.parameters])
@@ -67,31 +71,21 @@ def predict(
     gain_slope = force if other_gain is None else np.zeros_like(force)
     slopes = np.vstack([change, gain_slope])
     other = 0.0 if other_gain is None else other_gain
-    variance, by_level = _spread(calibration, slopes)
-    variance += (other * force) ** 2
-    mean = _half_width(variance, by_level, calibration)
-    scatter = (calibration.levels.scatter * force) ** 2 / n_samples
-    own_noise = np.full_like(force, noise**2 / n_samples)
-    by_level = by_level + np.stack([np.zeros_like(force), scatter])
-    one = _half_width(variance + scatter + own_noise, by_level, calibration)
+    mixture, directions = calibration.mixture, slopes.T
+    lower_mean, upper_mean = quantiles(mixture, directions)
+    lower, upper = quantiles(mixture, directions, force / np.sqrt(n_samples))
+    gain, read = _NORMAL * other * force, _NORMAL * noise / np.sqrt(n_samples)
+    both = np.hypot(gain, read)
     notes = tuple(_notes(calibration))
     return Prediction(
-        deflection, force, force - one, force + one, force - mean, force + mean, notes
+        deflection,
+        force,
+        force - np.hypot(lower, both),
+        force + np.hypot(upper, both),
+        force - np.hypot(lower_mean, gain),
+        force + np.hypot(upper_mean, gain),
+        notes,
     )
-
-
-def _spread(calibration: Calibration, slopes: Floats) -> tuple[Floats, Floats]:
-    """Variance of the force at each point, shape (n,), and its slopes by the levels, (2, n)."""
-    variance = np.einsum("in,ij,jn->n", slopes, calibration.covariance, slopes)
-    by_level = np.einsum("in,lij,jn->ln", slopes, calibration.covariance_by_level, slopes)
-    return np.asarray(variance), np.asarray(by_level)
-
-
-def _half_width(variance: Floats, by_level: Floats, calibration: Calibration) -> Floats:
-    spread = np.einsum("in,ij,jn->n", by_level, calibration.level_covariance, by_level)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        freedom = np.where(spread > 0.0, 2.0 * variance**2 / spread, np.inf)
-    return np.asarray(stdtrit(np.clip(freedom, 1.0, 1e9), 0.975) * np.sqrt(variance))
 
 
 def _notes(calibration: Calibration) -> Iterator[QualityNote]:

@@ -1,9 +1,11 @@
 """Profile likelihood: the interval is where holding a parameter makes the fit too much worse.
 
-Too much is t^2 at 97.5 %, with the degrees of freedom of the parameter's variance, in place of
-chi^2: the scatter of a few samples is itself an estimate. In the linear case this is the t
-interval; where the objective is lopsided the interval is too, and it stays open where the
-objective levels out.
+Too much is q^2, where chi^2 would have 1.96^2: q is the 97.5 % quantile, over the standard error,
+of the parameter's distribution in the linear model, averaged over what the scatter of samples may
+be (`calibrating.mixture`); below and above it may differ. With many samples q is 1.96, for one
+that leans on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In the
+linear case this is the t interval; where the objective is lopsided the interval is too, and it
+stays open where the objective levels out.
 """
 
 from __future__ import annotations
@@ -14,11 +16,12 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.wire.calibrating.finding import Found
+from labpipe.wire.calibrating.mixture import quantiles
 from labpipe.wire.calibrating.search import Fit, Levels, P, Point, Problem, normal_matrix, search
-from labpipe.wire.calibrating.variances import quantile
 
+_NORMAL, _LEAST_ROOT = 1.96, 0.5
 _CLOSE = 0.01  # of the root of the threshold
-_MOST_LOOKS = 10
+_MOST_LOOKS = 24
 _FARTHER = 2.5  # at most, times the last distance
 
 
@@ -31,8 +34,7 @@ class Trace:
     logs, deviance : shape (n,), increasing logs, rise of the objective
     lower, upper : logs, ends of the interval
     is_open_below, is_open_above : whether the objective stays below the threshold to the bound
-    threshold : of the deviance, the square of the t quantile
-    freedom : degrees of freedom
+    threshold_below, threshold_above : of the deviance
     """
 
     logs: Floats
@@ -41,8 +43,8 @@ class Trace:
     upper: float
     is_open_below: bool
     is_open_above: bool
-    threshold: float
-    freedom: float
+    threshold_below: float
+    threshold_above: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,28 +64,34 @@ def trace(found: Found, number: int) -> Trace:
     """
     problem, levels, fit, free = found.problem, found.levels, found.fit, found.free
     error = float(np.sqrt(found.spread.covariance[number, number]))
-    freedom = found.spread.freedom(np.eye(P + 1)[number])
-    root = quantile(freedom)
+    below, above = quantiles(found.mixture, np.eye(P + 1)[[number]])
+    roots = _root(-below[0], error), _root(above[0], error)
     others = free.copy()
     others[number] = False
     direction = _direction(problem, levels, fit, free, number)
     sides = []
-    for sign, bound in ((-1.0, problem.lower[number]), (1.0, problem.upper[number])):
+    bounds = (-1.0, problem.lower[number]), (1.0, problem.upper[number])
+    for root, (sign, bound) in zip(roots, bounds, strict=True):
         walk = _Walk(problem, levels, fit, others, number, direction, float(bound), sign)
         sides.append(_walk(walk, root, error))
     middle = (float(fit.point.logs[number]), 0.0)
     seen = sorted({*sides[0].seen, middle, *sides[1].seen})
-    logs, roots = np.array(seen).T
+    logs, heights = np.array(seen).T
     return Trace(
         logs,
-        roots**2,
+        heights**2,
         sides[0].end,
         sides[1].end,
         sides[0].is_open,
         sides[1].is_open,
-        root**2,
-        freedom,
+        roots[0] ** 2,
+        roots[1] ** 2,
     )
+
+
+def _root(quantile: float, error: float) -> float:
+    """Quantile in standard errors; a parameter that nothing bounds is held at a normal one."""
+    return max(float(quantile) / error, _LEAST_ROOT) if error > 0.0 else _NORMAL
 
 
 def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: int) -> Floats:
@@ -134,8 +142,8 @@ def _walk(walk: _Walk, root: float, error: float) -> _Side:
     room = walk.sign * (walk.bound - float(walk.fit.point.logs[walk.number]))
     if room <= 0.0:
         return _Side(walk.bound, is_open=True, seen=())
-    low, high = (0.0, 0.0), None
-    seen, near = [], walk.fit
+    bracket, near = _Bracket((0.0, 0.0), None, 0), walk.fit
+    seen: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
     for _ in range(_MOST_LOOKS):
         height, found = walk.look(near, distance)
@@ -143,26 +151,42 @@ def _walk(walk: _Walk, root: float, error: float) -> _Side:
         if abs(height - root) <= _CLOSE * root:
             break
         if height < root:
-            low, near = (distance, height), found
+            near = found
             if distance >= room:
                 return _Side(walk.bound, is_open=True, seen=_places(walk, seen))
-        else:
-            high = (distance, height)
-        distance = _next(low, high, root, room)
+        bracket = bracket.narrowed(distance, height, root)
+        distance = bracket.next_look(root, room)
     return _Side(_places(walk, [(distance, 0.0)])[0][0], is_open=False, seen=_places(walk, seen))
+
+
+@dataclass(frozen=True, slots=True)
+class _Bracket:
+    """Distances and heights inside and outside the end, and how often one side stayed."""
+
+    low: tuple[float, float]
+    high: tuple[float, float] | None
+    stays: int
+
+    def narrowed(self, distance: float, height: float, root: float) -> _Bracket:
+        if height < root:
+            return _Bracket((distance, height), self.high, max(self.stays, 0) + 1)
+        return _Bracket(self.low, (distance, height), min(self.stays, 0) - 1)
+
+    def next_look(self, root: float, room: float) -> float:
+        """Outwards at most a few times as far; inside by a straight line, or by halves.
+
+        Halves where the line has come to the same side twice: the deviance is then no parabola.
+        """
+        near, height = self.low
+        if self.high is None:
+            ahead = near * root / height if height > 0.0 else np.inf
+            return min(max(ahead, 1.1 * near), _FARTHER * near, room)
+        if abs(self.stays) > 2:
+            return 0.5 * (near + self.high[0])
+        share = (root - height) / (self.high[1] - height)
+        return near + min(max(share, 0.02), 0.98) * (self.high[0] - near)
 
 
 def _places(walk: _Walk, seen: list[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
     best = float(walk.fit.point.logs[walk.number])
     return tuple((best + walk.sign * distance, height) for distance, height in seen)
-
-
-def _next(
-    low: tuple[float, float], high: tuple[float, float] | None, root: float, room: float
-) -> float:
-    """A straight line between the points on both sides; outwards at most a few times as far."""
-    if high is None:
-        ahead = low[0] * root / low[1] if low[1] > 0.0 else np.inf
-        return min(max(ahead, 1.1 * low[0]), _FARTHER * low[0], room)
-    share = (root - low[1]) / (high[1] - low[1])
-    return low[0] + min(max(share, 0.05), 0.95) * (high[0] - low[0])

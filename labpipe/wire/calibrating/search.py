@@ -25,6 +25,7 @@ P = len(PARAMETERS)
 _MOST_STEPS = 60
 _LONGEST_STEP = 1.5
 _SETTLED = 1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
+_IDLE, _MOST_IDLE = 1e-3, 3  # gains of the objective in a row that end a walk along a flat valley
 _DAMPING = (1e-6, 10.0, 1e8)  # first, growth, last
 
 
@@ -124,19 +125,19 @@ def search(problem: Problem, levels: Levels, start: Point, free: Flags) -> Fit:
         If the start is beyond what the model can do.
     """
     here = _look(problem, levels, start)
-    damping, steps = _DAMPING[0], 0
-    while steps < _MOST_STEPS and damping <= _DAMPING[2]:
-        matrix, pull, open_ = _normal(problem, levels, here, free)
-        step = _step(matrix, pull, open_, damping)
+    damping, steps, idle = _DAMPING[0], 0, 0
+    while steps < _MOST_STEPS and damping <= _DAMPING[2] and idle < _MOST_IDLE:
+        step, pull = _step_inside(problem, levels, here, free, damping)
         if float(step @ pull) <= _SETTLED:
             return replace(here, steps=steps, settled=True)
         steps += 1
         ahead = _try(problem, levels, _move(problem, here.point, step))
         if ahead is not None and ahead.objective <= here.objective:
+            idle = idle + 1 if here.objective - ahead.objective <= _IDLE else 0
             here, damping = ahead, max(damping / _DAMPING[1] ** 2, _DAMPING[0])
         else:
             damping *= _DAMPING[1]
-    return replace(here, steps=steps, settled=damping > _DAMPING[2])
+    return replace(here, steps=steps, settled=steps < _MOST_STEPS)
 
 
 def _look(problem: Problem, levels: Levels, point: Point) -> Fit:
@@ -209,8 +210,35 @@ def normal_matrix(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> tu
     return matrix, moves
 
 
+def pull_of(problem: Problem, levels: Levels, fit: Fit) -> Floats:
+    """Minus half the slope of the objective by the logarithms of the parameters, shape (3,)."""
+    _, pull, _ = _normal(problem, levels, fit, np.zeros(P, dtype=np.bool_))
+    return pull[:P]
+
+
 def _precision(deviation: float) -> float:
     return 1.0 / deviation**2 if deviation > 0.0 else np.inf
+
+
+def _step_inside(
+    problem: Problem, levels: Levels, fit: Fit, free: Flags, damping: float
+) -> tuple[Floats, Floats]:
+    """Step within the bounds, and the pull: what would go beyond goes to its bound, others along.
+
+    A step that is only clipped need not lead downhill.
+    """
+    matrix, pull, moves = _normal(problem, levels, fit, free)
+    fixed = np.zeros(len(pull))
+    for _ in range(P):
+        step = fixed + _step(matrix, pull - matrix @ fixed, moves, damping)
+        ahead = fit.point.logs + step[:P]
+        beyond = moves[:P] & ((ahead < problem.lower) | (ahead > problem.upper))
+        if not beyond.any():
+            break
+        inside = np.clip(ahead, problem.lower, problem.upper) - fit.point.logs
+        fixed[:P] = np.where(beyond, inside, fixed[:P])
+        moves = moves & ~np.concatenate([beyond, np.zeros(len(pull) - P, dtype=np.bool_)])
+    return step, pull
 
 
 def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:

@@ -34,15 +34,16 @@ from labpipe.wire.calibrating.identify import (
     words_of,
 )
 from labpipe.wire.calibrating.profiles import Trace, trace
-from labpipe.wire.calibrating.search import P, search
+from labpipe.wire.calibrating.search import P, pull_of, search
 from labpipe.wire.calibrating.variances import uncertainty
 
 METHOD = (
     "generalised least squares on the force over logarithms of the parameters; levels of noise, "
     "samples and load cell; scatter of samples by restricted likelihood; profile likelihood with "
-    "the t quantile of Satterthwaite's degrees of freedom"
+    "quantiles of t averaged over what that scatter may be"
 )
 _MISSTATED = (0.8, 1.25)  # noise found over noise stated
+_PLAIN = 0.05  # half the slope of the objective: flatter is no wall that was run into
 _SLOW = 0.3  # correlation of neighbouring residuals that is worth a note
 
 
@@ -65,8 +66,7 @@ def tell(found: Found) -> Calibration:
         parameters=parameters,
         correlations=_correlations(covariance[:P, :P], found.free),
         covariance=covariance,
-        covariance_by_level=found.spread.by_level,
-        level_covariance=found.spread.level_covariance,
+        mixture=found.mixture,
         levels=levels,
         separability=_separability(found),
         friction_separability=_friction_separability(found),
@@ -95,7 +95,7 @@ def _parameter(found: Found, number: int) -> CalibratedParameter:
         value=value,
         interval=Interval(float(np.exp(traced.lower)), float(np.exp(traced.upper))),
         log_error=error,
-        freedom=traced.freedom,
+        freedom=found.spread.freedom(np.eye(P + 1)[number]),
         is_open_below=traced.is_open_below,
         is_open_above=traced.is_open_above,
         at_bound=_bound(found, number),
@@ -144,14 +144,18 @@ def _has_prior(found: Found, number: int) -> bool:
 
 
 def _bound(found: Found, number: int) -> str:
-    at = found.fit.point.logs[number]
-    if at <= found.problem.lower[number]:
+    """The bound that the search ran into; none where it only ran out on a plain."""
+    at, problem = found.fit.point.logs[number], found.problem
+    pull = float(pull_of(problem, found.levels, found.fit)[number])
+    if at <= problem.lower[number] and pull < -_PLAIN:
         return "lower"
-    return "upper" if at >= found.problem.upper[number] else ""
+    return "upper" if at >= problem.upper[number] and pull > _PLAIN else ""
 
 
 def _profile(traced: Trace) -> Profile:
-    return Profile(np.exp(traced.logs), traced.deviance, traced.threshold, traced.freedom)
+    return Profile(
+        np.exp(traced.logs), traced.deviance, traced.threshold_below, traced.threshold_above
+    )
 
 
 def _conflict(found: Found, number: int) -> PriorConflict:

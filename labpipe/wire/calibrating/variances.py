@@ -75,11 +75,15 @@ def correlation_of(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Linear:
-    """The linear model: products of each sample over columns, the sample's factor among them.
+class LinearModel:
+    """The linear model at the fit, as whitened products of each sample.
 
-    `grams` (samples, 5, 5) with the residual before the sample's offset; `columns` those of what
-    is estimated: free parameters and the mean factor; `n` points.
+    Parameters
+    ----------
+    grams : shape (samples, 5, 5), of derivatives, model and residual, the residual with the
+        sample's own offset in it
+    columns : what is estimated: free parameters and the mean factor
+    n : points
     """
 
     grams: Floats
@@ -118,7 +122,7 @@ def estimate_levels(
     correlation : of neighbours, with which the fit's products are whitened
     scatter : where it is given; else it is estimated, and 0 for one sample
     """
-    linear = _linear(problem, fit, free)
+    linear = linear_model(problem, fit, free)
     if scatter is None and problem.n_samples == 1:
         scatter = 0.0
     if scatter is not None:
@@ -142,15 +146,15 @@ def estimate_levels(
     return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
 
 
-def _linear(problem: Problem, fit: Fit, free: Flags) -> _Linear:
-    """The residual with each sample's offset put back, so that it is part of what scatters."""
+def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
+    """Make the linear model of a fit: each sample's offset is put back into what scatters."""
     grams = fit.grams.copy()
     shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
     grams[:, :, -1] += shift
     grams[:, -1, :] += shift
     grams[:, -1, -1] += fit.point.offsets**2 * fit.grams[:, P, P]
     columns = [*np.flatnonzero(free).tolist(), P]
-    return _Linear(grams, columns, problem.n_points)
+    return LinearModel(grams, columns, problem.n_points)
 
 
 def uncertainty(
@@ -163,7 +167,7 @@ def uncertainty(
     problem, fit, free, levels : what was fitted, and the levels it was fitted with
     is_scatter_known : given rather than estimated
     """
-    linear = _linear(problem, fit, free)
+    linear = linear_model(problem, fit, free)
 
     def covariance(noise: float, samples: float) -> Floats:
         return _covariance(problem, linear, free, noise, samples)
@@ -179,7 +183,7 @@ def uncertainty(
 
 
 def _covariance(
-    problem: Problem, linear: _Linear, free: Flags, noise: float, samples: float
+    problem: Problem, linear: LinearModel, free: Flags, noise: float, samples: float
 ) -> Floats:
     total = linear.shrunk(samples / noise).sum(axis=0) / noise
     moves = np.append(free, problem.gain > 0.0)
@@ -196,7 +200,7 @@ def _covariance(
 
 
 def _level_covariance(
-    linear: _Linear, noise: float, samples: float, *, is_scatter_known: bool
+    linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
 ) -> Floats:
     """Of the logarithms of the two variances, from the expected restricted information."""
     freedom = linear.n - len(linear.columns)
@@ -220,7 +224,7 @@ def _level_covariance(
     return np.asarray(np.linalg.inv(information))
 
 
-def _between(linear: _Linear, noise: float, samples: float) -> Floats:
+def _between(linear: LinearModel, noise: float, samples: float) -> Floats:
     """Z' P Z, shape (samples, samples), with P the projector of the restricted likelihood."""
     shrunk = linear.shrunk(samples / noise) / noise
     total = shrunk.sum(axis=0)

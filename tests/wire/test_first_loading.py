@@ -1,0 +1,101 @@
+"""The loading curve by the first integral against the path station by station, and the elastica."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
+from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
+from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
+from labpipe.wire.loading_law import law_of_plays
+from tests.builders.loading_tests import law_of, rig_of, wire_of
+
+LENGTH = 0.085
+CLOSE = 5e-5  # 64 stations straddle a corner of the law: they are good to 4e-5 of a small load
+GOALS = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.035, 0.05)
+A2 = law_of(wire_of("A2"), n_plays=60)
+LAWS = [LinearLaw(4e-4), BilinearLaw(5e-3, 4e-4, 5e-4), A2]
+
+
+def curve_of(law: MomentLaw, rig: StringRig | None, n_points: int = 240) -> LoadingCurve:
+    return load_cantilever(law_of_plays(law, 0.03, n_points=n_points), LENGTH, rig)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_end_load_as_station_by_station(law: MomentLaw) -> None:
+    state, curve = straight(law), curve_of(law, None)
+    for goal in GOALS:
+        shape = bend_to_deflection(law, state, LENGTH, goal)
+        state = shape.state
+        force, _ = force_at(curve, np.array([goal]))
+        assert force[0] == pytest.approx(shape.force[1], rel=CLOSE)
+        angle = CubicSpline(curve.deflection, curve.tip_angle)(goal)
+        assert angle == pytest.approx(shape.angle[-1], rel=2e-4)
+        moment = CubicSpline(curve.deflection, curve.clamp_moment)(goal)
+        assert moment == pytest.approx(shape.moment[0], rel=2e-4)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_string_and_counterweight_as_station_by_station(law: MomentLaw) -> None:
+    rig, state = rig_of(LENGTH), straight(law)
+    curve = curve_of(law, rig)
+    assert curve.tension[0] == rig.weight
+    for goal in GOALS:
+        shape = bend_to_travel(law, state, LENGTH, rig, goal)
+        state = shape.state
+        force, _ = force_at(curve, shape.y[-1:])
+        assert force[0] == pytest.approx(shape.tension - rig.weight, rel=CLOSE)
+
+
+@pytest.mark.parametrize(
+    ("alpha", "deflection", "shortening", "angle"),
+    [
+        (1, 0.301721, 0.056433, 0.461352),
+        (2, 0.493457, 0.160642, 0.781750),
+        (5, 0.713792, 0.387628, 1.215368),
+        (10, 0.810609, 0.554996, 1.430286),
+    ],
+)
+def test_published_elastica(
+    alpha: float, deflection: float, shortening: float, angle: float
+) -> None:
+    law = law_of_plays(LinearLaw(3.0), 3.0 * 5.0 / 2.0, n_points=400)
+    curve = load_cantilever(law, 2.0, has_memory=False)
+    share = curve.tension * 2.0**2 / 3.0
+    found = CubicSpline(share, np.column_stack([curve.deflection, curve.x, curve.tip_angle]))(alpha)
+    assert found[0] / 2.0 == pytest.approx(deflection, abs=2e-6)
+    assert 1.0 - found[1] / 2.0 == pytest.approx(shortening, abs=2e-6)
+    assert found[2] == pytest.approx(angle, abs=2e-6)
+
+
+def test_the_stiffness_is_the_slope() -> None:
+    curve = curve_of(A2, rig_of(LENGTH), n_points=400)
+    middle = slice(200, 330)
+    slope = np.gradient(curve.tension, curve.deflection)
+    assert curve.stiffness[middle] == pytest.approx(slope[middle], rel=2e-3)
+
+
+def test_first_loading_ends_where_the_moment_at_the_tip_falls() -> None:
+    curve = curve_of(LinearLaw(4e-4), None)
+    assert 0.66 < curve.deflection[-1] / LENGTH < 0.72
+    elastic = load_cantilever(law_of_plays(LinearLaw(4e-4), 0.03), LENGTH, has_memory=False)
+    assert elastic.deflection[-1] / LENGTH > 0.8
+    with pytest.raises(ValueError, match=r"deflection=0.07 m: the curve ends at 0.05\d+ m, where"):
+        force_at(curve, np.array([0.01, 0.07]))
+
+
+def test_forces_are_odd_and_nan_stays() -> None:
+    curve = curve_of(A2, None)
+    force, change = force_at(curve, np.array([0.01, -0.01, 0.0, np.nan]))
+    assert force[0] == -force[1] > 0.0
+    assert force[2] == 0.0
+    assert np.isnan(force[3])
+    assert change.shape == (0, 4)
+    assert curve.force[0] == 0.0
+
+
+def test_no_equilibrium_is_said() -> None:
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match=r"length=nan: no equilibrium"):
+        load_cantilever(law_of_plays(A2, 0.03), np.nan)
