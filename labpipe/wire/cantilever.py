@@ -25,7 +25,14 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, frozen
 from labpipe.wire.end_load import EndLoads, end_loads
-from labpipe.wire.laws import MomentLaw, respond, virgin_plays
+from labpipe.wire.laws import (
+    MomentLaw,
+    first_curvature,
+    is_within,
+    require_within,
+    respond,
+    virgin_plays,
+)
 from labpipe.wire.newton import (
     Condition,
     DeadLoad,
@@ -109,9 +116,9 @@ class EndLoadPath:
     load: Floats
     clamp_moment: Floats
 
-    def part(self, start: int) -> EndLoadPath:
-        """The path from a point on, with the same arrays."""
-        return EndLoadPath(self.load[start:], self.clamp_moment[start:])
+    def part(self, start: int, stop: int | None = None) -> EndLoadPath:
+        """The path from a point on, up to another, with the same arrays."""
+        return EndLoadPath(self.load[start:stop], self.clamp_moment[start:stop])
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +171,8 @@ def bend_under_force(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way.
+        If no equilibrium is found on the way, or the law ends before (the message says the
+        curvature).
     """
     start, goal = state.force, np.asarray(force, dtype=np.float64)
 
@@ -172,7 +180,9 @@ def bend_under_force(
         condition = DeadLoad(start + share * (goal - start))
         return _advance(law, present, length, condition, travel=share)
 
-    reached = _walk(step, replace(state, travel=0.0), 1.0, f"force={goal.tolist()}")
+    what = f"force={goal.tolist()}"
+    reached = _walk(step, replace(state, travel=0.0), 1.0, what)
+    require_within(law, reached.moment, what)
     return shape_of(law, reached, length)
 
 
@@ -193,14 +203,21 @@ def bend_to_deflection(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way, as for a deflection that exceeds the length.
+        If no equilibrium is found on the way, as for a deflection that exceeds the length; or the
+        law ends before (the message says the curvature).
     """
+    reached = _deflect(law, state, length, deflection)
+    require_within(law, reached.moment, f"deflection={deflection!r}")
+    return shape_of(law, reached, length)
+
+
+def _deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
+    """Bend a wire to a deflection, wherever its law ends."""
 
     def step(present: WireState, travel: float) -> WireState | None:
         return _advance(law, present, length, EndLoad(travel), travel=travel)
 
-    reached = _walk(step, state, deflection, f"deflection={deflection!r}")
-    return shape_of(law, reached, length)
+    return _walk(step, state, deflection, f"deflection={deflection!r}")
 
 
 def bend_to_travel(
@@ -222,7 +239,8 @@ def bend_to_travel(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way.
+        If no equilibrium is found on the way, or the law ends before (the message says the
+        curvature).
     """
 
     def taut(present: WireState, travel: float) -> WireState | None:
@@ -243,7 +261,9 @@ def bend_to_travel(
         found = first(present, travel)
         return second(present, travel) if found is None else found
 
-    reached = _walk(step, state, travel, f"travel={travel!r}")
+    what = f"travel={travel!r}"
+    reached = _walk(step, state, travel, what)
+    require_within(law, reached.moment, what)
     return shape_of(law, reached, length)
 
 
@@ -263,9 +283,19 @@ def end_load_curve(
     Raises
     ------
     ValueError
-        If no equilibrium is found on the way.
+        If no equilibrium is found on the way, or the law ends before the last deflection (the
+        message says the curvature).
     """
-    return end_load_path(law, length, deflections, n_stations=n_stations).load
+    path = end_load_path(law, length, deflections, n_stations=n_stations)
+    reached = len(path.load)
+    if reached < len(deflections):
+        last = float(first_curvature(law, np.array([law.largest_moment]))[0])
+        message = (
+            f"deflection={float(deflections[reached])!r}: the wire would be bent farther than its "
+            f"law goes, {last:.4g} 1/m"
+        )
+        raise ValueError(message)
+    return path.load
 
 
 def end_load_path(
@@ -282,7 +312,7 @@ def end_load_path(
 
     Returns
     -------
-    Load and clamp moment at each deflection.
+    Load and clamp moment at each deflection, as far as the law goes: fewer where it ends before.
 
     Raises
     ------
@@ -303,11 +333,14 @@ def end_load_path(
         first = end_loads(law, length, deflections[:n_growing])
         done = len(first.load) - 1
         path.load[:done], path.clamp_moment[:done] = first.load[:-1], first.clamp_moment[:-1]
+        inside = [is_within(law, moment) for moment in first.clamp_moment.tolist()]
+        if not all(inside):
+            return path.part(0, min(inside.index(False), done))
         if done < len(path.load):
             before = _guess(before, length, first, max(done - 2, 0))
             state = _last_state(law, state, length, first)
-    _go_on(law, (before, state), length, deflections[done:], path.part(done))
-    return path
+    rest = _go_on(law, (before, state), length, deflections[done:], path.part(done))
+    return path.part(0, done + rest)
 
 
 def _guess(virgin: WireState, length: float, first: EndLoads, row: int) -> WireState:
@@ -322,7 +355,7 @@ def _last_state(law: MomentLaw, virgin: WireState, length: float, first: EndLoad
     guess = _guess(virgin, length, first, -1)
     found = _settle(law, virgin, length, guess.travel, (guess.moment, guess.load))
     if found is None:
-        return bend_to_deflection(law, virgin, length, guess.travel).state
+        return _deflect(law, virgin, length, guess.travel)
     return found
 
 
@@ -332,16 +365,19 @@ def _go_on(
     length: float,
     deflections: Floats,
     path: EndLoadPath,
-) -> None:
-    """Fill in a path at further deflections, each from the trend of the states before."""
+) -> int:
+    """Fill in a path, each point from the trend of the states before; give how many, to its end."""
     states = list(first)
     for number, deflection in enumerate(deflections.tolist()):
         ahead = _trend(states, deflection)
         found = ahead and _settle(law, states[-1], length, deflection, ahead)
         if found is None:
-            found = bend_to_deflection(law, states[-1], length, deflection).state
+            found = _deflect(law, states[-1], length, deflection)
+        if not is_within(law, float(np.max(np.abs(found.moment)))):
+            return number
         states = [*states[-2:], found]
         path.load[number], path.clamp_moment[number] = found.force[1], found.moment[0]
+    return len(deflections)
 
 
 def _trend(states: list[WireState], travel: float) -> tuple[Floats, float] | None:

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.wire.laws import MomentLaw
+from labpipe.wire.laws import MomentLaw, corners_of, first_curvature
 
 _FARTHEST = 0.9  # of the length: beyond, the wire hardly moves and the tip is upright
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -114,23 +114,9 @@ def _through(law: MomentLaw, corners: Floats) -> Polygon:
     """Polygon through points of a first loading at some moments; W* is that of the polygon."""
     moment = np.append(0.0, corners)
     step = np.diff(moment)
-    curvature = _curvature_of(law, moment)
+    curvature = first_curvature(law, moment)
     energy = np.append(0.0, np.cumsum((curvature[1:] + curvature[:-1]) / 2.0 * step))
     return Polygon(moment, curvature, energy, np.diff(curvature) / step)
-
-
-def _corners(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
-    """Moments and curvatures at which a law bends, zero first, and the slope behind each."""
-    moment = np.append(0.0, law.half_widths)
-    slopes = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
-    return moment, np.append(0.0, np.cumsum(slopes[:-1] * np.diff(moment))), slopes
-
-
-def _curvature_of(law: MomentLaw, moment: Floats) -> Floats:
-    """Curvature of first loading at moments, 1/m."""
-    corner, reached, slopes = _corners(law)
-    last = np.searchsorted(corner, moment, side="right") - 1
-    return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
 
 
 def end_loads(law: MomentLaw, length: float, deflections: Floats) -> EndLoads:
@@ -205,7 +191,7 @@ def _rows(states: EndLoads, count: int) -> EndLoads:
 
 def _moment_of(law: MomentLaw, curvature: float) -> float:
     """Moment of first loading at a curvature, N m."""
-    corner, reached, slopes = _corners(law)
+    corner, reached, slopes = corners_of(law)
     last = int(np.searchsorted(reached, curvature, side="right")) - 1
     return float(corner[last] + (curvature - reached[last]) / slopes[last])
 

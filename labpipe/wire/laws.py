@@ -9,6 +9,9 @@ On first loading p_j = max(0, M - r_j), so the law is a polygon that gives way a
 r_j; after a reversal nothing moves until the moment has changed by twice the smallest r_j, so
 unloading starts with EI0, loops follow Masing's rule and close, and curvature stays behind when the
 moment is gone. It does not depend on rate. Moments are in N m, curvatures in 1/m.
+
+A law may end at a moment. Nothing here stops there, so that a search may pass it on its way; what
+it ends at is held against `require_within`.
 """
 
 from __future__ import annotations
@@ -19,6 +22,8 @@ from typing import Protocol
 import numpy as np
 
 from labpipe.records.arrays import Floats, frozen
+
+_ROUNDING = 1e-6  # of the last moment: that at which a search for it ends
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,10 @@ class MomentLaw(Protocol):
     def compliances(self) -> Floats:
         """Compliances c_j that the plays add once they move, 1/(N m^2), shape (plays,)."""
 
+    @property
+    def largest_moment(self) -> float:
+        """Where the law ends, N m, either sign; infinite where it does not."""
+
 
 @dataclass(frozen=True, slots=True)
 class LinearLaw:
@@ -67,6 +76,11 @@ class LinearLaw:
 
     def __post_init__(self) -> None:
         require_positive("stiffness", self.stiffness)
+
+    @property
+    def largest_moment(self) -> float:
+        """No end."""
+        return np.inf
 
     @property
     def half_widths(self) -> Floats:
@@ -100,6 +114,11 @@ class BilinearLaw:
         _require_hardening("second_stiffness", self.second_stiffness, self.stiffness)
 
     @property
+    def largest_moment(self) -> float:
+        """No end."""
+        return np.inf
+
+    @property
     def half_widths(self) -> Floats:
         """The break moment: shape (1,)."""
         return np.array([self.break_moment])
@@ -119,6 +138,7 @@ class PlayLaw:
     stiffness : EI0, N m^2
     half_widths : shape (plays,), N m, positive and increasing
     compliances : shape (plays,), 1/(N m^2), none negative
+    largest_moment : N m, where the law ends
 
     Raises
     ------
@@ -129,9 +149,13 @@ class PlayLaw:
     stiffness: float
     half_widths: Floats = field(repr=False)
     compliances: Floats = field(repr=False)
+    largest_moment: float = np.inf
 
     def __post_init__(self) -> None:
         require_positive("stiffness", self.stiffness)
+        if not self.largest_moment > 0.0:
+            message = f"largest_moment={self.largest_moment!r}: allowed are numbers > 0"
+            raise ValueError(message)
         widths = frozen(self.half_widths, shape=(None,))
         compliances = frozen(self.compliances, shape=widths.shape)
         if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
@@ -173,6 +197,64 @@ def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
     curvature = moment / law.stiffness + moved @ law.compliances
     compliance = 1.0 / law.stiffness + flowing @ law.compliances
     return Response(curvature, compliance, moved)
+
+
+def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
+    """Where a law bends on first loading, zero first, each of shape (plays + 1,).
+
+    Parameters
+    ----------
+    law : the law
+
+    Returns
+    -------
+    Moments, N m; curvatures, 1/m; d(curvature) / d(moment) behind each, 1/(N m^2).
+    """
+    moment = np.append(0.0, law.half_widths)
+    slopes = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
+    return moment, np.append(0.0, np.cumsum(slopes[:-1] * np.diff(moment))), slopes
+
+
+def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
+    """Curvature of first loading at moments, 1/m.
+
+    Parameters
+    ----------
+    law : the law; beyond its end the last slope is taken
+    moment : shape (n,), N m, not negative
+    """
+    corner, reached, slopes = corners_of(law)
+    last = np.searchsorted(corner, moment, side="right") - 1
+    return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
+
+
+def is_within(law: MomentLaw, moment: float) -> bool:
+    """Whether a law goes as far as a moment, N m, either sign, but for rounding."""
+    return bool(abs(moment) <= law.largest_moment * (1.0 + _ROUNDING))
+
+
+def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
+    """Refuse moments beyond the end of a law.
+
+    Parameters
+    ----------
+    law : the law
+    moment : shape (n,), N m
+    what : it takes them for, for the message
+
+    Raises
+    ------
+    ValueError
+        With the curvatures of the wire and of the end of the law.
+    """
+    largest = float(np.max(np.abs(moment), initial=0.0))
+    if is_within(law, largest):
+        return
+    bent, last = first_curvature(law, np.array([largest, law.largest_moment]))
+    message = (
+        f"{what}: the wire would be bent to {bent:.4g} 1/m, and its law ends at {last:.4g} 1/m"
+    )
+    raise ValueError(message)
 
 
 def complementary_energy(law: MomentLaw, moment: Floats) -> Floats:

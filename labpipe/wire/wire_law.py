@@ -30,7 +30,7 @@ def play_law(
     Parameters
     ----------
     section, contacts, tension, orientation : as for `moment_curvature`
-    largest_curvature : 1/m, up to which the law is followed; beyond, it goes on straight
+    largest_curvature : 1/m, where the law ends: `wire.cantilever` bends no wire beyond
     n_plays : corners, evenly spread in the logarithm of the curvature over four decades; besides
         these there is one where each strand begins to slip
 
@@ -62,7 +62,7 @@ def play_law(
 
 
 def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
-    """Plays of a polygon through the origin and given points of a first loading.
+    """Plays of a polygon through the origin and given points of a first loading, the last its end.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
         )
         raise ValueError(message)
     compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
-    return PlayLaw(float(slopes[0]), moment[:-1], compliances)
+    return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
 
 
 def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:

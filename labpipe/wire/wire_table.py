@@ -200,8 +200,7 @@ def _cantilever(
     end = min(wanted, deflection_at(law, spec.length, last))
     deflection = np.linspace(0.0, end, DEFLECTIONS)
     path = end_load_path(law, spec.length, deflection[1:])
-    inside = np.append(True, path.clamp_moment <= last * (1.0 + 1e-9))
-    deflection, force = deflection[inside], np.append(0.0, path.load)[inside]
+    deflection, force = deflection[: len(path.load) + 1], np.append(0.0, path.load)
     if deflection[-1] == wanted:
         return deflection, force, ()
     message = (
