@@ -59,7 +59,25 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
     steps = np.diff(time)
     if len(steps) < 2 or _is_even(steps):
         return ()
-    return _holes(time, steps, float(np.median(steps)))
+    return _holes(time, steps, middle(steps))
+
+
+def middle(values: Floats) -> float:
+    """Median of some numbers.
+
+    Parameters
+    ----------
+    values : shape (n,), n at least 1
+
+    Returns
+    -------
+    As `numpy.median`, which loads masked arrays before it looks at the first number. NaN if a
+    value is NaN.
+    """
+    half = len(values) // 2
+    places = [half - 1, half, -1] if len(values) % 2 == 0 else [half, -1]
+    *centre, last = np.partition(values, places)[places].tolist()
+    return float("nan") if np.isnan(last) else sum(centre) / len(centre)
 
 
 def clock_notes(clock: Clock) -> list[QualityNote]:
@@ -150,7 +168,7 @@ def _step_notes(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
         return []
     if _is_even(steps):
         return _nominal_note(float(steps.mean()), len(steps), where)
-    median = float(np.median(steps))
+    median = middle(steps)
     if not median > 0.0:
         return []
     holes = _holes(time, steps, median)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from functools import cache
 from importlib import resources
@@ -16,17 +17,34 @@ LAB_FOLDER = "dialects"
 
 
 @cache
-def shipped_cards() -> Mapping[str, Card]:
-    """Load the cards that come with labpipe, by name."""
+def shipped_cards(kind: str | None = None) -> Mapping[str, Card]:
+    """Load the cards that come with labpipe, by name.
+
+    Parameters
+    ----------
+    kind : of the exports, ``text`` or ``workbook``; None for all
+    """
+    return {
+        name: parse_card(text, name=name, source=f"{name}.toml")
+        for name, text in _shipped_texts().items()
+        if kind is None or tomllib.loads(text).get("kind", "text") == kind
+    }
+
+
+def shipped_names() -> tuple[str, ...]:
+    """Names of the cards that come with labpipe, in order."""
+    return tuple(_shipped_texts())
+
+
+@cache
+def _shipped_texts() -> Mapping[str, str]:
     folder = resources.files("labpipe.readers.load_frame") / "dialects"
     texts = {
         file.name.removesuffix(".toml"): file.read_text(encoding="utf-8")
         for file in folder.iterdir()
         if file.name.endswith(".toml")
     }
-    return {
-        name: parse_card(texts[name], name=name, source=f"{name}.toml") for name in sorted(texts)
-    }
+    return dict(sorted(texts.items()))
 
 
 def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
@@ -47,7 +65,7 @@ def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
 
 
 def _lab_card(file: Path) -> Card:
-    if file.stem in shipped_cards():
+    if file.stem in shipped_names():
         text = complaint(
             file,
             "",

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint, nearest
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cards import lab_cards, shipped_cards
+from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
 from labpipe.readers.load_frame.content import (
     HEAD,
     Content,
@@ -47,13 +47,13 @@ def recognised(path: Path) -> Card | None:
     ReadError
         If the file cannot be read, two cards of the same rank fit, or a lab's card is wrong.
     """
-    own, ours = lab_cards(), shipped_cards()
+    heads = _Heads(path)
+    own, ours = lab_cards(), shipped_cards("workbook" if heads.is_workbook else "text")
     ranks = (
         list(own.values()),
         [card for card in ours.values() if not card.fallback],
         [card for card in ours.values() if card.fallback],
     )
-    heads = _Heads(path)
     for cards in ranks:
         fitting = [card for card in cards if heads.fit(card)]
         if len(fitting) > 1:
@@ -81,21 +81,22 @@ def chosen_card(path: Path, dialect: Named) -> Card:
     ReadError
         If there is no such card, or the export fits another one, or none.
     """
-    known = {**shipped_cards(), **lab_cards()}
+    own = lab_cards()
+    known = [*shipped_names(), *own]
     allowed = [dialect] if isinstance(dialect, str) else list(dialect or ())
     _refuse_unknown(allowed, known, path)
     found = recognised(path)
     if found is not None and (not allowed or found.name in allowed):
         return found
     if len(allowed) == 1 and (found is None or found.fallback):
-        return known[allowed[0]]
+        return own.get(allowed[0]) or shipped_cards()[allowed[0]]
     expected = f"an export of the dialect {' or '.join(allowed or known)}"
     told = "one that no card recognises" if found is None else f"one of the dialect {found.name}"
     remedy = "Name the right file, or change `dialect` in the protocol."
     raise ReadError(complaint(path, "", expected=expected, found=told, remedy=remedy))
 
 
-def _refuse_unknown(allowed: Sequence[str], known: Mapping[str, Card], path: Path) -> None:
+def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) -> None:
     for name in allowed:
         if name not in known:
             close = ", ".join(nearest(name, list(known), most=3))

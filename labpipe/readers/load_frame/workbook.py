@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import gc
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import date, time, timedelta
 from functools import lru_cache
 from math import isfinite
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +78,7 @@ def forget_sheets() -> None:
 def _sheets(path: Path, mtime: int, size: int) -> Sheets:  # noqa: ARG001  they tell versions apart
     from python_calamine import CalamineError, CalamineWorkbook
 
-    with reading(path, "a whole workbook", also=(CalamineError,)):
+    with reading(path, "a whole workbook", also=(CalamineError,)), _all_is_kept():
         try:
             with CalamineWorkbook.from_path(path) as book:
                 return {
@@ -86,6 +89,18 @@ def _sheets(path: Path, mtime: int, size: int) -> Sheets:  # noqa: ARG001  they 
             if not read_head(path, 8).startswith(_XLSX):
                 raise
         return _by_openpyxl(path)
+
+
+@contextmanager
+def _all_is_kept() -> Iterator[None]:
+    """Keep the collector from looking for garbage among cells again and again: there is none."""
+    was_at_work = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_at_work:
+            gc.enable()
 
 
 def _by_openpyxl(path: Path) -> Sheets:
@@ -206,24 +221,31 @@ def _table(
 ) -> Table:
     words = word_columns(header.names, card)
     wanted = [i for i in range(len(header.names)) if i not in words]
-    body = rows[header.first :]
     place = f"sheet '{sheet}'"
     names = unique_names(header.names)
-    columns = {i: _column(body, i, (names[i], place, header.first), path) for i in wanted}
+    body = _filled_up(rows[header.first :], len(header.names))
+    columns = {
+        i: _column(list(map(itemgetter(i), body)), (names[i], place, header.first), path)
+        for i in wanted
+    }
     filled = _filled(columns)
     columns = {i: values[:filled] for i, values in columns.items()}
     specimen = next((cell for cell in header.specimens if cell), "")
     return Table(specimen or sheet, header.names, header.units, columns, also=sheet)
 
 
-def _column(
-    body: Sequence[Sequence[object]], column: int, where: tuple[str, str, int], path: Path
-) -> Floats:
+def _filled_up(rows: Sequence[Sequence[object]], width: int) -> Sequence[Sequence[object]]:
+    """Rows of at least as many cells as there are names; what a row lacks is blank."""
+    if min(map(len, rows), default=width) >= width:
+        return rows
+    return [[*row, *[""] * (width - len(row))] for row in rows]
+
+
+def _column(cells: Sequence[object], where: tuple[str, str, int], path: Path) -> Floats:
     """One column as numbers; a blank cell is NaN."""
-    cells = [row[column] if column < len(row) else "" for row in body]
     name, place, first = where
     if {float, int}.issuperset(map(type, cells)):
-        values = np.array(cells, dtype=np.float64)
+        values = np.fromiter(cells, dtype=np.float64, count=len(cells))
     else:
         numbers = (
             _number(cell, f"{place}, row {first + 1 + i}, column '{name}'", path)

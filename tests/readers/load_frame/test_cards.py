@@ -9,7 +9,7 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame, read_export
 from labpipe.readers.load_frame.card import KEYS
-from labpipe.readers.load_frame.cards import lab_cards, shipped_cards
+from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
 
 
 def test_cards_that_come_with_labpipe() -> None:
@@ -72,3 +72,9 @@ def test_the_example_of_the_documentation(
     )
     assert recording.clocks[0].time.tolist() == [0.0, 0.5, 1.0]
     assert recording.metadata["Prüfer"] == "lab"
+
+
+def test_cards_of_one_kind() -> None:
+    texts, workbooks = shipped_cards("text"), shipped_cards("workbook")
+    assert sorted([*texts, *workbooks]) == list(shipped_names()) == list(shipped_cards())
+    assert {card.kind for card in workbooks.values()} == {"workbook"}
