@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +13,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.pipeline.settings import Settings, setting_notes, settings_of, unlike_words
-from labpipe.pipeline.targets import find_results
+from labpipe.pipeline.targets import find_results, shared_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.rig import Groups
 from labpipe.records.arrays import Floats
@@ -78,7 +77,7 @@ def report_tests(
         earlier report is then as it was.
     """
     files = find_results(targets)
-    shared = _shared_folder(files)
+    shared = shared_folder(files)
     campaign = make_campaign(files, title or shared.resolve().name, say)
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
@@ -251,9 +250,3 @@ def _settings(samples: Sequence[Sample], settings: dict[str, Settings]) -> dict[
         sample.test if times[sample.test] == 1 else sample.source: settings[sample.source]
         for sample in samples
     }
-
-
-def _shared_folder(files: Sequence[Path]) -> Path:
-    """The deepest folder that holds all tests; of one test, the folder around it."""
-    tests = [file.parent.parent for file in files]
-    return Path(os.path.commonpath([os.path.abspath(folder) for folder in tests]))  # noqa: PTH100

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -56,6 +57,17 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
     expected = f"a {RESULT_FILE}, or a folder with processed tests"
     remedy = "`labpipe process` makes them from the exports of a test."
     return _files(targets, RESULT_FILE, expected=expected, none="none", remedy=remedy)
+
+
+def shared_folder(files: Sequence[Path]) -> Path:
+    """Find the deepest folder that holds all tests; of one test, the folder around it.
+
+    Parameters
+    ----------
+    files : result.h5 files, each in the folder of its test
+    """
+    tests = [file.parent.parent for file in files]
+    return Path(os.path.commonpath([os.path.abspath(folder) for folder in tests]))  # noqa: PTH100
 
 
 def _files(
