@@ -5,11 +5,14 @@ from __future__ import annotations
 import argparse
 import json
 
-from labpipe.pipeline.inspection import as_json, as_text, inspect_export
+from labpipe.readers.workbooks import begin_sheets
 
 
 def run(options: argparse.Namespace) -> int:
     """Say what an export holds."""
+    begin_sheets(options.file)  # parsing lets go of the interpreter; the rest is imported meanwhile
+    from labpipe.pipeline.inspection import as_json, as_text, inspect_export
+
     found = inspect_export(options.file)
     print(json.dumps(as_json(found), indent=2) if options.json else as_text(found))
     return 0

@@ -14,7 +14,8 @@ from labpipe.protocol.rig import Markers
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
-from labpipe.readers import read_export, recognise_export, select_channel
+from labpipe.readers import read_export, recognise_export
+from labpipe.readers.channels import select_channel
 from labpipe.records.recording import Channel, MarkerTracks, Recording
 from labpipe.units import si_factor
 

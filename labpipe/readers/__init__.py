@@ -2,56 +2,65 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers import dspace_csv, dspace_mat, dspace_mf4, load_frame, motive_csv
-from labpipe.readers.channels import Wanted, find_channel, select_channel
-from labpipe.readers.strangers import name_format
-from labpipe.records.quality import Severity
-from labpipe.records.recording import Recording
+from labpipe.readers.workbooks import is_workbook
 
-__all__ = [
-    "READERS",
-    "Reader",
-    "find_channel",
-    "read_export",
-    "recognise_export",
-    "select_channel",
-]
+if TYPE_CHECKING:
+    from labpipe.readers.channels import Wanted
+    from labpipe.records.recording import Recording
+
+__all__ = ["READERS", "Reader", "read_export", "recognise_export"]
 
 
-class _Read(Protocol):
-    def __call__(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
-        """Read one export."""
+class _Format(Protocol):
+    """What the module of a format has."""
+
+    def recognise(self, path: Path) -> bool: ...
+
+    def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: ...
 
 
-@dataclass(frozen=True, slots=True)
-class Reader:
-    """One format.
+class Reader(NamedTuple):
+    """One format; its module is imported when it is asked.
 
     Parameters
     ----------
     name : as protocols write it
-    recognise : tells from the content whether a file is of this format
-    read : makes a recording of it, faults of the time axis as notes of severity error
+    module : in this package
+    of_texts, of_workbooks : whether its files can be texts or binary files of their own, and
+        whether they can be workbooks
     """
 
     name: str
-    recognise: Callable[[Path], bool]
-    read: _Read
+    module: str
+    of_texts: bool = True
+    of_workbooks: bool = False
+
+    def recognise(self, path: Path) -> bool:
+        """Tell from the content whether a file is of this format."""
+        return self._format.recognise(path)
+
+    def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
+        """Make a recording of a file, faults of the time axis as notes of severity error."""
+        return self._format.read(path, channels=channels)
+
+    @property
+    def _format(self) -> _Format:
+        return cast("_Format", import_module(f"labpipe.readers.{self.module}"))
 
 
 READERS: dict[str, Reader] = {
-    "dspace-mat": Reader("dspace-mat", dspace_mat.recognise, dspace_mat.read),
-    "dspace-csv": Reader("dspace-csv", dspace_csv.recognise, dspace_csv.read),
-    "dspace-mf4": Reader("dspace-mf4", dspace_mf4.recognise, dspace_mf4.read),
-    "motive-csv": Reader("motive-csv", motive_csv.recognise, motive_csv.read),
-    "motive-xlsx": Reader("motive-xlsx", motive_csv.recognise_xlsx, motive_csv.read_xlsx),
-    "load-frame": Reader("load-frame", load_frame.recognise, load_frame.read),
+    "dspace-mat": Reader("dspace-mat", "dspace_mat"),
+    "dspace-csv": Reader("dspace-csv", "dspace_csv"),
+    "dspace-mf4": Reader("dspace-mf4", "dspace_mf4"),
+    "motive-csv": Reader("motive-csv", "motive_csv"),
+    "motive-xlsx": Reader("motive-xlsx", "motive_xlsx", of_texts=False, of_workbooks=True),
+    "load-frame": Reader("load-frame", "load_frame", of_workbooks=True),
 }
 
 
@@ -71,9 +80,16 @@ def recognise_export(path: Path) -> Reader:
     ReadError
         If the file cannot be opened, is empty, or is of no format that is read here.
     """
-    for reader in READERS.values():
+    of_its_kind = [
+        reader
+        for reader in READERS.values()
+        if (reader.of_workbooks if is_workbook(path) else reader.of_texts)
+    ]
+    for reader in of_its_kind:
         if reader.recognise(path):
             return reader
+    from labpipe.readers.strangers import name_format
+
     text = complaint(
         path,
         "",
@@ -126,6 +142,8 @@ def read_export(
         )
         raise ReadError(text)
     if found.name == "load-frame":
+        from labpipe.readers import load_frame
+
         recording = load_frame.read(path, channels=channels, dialect=dialect, part=part)
     else:
         recording = found.read(path, channels=channels)
@@ -146,6 +164,8 @@ def _recognised_or_named(
 
 
 def _refuse_broken_time(recording: Recording, path: Path) -> None:
+    from labpipe.records.quality import Severity
+
     for note in recording.notes:
         if note.severity is Severity.ERROR:
             text = complaint(

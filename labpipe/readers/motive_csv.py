@@ -20,7 +20,6 @@ style (every line begins with its type). Everything is found by words, nothing b
 from __future__ import annotations
 
 import csv
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -29,7 +28,7 @@ import numpy as np
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted
 from labpipe.readers.clocks import clock_notes
-from labpipe.readers.files import BROKEN, read_head, reading
+from labpipe.readers.files import read_head, reading
 from labpipe.readers.motive_header import Header, parse_header
 from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
@@ -45,25 +44,10 @@ _ROWS = (b"comment,", b'"comment",')
 _HEADER_LINES = 40
 """Header rows are looked for in this many lines; the longest real header has 8."""
 
-_SHEET_HEAD = 200_000
-_SHEETS = ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml")
-
 
 def recognise(path: Path) -> bool:
     """Tell whether a file is a Motive CSV export of either style, by its first words."""
     return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE + _ROWS)
-
-
-def recognise_xlsx(path: Path) -> bool:
-    """Tell whether a file is a spreadsheet that holds a Motive table, by its first cell."""
-    if not read_head(path, 4).startswith(b"PK\x03\x04"):
-        return False
-    try:
-        with zipfile.ZipFile(path) as parts:
-            inside = [name for name in _SHEETS if name in parts.namelist()]
-            return any(b"Format Version" in _part_head(parts, name) for name in inside)
-    except BROKEN:
-        return False
 
 
 def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
@@ -181,11 +165,6 @@ def _rows_note(header: Header, rows: int) -> list[QualityNote]:
         return []
     message = f"the header states {header.stated_rows} rows, the file holds {rows}"
     return [QualityNote("rows_differ", Severity.WARNING, "file", message)]
-
-
-def _part_head(parts: zipfile.ZipFile, name: str) -> bytes:
-    with parts.open(name) as part:
-        return part.read(_SHEET_HEAD)
 
 
 def _sheet(path: Path) -> list[list[object]]:

@@ -34,7 +34,7 @@ def test_message_names_the_command(
         message = "take.csv, line 3: expected this, found that. Do so."
         raise LabpipeError(message)
 
-    monkeypatch.setattr("labpipe.cli.inspect.inspect_export", refused)
+    monkeypatch.setattr("labpipe.pipeline.inspection.inspect_export", refused)
     ran = run("inspect", tmp_path)
     assert ran.err == ("labpipe inspect: take.csv, line 3: expected this, found that. Do so.\n")
     assert (ran.status, ran.out) == (2, "")
@@ -44,7 +44,7 @@ def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     def stopped(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("labpipe.cli.inspect.inspect_export", stopped)
+    monkeypatch.setattr("labpipe.pipeline.inspection.inspect_export", stopped)
     assert run("inspect", tmp_path).status == 130
 
 

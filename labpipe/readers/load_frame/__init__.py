@@ -37,7 +37,8 @@ from labpipe.readers.load_frame.table import (
     without_last_row,
 )
 from labpipe.readers.load_frame.text_tables import read_tables
-from labpipe.readers.load_frame.workbook import forget_sheets, open_sheets, read_sheets
+from labpipe.readers.load_frame.workbook import read_sheets
+from labpipe.readers.workbooks import forget_sheets, open_sheets
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Recording
 

@@ -20,7 +20,8 @@ from labpipe.readers.load_frame.content import (
 from labpipe.readers.load_frame.header import find_header, header_of_rows
 from labpipe.readers.load_frame.table import time_column
 from labpipe.readers.load_frame.titles import Header
-from labpipe.readers.load_frame.workbook import as_text, is_workbook, open_sheets, sheet_head
+from labpipe.readers.load_frame.workbook import as_text, sheet_head
+from labpipe.readers.workbooks import is_workbook, open_sheets
 
 _LOOKED_AT = 16384
 """Signs in which the patterns of a card are looked for; the longest real header has 3300."""

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from datetime import date, time, timedelta
-from functools import lru_cache
 from math import isfinite
 from operator import itemgetter
 from pathlib import Path
@@ -14,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.files import read_head, reading
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.header import header_of_rows
 from labpipe.readers.load_frame.regrouped import LOST, is_grouped, lost_signs, regrouped_at
@@ -27,99 +23,14 @@ from labpipe.readers.load_frame.table import (
     word_columns,
 )
 from labpipe.readers.load_frame.titles import Header
+from labpipe.readers.workbooks import Sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
-Sheets = Mapping[str, Sequence[Sequence[object]]]
-
-_XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 _HEAD_ROWS = 60
 _AGAIN = "Export the test again; the cell may have been edited."
 _KEPT_ROWS = 50
 """A sheet that holds no samples is kept as metadata if it is no longer than this."""
-
-
-def is_workbook(path: Path) -> bool:
-    """Tell whether a file is a zip archive or an old binary document, by its first bytes."""
-    return read_head(path, 8).startswith((_XLSX, _XLS))
-
-
-def open_sheets(path: Path) -> Sheets:
-    """Read the cells of all sheets.
-
-    Parameters
-    ----------
-    path : the workbook
-
-    Returns
-    -------
-    Rows of cells by sheet, row and column 1 first.
-
-    Raises
-    ------
-    ReadError
-        If it is no whole workbook.
-
-    Notes
-    -----
-    Recognising and reading ask for the same workbook one after the other; what was read last is
-    kept until `forget_sheets`, as parsing it is nearly all of the work.
-    """
-    about = path.stat()
-    return _sheets(path, about.st_mtime_ns, about.st_size)
-
-
-def forget_sheets() -> None:
-    """Let go of the workbook that was read last."""
-    _sheets.cache_clear()
-
-
-@lru_cache(maxsize=1)
-def _sheets(path: Path, mtime: int, size: int) -> Sheets:  # noqa: ARG001  they tell versions apart
-    from python_calamine import CalamineError, CalamineWorkbook
-
-    with reading(path, "a whole workbook", also=(CalamineError,)), _all_is_kept():
-        try:
-            with CalamineWorkbook.from_path(path) as book:
-                return {
-                    name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
-                    for name in book.sheet_names
-                }
-        except CalamineError:
-            if not read_head(path, 8).startswith(_XLSX):
-                raise
-        return _by_openpyxl(path)
-
-
-@contextmanager
-def _all_is_kept() -> Iterator[None]:
-    """Keep the collector from looking for garbage among cells again and again: there is none."""
-    was_at_work = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_at_work:
-            gc.enable()
-
-
-def _by_openpyxl(path: Path) -> Sheets:
-    """Read a workbook that calamine refuses with the slower but more patient library."""
-    import openpyxl
-
-    with path.open("rb") as stream:
-        book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
-        return {
-            sheet.title: [
-                ["" if cell is None else _plain(cell) for cell in row]
-                for row in sheet.iter_rows(values_only=True)
-            ]
-            for sheet in book.worksheets
-        }
-
-
-def _plain(cell: object) -> object:
-    return float(cell) if isinstance(cell, int) and not isinstance(cell, bool) else cell
 
 
 def sheet_head(rows: Sequence[Sequence[object]]) -> str:

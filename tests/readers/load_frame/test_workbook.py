@@ -7,7 +7,6 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame
-from labpipe.readers.load_frame import workbook as module
 from tests.readers.load_frame.exports import ROWS, specimen_sheet, workbook
 
 RESULTS: list[list[object]] = [["", "Specimen", "Fmax"], ["", "", "N"], ["", "", 9.5]]
@@ -137,19 +136,3 @@ def test_a_damaged_workbook(tmp_path: Path) -> None:
     assert not load_frame.recognise(file)
     with pytest.raises(ReadError, match=r"expected a whole workbook, found a damaged one"):
         load_frame.read(file, dialect="testxpert-xlsx")
-
-
-def test_openpyxl_steps_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A workbook that calamine refuses is read by openpyxl, to the same cells."""
-    import python_calamine
-
-    file = workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [*ROWS, (1, 2, "")])})
-    whole = module.open_sheets(file)
-    module.forget_sheets()
-
-    def refuse(path: object) -> None:
-        raise python_calamine.CalamineError
-
-    monkeypatch.setattr(python_calamine.CalamineWorkbook, "from_path", refuse)
-    assert module.open_sheets(file) == whole
-    module.forget_sheets()
