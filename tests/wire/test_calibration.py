@@ -125,3 +125,11 @@ def test_a_model_that_cannot_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     assert isinstance(found, CalibrationFailure)
     assert found.code == "model_cannot_follow"
     assert found.message == "the model cannot follow the curves at any of the starts"
+
+
+def test_everything_fixed_is_a_comparison() -> None:
+    names = ("radial_friction", "insulation_modulus", "copper_scale")
+    found = calibrated(THREE, Settings(dict.fromkeys(names, FIXED)))
+    assert [parameter.interval for parameter in found.parameters] == [None] * 3
+    assert not found.covariance.any()
+    assert found.rmse < 0.02

@@ -14,7 +14,7 @@ from labpipe.wire.calibrating.parts import WireParts, loading_law
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
 
-_MARGIN, _WIDER, _MOST_WIDENINGS = 1.5, 1.5, 8
+_MARGIN, _WIDER = 1.5, 1.5
 _J, _M, _R = slice(0, len(PARAMETERS)), len(PARAMETERS), len(PARAMETERS) + 1
 COLUMNS = len(PARAMETERS) + 2
 """Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
@@ -47,11 +47,10 @@ def loading_curve(
     """
     share = min(deflection / length, 0.9)
     largest = _MARGIN * 3.0 * share / (1.0 - share**2) / length
-    for _ in range(_MOST_WIDENINGS):
-        curve = load_cantilever(loading_law(parts, values, largest), length, rig)
-        if curve.deflection[-1] >= deflection or curve.clamp_curvature[-1] < largest:
-            return curve
+    curve = load_cantilever(loading_law(parts, values, largest), length, rig)
+    while curve.deflection[-1] < deflection and curve.clamp_curvature[-1] >= largest:
         largest *= _WIDER
+        curve = load_cantilever(loading_law(parts, values, largest), length, rig)
     return curve
 
 

@@ -156,7 +156,10 @@ def _walk(walk: _Walk, root: float, error: float) -> _Side:
                 return _Side(walk.bound, is_open=True, seen=_places(walk, seen))
         bracket = bracket.narrowed(distance, height, root)
         distance = bracket.next_look(root, room)
-    return _Side(_places(walk, [(distance, 0.0)])[0][0], is_open=False, seen=_places(walk, seen))
+    else:  # rather too far out than too near
+        distance = bracket.high[0] if bracket.high else room
+    end = float(walk.fit.point.logs[walk.number]) + walk.sign * distance
+    return _Side(end, is_open=bracket.high is None and distance >= room, seen=_places(walk, seen))
 
 
 @dataclass(frozen=True, slots=True)

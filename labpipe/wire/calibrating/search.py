@@ -229,16 +229,15 @@ def _step_inside(
     """
     matrix, pull, moves = _normal(problem, levels, fit, free)
     fixed = np.zeros(len(pull))
-    for _ in range(P):
+    while True:  # each round fixes at least one of the parameters
         step = fixed + _step(matrix, pull - matrix @ fixed, moves, damping)
         ahead = fit.point.logs + step[:P]
         beyond = moves[:P] & ((ahead < problem.lower) | (ahead > problem.upper))
         if not beyond.any():
-            break
+            return step, pull
         inside = np.clip(ahead, problem.lower, problem.upper) - fit.point.logs
         fixed[:P] = np.where(beyond, inside, fixed[:P])
         moves = moves & ~np.concatenate([beyond, np.zeros(len(pull) - P, dtype=np.bool_)])
-    return step, pull
 
 
 def _step(matrix: Floats, pull: Floats, moves: Flags, damping: float) -> Floats:

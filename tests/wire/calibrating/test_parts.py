@@ -105,3 +105,17 @@ def test_copper_is_not_followed_beyond_what_is_known() -> None:
     ):
         loading_law(parts, values, 50.0)
     assert ANNEALED_COPPER.exponent == parts.copper[0].exponent
+
+
+def test_a_bare_wire_of_two_materials() -> None:
+    """Steel inside, copper outside, no insulation: one part for each kind."""
+    core, ring = section_of("A2").layers
+    bare = compressed((replace(core, material=Elastic(207e9)), ring))
+    smooth = insulated(1, strand=0.0, insulation=0.0, radial_force=0.15)
+    parts = take_apart(bare, smooth)
+    assert [part.exponent for part in parts.copper] == [0.0, 0.44]
+    assert parts.has == (False, False, True)
+    law = loading_law(parts, np.array([np.nan, np.nan, 1.0]), LARGEST)
+    whole = moment_curvature(bare, smooth, law.curvature[1:])
+    assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
+    assert not law.energy_change[:2].any()

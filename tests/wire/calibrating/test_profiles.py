@@ -47,3 +47,22 @@ def test_open_where_the_objective_levels_out() -> None:
     assert traced.is_open_below
     assert traced.lower == noisy.problem.lower[0]
     assert traced.deviance[0] < traced.threshold_below
+
+
+def test_a_walk_that_is_cut_short_ends_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    from labpipe.wire.calibrating import profiles
+
+    found = found_of(Settings(gain=0.005))
+    whole = trace(found, 0)
+    monkeypatch.setattr(profiles, "_MOST_LOOKS", 1)
+    short = trace(found, 0)
+    assert short.lower <= whole.lower + 0.01
+    assert short.upper >= whole.upper - 0.01
+
+
+def test_one_parameter_and_nothing_else() -> None:
+    choices = {"radial_friction": FIXED, "copper_scale": FIXED}
+    traced = trace(found_of(Settings(choices, scatter=0.0)), 1)
+    assert traced.lower < np.log(1e9) + 0.1
+    assert traced.upper > np.log(1e9) - 0.1
+    assert traced.threshold_above == pytest.approx(1.96**2, rel=0.03)

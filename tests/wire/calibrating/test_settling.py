@@ -48,3 +48,12 @@ def test_a_given_scatter_of_zero_leaves_no_offsets() -> None:
     fit, levels = settle(problem_of(scatter=0.0), np.log(TRUTH), ALL, scatter=0.0)
     assert levels.scatter == 0.0
     assert not fit.point.offsets.any()
+
+
+def test_levels_that_do_not_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    from labpipe.wire.calibrating import settling
+
+    monkeypatch.setattr(settling, "_ROUNDS", 1)
+    fit, levels = settle(problem_of(), np.log(TRUTH), ALL, scatter=None)
+    assert fit.settled
+    assert levels.scatter > 0.0
