@@ -86,7 +86,8 @@ def bend_along(
     Raises
     ------
     ValueError
-        If a curvature is NaN, for what came before would be lost; and as `moment_curvature`.
+        If a curvature is infinite, or NaN, for what came before would be lost; and as
+        `moment_curvature`.
 
     Notes
     -----
@@ -95,8 +96,9 @@ def bend_along(
     the end of each step.
     """
     path = np.asarray(curvature, dtype=np.float64)
-    if np.isnan(path).any():
-        message = f"curvature[{int(np.isnan(path).argmax())}]=nan: allowed is a path without gaps"
+    if not np.isfinite(path).all():
+        at = int(np.isfinite(path).argmin())
+        message = f"curvature[{at}]={path[at]}: allowed is a path of finite numbers without gaps"
         raise ValueError(message)
     sine = sines(section, orientation)
     forward = arrange(section, contacts, sine, tension=tension)
@@ -213,9 +215,14 @@ def _remembered(path: Floats) -> tuple[Ints, Floats, Floats]:
 def _turn(turns: list[float], present: float, target: float) -> None:
     """Remember the turn at the present curvature if there is one; forget the loops closed."""
     came_from = turns[-1] if turns else 0.0
-    if (target - present) * (present - came_from) < 0.0:
+    if _way(present, target) == -_way(came_from, present) != 0:
         turns.append(present)
-    while len(turns) > 1 and (target - turns[-2]) * (turns[-2] - turns[-1]) >= 0.0:
+    while len(turns) > 1 and _way(turns[-2], target) in {0, _way(turns[-1], turns[-2])}:
         del turns[-2:]
     if turns and abs(target) >= abs(turns[0]):
         turns.clear()
+
+
+def _way(begin: float, end: float) -> int:
+    """1 up, -1 down, 0 nowhere: the product of two steps could be too small to have a sign."""
+    return (end > begin) - (end < begin)

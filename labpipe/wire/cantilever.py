@@ -29,6 +29,8 @@ from labpipe.wire.laws import (
     MomentLaw,
     first_curvature,
     is_within,
+    require_finite,
+    require_positive,
     require_within,
     respond,
     virgin_plays,
@@ -175,6 +177,8 @@ def bend_under_force(
         curvature).
     """
     start, goal = state.force, np.asarray(force, dtype=np.float64)
+    require_positive("length", length)
+    require_finite("force", goal)
 
     def step(present: WireState, share: float) -> WireState | None:
         condition = DeadLoad(start + share * (goal - start))
@@ -206,6 +210,8 @@ def bend_to_deflection(
         If no equilibrium is found on the way, as for a deflection that exceeds the length; or the
         law ends before (the message says the curvature).
     """
+    require_positive("length", length)
+    require_finite("deflection", deflection)
     reached = _deflect(law, state, length, deflection)
     require_within(law, reached.moment, f"deflection={deflection!r}")
     return shape_of(law, reached, length)
@@ -261,6 +267,8 @@ def bend_to_travel(
         found = first(present, travel)
         return second(present, travel) if found is None else found
 
+    require_positive("length", length)
+    require_finite("travel", travel)
     what = f"travel={travel!r}"
     reached = _walk(step, state, travel, what)
     require_within(law, reached.moment, what)
@@ -324,6 +332,8 @@ def end_load_path(
     As long as the deflections grow and no part of the wire unloads, to about 0.7 of the length, by
     the first integral of `wire.end_load`, all at once; from there on station by station.
     """
+    require_positive("length", length)
+    require_finite("deflections", deflections)
     grows = np.diff(deflections, prepend=0.0) > 0.0
     n_growing = len(grows) if grows.all() else int(np.argmin(grows))
     path = EndLoadPath(*np.empty((2, len(deflections))))

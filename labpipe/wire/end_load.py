@@ -27,7 +27,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.wire.laws import MomentLaw, corners_of, first_curvature
+from labpipe.wire.laws import MomentLaw, corners_of, first_curvature, require_positive
 
 _FARTHEST = 0.9  # of the length: beyond, the wire hardly moves and the tip is upright
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)
@@ -153,11 +153,18 @@ def deflection_at(law: MomentLaw, length: float, clamp_moment: float) -> float:
     length : m
     clamp_moment : N m, positive
 
+    Raises
+    ------
+    ValueError
+        If a number is not finite and positive.
+
     Notes
     -----
     For a large moment and length the end of the wire is upright, and the deflection approaches the
     length: 1 - 2 (sqrt 2 - 1) EI / (M0 L) of it for a constant stiffness.
     """
+    require_positive("length", length)
+    require_positive("clamp_moment", clamp_moment)
     polygon = polygon_of(law, clamp_moment)
     return float(_at_moments(polygon, length, np.array([clamp_moment])).deflection[0])
 

@@ -10,6 +10,7 @@ from labpipe.records.wire import AUTO, WireSpec
 from labpipe.wire.cross_section import TOLERANCE, CrossSection, Insulation, Layer, compressed
 from labpipe.wire.cross_section import hexagonal as as_hexagon
 from labpipe.wire.friction import Contacts, axial_strain, insulated
+from labpipe.wire.laws import require_finite, require_positive
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, lay_out
 
@@ -55,6 +56,7 @@ def build(spec: WireSpec) -> BuiltWire:
         its range.
     """
     try:
+        _require_numbers(spec)
         section, notes = _section(spec)
         rings = len(section.layers) - int(section.has_core)
         contacts = insulated(
@@ -67,6 +69,14 @@ def build(spec: WireSpec) -> BuiltWire:
     except ValueError as error:
         raise WireError(str(error)) from error
     return BuiltWire(section, contacts, (*notes, *_overlap(section, spec)))
+
+
+def _require_numbers(spec: WireSpec) -> None:
+    """Refuse what no other part of the model looks at."""
+    require_positive("length", spec.length)
+    require_finite("orientation", spec.orientation)
+    if spec.largest_curvature is not None:
+        require_positive("largest_curvature", spec.largest_curvature)
 
 
 def material_of(spec: WireSpec) -> Material:

@@ -287,6 +287,19 @@ def require_positive(name: str, value: float) -> None:
         raise ValueError(message)
 
 
+def require_finite(name: str, values: Floats | float) -> None:
+    """Refuse numbers that are NaN or infinite.
+
+    Raises
+    ------
+    ValueError
+        With the name, the values and what is allowed.
+    """
+    if not np.all(np.isfinite(values)):
+        message = f"{name}={np.asarray(values).tolist()}: allowed are finite numbers"
+        raise ValueError(message)
+
+
 def _require_hardening(name: str, value: float, stiffness: float) -> None:
     if not 0.0 < value < stiffness:
         message = (

@@ -93,6 +93,11 @@ class ElasticPerfectlyPlastic:
         """E times strain between minus and plus the yield stress, Pa; NaN stays NaN."""
         return np.clip(self.modulus * strain, -self.yield_stress, self.yield_stress)
 
+    @property
+    def corners(self) -> tuple[Floats, Floats]:
+        """Strain at yield; what the slope loses there, as a share of the modulus: all of it."""
+        return np.array([self.yield_stress / self.modulus]), np.ones(1)
+
 
 @dataclass(frozen=True, slots=True)
 class RambergOsgood:
@@ -194,6 +199,16 @@ class StressTable:
 
     def _from_zero(self) -> tuple[Floats, Floats]:
         return np.array([0.0, *self.strains]), np.array([0.0, *self.stresses])
+
+    @property
+    def corners(self) -> tuple[Floats, Floats]:
+        """Strains of the table but the last; what the slope loses there, in shares of the modulus.
+
+        A loss is negative where the table grows steeper again.
+        """
+        strains, stresses = self._from_zero()
+        slopes = np.diff(stresses) / np.diff(strains)
+        return strains[1:-1], -np.diff(slopes) / slopes[0]
 
     @property
     def modulus(self) -> float:

@@ -37,7 +37,7 @@ class MomentCurve:
     plastic : N m, what yielding takes away from `bending`, of the other sign
     insulation : N m
     tangent_stiffness : dM / d(kappa), N m^2
-    stick_stiffness : N m^2, when nothing slips or yields
+    stick_stiffness : N m^2, when nothing slips or yields: the slope at zero curvature
     slip_stiffness : N m^2, of strands without any friction that do not yield
     """
 
@@ -77,15 +77,21 @@ class MomentCurve:
         return np.where(is_zero, self.tangent_stiffness, ratio)
 
 
-def stick_stiffness(section: CrossSection) -> float:
+def stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float:
     """Bending stiffness while nothing slips or yields, N m^2.
+
+    Parameters
+    ----------
+    section : strands in place
+    orientation : rad, as for `moment_curvature`, whose slope at zero curvature this is
 
     Notes
     -----
-    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha), with theta from the x axis. It does not
-    change with the orientation when every ring has its strands evenly spread.
+    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). It does not change with the orientation
+    when every ring has three strands or more, evenly spread; for two strands by a fifth, for
+    packings by some per cent.
     """
-    sine = sines(section, 0.0)
+    sine = sines(section, orientation)
     return slip_stiffness(section) + float(_rigidity(section) @ (section_arms(section) * sine) ** 2)
 
 
@@ -150,10 +156,13 @@ def moment_curvature(
     Raises
     ------
     ValueError
-        If a strand is bent beyond the known part of its material's curve, if the contacts do not
-        match the rings, or if tension is negative.
+        If a curvature is infinite, if a strand is bent beyond the known part of its material's
+        curve, if the contacts do not match the rings, or if tension is negative.
     """
     bent = np.asarray(curvature, dtype=np.float64)
+    if np.isinf(bent).any():
+        message = f"curvature[{int(np.isinf(bent).argmax())}] is infinite: allowed are finite ones"
+        raise ValueError(message)
     stick, slip, friction = _axial_parts(section, contacts, bent, tension, orientation)
     elastic, own, slope = _own_moments(section, bent)
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
@@ -165,7 +174,7 @@ def moment_curvature(
         own - elastic * bent,
         tube * bent,
         friction + slope + tube,
-        stick_stiffness(section),
+        stick_stiffness(section, orientation=orientation),
         slip_stiffness(section),
     )
 

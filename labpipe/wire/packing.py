@@ -64,7 +64,7 @@ def packed(
     ----------
     layers : their counts share the strands out by distance from the axis; equal diameters
     insulation : the tube, whose bore bounds the strands
-    seed : of the random starts; same seed, same packing
+    seed : of the random starts; same seed, same packing. A single strand lies on the axis
     n_starts : at most so many, random and from rings with jitter in turns; the first without any
         overlap ends the search
 
@@ -77,6 +77,8 @@ def packed(
     if len(diameters) > 1:
         message = f"diameters={sorted(diameters)}: only equal strands are packed"
         raise ValueError(message)
+    if sum(layer.count for layer in layers) == 1:  # would stay anywhere in its slack
+        return place("packed", layers, np.zeros((1, 2)), insulation)
     strand, bore = layers[0].diameter / 2.0, insulation.bore_radius
     rng = np.random.default_rng(seed)
     best, least = np.zeros(0), np.inf

@@ -7,6 +7,14 @@ A round strand of radius a at curvature kappa has the strain y kappa at height y
 taken by Gauss's rule over equal shares of the angle p, so that the laminae are thinnest where the
 strain is largest. Limits: E pi d^4 / 64 kappa when elastic, yield stress d^3 / 6 when all has
 yielded. The sum of 11 laminae in the source's appendix, up to and with the rim, is 4.6 % low.
+
+A curve of straight lines is a sum of corners, and what a corner at the strain e takes from the
+moment is known in closed form: with sin q = e / (a kappa),
+
+    int_q^(pi/2) (sin p - sin q) sin p cos^2 p dp
+        = (pi/2 - q) / 8 + sin(4 q) / 32 - sin q cos^3 q / 3.
+
+So the law of such a strand bends down wherever its curve does, and has no ripple.
 """
 
 from __future__ import annotations
@@ -19,7 +27,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
-from labpipe.wire.materials import Elastic, Material
+from labpipe.wire.materials import Elastic, ElasticPerfectlyPlastic, Material, StressTable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +35,8 @@ if TYPE_CHECKING:
 LAMINAE = 64
 _DECADES = (-14.0, -6.0, 0.0)  # powers of ten of the rim's strain: nearly elastic, then plastic
 _KNOTS_PER_DECADE = (12, 64)
+_ROUNDING = 1e-12  # of the last strain of a curve
+_SMALLEST = 1e-300  # strain: nothing is divided by zero
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +81,8 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     ----------
     material : stress-strain curve
     rim_strain : shape (n,), positive, curvature times strand radius
-    laminae : points of Gauss's rule over the angle p of the module's text
+    laminae : points of Gauss's rule over the angle p of the module's text; a curve of straight
+        lines needs none
 
     Returns
     -------
@@ -81,12 +92,29 @@ def elastic_share(material: Material, rim_strain: Floats, *, laminae: int = LAMI
     -----
     Eqs. (3.20)-(3.22) of the source with the secant modulus; the integral is the same with stress.
     """
+    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+        return _share_of_lines(material, rim_strain)[0]
     roots, weights = np.polynomial.legendre.leggauss(laminae)
     angle, weight = np.pi / 4.0 * (roots + 1.0), np.pi / 4.0 * weights
     sine = np.sin(angle)
     strain = rim_strain[:, None] * sine
     integral = material.stress(strain) @ (weight * sine * np.cos(angle) ** 2)
     return np.asarray(16.0 / np.pi * integral / (material.modulus * rim_strain))
+
+
+def _share_of_lines(
+    material: ElasticPerfectlyPlastic | StressTable, rim_strain: Floats
+) -> tuple[Floats, Floats]:
+    """Elastic share for a curve of straight lines, exact, and the slope of share times strain."""
+    corner, loss = material.corners
+    known = np.where(rim_strain <= material.largest_strain * (1.0 + _ROUNDING), rim_strain, np.nan)
+    sine = np.minimum(corner / np.maximum(known, _SMALLEST)[:, None], 1.0)
+    angle = np.arcsin(sine)
+    cosine = np.sqrt((1.0 - sine) * (1.0 + sine))
+    # sin(4 q) / 32 written out, for small angles and large
+    slope = (np.pi / 2.0 - angle) / 8.0 + sine * cosine * (1.0 - 2.0 * sine**2) / 8.0
+    taken = slope - sine * cosine**3 / 3.0
+    return 1.0 - 16.0 / np.pi * taken @ loss, 1.0 - 16.0 / np.pi * slope @ loss
 
 
 def strand_moment(material: Material, diameter: float, curvature: Floats) -> StrandMoment:
@@ -109,24 +137,28 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
 
     Notes
     -----
-    `elastic_share` is kept per material on a grid of strains, 64 knots to the decade above 1e-6,
-    and joined by a cubic spline: a smooth curve is met to 1e-6, one with a sharp yield to 1e-4.
+    For a smooth curve `elastic_share` is kept per material on a grid of strains, 64 knots to the
+    decade above 1e-6, and joined by a cubic spline, which meets it to 1e-6. For a curve of straight
+    lines it is exact.
     """
     stiffness = material.modulus * np.pi * diameter**4 / 64.0
     rim = np.abs(np.asarray(curvature, dtype=np.float64)) * diameter / 2.0
     _require_known(material, diameter, rim)
     if isinstance(material, Elastic):
         return StrandMoment(stiffness * curvature, np.full(rim.shape, stiffness))
-    first, share, slope = _share_table(material)
-    level = np.log(np.maximum(rim, first))
-    part = share(level)
-    tangent = part + np.where(rim > first, slope(level), 0.0)
+    if isinstance(material, ElasticPerfectlyPlastic | StressTable):
+        part, tangent = (part.reshape(rim.shape) for part in _share_of_lines(material, rim.ravel()))
+    else:
+        first, share, slope = _share_table(material)
+        level = np.log(np.maximum(rim, first))
+        part = share(level)
+        tangent = part + np.where(rim > first, slope(level), 0.0)
     return StrandMoment(stiffness * part * curvature, stiffness * tangent)
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:
     last = min(material.largest_strain, 10.0 ** _DECADES[-1])
-    if np.any(rim > last * (1.0 + 1e-12)):
+    if np.any(rim > last * (1.0 + _ROUNDING)):
         message = (
             f"curvature={2.0 * np.nanmax(rim) / diameter:.6g} 1/m strains a strand of diameter="
             f"{diameter:.4g} m by {np.nanmax(rim):.4g}: the material is known up to {last:.4g}, "

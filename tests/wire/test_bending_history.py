@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,7 +9,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
-from labpipe.wire.bending_history import bend_along, hysteresis_loop, residual_curvature
+from labpipe.wire.bending_history import (
+    _turn,
+    bend_along,
+    hysteresis_loop,
+    residual_curvature,
+)
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.friction import insulated
 from labpipe.wire.materials import Elastic, ElasticPerfectlyPlastic
@@ -127,5 +133,18 @@ def test_residue_of_a_path_that_does_not_come_back() -> None:
 
 def test_gaps_are_refused() -> None:
     section = wire("A2")
-    with pytest.raises(ValueError, match=r"curvature\[1\]=nan: allowed is a path without gaps"):
-        bend_along(section, contacts_of(section), np.array([1.0, np.nan]))
+    for gap in (np.nan, np.inf):
+        said = rf"curvature\[1\]={gap}: allowed is a path of finite numbers without gaps"
+        with pytest.raises(ValueError, match=said):
+            bend_along(section, contacts_of(section), np.array([1.0, gap]))
+
+
+@pytest.mark.parametrize("scale", [1e-170, 5e-324])
+def test_turns_of_the_smallest_steps_are_seen(scale: float) -> None:
+    """The product of two such steps is zero."""
+    turns: list[float] = []
+    for present, target in pairwise((scale * np.array([0.0, 4.0, 1.0, 3.0])).tolist()):
+        _turn(turns, present, target)
+    assert turns == [4.0 * scale, 1.0 * scale]
+    _turn(turns, 3.0 * scale, 5.0 * scale)
+    assert not turns

@@ -103,6 +103,47 @@ def test_it_ends_where_parts_near_the_tip_unload() -> None:
     assert len(linear.load) - 1 == len(deflections)
 
 
+@pytest.mark.parametrize("tip_angle", [0.3, 1.2, 1.5, 1.565, 1.57])
+def test_deflection_at_a_clamp_moment_is_the_elastica(tip_angle: float) -> None:
+    load, rise = elastica(tip_angle)
+    clamp = np.sqrt(2.0 * load * np.sin(tip_angle)) * 2e-3 / LENGTH
+    found = deflection_at(LinearLaw(2e-3), LENGTH, clamp)
+    assert found == pytest.approx(rise * LENGTH, rel=1e-9)
+
+
+@pytest.mark.parametrize("length", [0.085, 0.3, 1.0, 3.0, 30.0])
+def test_a_far_bent_wire_stands_upright(length: float) -> None:
+    """The limit of the elastica: k = 1, E(k) = 1, E(phi, k) = sin(phi) = 1 / sqrt(2)."""
+    curvature = 125.0
+    found = deflection_at(LinearLaw(3e-3), length, 3e-3 * curvature)
+    rise = 1.0 - 2.0 * (np.sqrt(2.0) - 1.0) / (curvature * length)
+    assert found / length == pytest.approx(rise, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("law", "share"),
+    [
+        (LinearLaw(3e-3), 0.85),
+        (LinearLaw(3e-3), 0.97),
+        (BilinearLaw(5e-3, 1e-3, 0.05), 0.6),  # beyond, parts that have yielded unload
+    ],
+)
+def test_far_bent_wires_station_by_station(law: MomentLaw, share: float) -> None:
+    """A corner in the law costs the stations accuracy; a straight law does not."""
+    shape = bend_to_deflection(law, straight(law, 128), LENGTH, share * LENGTH)
+    assert shape.moment[0] == shape.moment.max()
+    found = deflection_at(law, LENGTH, float(shape.moment[0]))
+    within = 1e-8 if isinstance(law, LinearLaw) else 1e-4
+    assert found == pytest.approx(share * LENGTH, rel=within)
+
+
+@pytest.mark.parametrize("numbers", [(0.0, 0.1), (np.nan, 0.1), (0.085, 0.0), (0.085, np.inf)])
+def test_numbers_out_of_range(numbers: tuple[float, float]) -> None:
+    name = "clamp_moment" if numbers[0] == 0.085 else "length"
+    with pytest.raises(ValueError, match=rf"^{name}=.*: allowed are finite numbers > 0$"):
+        deflection_at(LinearLaw(2e-3), *numbers)
+
+
 def test_small_deflections() -> None:
     found = end_loads(LinearLaw(2e-3), LENGTH, np.array([1e-9, 1e-5, 0.05]))
     slope = 3.0 * 2e-3 / LENGTH**3

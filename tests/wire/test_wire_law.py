@@ -4,8 +4,22 @@ import numpy as np
 import pytest
 
 from labpipe.wire.bending_history import bend_along
-from labpipe.wire.cantilever import bend_under_force, straight
+from labpipe.wire.cantilever import (
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    bend_under_force,
+    end_load_curve,
+    end_load_path,
+    straight,
+)
 from labpipe.wire.laws import respond, virgin_plays
+from labpipe.wire.materials import (
+    ElasticPerfectlyPlastic,
+    Material,
+    RambergOsgood,
+    StressTable,
+)
 from labpipe.wire.moment_curvature import moment_curvature
 from labpipe.wire.wire_law import concave_law, play_law, polygon_law
 from tests.builders.stranded_wires import contacts_of, wire
@@ -53,6 +67,58 @@ def test_laws_that_plays_cannot_follow() -> None:
         polygon_law(kappa, np.array([1.0, 3.0, 3.5]))
     with pytest.raises(ValueError, match=r"largest_curvature=0.0: allowed are finite numbers > 0"):
         play_law(wire("A2"), contacts_of(wire("A2")), largest_curvature=0.0)
+
+
+SHARP = ElasticPerfectlyPlastic(110e9, 60e6)
+TABLE = StressTable((5e-4, 1e-3, 2e-3, 0.02, 0.3), (55e6, 70e6, 80e6, 100e6, 150e6))
+
+
+@pytest.mark.parametrize("material", [SHARP, TABLE, RambergOsgood(110e9, 300e6, 0.02)])
+@pytest.mark.parametrize("name", ["A2", "A3", "C4"])
+@pytest.mark.parametrize("largest", [20.0, 60.0, 150.0])
+def test_a_sharp_yield_does_not_stiffen(material: Material, name: str, largest: float) -> None:
+    section = wire(name, material)
+    law = play_law(section, contacts_of(section), largest_curvature=largest)
+    assert (law.compliances >= 0.0).all()
+
+
+def test_the_law_of_a_wire_ends_where_it_is_told_up_to() -> None:
+    section, contacts = wire("A2"), contacts_of(wire("A2"))
+    law = play_law(section, contacts, largest_curvature=20.0)
+    last = moment_curvature(section, contacts, np.array([20.0])).moment[0]
+    assert law.largest_moment == pytest.approx(last, rel=1e-12)
+    deflections = np.linspace(0.0, 0.05, 26)[1:]
+    path = end_load_path(law, 0.085, deflections)
+    longer = play_law(section, contacts, largest_curvature=60.0)
+    assert 5 < len(path.load) < 25
+    beyond = end_load_path(longer, 0.085, deflections)
+    assert beyond.clamp_moment[len(path.load) - 1] < last < beyond.clamp_moment[len(path.load)]
+    with pytest.raises(
+        ValueError,
+        match=rf"^deflection={deflections[len(path.load)]}: the wire would be bent farther than "
+        rf"its law goes, 20 1/m$",
+    ):
+        end_load_curve(law, 0.085, deflections)
+
+
+def test_no_wire_is_bent_beyond_its_law() -> None:
+    section = wire("A2")
+    law = play_law(section, contacts_of(section), largest_curvature=20.0)
+    said = r": the wire would be bent to [2-9]\d(\.\d+)? 1/m, and its law ends at 20 1/m$"
+    rig = StringRig(0.76, 0.02, 0.085, 0.76)
+    with pytest.raises(ValueError, match="^deflection=0.05" + said):
+        bend_to_deflection(law, straight(law), 0.085, 0.05)
+    with pytest.raises(ValueError, match="^travel=0.05" + said):
+        bend_to_travel(law, straight(law), 0.085, rig, 0.05)
+    with pytest.raises(ValueError, match=r"^force=\[0.0, 0.5\]" + said):
+        bend_under_force(law, straight(law), 0.085, np.array([0.0, 0.5]))
+
+
+def test_a_path_that_comes_back_ends_where_the_law_does() -> None:
+    section = wire("A2")
+    law = play_law(section, contacts_of(section), largest_curvature=20.0)
+    path = end_load_path(law, 0.085, np.array([0.01, 0.005, 0.012, 0.05, 0.01]))
+    assert len(path.load) == 3
 
 
 def test_a_concave_law_is_its_own_polygon() -> None:
