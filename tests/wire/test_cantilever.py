@@ -180,3 +180,33 @@ def test_a_deflection_beyond_the_length_is_refused() -> None:
     law = LinearLaw(3e-3)
     with pytest.raises(ValueError, match=r"deflection=0.09: no equilibrium beyond 0.08"):
         bend_to_deflection(law, straight(law), LENGTH, 0.09)
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_numbers_that_are_not_finite_are_refused(number: float) -> None:
+    law = LinearLaw(3e-3)
+    state = straight(law)
+    said = rf"=\[?(0.0, )?{number}\]?: allowed are finite numbers$"
+    with pytest.raises(ValueError, match="^force" + said):
+        bend_under_force(law, state, LENGTH, np.array([0.0, number]))
+    with pytest.raises(ValueError, match="^deflection" + said):
+        bend_to_deflection(law, state, LENGTH, number)
+    with pytest.raises(ValueError, match="^travel" + said):
+        bend_to_travel(law, state, LENGTH, RIG, number)
+    with pytest.raises(ValueError, match="^deflections" + said):
+        end_load_curve(law, LENGTH, np.array([0.0, number]))
+
+
+@pytest.mark.parametrize("length", [0.0, -0.085, np.nan, np.inf])
+def test_lengths_are_positive(length: float) -> None:
+    law = LinearLaw(3e-3)
+    state = straight(law)
+    said = rf"^length={length}: allowed are finite numbers > 0$"
+    with pytest.raises(ValueError, match=said):
+        bend_under_force(law, state, length, np.array([0.0, 0.1]))
+    with pytest.raises(ValueError, match=said):
+        bend_to_deflection(law, state, length, 0.01)
+    with pytest.raises(ValueError, match=said):
+        bend_to_travel(law, state, length, RIG, 0.01)
+    with pytest.raises(ValueError, match=said):
+        end_load_curve(law, length, np.array([0.01]))

@@ -14,6 +14,8 @@ from labpipe.wire.laws import (
     MomentLaw,
     PlayLaw,
     complementary_energy,
+    first_curvature,
+    require_within,
     respond,
     virgin_plays,
 )
@@ -130,6 +132,25 @@ def test_stiffness_out_of_range(stiffness: float) -> None:
 def test_bilinear_law_that_softens_or_stiffens_is_refused(second: float) -> None:
     with pytest.raises(ValueError, match=r"second_stiffness=.*softens.*< stiffness=2.0"):
         BilinearLaw(2.0, second, 1.0)
+
+
+def test_a_law_may_end() -> None:
+    law = PlayLaw(2.0, np.array([1.0]), np.array([0.5]), 3.0)
+    require_within(law, np.array([-3.0, 3.0]), "bending")
+    require_within(LinearLaw(2.0), np.array([1e9]), "bending")
+    require_within(BilinearLaw(2.0, 1.0, 1.0), np.array([1e9]), "bending")
+    said = r"^bending: the wire would be bent to 3.5 1/m, and its law ends at 2.5 1/m$"
+    with pytest.raises(ValueError, match=said):
+        require_within(law, np.array([1.0, -4.0]), "bending")
+    for last in (0.0, np.nan):
+        with pytest.raises(ValueError, match=rf"^largest_moment={last}: allowed are numbers > 0$"):
+            PlayLaw(2.0, np.array([1.0]), np.array([0.5]), last)
+
+
+def test_first_curvature_is_that_of_the_plays() -> None:
+    moment = np.linspace(0.0, 0.2, 50)
+    plays = respond(WIRE, moment, virgin_plays(WIRE, 50)).curvature
+    assert first_curvature(WIRE, moment) == pytest.approx(plays, rel=1e-12)
 
 
 def test_play_law_refuses_negative_compliance() -> None:

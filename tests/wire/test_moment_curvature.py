@@ -17,7 +17,8 @@ from labpipe.wire.moment_curvature import (
     slip_stiffness,
     stick_stiffness,
 )
-from tests.builders.stranded_wires import cardinal, contacts_of, wire
+from labpipe.wire.packing import packed
+from tests.builders.stranded_wires import cardinal, contacts_of, layers_of, tube, wire
 
 KAPPA = np.linspace(0.0, 35.0, 700)
 ELASTIC = Elastic(110e9)
@@ -124,6 +125,30 @@ def test_stick_stiffness_does_not_depend_on_the_orientation() -> None:
                 section, contacts_of(section, 1e6), np.array([1e-6]), orientation=turn
             )
             assert found.tangent_stiffness[0] == pytest.approx(stick_stiffness(section), rel=1e-6)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, 1.0, np.pi / 2.0])
+def test_stick_stiffness_is_the_slope_at_zero_for_any_layout(turn: float) -> None:
+    two = concentric((Layer(2, 0.3e-3, 0.2),), tube(1.8e-3))
+    packing = packed(layers_of("C1"), tube(1.5e-3), seed=2)
+    for section in (two, packing, wire("A3")):
+        contacts = insulated(
+            len(section.layers) - int(section.has_core),
+            strand=0.21,
+            insulation=0.1,
+            radial_force=0.15,
+        )
+        found = moment_curvature(section, contacts, np.zeros(1), orientation=turn)
+        assert found.stick_stiffness == pytest.approx(found.tangent_stiffness[0], rel=1e-9)
+        assert found.stick_stiffness == stick_stiffness(section, orientation=turn)
+    across = stick_stiffness(two, orientation=np.pi / 2.0)
+    assert across > 1.2 * stick_stiffness(two)
+
+
+def test_an_infinite_curvature_is_refused() -> None:
+    section = wire("A2", ELASTIC)
+    with pytest.raises(ValueError, match=r"^curvature\[1\] is infinite: allowed are finite ones$"):
+        moment_curvature(section, contacts_of(section), np.array([1.0, -np.inf]))
 
 
 def test_orientation_matters_in_slip() -> None:

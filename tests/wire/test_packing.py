@@ -50,6 +50,13 @@ def test_packings_fit_and_repeat(name: str) -> None:
         assert inner.max() <= outer.min()
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_single_strand_lies_on_the_axis_of_a_wide_bore(seed: int) -> None:
+    section = packed((Layer(1, 0.3e-3),), tube(1.6e-3), seed=seed)
+    assert (section.x.tolist(), section.y.tolist()) == ([0.0], [0.0])
+    assert section.kind == "packed"
+
+
 def test_a_bore_too_small_for_any_packing() -> None:
     with pytest.raises(ValueError, match="the packed layout does not fit: strands overlap"):
         packed(layers_of("A2"), tube(1.4e-3))

@@ -105,6 +105,14 @@ def test_a_cantilever_that_leaves_the_range_is_cut_and_said() -> None:
     assert end.moment[0] == pytest.approx(table.moment[-1], rel=1e-3)
 
 
+@pytest.mark.parametrize(("length", "largest"), [(0.5, None), (0.085, 1000.0), (3.0, None)])
+def test_a_long_wire_or_a_long_law_is_told_to_the_end(length: float, largest: float | None) -> None:
+    table = wire_table(replace(A2, length=length, largest_curvature=largest))
+    assert not codes(table)
+    assert table.tip_deflection[-1] == pytest.approx(0.8 * length, rel=1e-12)
+    assert np.all(np.diff(table.tip_force) > 0.0)
+
+
 def test_a_cut_where_the_tip_unloads_stays_within_the_range() -> None:
     whole = wire_table(A2)
     for largest in (50.0, 55.0, 60.0):
@@ -177,6 +185,17 @@ def test_what_cannot_be_built_is_refused() -> None:
         wire_table(replace(A2, strand_diameters=(0.36e-3, 0.36e-3)))
     with pytest.raises(WireError, match=r"tension=-1.0: allowed are finite numbers >= 0"):
         wire_table(replace(A2, tension=-1.0))
+    with pytest.raises(WireError, match=r"^orientation=nan: allowed are finite numbers$"):
+        wire_table(replace(A2, orientation=np.nan))
+
+
+@pytest.mark.parametrize("number", [0.0, -1.0, np.nan, np.inf])
+def test_lengths_and_ranges_are_positive(number: float) -> None:
+    said = r"=.*: allowed are finite numbers > 0$"
+    with pytest.raises(WireError, match="^length" + said):
+        wire_table(replace(A2, length=number))
+    with pytest.raises(WireError, match="^largest_curvature" + said):
+        wire_table(replace(A2, largest_curvature=number))
 
 
 def test_a_law_that_softens_is_refused_with_the_curvature(monkeypatch: pytest.MonkeyPatch) -> None:
