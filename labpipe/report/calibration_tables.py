@@ -1,0 +1,269 @@
+"""The tables of a calibration: headings and rows, in display units with all digits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import zip_longest
+from typing import Any
+
+from labpipe.records.arrays import Floats
+from labpipe.records.calibration import (
+    PARAMETERS,
+    CalibratedParameter,
+    Calibration,
+    Separability,
+    SourceCalibration,
+)
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.report.calibration_look import DEFLECTION, FORCE, SHOWN, length_words, typeset
+from labpipe.report.calibration_shown import CalibrationReport, ValidationGroup
+from labpipe.report.wire_workbook import Sheet, Value
+from labpipe.report.wording import Scale
+from labpipe.report.workbook import sheet_name
+
+SUMMARY, FIT, IDENTIFIED, CURVES = "summary", "fit", "identified", "curves"
+AGREEMENT, NOTES = "agreement", "notes"
+_FRICTION = ("strand_friction", "insulation_friction", "radial_force")
+
+
+def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Sheet]:
+    """Make all tables of a calibration.
+
+    Parameters
+    ----------
+    report : what they hold
+    taken : names of sheets that are there already
+
+    Returns
+    -------
+    ``summary``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source), ``curves``,
+    ``notes``, and one sheet for each wire and length.
+    """
+    calibration = report.calibration
+    sheets = [
+        _summary(calibration),
+        _fit(calibration, report.source),
+        _identified(calibration, report.source),
+        _agreement(report.groups),
+        _curves(calibration),
+        _notes(report),
+    ]
+    names = [*taken, *(sheet.name for sheet in sheets)]
+    for group in report.groups:
+        names.append(sheet_name(f"{group.wire}, {length_words(group.length)}", names))
+        sheets.append(_group(group, names[-1]))
+    return sheets
+
+
+def _summary(calibration: Calibration) -> Sheet:
+    heads = (
+        "parameter", "name", "unit", "value", "lower", "upper", "open below", "open above",
+        "standard error of its logarithm", "degrees of freedom", "verdict", "at bound",
+        "prior, centre", "prior, factor", "without the prior", "conflict (standard deviations)",
+        "contradicts", "in words", "prior in words",
+    )  # fmt: skip
+    return Sheet(SUMMARY, heads, [_parameter(each) for each in calibration.parameters], "C2")
+
+
+def _parameter(parameter: CalibratedParameter) -> tuple[Value, ...]:
+    shown, interval, conflict = SHOWN[parameter.name], parameter.interval, parameter.conflict
+    up = shown.scale.factor
+    ends: tuple[Value, ...] = (None, None, "", "", None, None)
+    if interval is not None:
+        ends = (
+            up * interval.lower, up * interval.upper, _yes(parameter.is_open_below),
+            _yes(parameter.is_open_above), parameter.log_error, parameter.freedom,
+        )  # fmt: skip
+    prior: tuple[Value, ...] = (None, None, None, None, "")
+    if conflict is not None:
+        prior = (
+            up * conflict.centre, conflict.factor, up * conflict.alone, conflict.size,
+            _yes(conflict.contradicts),
+        )  # fmt: skip
+    words = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
+    named = (typeset(shown.words).rstrip("."), parameter.name, shown.scale.unit or "1")
+    verdict = (parameter.verdict.value, parameter.at_bound)
+    return (*named, up * parameter.value, *ends, *verdict, *prior, *words)
+
+
+def _fit(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
+    levels = calibration.levels
+    rows: list[tuple[Value, ...]] = [
+        ("wire", calibration.wire, ""),
+        ("curves", len(calibration.curves), "1"),
+        ("samples", calibration.n_samples, "1"),
+        ("points", calibration.n_points, "1"),
+        ("SSE", calibration.sse, "N²"),
+        ("RMSE", calibration.rmse, "N"),
+        ("RMSE over the largest force", calibration.rmse_share, "1"),
+        ("noise, found over stated", levels.noise_factor, "1"),
+        ("degrees of freedom of the noise", levels.noise_freedom, "1"),
+        ("correlation of neighbouring points", levels.correlation, "1"),
+        ("scatter of samples, in logarithms of the force", levels.scatter, "1"),
+        ("degrees of freedom of the scatter", levels.scatter_freedom, "1"),
+        ("uncertainty of the load cell's gain, in logarithms", levels.gain, "1"),
+        ("method", calibration.method, ""),
+    ]
+    return Sheet(FIT, ("number", "value", "unit"), [*rows, *_source(source)])
+
+
+def _source(source: SourceCalibration | None) -> Iterator[tuple[Value, ...]]:
+    if source is None:
+        return
+    head = "method: source, "
+    yield (f"{head}F_rad (mu_s + mu_p)", source.radial_friction, "N")
+    yield (f"{head}mu_s", source.strand_friction, "1")
+    yield (f"{head}mu_p", source.insulation_friction, "1")
+    yield (f"{head}F_rad", source.radial_force, "N")
+    yield (f"{head}start", ", ".join(f"{value:g}" for value in source.start), "")
+    yield (f"{head}converged", _yes(source.converged), "")
+    yield (f"{head}iterations", source.iterations, "1")
+    yield (f"{head}SSE", source.sse, "N²")
+    yield (f"{head}RMSE", source.rmse, "N")
+    yield (f"{head}RMSE over the largest force", source.rmse_share, "1")
+
+
+def _identified(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
+    """Correlations, and singular values with the weights of what they belong to."""
+    rows: list[tuple[Value, ...]] = [
+        (
+            "correlation of the logarithms with",
+            name,
+            *_by_name(dict(zip(PARAMETERS, row, strict=True))),
+        )
+        for name, row in zip(PARAMETERS, calibration.correlations.tolist(), strict=True)
+    ]
+    rows += _singular("singular value of the parameters", calibration.separability)
+    if calibration.friction_separability is not None:
+        rows += _singular("singular value of friction", calibration.friction_separability)
+    if source is not None:
+        values = source.singular_values.tolist()
+        rows += [("singular value, method: source", value, *_by_name({})) for value in values]
+    heads = (
+        "what",
+        "of",
+        *(f"weight or correlation, {name}" for name in (*PARAMETERS, *_FRICTION)),
+    )
+    return Sheet(IDENTIFIED, heads, rows)
+
+
+def _singular(what: str, found: Separability) -> Iterator[tuple[Value, ...]]:
+    for value, weights in zip(found.singular_values.tolist(), found.combinations, strict=True):
+        named = dict(zip(found.names, weights.tolist(), strict=True))
+        yield (what, value, *_by_name(named))
+    for name, is_known in found.are_identified.items():
+        yield ("told apart", name, *_by_name({name: _yes(is_known)}))
+
+
+def _by_name(values: Mapping[str, Value]) -> tuple[Value, ...]:
+    return tuple(values.get(name) for name in (*PARAMETERS, *_FRICTION))
+
+
+def _agreement(groups: Sequence[ValidationGroup]) -> Sheet:
+    heads = (
+        "wire", DEFLECTION.label("length"), "samples", "model is", "points", "SSE (N²)",
+        FORCE.label("RMSE"), "RMSE over the largest force (%)", "mean inside the band (%)",
+        "band foretells the mean of (samples)", "reason",
+    )  # fmt: skip
+    return Sheet(AGREEMENT, heads, [_agreement_row(group) for group in groups], "C2")
+
+
+def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
+    use = "calibrated by these samples" if group.is_calibrated else "foretold"
+    head = (group.wire, DEFLECTION.factor * group.length, len(group.samples), use)
+    errors = group.errors
+    if errors is None:
+        return (*head, *[None] * 6, group.reason)
+    shares = (100.0 * errors.rmse_share, 100.0 * errors.inside)
+    rmse = FORCE.factor * errors.rmse
+    return (*head, errors.n, errors.sse, rmse, *shares, group.foretold, group.band.reason)
+
+
+def _curves(calibration: Calibration) -> Sheet:
+    heads = (
+        "test", "sample", DEFLECTION.label("length"), "points", "factor of the sample", "SSE (N²)",
+        FORCE.label("RMSE"), "RMSE over the largest force (%)", "correlation of neighbours",
+        "runs test, p",
+    )  # fmt: skip
+    rows = [
+        (
+            each.test, each.sample, DEFLECTION.factor * each.length, len(each.force),
+            each.sample_factor, each.sse, FORCE.factor * each.rmse, 100.0 * each.rmse_share,
+            each.lag_one, each.runs_p,
+        )
+        for each in calibration.curves
+    ]  # fmt: skip
+    return Sheet(CURVES, heads, rows, "B2")
+
+
+def _notes(report: CalibrationReport) -> Sheet:
+    """Notes of the calibration and of what it foretells, those of one wording once, worst first."""
+    told: dict[tuple[str, str], QualityNote] = {}
+    for note in report.calibration.notes:
+        told["calibration", note.message] = note
+    for group in report.groups:
+        for note in group.prediction.notes if group.prediction is not None else ():
+            told["prediction", note.message] = note
+    rows = [
+        (of, note.severity.value, note.where, note.message, note.code)
+        for severity in reversed(Severity)
+        for (of, _), note in told.items()
+        if note.severity is severity
+    ]
+    found = (report.calibration.friction_separability, report.calibration.separability)
+    rows += [
+        (
+            "calibration",
+            Severity.INFO.value,
+            ", ".join(each.names),
+            typeset(each.words),
+            "told_apart",
+        )
+        for each in found
+        if each is not None
+    ]
+    return Sheet(NOTES, ("of", "kind", "where", "what", "code"), rows)
+
+
+def _group(group: ValidationGroup, name: str) -> Sheet:
+    """Mean, prediction and samples beside each other, each on its own deflections."""
+    blocks = [*_mean(group), *_prediction(group)]
+    for test, sample in group.samples.items():
+        blocks += [
+            ("", ()),
+            _column(f"{test}, deflection", DEFLECTION, sample.displacement),
+            _column(f"{test}, force", FORCE, sample.force),
+        ]
+    rows = list(zip_longest(*(values for _, values in blocks)))
+    return Sheet(name, [head for head, _ in blocks], rows)
+
+
+def _mean(group: ValidationGroup) -> Iterator[tuple[str, Iterable[Any]]]:
+    yield _column("deflection", DEFLECTION, group.band.displacement)
+    yield _column("mean", FORCE, group.band.mean)
+    yield _column("mean, lower", FORCE, group.band.lower)
+    yield _column("mean, upper", FORCE, group.band.upper)
+
+
+def _prediction(group: ValidationGroup) -> Iterator[tuple[str, Iterable[Any]]]:
+    found = group.prediction
+    if found is None:
+        return
+    yield "", ()
+    yield _column("deflection of the model", DEFLECTION, found.deflection)
+    yield _column("model", FORCE, found.force)
+    for name, values in (
+        ("model, lower", found.lower),
+        ("model, upper", found.upper),
+        ("model of the mean sample, lower", found.lower_mean),
+        ("model of the mean sample, upper", found.upper_mean),
+    ):
+        yield _column(name, FORCE, values)
+
+
+def _column(words: str, scale: Scale, values: Floats) -> tuple[str, Iterable[Any]]:
+    return scale.label(words), (scale.factor * values).tolist()
+
+
+def _yes(value: bool) -> str:
+    return "yes" if value else "no"

@@ -1,0 +1,109 @@
+"""Calibrations of synthetic tests that figures and workbooks are tested with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+
+import numpy as np
+
+from labpipe.records.calibration import (
+    Calibration,
+    ParameterChoice,
+    Prediction,
+    SourceCalibration,
+)
+from labpipe.records.group import SampleCurve
+from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
+from labpipe.statistics.bands import common_curves, mean_band
+from labpipe.wire.calibrating.agreement import curve_errors
+from labpipe.wire.calibrating.prediction import predict
+from labpipe.wire.calibrating.source_method import calibrate_as_source
+from labpipe.wire.calibration import MeasuredCurve, Settings, calibrate
+from tests.builders.loading_tests import measured, rig_of, wire_of
+
+LENGTHS = (0.085, 0.12)
+GRID = np.linspace(0.0, 0.05, 21)
+TESTS = measured(lengths=LENGTHS, samples=2, n=90, seed=11)
+_FIXED = ParameterChoice(is_fixed=True)
+
+
+def _calibrated(curves: tuple[MeasuredCurve, ...], settings: Settings) -> Calibration:
+    found = calibrate(wire_of("A2"), curves, settings)
+    assert isinstance(found, Calibration)
+    return found
+
+
+@cache
+def usual() -> Calibration:
+    """Two samples at each of two lengths; nothing is fixed."""
+    return _calibrated(TESTS, Settings(gain=0.005))
+
+
+@cache
+def troubled() -> Calibration:
+    """Insulation fixed, a prior that contradicts, friction open below."""
+    prior = ParameterChoice(1.6, factor=1.05)
+    choices = {"copper_scale": prior, "insulation_modulus": _FIXED}
+    return _calibrated(TESTS[:2], Settings(choices, gain=0.005))
+
+
+@cache
+def one_sample() -> Calibration:
+    """Friction alone, from one sample."""
+    choices = {"copper_scale": _FIXED, "insulation_modulus": _FIXED}
+    return _calibrated(TESTS[:1], Settings(choices))
+
+
+@cache
+def source() -> SourceCalibration:
+    found = calibrate_as_source(wire_of("A2"), TESTS[:2])
+    assert isinstance(found, SourceCalibration)
+    return found
+
+
+@cache
+def foretold(name: str = "A2", length: float = 0.085) -> Prediction:
+    return predict(
+        usual(), wire_of(name), length, GRID, rig=rig_of(length), noise=0.002, n_samples=2
+    )
+
+
+@cache
+def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> ValidationGroup:
+    tests = measured(name, (length,), samples=samples, n=90, seed=3)
+    band = mean_band(common_curves([(test.deflection, test.force) for test in tests]))
+    model = foretold(name, length)
+    force, lower, upper = (
+        np.interp(band.displacement, GRID, each) for each in (model.force, model.lower, model.upper)
+    )
+    return ValidationGroup(
+        wire=name,
+        length=length,
+        is_calibrated=name == "A2",
+        samples={test.test: SampleCurve(test.deflection, test.force, test.force) for test in tests},
+        band=band,
+        prediction=model,
+        foretold=2,
+        errors=curve_errors(band.mean, force, lower, upper),
+    )
+
+
+def shape(deflection: float) -> BentShape:
+    """A parabola, with one marker that was not seen."""
+    x = np.linspace(0.0, 0.08, 9)
+    points = np.column_stack([x, deflection * (x / x[-1]) ** 2])
+    markers, up = points.copy(), np.array([0.0, 1e-4])
+    markers[3] = np.nan
+    return BentShape(deflection, markers, points + up, points + 2.0 * up)
+
+
+def shapes() -> Mapping[str, tuple[BentShape, ...]]:
+    return {"A2, 85 mm": tuple(shape(float(at)) for at in np.linspace(0.005, 0.05, 6))}
+
+
+@cache
+def report() -> CalibrationReport:
+    """All of it: two lengths of the wire itself, and two other wires."""
+    others = (group("A1"), group("A3", 0.12, samples=1))
+    return CalibrationReport(usual(), (group(), group("A2", 0.12), *others), shapes(), source())
