@@ -163,15 +163,19 @@ def peak_before_failure(
 
     Notes
     -----
-    A parabola through the smooth stretch around the top: its vertex when that lies inside, else its
-    value at the higher end, half a step further where a cliff or the failure ends it. The stretch
-    ends at cliffs (steps of more than six robust deviations) and at kinks: as long as a change of
-    slope somewhere adds more than four standard errors to the parabola, in noise that knows its
-    neighbours, the stretch is cut there. Where the force rises up to the kink and falls behind it,
-    and the kink does better than a polynomial of degree four, the peak is the corner in which both
-    sides meet. Where fewer than 12 samples are smooth, it is the largest median of five neighbours,
-    with their range and the noise in its interval. The largest sample would be too large by the
-    noise.
+    A polynomial through the smooth stretch around the top: its turning point when that lies inside,
+    else its value at the higher end, half a step further where a cliff or the failure ends it. The
+    stretch ends at cliffs (steps of more than six robust deviations) and at kinks: as long as a
+    change of slope somewhere adds more than four standard errors to a polynomial of degree six, in
+    noise that knows its neighbours, the stretch is cut there. Where the force rises up to the kink
+    and falls behind it, and the kink does better than that polynomial, the peak is the corner in
+    which both sides meet. The degree of the polynomial is two, or as many as the data ask for, up
+    to eight: while one of the next two terms is beyond its 95 % interval. A turning point is read
+    from a polynomial of two degrees more, so that terms too small to be seen do not bias it beyond
+    its interval (undersmoothing; Calonico, Cattaneo and Titiunik, Econometrica 82 (2014) 2295),
+    less what noise lifts it by. Where fewer than 12 samples are smooth, it is the largest median of
+    five neighbours, with their range and the noise in its interval. The largest sample would be too
+    large by the noise: what is meant is the largest force on the specimen, free of noise.
     """
     known = _sound(displacement, force)
     known = known[known <= point.sample]

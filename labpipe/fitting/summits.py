@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
-from labpipe.fitting.correlated import LinearFit, fit_linear, orthonormal
+from labpipe.fitting.correlated import LinearFit, fit_linear
 from labpipe.fitting.estimates import Estimate, scaled
 from labpipe.fitting.medians import running_median
+from labpipe.fitting.noise_spectra import cubic_basis, smooth_stretches
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 
@@ -16,6 +19,16 @@ LEAST = 12
 """Samples that a parabola needs."""
 _BLOCKS = 400
 """Block means that kinks are looked for in."""
+_SMOOTH = 6
+"""Degree of a polynomial that a smooth top follows within the noise: what does better is a kink."""
+_DEGREES = (2, 4, 6, 8)
+"""Degrees that a top without kinks is fitted with."""
+_NEAR = 8
+"""Stretches before a top that say what its noise is like."""
+_OWN = 200
+"""Samples of a top from which on it tells its noise as well as others do."""
+_ALIKE = 4.0
+"""Times the variance of the top that such a stretch may have."""
 _CLEAR = 4.0
 """Standard errors of a kink or a step that ends a smooth stretch."""
 _REACH = 3.0
@@ -59,7 +72,8 @@ def height_at_end(d: Floats, f: Floats, *, step: float) -> Estimate:
     while len(d) - first >= LEAST:
         kink = _clearest_kink(d[first:], f[first:])
         if kink is None:
-            height, slope = _carried(d[first:], f[first:], float(d[-1]) + 0.5 * step)
+            smooth = _Smooth(d[first:], f[first:], _beside(f[:first], f[first:]))
+            height, slope = smooth.carried(float(d[-1]) + 0.5 * step)
             return _blurred(height, slope * step)
         first += kink.sample
     return _median_height(f, max(first, len(f) - 5, _bounds(f, len(f) - 1)[0]), len(f))
@@ -90,7 +104,9 @@ def height_of_top(d: Floats, f: Floats, *, share: float, step: float) -> Estimat
     while last - first >= LEAST:
         kink = _clearest_kink(d[first:last], f[first:last])
         if kink is None:
-            return _parabola_top(d[first:last], f[first:last], step if is_open else 0.0)
+            beside = _beside(f[:first], f[first:last])
+            smooth = _Smooth(d[first:last], f[first:last], beside)
+            return _smooth_top(smooth, step if is_open else 0.0)
         cut = first + kink.sample
         if kink.is_step:
             first, last = (cut, last) if top >= cut else (first, cut)
@@ -130,7 +146,7 @@ def _clearest_kink(d: Floats, f: Floats) -> _Kink | None:
     x = (x - x[0]) / scale
     places = np.arange(3, count - 3)
     offsets = x[:, None] - 0.5 * (x[places] + x[places - 1])
-    basis = np.linalg.qr(np.vander(x, 3))[0]
+    basis = np.linalg.qr(np.vander(2.0 * x - 1.0, _SMOOTH + 1))[0]
     ramps, steps = (
         each - basis @ (basis.T @ each)
         for each in (np.maximum(offsets, 0.0), np.heaviside(offsets, 1.0))
@@ -141,7 +157,7 @@ def _clearest_kink(d: Floats, f: Floats) -> _Kink | None:
     jumps = (y @ steps) ** 2 / np.maximum(np.sum(steps**2, axis=0), 1e-12)
     both, one = int(np.argmax(bends + jumps)), int(np.argmax(bends))
     left = y - basis @ (basis.T @ y)
-    noise = float(left @ left - bends[both] - jumps[both]) / (count - 5)
+    noise = float(left @ left - bends[both] - jumps[both]) / (count - _SMOOTH - 3)
     # A step must do better than the best corner anywhere, not only than the one at its own place.
     is_better = bends[both] + jumps[both] - bends[one] > _CLEAR**2 * noise
     step = _step(x, y, int(places[both]), (lost, size)) if is_better else None
@@ -154,12 +170,18 @@ def _columns(x: Floats, place: int) -> list[Floats]:
     return [np.ones_like(z), z, z * z, np.maximum(z, 0.0), np.heaviside(z, 1.0)]
 
 
+def _beyond_smooth(x: Floats, place: int, count: int) -> Floats:
+    """Change of slope at a place, and step if two are asked for, beside a smooth polynomial."""
+    z = 2.0 * (x - x[0]) / float(np.ptp(x)) - 1.0
+    return np.column_stack([*_columns(x, place)[3 : 3 + count], np.vander(z, _SMOOTH + 1)])
+
+
 def _step(x: Floats, y: Floats, place: int, blocks: tuple[int, int]) -> _Kink | None:
     """A step, if it is there beyond doubt and the two sides do not meet near it."""
     fit = fit_linear(np.column_stack(_columns(x, place)), y)
     slope, bend, jump = (float(fit.coefficients[each]) for each in (1, 3, 4))
     meets = abs(jump) <= _REACH * float(np.ptp(x)) / len(x) * abs(bend)
-    if meets or not _is_clear(fit, 4, y):
+    if meets or not _is_clear(fit_linear(_beyond_smooth(x, place, 2), y), 1, y):
         return None
     sample = blocks[0] + place * blocks[1]
     return _Kink(sample, _meeting(fit, len(y) * blocks[1]), slope, slope + bend, False, True)
@@ -170,11 +192,11 @@ def _corner(x: Floats, y: Floats, place: int, blocks: tuple[int, int]) -> _Kink 
     columns = _columns(x, place)
     design = np.column_stack(columns[:4])
     fit = fit_linear(design, y)
-    if not _is_clear(fit, 3, y):
+    if not _is_clear(fit_linear(_beyond_smooth(x, place, 1), y), 0, y):
         return None
     left = y - design @ fit.coefficients
-    quartic = np.linalg.qr(np.vander(x, 5))[0]
-    smooth = y - quartic @ (quartic.T @ y)
+    basis = np.linalg.qr(np.vander(2.0 * x - 1.0, _SMOOTH + 1))[0]
+    smooth = y - basis @ (basis.T @ y)
     slope, bend = (float(fit.coefficients[each]) for each in (1, 3))
     return _Kink(
         sample=blocks[0] + place * blocks[1],
@@ -204,32 +226,115 @@ def _meeting(fit: LinearFit, count: int) -> Estimate:
     return Estimate(value, along.error, count, Interval(value - half, value + half))
 
 
-def _parabola_top(d: Floats, f: Floats, step: float) -> Estimate:
-    """Vertex of a parabola, or its value at the end that is higher; half a step beyond the last.
+@dataclass(frozen=True, slots=True, eq=False)
+class _Smooth:
+    """A stretch without kinks, and stretches of the same curve that speak of its noise."""
 
-    The mean where the parabola says nothing: the highest of its values would follow the noise.
+    d: Floats
+    f: Floats
+    beside: Sequence[Floats]
+
+    @property
+    def length(self) -> float:
+        return float(np.ptp(self.d)) or 1.0
+
+    def around(self, at: float, degree: int) -> LinearFit:
+        """A polynomial in the distance from a place, in lengths of the stretch."""
+        powers = np.vander((self.d - at) / self.length, degree + 1, increasing=True)
+        return fit_linear(powers, self.f, beside=self.beside)
+
+    def carried(self, at: float, degree: int = 2) -> tuple[Estimate, float]:
+        """Height and slope of a polynomial at a place."""
+        fit = self.around(at, degree)
+        return fit.estimate(0), float(fit.coefficients[1]) / self.length
+
+    def degree(self) -> int:
+        """Degree from which on two more terms say nothing: both within their 95 % intervals."""
+        x = 2.0 * (self.d - self.d[0]) / self.length - 1.0
+        for degree, more in pairwise(_DEGREES):
+            if len(x) < LEAST * more:
+                return degree
+            terms = np.polynomial.legendre.legvander(x, more)
+            fit = fit_linear(terms, self.f, beside=self.beside)
+            if np.all(np.abs(fit.coefficients[-2:]) < fit.half_widths[-2:]):
+                return degree
+        return _DEGREES[-1]
+
+    def is_flat(self) -> bool:
+        """Whether slope and curvature are both within their 95 % intervals of zero."""
+        x = (self.d - self.d.mean()) / self.length
+        columns = np.column_stack([np.ones_like(x), x, x * x - np.mean(x * x)])
+        fit = fit_linear(columns, self.f, beside=self.beside)
+        return bool(np.all(np.abs(fit.coefficients[1:]) < fit.half_widths[1:]))
+
+    def highest(self, end: float, degree: int) -> float:
+        """Place of the largest value of a polynomial between the first sample and an end."""
+        start = float(self.d[0])
+        curve = np.polynomial.Polynomial.fit(self.d, self.f, degree)
+        turns = curve.deriv().roots()
+        inside = turns.real[(turns.imag == 0.0) & (turns.real > start) & (turns.real < end)]
+        places = np.concatenate([[start, end], inside])
+        return float(places[int(np.argmax(curve(places)))])
+
+    def vertex(self, at: float, degree: int) -> Estimate:
+        """Height of a turning point: the highest of noisy values is too high by what is taken off.
+
+        A slope known to a standard error s moves the vertex of curvature c by s / c and lifts it
+        by s^2 / (2 c) on average (Box, J. R. Stat. Soc. B 33 (1971) 171).
+        """
+        fit = self.around(at, degree)
+        height = fit.estimate(0)
+        bend = 4.0 * abs(float(fit.coefficients[2]))
+        lift = min(float(fit.covariance[1, 1]) / bend if bend > 0.0 else np.inf, height.error)
+        return scaled(_lowered(height, lift), more=lift)
+
+
+def _beside(before: Floats, top: Floats) -> list[Floats]:
+    """The last stretches before a short top that bend and scatter no more than it does."""
+    if len(top) >= _OWN:
+        return []
+    most = _ALIKE * _about_cubic(top)
+    return [each for each in smooth_stretches(before)[-_NEAR:] if _about_cubic(each) <= most]
+
+
+def _about_cubic(values: Floats) -> float:
+    """Variance of what is left of values about a cubic."""
+    basis = cubic_basis(len(values))
+    left = values - (basis @ values) @ basis
+    return float(left @ left) / (len(values) - len(basis))
+
+
+def _smooth_top(smooth: _Smooth, step: float) -> Estimate:
+    """Largest value of a polynomial: at a turning point, or at an end; half a step beyond the last.
+
+    The mean where the stretch is flat: the highest value would follow the noise.
     """
-    if _is_flat(d, f):
-        return fit_linear(np.ones((len(f), 1)), f).estimate(0)
-    end = float(d[-1]) + 0.5 * step
-    scale = float(np.ptp(d)) or 1.0
-    basis, to_coefficients = orthonormal(np.vander((d - end) / scale, 3))
-    curvature, slope, _ = (float(each) for each in to_coefficients @ (basis @ f))
-    vertex = end - scale * slope / (2.0 * curvature) if curvature < 0.0 else end
-    if d[0] < vertex < end:
-        return _carried(d, f, vertex)[0]
-    first = (float(d[0]) - end) / scale
-    if (curvature * first + slope) * first > 0.0:
-        return _carried(d, f, float(d[0]))[0]
-    height, slope = _carried(d, f, end)
-    return _blurred(height, slope * step)
+    if smooth.is_flat():
+        return fit_linear(np.ones((len(smooth.f), 1)), smooth.f, beside=smooth.beside).estimate(0)
+    end = float(smooth.d[-1]) + 0.5 * step
+    degree = smooth.degree()
+    at = smooth.highest(end, degree)
+    if smooth.d[0] < at < end:
+        return _vertex(smooth, end, degree + 2)
+    height, slope = smooth.carried(at, degree)
+    return height if at < end else _blurred(height, slope * step)
 
 
-def _is_flat(d: Floats, f: Floats) -> bool:
-    """Whether slope and curvature are both within their 95 % intervals of zero."""
-    x = (d - d.mean()) / (float(np.ptp(d)) or 1.0)
-    fit = fit_linear(np.column_stack([np.ones_like(x), x, x * x - np.mean(x * x)]), f)
-    return bool(np.all(np.abs(fit.coefficients[1:]) < fit.half_widths[1:]))
+def _vertex(smooth: _Smooth, end: float, degree: int) -> Estimate:
+    """The turning point by two degrees more: terms that the test cannot see still move it."""
+    if len(smooth.d) < LEAST * degree:
+        degree -= 2
+    at = smooth.highest(end, degree)
+    if smooth.d[0] < at < end:
+        return smooth.vertex(at, degree)
+    return smooth.carried(at, degree)[0]
+
+
+def _lowered(estimate: Estimate, by: float) -> Estimate:
+    interval = estimate.interval
+    if interval is not None:
+        interval = Interval(interval.lower - by, interval.upper - by)
+    return replace(estimate, value=estimate.value - by, interval=interval)
 
 
 def _median_height(f: Floats, first: int, last: int) -> Estimate:
@@ -240,14 +345,6 @@ def _median_height(f: Floats, first: int, last: int) -> Estimate:
     half = 3.5 * noise / np.sqrt(len(near)) + 0.5 * float(np.ptp(near))
     value = float(np.median(near))
     return Estimate(value, half / 1.96, len(near), Interval(value - half, value + half))
-
-
-def _carried(d: Floats, f: Floats, at: float) -> tuple[Estimate, float]:
-    """Height and slope of a parabola at a place."""
-    scale = float(np.ptp(d)) or 1.0
-    x = (d - at) / scale
-    fit = fit_linear(np.column_stack([np.ones_like(x), x, x * x]), f)
-    return fit.estimate(0), float(fit.coefficients[1]) / scale
 
 
 def _blurred(estimate: Estimate, width: float) -> Estimate:
