@@ -1,5 +1,5 @@
 """Decks: a wire's law as the input of simulation programs, each with its range."""
 
-from labpipe.decks.files import deck_paths, write_decks
+from labpipe.decks.files import deck_paths, deck_texts, write_decks, write_texts
 
-__all__ = ["deck_paths", "write_decks"]
+__all__ = ["deck_paths", "deck_texts", "write_decks", "write_texts"]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from labpipe.decks.abaqus import abaqus_deck
@@ -25,6 +25,29 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
 """Ending of the file, and what writes its text."""
 
 
+def deck_texts(table: WireTable) -> tuple[str, ...]:
+    """Texts of the decks of a wire, in the order of `DECKS`.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Raises
+    ------
+    ValueError
+        If the law cannot be put into a deck (see `thin`); the message names the deck.
+    """
+    return tuple(_text(table, ending) for ending in DECKS)
+
+
+def _text(table: WireTable, ending: str) -> str:
+    try:
+        return DECKS[ending](table)
+    except ValueError as error:
+        message = f"its deck {ending} cannot be made: {error}"
+        raise ValueError(message) from error
+
+
 def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
     """Write every deck of every wire to ``decks/<wire>.<ending>``.
 
@@ -40,14 +63,29 @@ def write_decks(tables: Iterable[WireTable], folder: Path) -> list[Path]:
     Raises
     ------
     ValueError
-        If a law cannot be put into a deck (see `thin`).
+        As `deck_texts`.
+    """
+    return write_texts({table.name: deck_texts(table) for table in tables}, folder)
+
+
+def write_texts(texts: Mapping[str, Sequence[str]], folder: Path) -> list[Path]:
+    """Write texts of decks to their files.
+
+    Parameters
+    ----------
+    texts : name of each wire -> `deck_texts`
+    folder : of the results, which must be there
+
+    Returns
+    -------
+    The files, wire by wire.
     """
     (folder / FOLDER).mkdir(exist_ok=True)
     written = []
-    for table in tables:
-        paths = deck_paths(table.name, folder)
-        for path, text_of in zip(paths, DECKS.values(), strict=True):
-            path.write_text(text_of(table), encoding="utf-8", newline="\n")
+    for name, of_wire in texts.items():
+        paths = deck_paths(name, folder)
+        for path, text in zip(paths, of_wire, strict=True):
+            path.write_text(text, encoding="utf-8", newline="\n")
         written += paths
     return written
 

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.decks import deck_paths, write_decks
+from labpipe.decks import deck_paths, deck_texts, write_texts
 from labpipe.errors import ProcessingError, complaint
 from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.wire_figures import own_figures, save_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.lock import locked
-from labpipe.store.replace import replacing_together
+from labpipe.store.replace import replacing_together, storing
 from labpipe.wire.wire_table import wire_table
 
 WORKBOOK_FILE = "wires.xlsx"
@@ -27,6 +30,7 @@ SCHEMA = 1
 
 _WORTH_SHARING = 24
 """Wires beyond which a second process starts sooner than one alone is done."""
+_CHUNK = 4  # wires handed out at a time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,85 +79,126 @@ def model_wires(
         cannot be written; earlier results are then as they were.
     """
     specs = read_wire_sheet(sheet)
-    tables, refused = make_tables(specs, sheet, say)
-    if not tables:
-        raise ProcessingError("\n".join(refused.values()))
-    folder = Path("processed") / sheet.stem if out is None else out
-    modelled = Modelled(sheet, folder, tables, refused, ())
-    with locked(folder), replacing_together(folder) as stage:
-        written = _write(modelled, stage, say, figures=figures)
-        files = tuple(folder / path.relative_to(stage) for path in written)
+    with _helpers(len(specs), sheet) as pool:
+        made, refused = make_tables(specs, sheet, say, pool)
+        if not made:
+            raise ProcessingError("\n".join(refused.values()))
+        tables = tuple(wire.table for wire in made)
+        folder = Path("processed") / sheet.stem if out is None else out
+        modelled = Modelled(sheet, folder, tables, refused, ())
+        with locked(folder), replacing_together(folder) as stage:
+            say("tables and decks")
+            with storing(folder):
+                written = _write(modelled, [wire.decks for wire in made], stage, pool)
+            if figures:
+                written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say)
+            files = tuple(folder / path.relative_to(stage) for path in written)
     _forget(folder, refused)
     return Modelled(sheet, folder, tables, refused, files)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class MadeWire:
+    """A wire that could be modelled.
+
+    Parameters
+    ----------
+    table : its law
+    decks : texts for simulation programs, see `labpipe.decks.deck_texts`
+    """
+
+    table: WireTable
+    decks: tuple[str, ...]
+
+
 def make_tables(
-    specs: Sequence[WireSpec], sheet: Path, say: Callable[[str], None] = lambda _: None
-) -> tuple[tuple[WireTable, ...], dict[str, str]]:
-    """Model wires, many of them in two processes.
+    specs: Sequence[WireSpec],
+    sheet: Path,
+    say: Callable[[str], None] = lambda _: None,
+    pool: Executor | None = None,
+) -> tuple[tuple[MadeWire, ...], dict[str, str]]:
+    """Model wires and word their decks.
 
     Parameters
     ----------
     specs : rows of the sheet
     sheet : where they come from, for messages
     say : told the name of each wire as it is done
+    pool : processes that do it; None for this one
 
     Returns
     -------
-    The tables in the order of the sheet, and by name why a wire could not be modelled.
+    The wires in the order of the sheet, and by name why a wire could not be modelled.
     """
-    tables: list[WireTable] = []
+    made: list[MadeWire] = []
     refused: dict[str, str] = {}
-    with _mapping(len(specs)) as mapped:
-        for spec, outcome in zip(specs, mapped(_outcome, specs), strict=True):
-            say(spec.name)
-            if isinstance(outcome, WireTable):
-                tables.append(outcome)
-            else:
-                refused[spec.name] = complaint(
-                    sheet,
-                    f"{spec.place}, wire '{spec.name}'",
-                    expected="a wire that can be built and bent",
-                    found=f"this: {outcome}",
-                    remedy="Check its row against the wire.",
-                )
-    return tuple(tables), refused
-
-
-_Outcome = WireTable | str
+    outcomes = pool.map(_outcome, specs, chunksize=_CHUNK) if pool else map(_outcome, specs)
+    for spec, outcome in zip(specs, outcomes, strict=True):
+        say(spec.name)
+        if isinstance(outcome, MadeWire):
+            made.append(outcome)
+        else:
+            refused[spec.name] = complaint(
+                sheet,
+                f"{spec.place}, wire '{spec.name}'",
+                expected="a wire that can be built and bent",
+                found=f"this: {outcome}",
+                remedy="Check its row against the wire.",
+            )
+    return tuple(made), refused
 
 
 @contextmanager
-def _mapping(
-    count: int,
-) -> Iterator[Callable[[Callable[[WireSpec], _Outcome], Sequence[WireSpec]], Iterator[_Outcome]]]:
-    """``map`` in this process for a few wires, in two for many."""
+def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
+    """Two processes for many wires, none for a few; what ends them from outside is told."""
     if count <= _WORTH_SHARING:
-        yield map
+        yield None
         return
-    with ProcessPoolExecutor(2) as pool:
-        yield lambda work, specs: pool.map(work, specs, chunksize=4)
-
-
-def _outcome(spec: WireSpec) -> _Outcome:
-    """The table of a wire, or why there is none."""
+    pool = ProcessPoolExecutor(2, initializer=_leave_interrupts)
     try:
-        return wire_table(spec)
+        yield pool
+    except BrokenProcessPool as error:
+        message = complaint(
+            sheet,
+            "",
+            expected="processes that model its wires to the end",
+            found="that one of them was ended from outside, as for want of memory",
+            remedy="Close other programs, or split the sheet, and run the model again.",
+        )
+        raise ProcessingError(message) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _leave_interrupts() -> None:
+    """Let the process that was started by a person answer to the keyboard, and end this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _outcome(spec: WireSpec) -> MadeWire | str:
+    """A wire with its decks, or why it cannot be had."""
+    try:
+        table = wire_table(spec)
+        return MadeWire(table, deck_texts(table))
     except ValueError as error:
         return str(error)
 
 
 def _write(
-    modelled: Modelled, stage: Path, say: Callable[[str], None], *, figures: bool
+    modelled: Modelled, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
 ) -> list[Path]:
-    say("tables and decks")
+    """Write workbook, model and decks; the workbook in another process while the rest is."""
     workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
-    save_wire_workbook(modelled.tables, workbook, refused=modelled.refused)
+    save = partial(save_wire_workbook, modelled.tables, workbook, refused=modelled.refused)
+    saving = pool.submit(save) if pool else None
     model.write_text(json.dumps(as_json(modelled)), encoding="utf-8")
-    written = [workbook, model, *write_decks(modelled.tables, stage)]
-    if figures:
-        written += save_wire_figures(modelled.tables, stage / FIGURES_FOLDER, say=say)
-    return written
+    names = [table.name for table in modelled.tables]
+    written = write_texts(dict(zip(names, decks, strict=True)), stage)
+    if saving:
+        saving.result()
+    else:
+        save()
+    return [workbook, model, *written]
 
 
 def _forget(folder: Path, refused: Iterable[str]) -> None:

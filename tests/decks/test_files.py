@@ -3,7 +3,9 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from labpipe.decks import write_decks
+import pytest
+
+from labpipe.decks import deck_texts, write_decks
 from labpipe.decks.files import DECKS
 from tests.builders.wire_tables import wire_table
 
@@ -27,3 +29,9 @@ def test_a_name_cannot_leave_the_folder(tmp_path: Path) -> None:
     written = write_decks([replace(wire_table(), name="../../up")], tmp_path)
     assert {path.parent for path in written} == {tmp_path / "decks"}
     assert all(path.is_file() for path in written)
+
+
+def test_a_law_that_no_deck_can_hold_is_told_with_the_deck() -> None:
+    table = wire_table("A1")
+    with pytest.raises(ValueError, match=r"^its deck abaqus.inp cannot be made: the law does not"):
+        deck_texts(replace(table, moment=table.moment[::-1]))
