@@ -22,6 +22,9 @@ _SIDE = 8
 """Samples on each side of a fall at least."""
 _SURE = 1e-3
 """Chance that the noise of a whole curve makes one fall, shared by all places and lengths."""
+_ALLOWED = 3.84
+"""Variances by which the sum of squares of a fall that may be true exceeds the least: chi-squared
+of one degree of freedom, 95 %."""
 _PART = 0.25
 """Of a sample, in which beginnings of falls are tried."""
 _SIDES = ((25, 3), (15, 2), (10, 1))
@@ -38,14 +41,16 @@ class Fall:
     Parameters
     ----------
     start, stop : last sample before it and first one after
+    middle : of the likeliest fall, in samples; of all alike, where the data do not tell them apart
     drop, drop_interval : N
-    earliest, latest : samples between which it may have been
+    earliest, latest : samples between which it may have been, by falls over whole samples
     slope_before, slope_behind : N/m
     slope_error : N/m, standard error of their difference
     """
 
     start: int
     stop: int
+    middle: float
     drop: float
     drop_interval: Interval
     earliest: int
@@ -126,13 +131,16 @@ def _fit_within(pull: Pull, fall: int, reach: tuple[int, int], factor: float) ->
     window = _Window(low, high, degree, factor)
     falls = _possible(window, fall, most)
     costs, variance, without = _costs(pull, window, falls)
-    best = falls[np.argmin(costs)]
+    # A fall between two samples has the same cost wherever it is between them.
+    best = falls[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
     if best[1] > most:
         return None  # it would rather take longer than the longest slip
-    allowed = falls[costs - costs.min() <= 3.84 * variance]
+    allowed = falls[costs <= costs.min() + _ALLOWED * variance]
+    whole = np.all(falls % 1.0 == 0.0, axis=1)
+    around = falls[whole & (costs <= costs[whole].min() + _ALLOWED * variance)]
     if not _is_clear(pull, window, (without - costs.min()) / variance):
         return None
-    found = _measured(pull, window, (best, allowed))
+    found = _measured(pull, window, (best, allowed, around))
     return found if found is not None and _is_rare(pull, window, found) else None
 
 
@@ -266,12 +274,11 @@ def _costs(pull: Pull, window: _Window, falls: Floats) -> tuple[Floats, float, f
     return squares, float(squares.min()) / window.freedom, without
 
 
-def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats]) -> Fall | None:
-    (best, allowed), blurred = falls, pull.blurred
+def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats, Floats]) -> Fall | None:
+    (best, allowed, around), blurred = falls, pull.blurred
     start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
-    earliest = int(np.floor(allowed[:, 0].min()))
-    latest = int(np.ceil(allowed.sum(axis=1).max()))
-    first, last = earliest + 1 - blurred, latest + blurred
+    first = int(np.floor(allowed[:, 0].min())) + 1 - blurred
+    last = int(np.ceil(allowed.sum(axis=1).max())) + blurred
     if min(first - 1 - window.low, window.high - last) < 4:
         return None
     rows = np.arange(window.low, window.high)
@@ -291,10 +298,11 @@ def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats]) -> Fall
     return Fall(
         start=start,
         stop=stop,
+        middle=float(best[0] + 0.5 * best[1]),
         drop=-drop.value,
         drop_interval=Interval(-drop.interval.upper, -drop.interval.lower),
-        earliest=earliest,
-        latest=latest,
+        earliest=int(around[:, 0].min()),
+        latest=int(around.sum(axis=1).max()),
         slope_before=before,
         slope_behind=before + change,
         slope_error=float(np.sqrt(both.covariance[3, 3])),

@@ -229,7 +229,7 @@ def _goes_on(f: Floats, found: Fall, lost_share: float) -> bool:
 def _entry(d: Floats, known: Ints, found: Fall, size: int, decision: SlipDecision) -> Slip:
     low, high = float(d[found.earliest]), float(d[found.latest])
     middle, half = 0.5 * (low + high), 0.475 * (high - low)
-    position = 0.5 * float(d[found.start] + d[found.stop])
+    position = float(np.interp(found.middle, np.arange(len(d)), d))
     return Slip(
         position=position,
         drop=found.drop,
