@@ -9,6 +9,7 @@ import numpy as np
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.failure import FailurePoint
 from labpipe.records.arrays import Floats
+from labpipe.records.bending import Bending
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Shape
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.slips import Slip
@@ -66,6 +67,7 @@ class Bench:
     slack : displacement before the specimen was taut, m; None where nobody asked
     stiffnesses : by name of the result, without the uncertainty of the force's scale
     lines : the straight lines that they were read from
+    bending : measured moment-curvature, or why there is none; None where nobody asked
     is_full_stroke : whether the motion went as far as the rig was told to
     notes : quality notes so far
     """
@@ -86,6 +88,7 @@ class Bench:
     slack: Estimate | Failure | None = None
     stiffnesses: dict[str, Estimate] = field(default_factory=dict)
     lines: list[FittedLine] = field(default_factory=list)
+    bending: Bending | Failure | None = None
     is_full_stroke: bool = False
     notes: list[QualityNote] = field(default_factory=list)
 

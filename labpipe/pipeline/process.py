@@ -14,6 +14,7 @@ from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.pipeline.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import Protocol
+from labpipe.records.bending import Bending
 from labpipe.records.result import Specimen, Status, TestResult
 from labpipe.store.lock import locked
 from labpipe.store.read import RawTest, read_raw
@@ -121,6 +122,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         aligned=bench.aligned,
         curve=bench.curve,
         shape=bench.shape,
+        bending=bench.bending if isinstance(bench.bending, Bending) else None,
         results=results,
         quality=tuple(bench.notes),
         display=dict(protocol.report.display),

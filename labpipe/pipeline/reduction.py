@@ -9,6 +9,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.bending import bending_stiffness
 from labpipe.pipeline.clocks import align_clocks, turning_points
 from labpipe.pipeline.corrections import correct_curve
 from labpipe.pipeline.cycle_results import (
@@ -47,6 +48,7 @@ from labpipe.protocol.results import (
     FailureResult,
     InitialStiffness,
     Modulus,
+    MomentCurvature,
     NormalisedStiffness,
     PeakDisplacement,
     PeakForce,
@@ -220,6 +222,8 @@ def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union
             return energy(bench)
         case ResidualDisplacement():
             return residual_displacement(bench, force_below=entry.force_below)
+        case MomentCurvature():
+            return bending_stiffness(bench, entry, protocol)
         case TipTravel():
             return tip_travel_result(bench)
         case _ as never:

@@ -30,8 +30,9 @@ _BRANCH_RESULTS = (
     "slips",
     "slack",
     "compliance",
+    "moment-curvature",
 )
-_NAMED = ("stiffness", "modulus")
+_NAMED = ("stiffness", "modulus", "moment-curvature")
 _MAKES_STIFFNESS = ("initial-stiffness", "stiffness", "two-segments")
 _NEEDS_OF_CURVE = {
     "failure": "failure",
@@ -216,14 +217,28 @@ def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
         yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
     if tag == "clock" and not outline.turning_points:
         yield _lacking_word(path, "align.method", "turning-points", repr(tag))
-    if tag == "tip-travel":
+    if tag in ("tip-travel", "moment-curvature"):
         yield from _shape_faults(outline, tag, path)
+    if tag == "moment-curvature":
+        yield from _clamp_faults(outline, tag, path)
 
 
 def _shape_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
     if "fit-shape" not in [step for _, step, _ in outline.entries("steps", "step")]:
         remedy = "Add the step 'fit-shape'."
         yield Fault(path, f"the step 'fit-shape' for {tag!r}", "no such step", remedy)
+
+
+def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
+    """Find a moment that nobody knows where to begin with, or on which clock the force is."""
+    if not outline.clamp:
+        remedy = "Name the rigid body at the clamp in 'markers.clamp'."
+        yield Fault(path, f"a clamped end for {tag!r}", "none", remedy)
+    displacement = outline.block("curve").get("displacement")
+    if isinstance(displacement, str) and outline.clock_of(displacement) not in (None, "markers"):
+        remedy = "Set 'curve.displacement' to 'deflection'."
+        expected = f"a curve on the clock of the markers for {tag!r}"
+        yield Fault(path, expected, f"displacement {displacement!r}", remedy)
 
 
 def _figure_faults(outline: Outline) -> Faults:
@@ -237,10 +252,17 @@ def _figure_faults(outline: Outline) -> Faults:
             yield _lacking(path, "curve", repr(name))
         if name == "wire-shapes":
             yield from _shape_faults(outline, name, path)
+        if name == "moment-curvature" and not _asks_for(outline, "moment-curvature"):
+            remedy = "Add a result 'moment-curvature'."
+            yield Fault(path, f"a result 'moment-curvature' for {name!r}", "none", remedy)
         if name == "marker-quality" and not outline.has_markers():
             yield Fault(path, f"a source of marker tracks for {name!r}", "none", _ADD_MARKERS)
         if name in names[:number]:
             yield Fault(path, "each figure once", f"{name!r} again", "Remove one of them.")
+
+
+def _asks_for(outline: Outline, tag: str) -> bool:
+    return tag in [found for _, found, _ in outline.entries("results", "result")]
 
 
 def _display_faults(outline: Outline) -> Faults:

@@ -10,6 +10,7 @@ from pydantic import Field, field_validator
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.quantities import (
+    Curvature,
     Distance,
     Force,
     Length,
@@ -83,6 +84,17 @@ class TipTravel(Block):
     """``tip_travel`` (m): how far the tip moves from where it began."""
 
     result: Literal["tip-travel"]
+
+
+class MomentCurvature(Block):
+    """``<name>`` (N m^2): bending stiffness by the measured moment-curvature law."""
+
+    result: Literal["moment-curvature"]
+    at: Curvature = Field(description="Curvature of the first loading")
+    kind: Literal["secant", "tangent"] = Field(
+        "secant", description="secant: moment / curvature; tangent: slope of the law"
+    )
+    name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_20")
 
 
 class TwoSegments(_Window):
@@ -160,7 +172,8 @@ ResultEntry: TypeAlias = Annotated[
     | SlipResults
     | SlackResult
     | ComplianceResult
-    | TipTravel,
+    | TipTravel
+    | MomentCurvature,
     Field(discriminator="result"),
 ]
 
@@ -194,6 +207,8 @@ def result_names(tag: str, entry: Mapping[str, object]) -> tuple[str, ...]:
     """
     if tag == "normalised-stiffness":
         return (f"{entry.get('of')}_per_peak_force",)
+    if tag == "moment-curvature":
+        return (str(entry.get("name", "bending_stiffness")),)
     if tag in ("stiffness", "modulus"):
         return (str(entry.get("name", tag)),)
     return _FIXED_NAMES.get(tag, ())

@@ -97,6 +97,9 @@ class Markers(Block):
     grip_offset: Offset = Field(0.0, description="Pivot of the clamp to the clamped end")
     pull_offset: Distance = Field(0.0, description="Last marker to the string, along the specimen")
     centre_offset: Offset = Field(0.0, description="Axis to marker centre, towards the pull")
+    offset_uncertainty: Distance = Field(
+        0.0, description="Standard uncertainty of grip_offset, and that of pull_offset"
+    )
 
 
 class AlignNone(Block):
@@ -169,7 +172,12 @@ class Branches(Block):
 
 
 FigureName: TypeAlias = Literal[
-    "force-displacement", "stiffness-lines", "wire-shapes", "timeline", "marker-quality"
+    "force-displacement",
+    "stiffness-lines",
+    "wire-shapes",
+    "moment-curvature",
+    "timeline",
+    "marker-quality",
 ]
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from labpipe.records.bending import Bending
 from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
@@ -110,6 +111,7 @@ class TestResult:
     figures : names of the figures that the protocol asks for
     slips : the slip ledger of the curve
     lines : the straight lines that stiffnesses were read from
+    bending : measured moment-curvature; None where the protocol does not ask for it or it failed
     """
 
     __test__ = False  # not a test of this project, whatever its name suggests to pytest
@@ -131,3 +133,4 @@ class TestResult:
     figures: tuple[str, ...] = ()
     slips: tuple[Slip, ...] = ()
     lines: tuple[FittedLine, ...] = ()
+    bending: Bending | None = None

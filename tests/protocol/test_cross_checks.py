@@ -186,6 +186,46 @@ def test_results_of_what_is_not_there(told: Told) -> None:
     ) in lines
 
 
+LAW = "  - {result: moment-curvature, at: 5 1/m}\n"
+
+
+def test_moment_curvature_stands_where_there_is_a_clamp(told: Told) -> None:
+    lines = told(("results:\n", f"results:\n{LAW}"), ("clamp: Clamp", "clamp: null"))
+
+    assert (
+        "p.yaml, line 25, column 14 (results.0.result): expected a clamped end for"
+        " 'moment-curvature', found none. Name the rigid body at the clamp in 'markers.clamp'."
+    ) in lines
+
+
+def test_moment_curvature_needs_shapes_and_the_clock_of_the_markers(told: Told) -> None:
+    step = "  - {step: fit-shape, terms: 7, tip: free}\n"
+    lines = told(
+        ("results:\n", f"results:\n{LAW}"),
+        (step, ""),
+        ("displacement: deflection", "displacement: force"),
+    )
+
+    assert (
+        "p.yaml, line 24, column 14 (results.0.result): expected the step 'fit-shape' for"
+        " 'moment-curvature', found no such step. Add the step 'fit-shape'."
+    ) in lines
+    assert (
+        "p.yaml, line 24, column 14 (results.0.result): expected a curve on the clock of the"
+        " markers for 'moment-curvature', found displacement 'force'. Set 'curve.displacement' to"
+        " 'deflection'."
+    ) in lines
+
+
+def test_moment_curvature_is_drawn_where_it_is_asked_for(told: Told) -> None:
+    lines = told(("wire-shapes", "moment-curvature"))
+
+    assert (
+        "p.yaml, line 30, column 33 (report.figures.1): expected a result 'moment-curvature' for"
+        " 'moment-curvature', found none. Add a result 'moment-curvature'."
+    ) in lines
+
+
 def test_two_clocks_without_a_block_align() -> None:
     text = """\
 version: 1

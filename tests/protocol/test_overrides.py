@@ -189,7 +189,8 @@ OVERRIDES = {
     "within a block": (
         "results: {value: [{result: clock}, {result: enrgy}], because: x}",
         "test/test.yaml, line 7, column 47 (results.1.result): expected one of 'energy',"
-        " 'energy-to-break', 'peak-force', 'two-segments', 'peak-displacement', 'failure', ...,"
+        " 'energy-to-break', 'moment-curvature', 'peak-force', 'two-segments',"
+        " 'peak-displacement', ...,"
         " found 'enrgy'. Did you mean 'energy'?",
     ),
     "elsewhere": (

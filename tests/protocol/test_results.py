@@ -45,6 +45,8 @@ def test_no_two_results_share_a_tag_or_a_name() -> None:
         ("stiffness", {"name": "stiffness_second"}, ("stiffness_second",)),
         ("modulus", {"name": "modulus_annulus"}, ("modulus_annulus",)),
         ("normalised-stiffness", {"of": "break"}, ("break_per_peak_force",)),
+        ("moment-curvature", {}, ("bending_stiffness",)),
+        ("moment-curvature", {"name": "bending_stiffness_at_2"}, ("bending_stiffness_at_2",)),
         ("failure", {"name": "ignored"}, ("failure_displacement", "failure_force")),
         ("peak-force", {}, ("peak_force.1",)),
         ("no-such-result", {}, ()),

@@ -89,8 +89,8 @@ CASES = {
     "figure": (
         ("wire-shapes", "wire-shape"),
         "p.yaml, line 30, column 33 (report.figures.1): expected one of 'wire-shapes',"
-        " 'force-displacement', 'timeline', 'stiffness-lines', 'marker-quality', found"
-        " 'wire-shape'."
+        " 'force-displacement', 'timeline', 'stiffness-lines', 'moment-curvature',"
+        " 'marker-quality', found 'wire-shape'."
         " Did you mean 'wire-shapes'?",
     ),
     "speed": (

@@ -1,0 +1,131 @@
+"""The measured moment-curvature law against the law that the virtual lab bends its wire by.
+
+Exports are written, processed by the command and read back. How often the intervals hold the truth
+is counted in memory, with what is uncertain drawn as stated: noise, the gain of the load cell, and
+where clamped end and pull point are.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from labpipe.pipeline.exports import name_channels
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.processing.law_table import law_points
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.bending import Bending, MeasuredLaw
+from labpipe.records.result import Status
+from labpipe.store.read import read_result
+from labpipe.virtual_lab import CantileverScenario, observe
+from tests.builders.bent_tests import law_moment
+from tests.builders.small_tests import Run, make_lab
+
+RUNS, FEW = 120, 5
+CURVATURES: Floats = np.array([1.0, 3.0, 6.0, 12.0, 20.0, 26.0])
+
+
+def scenario(*, cycles: int) -> CantileverScenario:
+    usual = CantileverScenario(name="T1")
+    return replace(
+        usual,
+        clocks=replace(usual.clocks, rate=1000.0),
+        mechanics=replace(usual.mechanics, cycles=cycles),
+    )
+
+
+def test_from_exports_to_the_law(tmp_path: Path, run: Run) -> None:
+    virtual = scenario(cycles=3)
+    lab = make_lab(tmp_path, virtual)
+    assert run("process", lab.raw).status == 0
+    bending = read_result(lab.result).bending
+    assert bending is not None
+    law = bending.law
+    assert law is not None
+    true = law_moment(virtual.mechanics.wire.law(), law.curvature)
+    known = law.is_known
+    assert law.floor < 0.15
+    assert known.sum() >= 38
+    assert law.moment[known] == pytest.approx(true[known], rel=0.03)
+    above = law.curvature > 0.5
+    assert law.moment[above] == pytest.approx(true[above], rel=0.012)
+    assert law.curvature[-1] > 28.0
+    assert set(bending.cloud.branch.tolist()) == set(range(6))
+    figures = {path.name for path in (lab.processed / "figures").glob("moment*")}
+    assert figures == {"moment-curvature.svg", "moment-curvature.png"}
+
+
+def test_the_cloud_lies_on_the_law(repository: Path) -> None:
+    """Nine in ten points of the first loading within three of their errors, away from the ends."""
+    virtual, bending = scenario(cycles=2), _bending(repository, 7)
+    cloud = bending.cloud
+    rows = cloud.branch == 0
+    at_rest = _curvature(virtual, cloud.moment_at_rest)
+    true = _curvature(virtual, cloud.moment[rows] + cloud.moment_at_rest) - at_rest
+    off = np.abs(cloud.curvature[rows] - true) / np.hypot(cloud.noise[rows], 0.01 * np.abs(true))
+    assert np.mean(off[:, 1:-1] < 3.0) > 0.9
+
+
+def _curvature(virtual: CantileverScenario, moment: Floats) -> Floats:
+    """First loading of the virtual wire, odd: what it is bent to by moments."""
+    grid = np.linspace(0.0, 60.0, 6001)
+    size = np.interp(np.abs(moment), law_moment(virtual.mechanics.wire.law(), grid), grid)
+    return np.asarray(np.sign(moment) * size, dtype=np.float64)
+
+
+def _bending(repository: Path, seed: int) -> Bending:
+    """One virtual test, the offsets of whose protocol are off by as much as it says."""
+    rng = np.random.default_rng([seed, 11])
+    text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
+    for key, nominal in (("grip_offset", 6.0), ("pull_offset", 4.0)):
+        assert f"{key}: {nominal:g} mm" in text
+        drawn = nominal + 0.1 * rng.standard_normal()
+        text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
+    plan, seen = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario(cycles=2), seed)
+    force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
+    bench, results = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    asked = [each for each in results if each.name.startswith("bending_stiffness")]
+    assert [each.status for each in asked] == [Status.OK, Status.OK], asked
+    assert isinstance(bench.bending, Bending)
+    return bench.bending
+
+
+def _covered(law: MeasuredLaw, true: Floats) -> list[bool]:
+    at = law_points(
+        law.knots,
+        law.compliance,
+        law.compliance_covariance,
+        CURVATURES,
+        scale_error=law.scale_error,
+    )
+    return [bool(hit) for hit in np.abs(at.moment - true) <= 1.96 * at.moment_error]
+
+
+def _study(repository: Path, runs: int) -> Counter[float]:
+    true = law_moment(scenario(cycles=2).mechanics.wire.law(), CURVATURES)
+    hits: Counter[float] = Counter()
+    for seed in range(runs):
+        law = _bending(repository, seed).law
+        assert law is not None
+        for curvature, hit in zip(CURVATURES.tolist(), _covered(law, true), strict=True):
+            hits[curvature] += hit
+    return hits
+
+
+def test_intervals_hold_the_law_in_a_few_tests(repository: Path) -> None:
+    hits = _study(repository, FEW)
+    assert sum(hits.values()) >= 0.7 * FEW * len(CURVATURES), dict(hits)
+
+
+@pytest.mark.slow
+def test_intervals_cover(repository: Path) -> None:
+    hits = _study(repository, RUNS)
+    level = 0.01 / len(CURVATURES)
+    unsound = {at: hits[at] for at in hits if binomtest(hits[at], RUNS, 0.95).pvalue < level}
+    assert not unsound, f"covered of {RUNS}: {unsound}; all: {dict(hits)}"

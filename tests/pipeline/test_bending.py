@@ -1,0 +1,133 @@
+"""Measured moment-curvature from recordings in memory, and what is said where there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.exports import name_channels
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.bending import Bending
+from labpipe.records.result import Result, Status
+from labpipe.virtual_lab import observe
+from labpipe.virtual_lab.scenario import CantileverScenario
+from tests.builders.bent_tests import law_moment
+from tests.builders.small_tests import small_scenario
+
+AT_1 = "  - {result: moment-curvature, at: 1 1/m, name: bending_stiffness_at_1}"
+
+
+SMALL = small_scenario()
+WHOLE = replace(
+    CantileverScenario(),
+    clocks=replace(SMALL.clocks, rate=500.0),
+    mechanics=replace(CantileverScenario().mechanics, cycles=2),
+)
+TAUT = replace(SMALL, mechanics=replace(SMALL.mechanics, slack=None, cycles=1))
+
+
+def reduced(
+    repository: Path, *changes: tuple[str, str], scenario: CantileverScenario = SMALL
+) -> tuple[Bench, dict[str, Result]]:
+    text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
+    for old, new in changes:
+        assert text.count(old) == 1, old
+        text = text.replace(old, new)
+    plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, 3)
+    force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
+    bench, results = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    return bench, {each.name: each for each in results}
+
+
+def notes(bench: Bench, code: str) -> list[str]:
+    return [note.message for note in bench.notes if note.code == code]
+
+
+def test_stiffnesses_of_the_law(repository: Path) -> None:
+    tangent = AT_1.replace("name:", "kind: tangent, name:").replace("at_1}", "t}")
+    bench, results = reduced(repository, (AT_1, f"{AT_1}\n{tangent}"))
+    law = SMALL.mechanics.wire.law()
+    for curvature in (1.0, 3.0):
+        found = results[f"bending_stiffness_at_{curvature:g}"]
+        true = float(law_moment(law, curvature)) / curvature  # type: ignore[arg-type]
+        assert found.unit == "N*m^2"
+        assert found.value == pytest.approx(true, rel=0.05)
+        assert found.interval is not None
+        assert found.interval.lower < true < found.interval.upper
+    assert results["bending_stiffness_t"].value == pytest.approx(4.53e-3, rel=0.05)
+    assert "tangent at 1 1/m of the monotone law" in results["bending_stiffness_t"].method
+    (said,) = notes(bench, "moment_curvature")
+    assert said.startswith("3383 points, each a mean over 3 frames, at 17 places; law from")
+
+
+def test_further_than_it_was_bent(repository: Path) -> None:
+    _, results = reduced(repository, ("at: 3 1/m", "at: 40 1/m"))
+    found = results["bending_stiffness_at_3"]
+    assert found.status is Status.FAILED
+    assert found.reason.startswith("not_reached: the first loading bends the wire to 4.")
+    assert found.reason.endswith("1/m, 40 1/m is asked for")
+
+
+def test_below_the_noise(repository: Path) -> None:
+    _, results = reduced(repository, ("at: 1 1/m", "at: 0.01 1/m"))
+    reason = results["bending_stiffness_at_1"].reason
+    assert reason.startswith("below_noise: curvatures up to 0.")
+    assert reason.endswith("1/m are not told from their noise, 0.01 1/m is asked for")
+
+
+def test_what_stopped_the_test_comes_first(repository: Path) -> None:
+    _, results = reduced(repository, ("min_stroke: 5 mm", "min_stroke: 500 mm"))
+    assert results["bending_stiffness_at_1"].reason.startswith("no_motion: ")
+
+
+def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None:
+    bench, results = reduced(repository, ("  string: {length: 760 mm, counterweight: 2.7 g}\n", ""))
+    assert notes(bench, "force_taken_normal") == [
+        "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "
+        "hanging at the tip"
+    ]
+    assert results["bending_stiffness_at_1"].value == pytest.approx(4.8e-3, rel=0.05)
+
+
+def test_a_string_that_was_taut_at_rest(repository: Path) -> None:
+    bench, results = reduced(repository, scenario=TAUT)
+    (said,) = notes(bench, "tension_at_rest")
+    assert said.endswith(
+        "so the string was taut at rest: it is taken to carry all of the counterweight, 0.0265 N; "
+        "carrying nothing is in the intervals"
+    )
+    found, law = results["bending_stiffness_at_1"], TAUT.mechanics.wire.law()
+    true = float(law_moment(law, 1.0)) / 1.0  # type: ignore[arg-type]
+    assert found.value == pytest.approx(true, rel=0.05)
+    assert found.interval is not None
+    assert found.interval.lower < true < found.interval.upper
+
+
+def test_too_few_frames_have_a_cloud_but_no_law(repository: Path) -> None:
+    slow = replace(SMALL, clocks=replace(SMALL.clocks, fps=6.0))
+    bench, results = reduced(
+        repository,
+        ("motion_window: 25 s", "motion_window: 3 s"),
+        ("step: specimen-frame, over: 2 s", "step: specimen-frame, over: 2.4 s"),
+        scenario=slow,
+    )
+    assert isinstance(bench.bending, Bending)
+    assert bench.bending.law is None
+    assert results["bending_stiffness_at_1"].reason.startswith(
+        "no_law: frames of the first loading="
+    )
+
+
+def test_a_law_that_does_not_fit_is_doubted(repository: Path) -> None:
+    bench, results = reduced(repository, ("grip_offset: 6 mm", "grip_offset: 2 mm"), scenario=WHOLE)
+    found = results["bending_stiffness_at_1"]
+    assert found.status is Status.DOUBTFUL
+    assert "law_misfit: markers lie " in found.reason
+    assert found.reason.endswith(
+        "the wire does not bend alike all along, or string and offsets are not as stated"
+    )
+    assert bench.bending is not None
