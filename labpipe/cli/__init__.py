@@ -87,12 +87,16 @@ def _spare_the_collector() -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="labpipe",
+        usage="labpipe [-h] [--version] COMMAND ...",
         description="From the raw exports of a wire-harness test lab to numbers and figures.",
         epilog=_EPILOG,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    # As long as the longest command is indented, or argparse puts that one on two lines.
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND ...", required=True, prog="labpipe"
+    )
     _demo(_command(commands, "demo", "a synthetic campaign in vendor formats, processed"))
     _inspect(_command(commands, "inspect", "what an export holds: channels, rate, gaps, oddities"))
     _new(_command(commands, "new", "write a test.yaml, or one per row of a campaign sheet"))
@@ -100,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     _process(_command(commands, "process", "exports to result.h5, summary.json and figures"))
     _report(_command(commands, "report", "processed tests to one page, figures and a workbook"))
     _model(_command(commands, "model", "wire dimensions to stiffness tables and simulation decks"))
+    _calibrate(_command(commands, "calibrate", "cantilever tests to a calibrated wire model"))
     _simulate(_command(commands, "simulate", "synthetic exports of a test, with known truth"))
     return parser
 
@@ -167,6 +172,21 @@ def _model(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the tables as JSON, in SI units")
+
+
+def _calibrate(parser: argparse.ArgumentParser) -> None:
+    what = "folder with processed cantilever tests, or a result.h5"
+    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help=what)
+    sheet = (
+        "wire sheet with the specimen types as its wires (default: wires.xlsx or wires.csv here)"
+    )
+    parser.add_argument("--wire", type=Path, metavar="SHEET", help=sheet)
+    plan = "calibration YAML: which wire, what is free, fixed or has a prior (default: all free)"
+    parser.add_argument("--plan", type=Path, metavar="FILE", help=plan)
+    where = "folder of the results (default: calibration, beside the tests)"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:

@@ -87,7 +87,8 @@ class CalibrationPlan(Block):
         None, description="Specimen type whose tests calibrate; the others are predicted"
     )
     method: Literal["likelihood", "source"] = Field(
-        "likelihood", description="source: three friction numbers and one stiffness, to compare"
+        "likelihood",
+        description="source: beside it, the source's three friction numbers and one stiffness",
     )
     parameters: Parameters = Parameters()
     scatter: Ratio | None = Field(

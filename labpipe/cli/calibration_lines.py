@@ -1,0 +1,88 @@
+"""What ``labpipe calibrate`` says of a calibration on a terminal."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from labpipe.cli.telling import from_here
+from labpipe.records.calibration import CalibrationFailure, Identified
+
+if TYPE_CHECKING:
+    from labpipe.pipeline.calibrating import Calibrated
+    from labpipe.records.calibration import CalibratedParameter
+    from labpipe.report.calibration_shown import ValidationGroup
+
+_SHOWN = {"N": (1e3, "mN"), "Pa": (1e-6, "MPa"), "1": (1.0, "")}
+_DOUBTED = {Identified.NOT, Identified.AT_BOUND}
+
+
+def calibration_table(done: Calibrated) -> str:
+    """Lay out a calibration for a terminal.
+
+    Parameters
+    ----------
+    done : the calibration and what it was held against
+
+    Returns
+    -------
+    The parameters with intervals, what is not identified, a line per wire and length, notes, and
+    where the files are.
+    """
+    found = done.calibration
+    lines = [
+        f"{found.wire}: {found.n_points} points of {found.n_samples} samples, rms "
+        f"{1e3 * found.rmse:.3g} mN ({100.0 * found.rmse_share:.2g} % of the largest force)"
+    ]
+    lines += [_parameter(each) for each in found.parameters]
+    lines += [f"  {each.words}" for each in found.parameters if each.words]
+    if found.friction_separability is not None:
+        lines.append(f"  {found.friction_separability.words}")
+    lines += ["", *_groups(done)]
+    lines += _source(done)
+    lines += [f"  {note.severity}: {note.where}: {note.message}" for note in found.notes]
+    lines.append(f"results: {from_here(done.folder)}")
+    return "\n".join(lines)
+
+
+def _parameter(each: CalibratedParameter) -> str:
+    factor, unit = _SHOWN[each.unit]
+    mark = "?" if each.verdict in _DOUBTED else " "
+    line = f"{mark} {each.name:<20}{factor * each.value:>10.5g} {unit:<4}"
+    if each.interval is None:
+        return f"{line} {each.verdict}"
+    low = "?" if each.is_open_below else f"{factor * each.interval.lower:.5g}"
+    high = "?" if each.is_open_above else f"{factor * each.interval.upper:.5g}"
+    return f"{line} 95 %: {low} to {high}  {each.verdict}"
+
+
+def _groups(done: Calibrated) -> list[str]:
+    heading = (
+        f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'tests are'}"
+    )
+    return [heading, *(_group(each) for each in done.groups)]
+
+
+def _group(each: ValidationGroup) -> str:
+    role = "calibrating" if each.is_calibrated else "foretold"
+    head = f"  {f'{each.wire}, {1e3 * each.length:.4g} mm':<14}{len(each.samples):>8}"
+    errors = each.errors
+    if errors is None:
+        return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason}"
+    return (
+        f"{head}{1e3 * errors.rmse:>9.3g}{f'{100.0 * errors.rmse_share:.2g} %':>9}"
+        f"{f'{100.0 * errors.inside:.3g} %':>9}  {role}"
+    )
+
+
+def _source(done: Calibrated) -> list[str]:
+    source = done.source
+    if source is None:
+        return []
+    if isinstance(source, CalibrationFailure):
+        return [f"  method of the source: failed, {source.code}: {source.message}"]
+    return [
+        f"  method of the source, to compare: mu_s {source.strand_friction:.3g}, mu_p "
+        f"{source.insulation_friction:.3g}, F_rad {source.radial_force:.3g} N, together "
+        f"{1e3 * source.radial_friction:.4g} mN, rms {1e3 * source.rmse:.3g} mN; where it ends "
+        "depends on where it begins"
+    ]

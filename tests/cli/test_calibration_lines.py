@@ -1,0 +1,78 @@
+"""What ``labpipe calibrate`` says on a terminal."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe.cli.calibration_lines import calibration_table
+from labpipe.pipeline.calibrating import Calibrated, compare
+from labpipe.pipeline.first_loadings import FirstLoading
+from labpipe.records.calibration import Calibration, CalibrationFailure
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.wire.calibration import Settings, calibrate
+from tests.builders.loading_tests import measured, wire_of
+
+
+@pytest.fixture(scope="module")
+def done() -> Calibrated:
+    curves = measured("A2")
+    found = calibrate(wire_of("A2"), curves, Settings())
+    assert isinstance(found, Calibration)
+    loadings = [FirstLoading(curve, 0.0, ()) for curve in curves]
+    groups = compare(found, {"A2": wire_of("A2")}, loadings)
+    return Calibrated(Path("processed/calibration"), found, None, groups, {}, ())
+
+
+def test_parameters_with_intervals_and_units(done: Calibrated) -> None:
+    lines = calibration_table(done).splitlines()
+    assert lines[0].startswith("A2: 816 points of 3 samples, rms ")
+    values = {line.split()[0]: line for line in lines[1:4]}
+    assert list(values) == ["radial_friction", "insulation_modulus", "copper_scale"]
+    assert " mN " in values["radial_friction"]
+    assert " MPa " in values["insulation_modulus"]
+    assert all(" 95 %: " in line for line in values.values())
+
+
+def test_an_open_end_and_a_fixed_value(done: Calibrated) -> None:
+    first, second, third = done.calibration.parameters
+    odd = replace(
+        done.calibration,
+        parameters=(replace(first, is_open_below=True), second, replace(third, interval=None)),
+    )
+    lines = calibration_table(replace(done, calibration=odd)).splitlines()
+    assert " 95 %: ? to " in lines[1]
+    assert lines[3].endswith(str(third.verdict))
+
+
+def test_what_is_not_identified_is_said(done: Calibrated) -> None:
+    separability = done.calibration.friction_separability
+    assert separability is not None
+    assert f"  {separability.words}" in calibration_table(done).splitlines()
+
+
+def test_a_line_per_wire_and_length(done: Calibrated) -> None:
+    lines = calibration_table(done).splitlines()
+    (line,) = [line for line in lines if line.startswith("  A2, 85 mm")]
+    assert line.endswith("calibrating")
+    (group,) = done.groups
+    missing = replace(group, prediction=None, errors=None, reason="no_prediction: too deep")
+    lines = calibration_table(replace(done, groups=(missing,))).splitlines()
+    (line,) = [line for line in lines if line.startswith("  A2, 85 mm")]
+    assert line.endswith("calibrating; no_prediction: too deep")
+
+
+def test_notes_and_the_folder(done: Calibrated) -> None:
+    note = QualityNote("test_doubtful", Severity.WARNING, "T1", "taken as it is: gap")
+    with_note = replace(done, calibration=replace(done.calibration, notes=(note,)))
+    lines = calibration_table(with_note).splitlines()
+    assert lines[-2] == "  warning: T1: taken as it is: gap"
+    assert lines[-1] == f"results: {Path('processed/calibration')}"
+
+
+def test_a_failed_comparison_says_why(done: Calibrated) -> None:
+    failed = CalibrationFailure("parameter_without_effect", "a single strand has no friction")
+    said = calibration_table(replace(done, source=failed))
+    assert "method of the source: failed, parameter_without_effect: a single strand" in said

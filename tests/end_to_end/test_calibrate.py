@@ -1,0 +1,174 @@
+"""``labpipe calibrate``: from processed tests to a calibrated wire and what it foretells."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.wire.wire_table import wire_table
+from tests.builders.small_tests import Run, state
+from tests.builders.wire_lab import processed_wires
+
+TRUTH = {"radial_friction": 0.0465, "insulation_modulus": 1e9, "copper_scale": 1.0}
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Processed tests; not to be changed."""
+    return processed_wires(tmp_path_factory.mktemp("wires"))
+
+
+@pytest.fixture
+def sheet(repository: Path) -> str:
+    return str(repository / "examples" / "wires.xlsx")
+
+
+def plan(folder: Path, text: str) -> str:
+    path = folder / "plan.yaml"
+    path.write_text(f"version: 1\n{text}", encoding="utf-8")
+    return str(path)
+
+
+def test_truth_is_found_and_another_wire_foretold(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    out = tmp_path / "out"
+    asked = ("--plan", plan(tmp_path, "wire: A2\nmethod: source\n"), "--out", str(out))
+    done = run("calibrate", str(campaign), "--wire", sheet, *asked, "--no-figures")
+    assert done.status == 0, done.err
+    found: dict[str, Any] = json.loads((out / "calibration.json").read_text("utf-8"))
+    assert found["wire"] == "A2"
+    for each in found["parameters"]:
+        low, high = each["lower"], each["upper"]
+        assert low is None or low < TRUTH[each["name"]]
+        assert high is None or TRUTH[each["name"]] < high
+    assert not any(found["friction_separability"]["identified"].values())
+    first, second = found["groups"]
+    assert (first["wire"], first["calibrating"]) == ("A2", True)
+    assert (second["wire"], second["calibrating"]) == ("B1", False)
+    assert second["rmse_share"] < 0.08
+    assert second["inside_band"] > 0.9
+    assert found["source_method"]["radial_friction"] > 2.0 * TRUTH["radial_friction"]
+    assert "cannot be told apart" in done.out
+    assert "foretold" in done.out
+    assert (out / "calibration.xlsx").is_file()
+
+
+def test_decks_are_those_of_the_calibrated_wires(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    out = tmp_path / "out"
+    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(out), "--json", "--no-figures")
+    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
+    assert done.status == 0
+    values = {each["name"]: each["value"] for each in json.loads(done.out)["parameters"]}
+    deck = json.loads((out / "decks" / "B1.json").read_text("utf-8"))
+    nominal = next(spec for spec in read_wire_sheet(Path(sheet)) if spec.name == "B1")
+    calibrated = replace(
+        nominal,
+        radial_force=values["radial_friction"] / (0.21 + 0.10),
+        insulation_modulus=values["insulation_modulus"],
+        copper_k=530e6 * values["copper_scale"],
+    )
+    assert deck["moment"] == pytest.approx(wire_table(calibrated).moment.tolist(), rel=1e-9)
+    assert deck["moment"] != pytest.approx(wire_table(nominal).moment.tolist(), rel=1e-6)
+
+
+def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
+    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
+    assert run("calibrate", str(campaign), "--wire", sheet, *asked).status == 0
+    drawn = {path.suffix for path in (tmp_path / "out" / "figures").iterdir()}
+    assert drawn == {".svg", ".png"}
+
+
+def test_one_wire_needs_no_plan(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "out"
+    alone = [str(campaign / f"A2-085-{number}") for number in (1, 2)]
+    done = run("calibrate", *alone, "--wire", sheet, "--out", str(out), "--no-figures")
+    assert done.status == 0, done.err
+    assert done.out.startswith("A2: ")
+
+
+def refused(run: Run, folder: Path, *arguments: str) -> str:
+    """A calibration that ends with one message and leaves earlier results alone."""
+    out = folder / "earlier"
+    out.mkdir()
+    (out / "calibration.json").write_text("{}", encoding="utf-8")
+    before = state(out)
+    done = run("calibrate", *arguments, "--out", str(out))
+    assert done.status == 2
+    assert "Traceback" not in done.err
+    assert state(out) == before
+    return done.err
+
+
+def test_mixed_wires_ask_for_one(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
+    said = refused(run, tmp_path, str(campaign), "--wire", sheet)
+    assert "expected tests of one wire, found tests of 2 wires: A2, B1. Name the one to" in said
+
+
+def test_a_plan_for_a_wire_without_tests(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    asked = plan(tmp_path, "wire: A3\n")
+    said = refused(run, tmp_path, str(campaign), "--wire", sheet, "--plan", asked)
+    assert "plan.yaml, wire: expected tests of 'A3', found usable tests of A2, B1 alone" in said
+
+
+def test_a_sheet_without_the_wire(campaign: Path, tmp_path: Path, run: Run) -> None:
+    other = tmp_path / "wires.csv"
+    other.write_text(
+        "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm\n"
+        "A22,1.6,7,0.32,12,0.3\n",
+        encoding="utf-8",
+    )
+    tests = str(campaign / "A2-085-1")
+    said = refused(run, tmp_path, tests, "--wire", str(other))
+    assert "expected a row for 'A2', the specimen type of test A2-085-1, found rows for A22" in said
+
+
+def test_no_sheet_at_all(
+    campaign: Path, tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    said = refused(run, tmp_path, str(campaign))
+    assert "expected a wire sheet, or wires.xlsx or wires.csv in the working folder" in said
+
+
+def test_fewer_points_than_parameters(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:
+    asked = plan(tmp_path, "wire: A2\nup_to: 0.5 mm\npoints: 20\n")
+    said = refused(run, tmp_path, str(campaign), "--wire", sheet, "--plan", asked)
+    assert "points of the first loading lie between 0 and 0.5 mm: 20 at least are needed" in said
+
+
+def test_a_broken_result_is_left_out_and_told(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    tests = tmp_path / "tests"
+    shutil.copytree(campaign, tests)
+    (tests / "A2-085-2" / "result.h5").write_bytes(b"no HDF5")
+    asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
+    done = run("calibrate", str(tests), "--wire", sheet, *asked, "--no-figures")
+    assert done.status == 2
+    assert "left out: " in done.err
+    assert "A2-085-2" in done.err
+    assert (tmp_path / "out" / "calibration.json").is_file()
+
+
+def test_a_prior_that_contradicts_the_tests(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    text = (
+        "wire: A2\nparameters:\n"
+        "  insulation_modulus: {enters: prior, value: 3 GPa, factor: 1.2, because: a data sheet}\n"
+    )
+    asked = ("--plan", plan(tmp_path, text), "--out", str(tmp_path / "out"), "--no-figures")
+    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
+    assert done.status == 0
+    assert "standard deviations" in done.out
