@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -103,7 +104,7 @@ def _table(path: Path) -> Table:
 
 def _check_names(cells: Sequence[Cell], faults: Faults) -> None:
     """Tell names that are missing, cannot be the name of a file, or come again."""
-    seen: set[str] = set()
+    seen: dict[str, Cell] = {}
     for cell in cells:
         place, name = f"{cell.place} ({NAME})", cell.text
         if not name:
@@ -114,10 +115,27 @@ def _check_names(cells: Sequence[Cell], faults: Faults) -> None:
                 'Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at most.'
             )
             faults.add(place, expected=expected, found=repr(name), remedy=remedy)
-        elif name.casefold() in seen:  # some file systems take A1 and a1 for one name
+        elif _as_file(name) in seen:
+            expected, found = _name_again(cell, seen[_as_file(name)])
             remedy = "Give each wire a name of its own."
-            faults.add(place, expected="each wire once", found=f"{name!r} again", remedy=remedy)
-        seen.add(name.casefold())
+            faults.add(place, expected=expected, found=found, remedy=remedy)
+        seen.setdefault(_as_file(name), cell)
+
+
+def _as_file(name: str) -> str:
+    """What is left of a name where letters' case, and how an accent is written, do not count.
+
+    So it is with files on some systems, and with the case of Abaqus's labels.
+    """
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def _name_again(cell: Cell, first: Cell) -> tuple[str, str]:
+    """What was expected and found where a name comes again, the first place named."""
+    if cell.text == first.text:
+        return "each wire once", f"{cell.text!r} again, as in {first.place}"
+    expected = "names that differ in more than the case of letters, which files and labels ignore"
+    return expected, f"{cell.text!r}, and {first.text!r} in {first.place}"
 
 
 _Curve: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]] | None
