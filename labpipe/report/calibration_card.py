@@ -14,7 +14,6 @@ from labpipe.report.calibration_curves import (
     looks_of,
     plot_loadings,
     plot_residuals,
-    source_curves,
 )
 from labpipe.report.calibration_look import SOURCE, count_of, length_words
 from labpipe.report.calibration_profiles import INTERVAL, PRIOR, THRESHOLD, plot_profile
@@ -156,7 +155,7 @@ def _keys(
     keys.append(Line2D([], [], label="model", **MODEL_LINE))
     if predictions:
         keys.append(Patch(label="its 95 % band, mean sample", **MODEL_BAND))
-    if source is not None and source_curves(calibration, source):
+    if source is not None:
         keys.append(Line2D([], [], label="method: source", **SOURCE))
     if any(parameter.profile is not None for parameter in calibration.parameters):
         keys.append(Line2D([], [], label="95 % threshold", **THRESHOLD))

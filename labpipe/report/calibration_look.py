@@ -26,7 +26,7 @@ SOURCE: Mapping[str, Any] = {
 _COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
-_POWER = re.compile(r"e([+-])0*(\d+)")
+_POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
 _SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
@@ -72,7 +72,7 @@ _IN_WORDS: Mapping[str, str] = {
 
 
 def typeset(sentence: str) -> str:
-    r"""Make a sentence of a calibration fit for print.
+    """Make a sentence of a calibration fit for print.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def typeset(sentence: str) -> str:
 
     Examples
     --------
-    >>> typeset("the modulus was held at 1.2e+09 Pa; radial_force is not known")
-    'The modulus was held at 1.2 \u00d7 10\u2079 Pa; F_rad is not known.'
+    >>> typeset("the radial_force was held at 2 N")
+    'The F_rad was held at 2 N.'
     """
     for name, words in _IN_WORDS.items():
         sentence = re.sub(rf"\b{name}\b", words, sentence)

@@ -44,6 +44,7 @@ def test_panels_keys_and_words() -> None:
         "measured, 120 mm (2)",
         "model",
         "its 95 % band, mean sample",
+        "method: source",
         "95 % threshold",
         "95 % interval",
     ]
