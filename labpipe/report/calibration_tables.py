@@ -6,6 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from typing import Any
 
+import numpy as np
+
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import (
     PARAMETERS,
@@ -176,7 +178,9 @@ def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
         return (*head, *[None] * 6, group.reason)
     shares = (100.0 * errors.rmse_share, 100.0 * errors.inside)
     rmse = FORCE.factor * errors.rmse
-    return (*head, errors.n, errors.sse, rmse, *shares, group.foretold, group.band.reason)
+    has_band = bool(np.isfinite(group.band.lower).any())
+    why = "" if has_band else group.band.reason
+    return (*head, errors.n, errors.sse, rmse, *shares, group.foretold, why)
 
 
 def _curves(calibration: Calibration) -> Sheet:

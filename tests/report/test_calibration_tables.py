@@ -89,7 +89,7 @@ def test_agreement_of_each_wire_and_length() -> None:
     assert first["mean inside the band (%)"] == pytest.approx(100.0 * errors.inside)
     assert first["model is"] == "calibrated by these samples"
     assert (single["model is"], single["samples"]) == ("foretold", 1)
-    assert single["reason"].startswith("one_curve: ")
+    assert (first["reason"], single["reason"][:11]) == ("", "one_curve: ")
     (lost,) = rows(CalibrationReport(usual(), (LOST,)), "agreement")
     assert (lost["SSE (N²)"], lost["reason"]) == (None, "no_wire: not in the sheet")
 
@@ -109,7 +109,7 @@ def test_notes_worst_first_and_what_is_told_apart() -> None:
     assert found[-1]["code"] == "told_apart"
     warned = replace(foretold(), notes=(troubled().notes[0],))
     both = CalibrationReport(usual(), (replace(group(), prediction=warned),))
-    assert rows(both, "notes")[0]["of"] == "prediction" or usual().notes
+    assert "prediction" in [row["of"] for row in rows(both, "notes")]
 
 
 def test_curves_of_a_wire_and_length() -> None:
