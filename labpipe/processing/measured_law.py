@@ -12,6 +12,7 @@ import numpy as np
 
 from labpipe.processing.law_basis import LawBasis, law_knots
 from labpipe.processing.law_shapes import Loaded, predict
+from labpipe.processing.nonnegative import solve_nonnegative
 from labpipe.records.arrays import Flags, Floats
 
 _ROUNDS = 12
@@ -193,11 +194,7 @@ def _solve(normal: Floats, right: Floats) -> Floats:
     plain: Floats = inverse @ right
     if (plain >= 0.0).all():
         return plain
-    from scipy.optimize import nnls  # its import costs more than the fit, and is rarely needed
-
-    root = np.linalg.cholesky(normal / np.outer(scale, scale)).T
-    goal = np.linalg.solve(root.T, right / scale)
-    return np.asarray(nnls(root, goal)[0] / scale, dtype=np.float64)
+    return solve_nonnegative(normal / np.outer(scale, scale), right / scale) / scale
 
 
 def _inverse(normal: Floats) -> Floats:

@@ -6,11 +6,14 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Group, MeanInterval
 from labpipe.report.wording import Scale
 from labpipe.units import si_factor
+
+if TYPE_CHECKING:
+    from labpipe.records.group import Group, MeanInterval
 
 _WORDS = {
     "bending_stiffness": "Bending stiffness",
@@ -233,6 +236,7 @@ def write_mean(
 
     Examples
     --------
+    >>> from labpipe.records.group import MeanInterval
     >>> write_mean(MeanInterval(11.468, Interval(-31.2, 54.1), 4.7, 2)).text
     '11.5 (-31.2 to 54.1)'
     """
