@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
+from openpyxl import Workbook, load_workbook
 
 from benchmarks import plain_loop
 from labpipe.wire.cantilever import end_load_curve
@@ -20,6 +25,9 @@ RUNS = 9
 WALL = 0.3e-3
 LENGTH, DEFLECTION = 85e-3, 50e-3
 LARGEST = 60.0  # 1/m, beyond what the wires reach at that deflection
+FARTHEST, FARTHEST_LARGEST = 0.8 * LENGTH, 125.0
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples" / "wires.xlsx"
+COPIES = 30  # of the ten wires of the examples
 CURVATURES = np.linspace(0.0, 35.0, 10_000)
 WIRES = {
     7: (1.6e-3, 0.32e-3, [12.0]),
@@ -95,6 +103,40 @@ def cantilever_curve(strands: int) -> None:
     show("  making its law, ms", 1e3 * making, "")
 
 
+def far_cantilever_curve(strands: int) -> None:
+    """100 points up to 0.8 of the length: the last dozen station by station."""
+    law = play_law(section_of(strands), contacts_of(strands), largest_curvature=FARTHEST_LARGEST)
+    deflections = np.linspace(0.0, FARTHEST, 101)[1:]
+    ours = best(lambda: end_load_curve(law, LENGTH, deflections))
+    show(f"  up to 0.8 of the length, {strands} strands, ms", 1e3 * ours, "at most 30")
+
+
+def write_sheet(path: Path) -> Path:
+    """The wires of the examples again and again, each with a name of its own."""
+    heading, *rows = load_workbook(EXAMPLES).worksheets[0].iter_rows(values_only=True)
+    book = Workbook(write_only=True)
+    sheet = book.create_sheet("wires")
+    sheet.append(heading)
+    for number in range(COPIES):
+        for name, *cells in rows:
+            sheet.append((f"{name}-{number}", *cells))
+    book.save(path)
+    return path
+
+
+def whole_sheet() -> None:
+    """Tables, decks, workbook and JSON of 300 wires, from the command line."""
+    labpipe = str(Path(sys.executable).with_name("labpipe"))
+    with tempfile.TemporaryDirectory() as folder:
+        sheet = write_sheet(Path(folder) / "wires.xlsx")
+        command = [labpipe, "model", str(sheet), "--no-figures", "--out", str(Path(folder) / "out")]
+
+        def work() -> None:
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+
+        show("sheet of 300 wires, no figures, s", best(work, runs=2), "under 15, two free cores")
+
+
 def packings() -> None:
     """37 strands, all starts; the plain search goes five steps from one, too slow for more."""
     layers, tube = layers_of(37), tube_of(37)
@@ -113,7 +155,9 @@ def main() -> None:
     for strands in WIRES:
         moment_law(strands)
         cantilever_curve(strands)
+        far_cantilever_curve(strands)
     packings()
+    whole_sheet()
 
 
 if __name__ == "__main__":
