@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.failure import FailurePoint
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.bending import Bending
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Shape
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import MarkerTracks
 from labpipe.records.slips import Slip
+
+if TYPE_CHECKING:
+    from labpipe.processing.frames import SpecimenFrame
+    from labpipe.processing.tracks import RepairedTracks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,6 +123,27 @@ class Bench:
     def within(self, branch: Branch) -> slice:
         """Samples of the curve that belong to a branch."""
         return slice(branch.start, branch.stop)
+
+
+@dataclass(slots=True)
+class MarkerBench:
+    """The stages of one take, filled in from left to right.
+
+    Parameters
+    ----------
+    tracks, role : the take and its role; None for a test without one
+    clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
+    repaired : tracks of the markers along the specimen
+    frame : of the specimen
+    rest : shape (frames,), the frames that the frame was found in
+    """
+
+    tracks: MarkerTracks | None = None
+    role: str = "markers"
+    clamp: Floats | None = None
+    repaired: RepairedTracks | None = None
+    frame: SpecimenFrame | None = None
+    rest: Flags | None = None
 
 
 def rms(values: Floats) -> float:

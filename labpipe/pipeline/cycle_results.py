@@ -21,7 +21,6 @@ from labpipe.pipeline.cycle_numbers import (
     residual_of,
     unloading_stiffness_of,
 )
-from labpipe.pipeline.marker_steps import tip_travel
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
 from labpipe.pipeline.sharp_turns import peak_displacement_of_cycle, peak_force_of_cycle
 from labpipe.records.arrays import Floats
@@ -89,6 +88,8 @@ def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> li
 
 def tip_travel_result(bench: Bench) -> list[Result]:
     """``tip_travel`` (m): the largest distance of the last point from where it began."""
+    from labpipe.pipeline.marker_steps import tip_travel  # loaded by tests with markers alone
+
     method = "largest distance of the last point of the shape from its mean over five frames"
     return [
         to_result(bench, Asked("tip_travel", "m", ("displacement",), method), tip_travel(bench))

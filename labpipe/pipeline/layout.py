@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
-from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.marker_steps import MarkerBench
+from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
 from labpipe.records.arrays import Floats

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from labpipe.errors import ProcessingError, complaint, nearest
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.noise import long_run_variance
-from labpipe.pipeline.bench import Bench, Signal, rms
-from labpipe.processing.frames import SpecimenFrame, specimen_frame
+from labpipe.pipeline.bench import Bench, MarkerBench, Signal, rms
+from labpipe.processing.frames import specimen_frame
 from labpipe.processing.rings import ring_centres, rings_by_body
 from labpipe.processing.shape import ShapeFit, deflection, fit_shape
 from labpipe.processing.strokes import noise_level
@@ -35,27 +34,6 @@ _DOUBTFUL = {
 }
 """Notes after which a number that rests on the shape may be wrong. A repair that the rule settles
 is noted and flagged, and leaves the numbers as good as they were."""
-
-
-@dataclass(slots=True)
-class MarkerBench:
-    """The stages of one take, filled in from left to right.
-
-    Parameters
-    ----------
-    tracks, role : the take and its role; None for a test without one
-    clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
-    repaired : tracks of the markers along the specimen
-    frame : of the specimen
-    rest : shape (frames,), the frames that the frame was found in
-    """
-
-    tracks: MarkerTracks | None = None
-    role: str = "markers"
-    clamp: Floats | None = None
-    repaired: RepairedTracks | None = None
-    frame: SpecimenFrame | None = None
-    rest: Flags | None = None
 
 
 def repair(bench: Bench, markers: MarkerBench, step: RepairMarkers, words: Markers | None) -> None:

@@ -8,8 +8,7 @@ from typing import assert_never
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.bending import bending_stiffness
+from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.clocks import align_clocks, turning_points
 from labpipe.pipeline.corrections import correct_curve
 from labpipe.pipeline.cycle_results import (
@@ -23,7 +22,6 @@ from labpipe.pipeline.cycle_results import (
     unloading_stiffness,
 )
 from labpipe.pipeline.layout import lay_out
-from labpipe.pipeline.marker_steps import MarkerBench
 from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
 from labpipe.pipeline.steps import take_step
 from labpipe.pipeline.stiffness_results import (
@@ -223,6 +221,8 @@ def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union
         case ResidualDisplacement():
             return residual_displacement(bench, force_below=entry.force_below)
         case MomentCurvature():
+            from labpipe.pipeline.bending import bending_stiffness  # loaded by these tests alone
+
             return bending_stiffness(bench, entry, protocol)
         case TipTravel():
             return tip_travel_result(bench)

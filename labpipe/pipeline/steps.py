@@ -9,8 +9,7 @@ import numpy as np
 
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.noise import long_run_variance
-from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.marker_steps import MarkerBench, fit_shapes, repair, turn_into_specimen
+from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.processing.filtering import (
     decimate,
     low_pass,
@@ -51,12 +50,8 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
         If the data cannot go through the step.
     """
     match step:
-        case RepairMarkers():
-            repair(bench, markers, step, protocol.markers)
-        case SpecimenFrame():
-            turn_into_specimen(bench, markers, step, protocol.markers)
-        case FitShape():
-            fit_shapes(bench, markers, step, protocol.markers)
+        case RepairMarkers() | SpecimenFrame() | FitShape():
+            _take_marker_step(bench, markers, step, protocol)
         case Zero():
             _zero(bench, step)
         case Smooth():
@@ -71,6 +66,24 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
             _decimate(bench, step)
         case _ as never:
             assert_never(never)
+
+
+def _take_marker_step(
+    bench: Bench,
+    markers: MarkerBench,
+    step: RepairMarkers | SpecimenFrame | FitShape,
+    protocol: Protocol,
+) -> None:
+    # A test on a load frame alone does not load what takes markers to a shape.
+    from labpipe.pipeline.marker_steps import fit_shapes, repair, turn_into_specimen
+
+    match step:
+        case RepairMarkers():
+            repair(bench, markers, step, protocol.markers)
+        case SpecimenFrame():
+            turn_into_specimen(bench, markers, step, protocol.markers)
+        case FitShape():
+            fit_shapes(bench, markers, step, protocol.markers)
 
 
 def _zero(bench: Bench, step: Zero) -> None:

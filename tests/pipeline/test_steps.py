@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.marker_steps import MarkerBench
+from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.steps import take_step
 from labpipe.processing.filtering import decimate, low_pass, moving_average
 from labpipe.protocol.load import parse_protocol
