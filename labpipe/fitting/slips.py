@@ -150,12 +150,14 @@ def _stands_alone(f: Floats) -> Flags:
     steps = np.diff(f)
     usual = float(np.median(steps))
     off = np.abs(f - running_median(f, 5))
+    spread = 1.4826 * float(np.median(np.abs(steps - usual)))
+    is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
+    if not is_off.any():
+        return is_off
     pairs = 0.5 * (f[1:] + f[:-1])
     apart = np.full(len(f), np.inf)
     apart[2:-2] = np.abs(pairs[3:] - pairs[:-3] - 3.0 * usual)
-    spread = 1.4826 * float(np.median(np.abs(steps - usual)))
-    alone: Flags = (off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))) & (apart < 0.5 * off)
-    return alone
+    return is_off & (apart < 0.5 * off)
 
 
 def _confirmed(pull: Pull, min_drop: float) -> list[Fall]:
