@@ -7,13 +7,18 @@ from pathlib import Path
 import pytest
 
 ELSEWHERE = {
+    "cli/calibrate.py": "end_to_end/test_calibrate.py",
     "cli/check.py": "cli/test_cli.py",
     "cli/inspect.py": "cli/test_cli.py",
+    "cli/model.py": "end_to_end/test_model.py",
     "cli/new.py": "cli/test_cli.py",
     # Blocks of the grammar without code of their own, and how they are told: through the loader.
     "protocol/outline.py": "protocol/test_load.py",
     "protocol/rig.py": "protocol/test_load.py",
     "protocol/steps.py": "protocol/test_load.py",
+    # Its shapes, drawn end to end; its numbers, through the calibration they lay out.
+    "pipeline/bent_shapes.py": "end_to_end/test_calibrate.py",
+    "pipeline/calibration_json.py": "pipeline/test_calibrating.py",
     # Numbers of a cycle, through the results that are made of them.
     "pipeline/cycle_numbers.py": "pipeline/test_cycle_results.py",
     # What reading checks, through reading.

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from labpipe.decks import write_decks
 from labpipe.errors import ProcessingError, UsageError, complaint, nearest
+from labpipe.pipeline.bent_shapes import bent_shapes
 from labpipe.pipeline.calibration_json import calibration_json
 from labpipe.pipeline.first_loadings import FirstLoading, read_first_loadings
 from labpipe.pipeline.targets import find_results, shared_folder
@@ -32,7 +33,7 @@ from labpipe.records.calibration import (
 from labpipe.records.group import SampleCurve
 from labpipe.records.wire import WireSpec
 from labpipe.report.calibration_figures import save_calibration_figures
-from labpipe.report.calibration_shown import CalibrationReport, ValidationGroup
+from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.statistics.bands import common_curves, mean_band
 from labpipe.store.lock import locked
@@ -67,6 +68,7 @@ class Calibrated:
     groups : samples of one wire and length each, those of the calibrated wire first
     left_out : by file, why a test was not taken
     files : all that were written
+    shapes : of one sample of the calibrated wire, and of the model, by what they are of
     """
 
     folder: Path
@@ -75,6 +77,7 @@ class Calibrated:
     groups: tuple[ValidationGroup, ...]
     left_out: Mapping[str, str]
     files: tuple[Path, ...]
+    shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
 
 
 def calibrate_tests(
@@ -130,6 +133,9 @@ def calibrate_tests(
         left_out=left_out,
         files=(),
     )
+    if figures:
+        wire = _built(calibrated_spec(specs[name], calibration), wires)
+        done = replace(done, shapes=_shapes(own[0], wire))
     calibrated = [calibrated_spec(specs[group], calibration) for group in built]
     return replace(done, files=_write(done, calibrated, say, figures=figures))
 
@@ -240,6 +246,14 @@ def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan
     return replace(found, notes=notes)
 
 
+def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
+    """Shapes of the first test of the calibrated wire."""
+    curve = loading.curve
+    deepest = float(np.max(curve.deflection))
+    shapes = bent_shapes(loading.file, wire, curve.length, curve.rig, deepest)
+    return {curve.test: shapes} if shapes else {}
+
+
 def _as_source(
     wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan
 ) -> SourceCalibration | CalibrationFailure | None:
@@ -344,7 +358,7 @@ def _write(
     """Write the files of a calibration together."""
     folder = done.folder
     source = None if isinstance(done.source, CalibrationFailure) else done.source
-    shown = CalibrationReport(done.calibration, done.groups, source=source)
+    shown = CalibrationReport(done.calibration, done.groups, done.shapes, source)
     with locked(folder), replacing_together(folder) as stage:
         say("tables and decks")
         model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE

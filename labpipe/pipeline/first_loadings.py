@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +37,13 @@ class FirstLoading:
     curve : as calibrations take it
     gain : standard uncertainty of the load cell's gain, as a ratio
     notes : what is doubtful about it, or was cut off
+    file : that it was read from
     """
 
     curve: MeasuredCurve
     gain: float
     notes: tuple[QualityNote, ...]
+    file: Path = Path()
 
 
 class NotUsableError(LabpipeError):
@@ -75,7 +77,8 @@ def read_first_loadings(
         try:
             result = read_outcome(file)
             protocol = parse_protocol(result.protocol_yaml, str(file))
-            found.append(first_loading(result, protocol, points=points, up_to=up_to))
+            loading = first_loading(result, protocol, points=points, up_to=up_to)
+            found.append(replace(loading, file=file))
         except LabpipeError as error:
             said = str(error)
             left_out[str(file)] = said if str(file) in said else f"{file}: {said}"

@@ -23,7 +23,7 @@ class ValidationGroup:
     band : mean of the samples with its 95 % bands; with one sample a mean without bands
     prediction : of the model; None where it has none
     foretold : number of samples of which `lower` and `upper` of the prediction foretell the mean
-    errors : of the model against the mean; None without a prediction
+    errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; empty otherwise
     """
 

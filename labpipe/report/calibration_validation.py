@@ -128,7 +128,7 @@ def agreement_words(group: ValidationGroup) -> str:
         f"RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(errors.rmse_share)} of the largest force"
     )
     if math.isfinite(errors.inside):
-        lines.append(f"{percent(errors.inside)} of the mean inside the band")
+        lines.append(f"{percent(errors.inside)} of the points inside the band")
     return "\n".join(lines)
 
 

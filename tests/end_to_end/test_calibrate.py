@@ -8,9 +8,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from labpipe.pipeline.bent_shapes import STEPS, bent_shapes
 from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.wire.calibration import Wire
+from labpipe.wire.cantilever import StringRig
+from labpipe.wire.from_spec import build
 from labpipe.wire.wire_table import wire_table
 from tests.builders.small_tests import Run, state
 from tests.builders.wire_lab import processed_wires
@@ -85,6 +90,23 @@ def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run)
     assert run("calibrate", str(campaign), "--wire", sheet, *asked).status == 0
     drawn = {path.suffix for path in (tmp_path / "out" / "figures").iterdir()}
     assert drawn == {".svg", ".png"}
+    names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
+    assert names == {"calibration", "validation-1", "shapes-1"}
+
+
+def test_the_model_is_bent_as_far_as_the_sample(campaign: Path, repository: Path) -> None:
+    sheet = read_wire_sheet(repository / "examples" / "wires.xlsx")
+    made = build(next(spec for spec in sheet if spec.name == "A2"))
+    wire = Wire(made.section, made.contacts)
+    for rig in (StringRig(0.76, 0.0265, 0.085, 0.76), None):
+        shapes = bent_shapes(campaign / "A2-085-1" / "result.h5", wire, 0.085, rig, 0.045)
+        assert len(shapes) == STEPS
+        for number, shape in enumerate(shapes, start=1):
+            assert shape.deflection == pytest.approx(0.045 * number / STEPS, abs=2e-4)
+            assert shape.model[-1, 1] == pytest.approx(shape.deflection, abs=2e-6)
+            # Scatter of the sample and of its markers; a wrong frame or sign is many times that.
+            assert np.abs(shape.fit[-1] - shape.model[-1]).max() < 0.5e-3
+            assert len(shape.markers) == 8
 
 
 def test_one_wire_needs_no_plan(campaign: Path, sheet: str, tmp_path: Path, run: Run) -> None:

@@ -57,7 +57,7 @@ def test_agreement_in_words() -> None:
     samples, rmse, inside = agreement_words(group()).splitlines()
     assert samples == "2 samples"
     assert rmse.startswith(f"RMSE {1e3 * errors.rmse:.3g} mN, ")
-    assert inside.endswith(" of the mean inside the band")
+    assert inside.endswith(" of the points inside the band")
     unknown = replace(group(), errors=replace(errors, inside=np.nan))
     assert len(agreement_words(unknown).splitlines()) == 2
 
