@@ -61,7 +61,7 @@ def fit_corner(
     if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
-    coarse = _means(t, y, len(t) // 200)
+    coarse = block_means(t, y, len(t) // 200)
     costs = [_joint_fit(*coarse, at, degree)[1] for at in grid]
     at = float(grid[int(np.argmin(costs))])
     parameters = np.append(_joint_fit(t, y, at, degree)[0], at)
@@ -130,11 +130,21 @@ def _corner(
 
 def _binned(time: Floats, values: Floats) -> tuple[Floats, Floats]:
     """Averages of consecutive samples, 600 to 1200 bins on each side of zero."""
-    return _means(time, values, len(time) // (2 * _BINS_PER_SIDE))
+    return block_means(time, values, len(time) // (2 * _BINS_PER_SIDE))
 
 
-def _means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
-    """Averages of `size` consecutive samples; averaged, not picked, so that hum does not fold."""
+def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
+    """Averages of consecutive samples; averaged, not picked, so that hum does not fold.
+
+    Parameters
+    ----------
+    time, values : shape (n,)
+    size : samples per average; below 2 all samples are kept
+
+    Returns
+    -------
+    Means of both, shape (n // size,); NaN where a block holds one.
+    """
     if size < 2:
         return time, values
     count = len(time) // size * size

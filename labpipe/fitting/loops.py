@@ -1,4 +1,4 @@
-"""Numbers of a force-displacement loop: stiffness, energy, residual displacement, peaks."""
+"""Numbers of a force-displacement loop: stiffness, energy, peaks."""
 
 from __future__ import annotations
 
@@ -115,87 +115,6 @@ def _noise_power(values: Floats) -> float:
         total += weight * float(np.sum(left[:, lag:] * left[:, :-lag]))
     # Every covariance of the residuals is too small by terms / piece of the variance.
     return float(max(total, 0.0) / left.size / (1.0 - terms * (lags + 1.0) / piece))
-
-
-def residual_after_unloading(
-    time: Floats, displacement: Floats, force: Floats, *, force_below: float
-) -> Estimate | Failure:
-    """Displacement that is left when an unloading branch has brought the force back to zero.
-
-    Parameters
-    ----------
-    time, displacement, force : shape (n,), s, m, N; one unloading branch
-    force_below : N; a force is taken for zero when it stays within this
-
-    Returns
-    -------
-    m, or a failure: ``force_not_zero`` when the branch ends before the force is back at zero,
-    ``too_few_samples``.
-
-    Notes
-    -----
-    The force between five limits and one limit is followed to zero in time by a straight line. If
-    it then stays within two limits where that line would have fallen by three (the string is
-    slack) and the displacement rests too, it is the mean over that rest; else the displacement is
-    followed to the crossing along a line through the second before it, since it may have a kink
-    there.
-    """
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    time, displacement, force = time[known], displacement[known], force[known]
-    above = np.flatnonzero(force > force_below)
-    if len(above) == 0 or len(time) < 16:
-        return Failure("too_few_samples", f"{len(time)} samples, {len(above)} above the limit")
-    last = int(above[-1])
-    foot = slice(
-        int(np.flatnonzero(force > 5.0 * force_below)[-1])
-        if force.max() > 5.0 * force_below
-        else 0,
-        last + 1,
-    )
-    if last >= len(force) - 3:
-        found = (
-            f"the force ends at {force[-3:].mean():.4g} N, above the limit of {force_below:.4g} N"
-        )
-        return Failure("force_not_zero", found)
-    zero, slope = _crossing(time[foot], force[foot], after=float(time[last]))
-    rest = time > zero + 0.2
-    has_stopped = slope * (time[-1] - zero) < -3.0 * force_below
-    is_slack = rest.sum() >= 8 and np.abs(force[rest]).max() <= 2.0 * force_below
-    if has_stopped and is_slack and _is_still(time[rest], displacement[rest]):
-        return _rest_mean(displacement[rest])
-    return _line_to(time, displacement, zero)
-
-
-def _crossing(time: Floats, force: Floats, *, after: float) -> tuple[float, float]:
-    """When a falling force reaches zero and how fast, on a straight line through its foot."""
-    if len(time) < 4:
-        return after, 0.0
-    slope, level = np.polynomial.polynomial.polyfit(time - after, force, 1)[::-1]
-    return (after - float(level / slope), float(slope)) if slope < 0 else (after, 0.0)
-
-
-def _is_still(time: Floats, values: Floats) -> bool:
-    """Whether a signal does not move by more than its noise."""
-    slope, level = np.polynomial.polynomial.polyfit(time - time.mean(), values, 1)[::-1]
-    noise = values - level - slope * (time - time.mean())
-    return bool(abs(slope) * float(np.ptp(time)) <= 3.0 * float(noise.std()))
-
-
-def _rest_mean(values: Floats) -> Estimate:
-    variance = long_run_variance(values, parameters=1)
-    return Estimate(float(values.mean()), float(np.sqrt(variance / len(values))), len(values))
-
-
-def _line_to(time: Floats, values: Floats, at: float) -> Estimate | Failure:
-    """Value at a time, from a straight line through the second before it."""
-    near = (time >= at - 1.0) & (time <= at)
-    if near.sum() < 8:
-        return Failure("too_few_samples", f"{int(near.sum())} samples in the 1 s to {at:.3f} s")
-    design = np.column_stack([np.ones(int(near.sum())), time[near] - at])
-    coefficients = np.linalg.lstsq(design, values[near], rcond=None)[0]
-    variance = long_run_variance(values[near] - design @ coefficients, parameters=2)
-    error = float(np.sqrt(variance * np.linalg.inv(design.T @ design)[0, 0]))
-    return Estimate(float(coefficients[0]), error, int(near.sum()))
 
 
 def smooth_peak(time: Floats, values: Floats, *, share: float) -> Estimate | Failure:

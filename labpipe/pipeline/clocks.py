@@ -10,6 +10,7 @@ import numpy as np
 from labpipe.fitting.corners import Corner, fit_corner
 from labpipe.fitting.estimates import Failure
 from labpipe.fitting.repeats import fit_lag
+from labpipe.fitting.reversals import Reversal, fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
 from labpipe.processing.strokes import Stroke
@@ -139,17 +140,22 @@ def align_clocks(
 
 def _force_corner(
     force: Signal, turn: Turn, corner: Corner, seen: float, align: AlignTurningPoints
-) -> Corner | None:
+) -> Reversal | None:
     """Corner of the force: roughly in a wide window, then in the protocol's own around it."""
-    near, pulled = float(seen) + corner.time - turn.middle, None
-    for window in (turn.window(4.0 * align.force_window), turn.window(align.force_window)):
-        span = slice(*np.searchsorted(force.time, [near - window, near + window]))
-        time, values = force.time[span], force.values[span]
-        pulled = fit_corner(time, values, near=near, window=window, degree=2)
-        if pulled is None or not pulled.time_error < _WORST_CORNER:
-            return None
-        near = pulled.time
+    wide, window = turn.window(4.0 * align.force_window), turn.window(align.force_window)
+    near = float(seen) + corner.time - turn.middle
+    rough = fit_corner(*_around(force, near, wide), near=near, window=wide, degree=2)
+    if rough is None or not rough.time_error < _WORST_CORNER:
+        return None
+    pulled = fit_reversal(*_around(force, rough.time, window), near=rough.time, window=window)
+    if pulled is None or not pulled.corner.time_error < _WORST_CORNER:
+        return None
     return pulled
+
+
+def _around(signal: Signal, at: float, window: float) -> tuple[Floats, Floats]:
+    span = slice(*np.searchsorted(signal.time, [at - window, at + window]))
+    return signal.time[span], signal.values[span]
 
 
 def _why_no_event(force: Signal, peaks: list[Turn], seen: Floats, pairs: int) -> str:
@@ -206,18 +212,27 @@ def _repeat(
     return Repeat(moved.value, pulled.value, float(np.hypot(moved.error, pulled.error)))
 
 
-def _fitted(events: list[tuple[Corner, Corner]], repeat: Repeat | None) -> ClockFit:
+def _fitted(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
     def column(values: list[float]) -> Floats:
         return np.array(values, dtype=np.float64)
 
-    method = "turning points: lines through the travel, parabolas through the force"
+    method = "turning points: lines through the travel, smooth pieces of the force"
     return fit_clocks(
         column([motion.time for motion, _ in events]),
-        column([force.time for _, force in events]),
-        column([float(np.hypot(a.time_error, b.time_error)) for a, b in events]),
+        column([force.corner.time for _, force in events]),
+        column([_event_error(motion, force, len(events)) for motion, force in events]),
         method=method if repeat is None else f"{method}; lag of the repeated cycle",
         repeat=repeat,
     )
+
+
+def _event_error(motion: Corner, force: Reversal, count: int) -> float:
+    """Standard error of an event; what is alike in all of them counts as often as they are many.
+
+    The same specimen turns in the same way, so that what its force hides does not average out.
+    """
+    common = float(np.sqrt(count - 1)) * force.shape_error
+    return float(np.hypot(np.hypot(motion.time_error, force.corner.time_error), common))
 
 
 def _judge(bench: Bench, fit: ClockFit, align: AlignTurningPoints) -> None:

@@ -10,15 +10,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.fitting.corners import fit_corner, value_at_turn
+from labpipe.fitting.corners import value_at_turn
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, peak_before_failure
 from labpipe.fitting.loops import (
     loop_energy,
-    residual_after_unloading,
     secant_stiffness,
     smooth_peak,
 )
+from labpipe.fitting.reversals import fit_reversal
+from labpipe.fitting.unloading import residual_after_unloading
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.filtering import moving_average
 from labpipe.records.arrays import Floats
@@ -26,6 +27,8 @@ from labpipe.records.curve import Branch, Curve
 
 _PEAK_WINDOW = 2.0
 """s on each side of a turning point that a peak is read from."""
+_FORCE_WINDOW = 1.0
+"""As much for a force, which bends more than a displacement does."""
 
 
 def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
@@ -46,19 +49,18 @@ def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
         at = branches[0].stop_time
         at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
         near = slice(*np.searchsorted(force.time, [at - 2 * _PEAK_WINDOW, at + 2 * _PEAK_WINDOW]))
-        corner = fit_corner(
-            force.time[near], force.values[near], near=at, window=_window(branches), degree=2
-        )
-        if corner is None:
+        window = min(_FORCE_WINDOW, _window(branches))
+        found = fit_reversal(force.time[near], force.values[near], near=at, window=window)
+        if found is None:
             return Failure("no_corner", f"the force has no corner near {at:.3f} s of its clock")
-        return Estimate(corner.value, corner.value_error, corner.n)
+        return Estimate(found.corner.value, found.corner.value_error, found.corner.n)
     curve, stretch = curve_of(bench), _cycle(branches)
     # One sense for all cycles: the force may run ahead of the motion by a quarter of a cycle.
     sense = _sense(curve.force, slice(curve.branches[0].start, None))
-    found = smooth_peak(curve.time[stretch], sense * curve.force[stretch], share=0.05)
-    if isinstance(found, Failure):
-        return found
-    return Estimate(sense * found.value, found.error, found.n)
+    top = smooth_peak(curve.time[stretch], sense * curve.force[stretch], share=0.05)
+    if isinstance(top, Failure):
+        return top
+    return Estimate(sense * top.value, top.error, top.n)
 
 
 def peak_displacement_of(
@@ -113,6 +115,8 @@ def residual_of(
         displacement[unloading],
         curve.force[unloading],
         force_below=force_below,
+        zero_error=bench.raw[bench.force].zero_error,
+        clock_error=_clock_error(bench),
     )
     zero = bench.signals[bench.displacement].zero_error
     if isinstance(found, Failure):

@@ -6,12 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.fitting.loops import (
-    loop_energy,
-    residual_after_unloading,
-    secant_stiffness,
-    smooth_peak,
-)
+from labpipe.fitting.loops import loop_energy, secant_stiffness, smooth_peak
 from labpipe.records.arrays import Floats
 
 STIFFNESS = 20.0
@@ -95,43 +90,6 @@ def test_energy_refuses_a_gap() -> None:
     assert found == Failure("gap", "3 samples of the cycle have no force or no displacement")
 
 
-def unloading(*, slack: bool, noise: float, seed: int = 0) -> tuple[Floats, Floats, Floats]:
-    """Force falls to zero at 12 mm; then the string is slack, or the force goes negative."""
-    time = np.arange(0.0, 53.0, 0.02)
-    path = 0.053 - 1e-3 * time
-    force = (path - 0.012) / 0.041
-    if slack:
-        path, force = np.maximum(path, 0.012), np.maximum(force, 0.0)
-    rng = np.random.default_rng(seed)
-    return time, path + rng.normal(0, 5 * noise, len(time)), force + rng.normal(0, noise, len(time))
-
-
-@pytest.mark.parametrize("slack", [True, False])
-def test_residual_is_where_the_force_is_back_at_zero(slack: bool) -> None:
-    pulls = []
-    for seed in range(150):
-        parts = unloading(slack=slack, noise=2e-4, seed=seed)
-        parts = (parts[0], 0.012 + (parts[1] - 0.012) / 10.0 if slack else parts[1], parts[2])
-        found = value(residual_after_unloading(*parts, force_below=5e-3))
-        assert found.value == pytest.approx(0.012, abs=1e-3)
-        pulls.append((found.value - 0.012) / found.error)
-    assert np.std(pulls) < 1.3
-
-
-def test_residual_holds_when_the_string_is_slack_only_for_a_moment() -> None:
-    """A quick test: half a second of slack after a fall at 4 mm/s."""
-    time = np.arange(0.0, 3.0, 0.02)
-    path = np.maximum(0.0107 - 4e-3 * time, 0.0007)
-    force = 20.0 * (path - 0.0007)
-    found = value(residual_after_unloading(time, path, force, force_below=5e-3))
-    assert found.value == pytest.approx(0.0007, abs=1e-5)
-    brief = time < 2.7
-    found = value(
-        residual_after_unloading(time[brief], path[brief], force[brief], force_below=5e-3)
-    )
-    assert found.value == pytest.approx(0.0007, abs=5e-5)
-
-
 @pytest.mark.parametrize("seed", range(20))
 def test_energy_error_is_finite_where_noise_hides_the_motion(seed: int) -> None:
     """Noise estimated a little too high must not turn a variance negative."""
@@ -140,14 +98,6 @@ def test_energy_error_is_finite_where_noise_hides_the_motion(seed: int) -> None:
     force = np.convolve(noise[1], np.ones(25) / 25.0, mode="same")
     found = value(loop_energy(time, 1e-6 * time + noise[0], force, clock_error=0.0))
     assert 0.0 < found.error < 1e-3
-
-
-def test_residual_is_not_extrapolated() -> None:
-    time, path, force = unloading(slack=False, noise=0.0)
-    found = residual_after_unloading(time[:1500], path[:1500], force[:1500], force_below=5e-3)
-    assert isinstance(found, Failure)
-    assert found.code == "force_not_zero"
-    assert "above the limit of 0.005 N" in found.message
 
 
 def test_smooth_peak_is_the_vertex() -> None:

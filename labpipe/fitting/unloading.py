@@ -1,0 +1,187 @@
+"""Where unloading brings the force back to zero: the displacement that is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.fitting.estimates import Estimate, Failure, widened
+from labpipe.fitting.noise import long_run_variance
+from labpipe.records.arrays import Floats
+
+_SMALL = 0.02
+"""Share of the largest force of a branch that may pass for zero at most."""
+_CLEAR = 4.0
+"""Standard deviations of the force that are told from zero."""
+_REACH = 0.1
+"""Share of a branch on each side of its zero that a parabola is fitted to."""
+_LEAST = 8
+_BLOCK = 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Zero:
+    """When a force is zero.
+
+    Parameters
+    ----------
+    time, error : s
+    slope : N/s there, negative
+    """
+
+    time: float
+    error: float
+    slope: float
+
+
+def residual_after_unloading(
+    time: Floats,
+    displacement: Floats,
+    force: Floats,
+    *,
+    force_below: float,
+    zero_error: float = 0.0,
+    clock_error: float = 0.0,
+) -> Estimate | Failure:
+    """Displacement that is left when an unloading branch has brought the force back to zero.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are left out
+    force_below : N; a force is taken for zero when it stays within this. A weak specimen needs
+        less: never more than a fiftieth of the largest force, unless its noise (four standard
+        deviations) is more
+    zero_error : N, standard error of the force's zero
+    clock_error : s, standard error of the time of the force against that of the displacement
+
+    Returns
+    -------
+    m, or a failure: ``force_not_zero`` when the branch ends before the force is back at zero,
+    ``too_few_samples``.
+
+    Notes
+    -----
+    Three ways to end. The force goes on below zero: parabolas through force and displacement, over
+    a tenth of the branch on each side, say when it is zero and where the specimen is then; what
+    half the reach would change is the half width of a rectangle in the error. The string gets
+    slack (the force between five limits and one, followed by a straight line, would have fallen by
+    three limits more, and stays within two) and the displacement rests: the mean over that rest.
+    Else the line is followed to zero, and the displacement along a line through the second before,
+    since it may have a kink there; what a parabola through the foot of the force would change is
+    the half width of a rectangle in the error.
+    """
+    known = ~np.isnan(displacement) & ~np.isnan(force)
+    time, displacement, force = time[known], displacement[known], force[known]
+    if len(time) < 2 * _LEAST:
+        return Failure("too_few_samples", f"{len(time)} samples, {2 * _LEAST} are needed")
+    limit = max(_CLEAR * _noise(force), min(force_below, _SMALL * float(force.max())))
+    above = np.flatnonzero(force > limit)
+    if len(above) == 0:
+        return Failure("too_few_samples", f"{len(time)} samples, none above {limit:.4g} N")
+    if above[-1] >= len(force) - 3:
+        found = f"the force ends at {force[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
+        return Failure("force_not_zero", found)
+    if np.median(force[-_LEAST:]) < -limit:
+        return _passed(time, displacement, force, zero_error, clock_error)
+    far = np.flatnonzero(force > 5.0 * limit)
+    foot = slice(int(far[-1]) if len(far) else 0, int(above[-1]) + 1)
+    zero, change = _followed(time[foot], force[foot], zero_error, clock_error)
+    rest = time > zero.time + 0.2
+    has_stopped = zero.slope * (time[-1] - zero.time) < -3.0 * limit
+    is_slack = rest.sum() >= _LEAST and np.abs(force[rest]).max() <= 2.0 * limit
+    if has_stopped and is_slack and _is_still(time[rest], displacement[rest]):
+        return _rest_mean(displacement[rest])
+    return _line_to(time, displacement, zero, change)
+
+
+def _noise(force: Floats) -> float:
+    """Standard deviation of a force about parabolas through blocks of 20 samples; the median."""
+    size = min(_BLOCK, len(force))
+    rows = force[: len(force) // size * size].reshape(-1, size)
+    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
+    left = rows - rows @ basis @ basis.T
+    return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (size - 3))))
+
+
+def _passed(
+    time: Floats, displacement: Floats, force: Floats, zero_error: float, clock_error: float
+) -> Estimate | Failure:
+    """Displacement where the force passes through zero."""
+    middle = float(time[min(int((force > 0.0).sum()), len(time) - 1)])
+    reach = _REACH * float(time[-1] - time[0])
+    found = []
+    for share in (1.0, 0.5):
+        near = np.abs(time - middle) <= share * reach
+        if near.sum() < _LEAST:
+            message = f"{int(near.sum())} samples near zero force, {_LEAST} are needed"
+            return Failure("too_few_samples", message)
+        at, zero = time[near] - middle, _root(time[near] - middle, force[near], zero_error)
+        place, speed = _value_at(at, displacement[near], zero.time, degree=2)
+        moved = speed * float(np.hypot(zero.error, clock_error))
+        found.append(widened(place, moved))
+    return widened(found[0], abs(found[1].value - found[0].value) / np.sqrt(3.0))
+
+
+def _root(time: Floats, force: Floats, zero_error: float) -> _Zero:
+    """When a parabola through a falling force is zero, next to time zero."""
+    at = 0.0
+    for _ in range(4):
+        level, slope = _value_at(time, force, at, degree=2)
+        at = float(np.clip(at - level.value / slope, time[0], time[-1]))
+    return _Zero(at, float(np.hypot(level.error, zero_error)) / abs(slope), slope)
+
+
+def _followed(
+    time: Floats, force: Floats, zero_error: float, clock_error: float
+) -> tuple[_Zero, float]:
+    """When a straight line through the foot of a force is zero, and what a parabola says, s."""
+    end = float(time[-1])
+    if len(time) < 4:
+        return _Zero(end, clock_error, 0.0), 0.0
+    level, slope = _value_at(time, force, end, degree=1)
+    if slope >= 0.0:
+        return _Zero(end, clock_error, 0.0), 0.0
+    ahead = -level.value / slope
+    error = float(np.hypot(level.error, zero_error)) / abs(slope)
+    zero = _Zero(end + ahead, float(np.hypot(error, clock_error)), slope)
+    bend, fall, height = np.polyfit(time - end, force, 2)
+    inside = fall**2 - 4.0 * bend * height
+    if inside >= 0.0 and fall < 0.0:
+        curved = 2.0 * height / (-fall + np.sqrt(inside))
+    else:
+        curved = -fall / (2.0 * bend)
+    return zero, abs(float(curved) - ahead)
+
+
+def _value_at(time: Floats, values: Floats, at: float, *, degree: int) -> tuple[Estimate, float]:
+    """Value and slope, at a time, of a polynomial through a signal."""
+    scale = float(np.ptp(time)) or 1.0
+    design = np.vander((time - at) / scale, degree + 1, increasing=True)
+    coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
+    variance = long_run_variance(values - design @ coefficients, parameters=degree + 1)
+    error = float(np.sqrt(variance * np.linalg.pinv(design.T @ design)[0, 0]))
+    slope = float(coefficients[1]) / scale
+    return Estimate(float(coefficients[0]), error, len(values)), slope
+
+
+def _is_still(time: Floats, values: Floats) -> bool:
+    """Whether a signal does not move by more than its noise."""
+    slope, level = np.polynomial.polynomial.polyfit(time - time.mean(), values, 1)[::-1]
+    noise = values - level - slope * (time - time.mean())
+    return bool(abs(slope) * float(np.ptp(time)) <= 3.0 * float(noise.std()))
+
+
+def _rest_mean(values: Floats) -> Estimate:
+    variance = long_run_variance(values, parameters=1)
+    return Estimate(float(values.mean()), float(np.sqrt(variance / len(values))), len(values))
+
+
+def _line_to(time: Floats, values: Floats, zero: _Zero, change: float) -> Estimate | Failure:
+    """Value at a zero of the force, from a straight line through the second before it."""
+    near = (time >= zero.time - 1.0) & (time <= zero.time)
+    if near.sum() < _LEAST:
+        found = f"{int(near.sum())} samples in the 1 s to {zero.time:.3f} s"
+        return Failure("too_few_samples", found)
+    place, speed = _value_at(time[near], values[near], zero.time, degree=1)
+    return widened(place, speed * zero.error, speed * change / np.sqrt(3.0))
