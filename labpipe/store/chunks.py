@@ -27,7 +27,7 @@ _MODULUS = 65535
 
 
 Packed = dict[tuple[object, ...], list[bytes]]
-"""Chunks made so far, by where in memory their array lies and how."""
+"""Chunks made so far, by the place of their array."""
 
 
 def write_array(
@@ -84,7 +84,7 @@ def _deflated(
     array: NDArray[Any], chunk: tuple[int, ...], pool: Executor, packed: Packed
 ) -> Iterator[bytes]:
     """Chunks of an array, made in the pool unless they have been made before."""
-    place = (array.ctypes.data, array.shape, array.strides, array.dtype.str)
+    place = place_of(array)
     if place in packed:
         yield from packed[place]
         return
@@ -93,6 +93,11 @@ def _deflated(
         made.append(deflated)
         yield deflated
     packed[place] = made
+
+
+def place_of(array: NDArray[Any]) -> tuple[object, ...]:
+    """Where in memory an array lies and how; two arrays alive with the same place are the same."""
+    return (array.ctypes.data, array.shape, array.strides, array.dtype.str)
 
 
 def label(dataset: Any, *, unit: str, axes: tuple[str, ...]) -> None:

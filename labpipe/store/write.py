@@ -18,7 +18,7 @@ from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
 from labpipe.records.result import InputFile, Result, Specimen, TestResult
 from labpipe.store import layout
 from labpipe.store.bending import write_bending
-from labpipe.store.chunks import Target, same_content
+from labpipe.store.chunks import Target, place_of, same_content
 from labpipe.store.layout import link_name
 from labpipe.store.recordings import write_notes, write_recording
 from labpipe.store.replace import replacing
@@ -65,7 +65,10 @@ def _image(result: TestResult) -> tuple[bytes, dict[str, NDArray[Any]]]:
 
 
 def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArray[Any]]) -> None:
-    """Read the file again from its disk: every byte, and every array through its checksums."""
+    """Read the file again from its disk: every byte, and every array through its checksums.
+
+    An array that stands in several groups has the same chunks in each: one of them is read.
+    """
     if temporary.read_bytes() != image or not _holds(temporary, written):
         message = complaint(
             path,
@@ -80,7 +83,8 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
 def _holds(path: Path, written: dict[str, NDArray[Any]]) -> bool:
     try:
         with h5py.File(path, "r") as root:
-            return all(same_content(root[name], array) for name, array in written.items())
+            once = {place_of(array): name for name, array in written.items()}
+            return all(same_content(root[name], written[name]) for name in once.values())
     except OSError:  # a checksum that does not fit
         return False
 
