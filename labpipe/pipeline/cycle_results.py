@@ -50,7 +50,7 @@ def clock_results(bench: Bench) -> list[Result]:
 
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
-    method = "parabolas on both sides of a corner, on its near side on one clock; else their vertex"
+    method = "smooth pieces on both sides of a corner, on its near side on one clock; else a vertex"
     asked = Asked("peak_force", "N", ("force",), method, needs=1)
     return _per_cycle(bench, asked, peak_force_of_cycle)
 
@@ -70,7 +70,7 @@ def energy(bench: Bench) -> list[Result]:
 
 def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
     """``residual_displacement.<cycle>`` (m): displacement left at zero force after unloading."""
-    method = f"displacement once the force is back at zero, within {force_below:g} N"
+    method = f"displacement once the force is back at zero, within {force_below:g} N or less"
     asked = Asked("residual_displacement", "m", _ALL, method)
     return _per_cycle(bench, asked, partial(residual_of, force_below=force_below))
 
