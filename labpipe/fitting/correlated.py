@@ -168,9 +168,10 @@ def orthonormal(design: Floats) -> tuple[Floats, Floats]:
     which only form products: as good as Householder's reflections as long as the columns are far
     from dependent, and several times as fast. Else by reflections.
     """
-    scale = np.sqrt(np.einsum("np,np->p", design, design))
+    gram = design.T @ design
+    scale = np.sqrt(np.diag(gram))
     if len(design) > _LONG:
-        gram = (design.T @ design) / np.outer(scale, scale)
+        gram = gram / np.outer(scale, scale)
         if np.linalg.cond(gram) < _INDEPENDENT:
             first = np.linalg.inv(np.linalg.cholesky(gram)) / scale
             basis = first @ design.T

@@ -11,7 +11,7 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.loops import loop_energy
 from labpipe.fitting.strays import bridged, stray_samples
 from labpipe.fitting.summits import LEAST, height_at_end, height_of_top, short_median
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, median
 from labpipe.records.curve import Interval
 
 _LEAST = 16
@@ -112,8 +112,8 @@ def _not_lost(d: Floats, level: Floats, top: int, last: int, share: float) -> Fa
 
 def _before_cliff(f: Floats, last: int) -> int:
     steps = np.diff(f[: last + 1])
-    usual = float(np.median(steps))
-    spread = 1.4826 * float(np.median(np.abs(steps - usual)))
+    usual = median(steps)
+    spread = 1.4826 * median(np.abs(steps - usual))
     while last > 0 and f[last] - f[last - 1] < usual - _FALL * spread - 1e-12 * abs(f[last]):
         last -= 1
     return last
@@ -137,7 +137,7 @@ def _lost_before(f: Floats) -> float:
     before = np.maximum.accumulate(level)[:-width]
     later = np.maximum.accumulate(level[::-1])[::-1][width:]
     falls = level[:-width] - level[width:]
-    spread = 1.4826 * float(np.median(np.abs(falls - np.median(falls))))
+    spread = 1.4826 * median(np.abs(falls - median(falls)))
     is_sudden = falls > np.maximum(6.0 * spread, _NOTABLE * before)
     shares = np.where(is_sudden, (before - later) / np.where(before > 0.0, before, np.inf), 0.0)
     largest = float(shares.max())

@@ -11,7 +11,7 @@ import numpy as np
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.noise_spectra import cubic_basis, smooth_stretches
 from labpipe.fitting.student import share_within
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Interval
 
 MAD = 1.4826
@@ -195,7 +195,7 @@ def _is_rare(pull: Pull, window: _Window, found: Fall) -> bool:
     kernel = _step_kernel(window, found)
     here = -float(kernel @ pull.f[window.low : window.high])
     elsewhere = np.convolve(pull.without([found]).f, kernel[::-1], mode="valid")
-    spread = max(MAD * float(np.median(np.abs(elsewhere))), 1e-9 * float(np.ptp(pull.f)))
+    spread = max(MAD * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
     freedom = int(MAD_SHARE * len(elsewhere) / _shared(kernel, window.factor))
     return bool(_tail(np.array([here / spread]), max(freedom, 1))[0] <= _chance(pull))
 

@@ -10,7 +10,7 @@ from labpipe.fitting.estimates import Failure
 from labpipe.fitting.falls import MAD, MAD_SHARE, Fall, Pull, fit_fall
 from labpipe.fitting.medians import running_median
 from labpipe.fitting.student import half_width
-from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.records.curve import Interval
 from labpipe.records.slips import Slip, SlipDecision
 
@@ -91,8 +91,7 @@ def find_slips(
         for each in found
         if each.drop >= min_drop
         and _goes_on(f, each, lost_share)
-        and each.drop
-        <= largest_share * float(np.median(f[max(each.start - 4, 0) : each.start + 1]))
+        and each.drop <= largest_share * median(f[max(each.start - 4, 0) : each.start + 1])
     ]
     return tuple(_entry(d, known, each, size, decision) for each in kept)
 
@@ -148,9 +147,9 @@ def _stands_alone(f: Floats) -> Flags:
     if len(f) < _LEAST:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
-    usual = float(np.median(steps))
+    usual = median(steps)
     off = np.abs(f - running_median(f, 5))
-    spread = 1.4826 * float(np.median(np.abs(steps - usual)))
+    spread = 1.4826 * median(np.abs(steps - usual))
     is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
     if not is_off.any():
         return is_off
@@ -201,7 +200,7 @@ def _seen(f: Floats, min_drop: float) -> Floats:
     best = np.zeros(len(f))
     for window in (scale for scale in _SCALES if 8 * scale <= len(f)):
         size = _sizes(f, window)
-        spread = max(MAD * float(np.median(np.abs(size))), 1e-9 * float(np.ptp(f)))
+        spread = max(MAD * median(np.abs(size)), 1e-9 * float(np.ptp(f)))
         # Neighbouring places share their samples: so many of them speak for themselves.
         freedom = int(MAD_SHARE * len(f) / window)
         seen = size / (spread * half_width(1.0 - 2.0 * _SEEN, freedom))

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.fitting.medians import running_median
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, median
 
 _WINDOW = 7
 _LONGEST = _WINDOW // 2
@@ -46,7 +46,7 @@ def stray_samples(force: Floats) -> Ints:
         return np.zeros(0, dtype=np.int64)
     level = running_median(f, _WINDOW)
     off = f - level
-    far = max(_FAR * 1.4826 * float(np.median(np.abs(off))), _FLOOR * float(np.ptp(level)))
+    far = max(_FAR * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
     runs = [_core(run, off) for run in _runs(np.flatnonzero(np.abs(off) > far))]
     strays = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
     numbers: Ints = known[np.concatenate(strays).astype(np.int64)] if strays else known[:0]
@@ -103,5 +103,5 @@ def _returns(f: Floats, run: Ints, off: float) -> bool:
     if last - first >= _LONGEST or min(len(before), len(after)) < _LONGEST:
         return False
     step = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
-    apart = abs(float(np.median(after) - np.median(before)))
+    apart = abs(median(after) - median(before))
     return off > _STEPS * step and apart < 0.5 * off

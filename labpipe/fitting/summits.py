@@ -12,7 +12,7 @@ from labpipe.fitting.correlated import LinearFit, fit_linear
 from labpipe.fitting.estimates import Estimate, scaled
 from labpipe.fitting.medians import running_median
 from labpipe.fitting.noise_spectra import cubic_basis, smooth_stretches
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Interval
 
 LEAST = 12
@@ -126,8 +126,8 @@ def height_of_top(d: Floats, f: Floats, *, share: float, step: float) -> Estimat
 def _bounds(f: Floats, at: int) -> tuple[int, int]:
     """First sample, and the one behind the last, of the stretch around one without a cliff."""
     steps = np.diff(f)
-    usual = float(np.median(steps))
-    spread = 1.4826 * float(np.median(np.abs(steps - usual)))
+    usual = median(steps)
+    spread = 1.4826 * median(np.abs(steps - usual))
     least = _CLIFF * spread + 3.0 * abs(usual) + 1e-9 * float(np.ptp(f))
     cliffs = np.flatnonzero(np.abs(steps - usual) > least)
     low = int(cliffs[cliffs < at].max(initial=-1)) + 1

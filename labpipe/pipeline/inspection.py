@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.readers import recognise_export
-from labpipe.readers.clocks import SAMPLED_ON_EVENT, find_holes, middle
+from labpipe.readers.clocks import SAMPLED_ON_EVENT, find_holes
 from labpipe.readers.tracking import Run, blank, longest, runs, unchanged
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
 
@@ -110,7 +110,7 @@ def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:
         "samples": len(time),
         "start": _end(time, 0),
         "end": _end(time, -1),
-        "step_median": _number(middle(steps)) if len(steps) else None,
+        "step_median": _number(median(steps)) if len(steps) else None,
         "step_min": _number(steps.min()) if len(steps) else None,
         "step_max": _number(steps.max()) if len(steps) else None,
         "holes": [{"at": hole.at, "length": hole.length} for hole in holes],

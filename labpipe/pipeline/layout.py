@@ -11,7 +11,7 @@ from labpipe.errors import ProcessingError, complaint
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 
 _LARGEST = {"channel": 1e15, "marker": 1e6}
@@ -143,7 +143,7 @@ def _note_saturation(bench: Bench, channel: Channel, quantity: str) -> None:
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     sample = values[:: max(1, len(values) // 10_000)]
     known = sample[~np.isnan(sample)]
-    rest = float(np.median(known)) if len(known) else high
+    rest = median(known) if len(known) else high
     for end in (high, low):
         at_end = np.flatnonzero(values == end)
         if end == rest or len(at_end) < _SATURATED:

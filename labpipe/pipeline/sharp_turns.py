@@ -13,7 +13,7 @@ from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import repair_error
 from labpipe.pipeline.cycle_numbers import curve_of, peak_displacement_of, unscaled_peak
 from labpipe.processing.strokes import noise_level
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Interval
 
 _LEAST = 24
@@ -64,7 +64,7 @@ def find_sharp_end(displacement: Floats, *, length: int) -> SharpEnd | None:
     if length < _LEAST or np.isnan(displacement).any():
         return None
     size = max(3, length // 100)
-    step = float(np.median(np.diff(branch)))
+    step = median(np.diff(branch))
     noise = noise_level(branch)
     near = max(5.0 * noise, 0.25 * step)
     first = int(np.argmax(branch >= branch.max() - near))

@@ -29,7 +29,7 @@ from labpipe.protocol.steps import (
     Step,
     Zero,
 )
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Severity
 
@@ -59,7 +59,7 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
         case LowPass():
             signal = bench.signals[step.channel]
             _need_time(signal, step.channel, "a cutoff in Hz")
-            rate = 1.0 / float(np.median(np.diff(signal.time)))
+            rate = 1.0 / median(np.diff(signal.time))
             values = low_pass(signal.values, cutoff=step.cutoff, rate=rate, order=step.order)
             bench.signals[step.channel] = replace(signal, values=values)
         case Decimate():
@@ -94,7 +94,7 @@ def _zero(bench: Bench, step: Zero) -> None:
     rest = signal.values[first : np.searchsorted(signal.time, start + step.over, side="right")]
     known = rest[~np.isnan(rest)]
     if len(known) < 8:
-        apart = float(np.median(np.diff(signal.time)))
+        apart = median(np.diff(signal.time))
         message = (
             f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, 8 are needed:"
             f" at {1.0 / apart:.4g} per second 'over' must be {8.5 * apart:.2g} s or more"
@@ -156,7 +156,7 @@ def _smooth(bench: Bench, step: Smooth, protocol: Protocol) -> None:
     window = _window(step.span, signal, protocol)
     values = moving_average(signal.values, window=window)
     bench.signals[step.channel] = replace(signal, values=values)
-    seconds = window * float(np.median(np.diff(signal.time)))
+    seconds = window * median(np.diff(signal.time))
     length = f" ({seconds:.4g} s)" if signal.has_time else ""
     said = f"moving average over {window} samples{length}"
     bench.note("smoothed", Severity.INFO, step.channel, said)

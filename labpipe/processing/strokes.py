@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from math import sqrt
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, median
 from labpipe.records.curve import AT_REST, Branch, Direction
 
 _MOST_POINTS = 50_000
@@ -49,7 +50,7 @@ def noise_level(values: Floats) -> float:
     second = second[~np.isnan(second)]
     if len(second) < 3:
         return 0.0
-    return float(np.median(np.abs(second)) / (0.6745 * np.sqrt(6.0)))
+    return median(np.abs(second)) / (0.6745 * sqrt(6.0))
 
 
 def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[Stroke, ...]:

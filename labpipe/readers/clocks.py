@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, median
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock
 
@@ -59,25 +59,7 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
     steps = np.diff(time)
     if len(steps) < 2 or _is_even(steps):
         return ()
-    return _holes(time, steps, middle(steps))
-
-
-def middle(values: Floats) -> float:
-    """Median of some numbers.
-
-    Parameters
-    ----------
-    values : shape (n,), n at least 1
-
-    Returns
-    -------
-    As `numpy.median`, which loads masked arrays before it looks at the first number. NaN if a
-    value is NaN.
-    """
-    half = len(values) // 2
-    places = [half - 1, half, -1] if len(values) % 2 == 0 else [half, -1]
-    *centre, last = np.partition(values, places)[places].tolist()
-    return float("nan") if np.isnan(last) else sum(centre) / len(centre)
+    return _holes(time, steps, median(steps))
 
 
 def clock_notes(clock: Clock) -> list[QualityNote]:
@@ -168,14 +150,14 @@ def _step_notes(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
         return []
     if _is_even(steps):
         return _nominal_note(float(steps.mean()), len(steps), where)
-    median = middle(steps)
-    if not median > 0.0:
+    usual = median(steps)
+    if not usual > 0.0:
         return []
-    holes = _holes(time, steps, median)
+    holes = _holes(time, steps, usual)
     regular = np.delete(steps, [hole.after for hole in holes])
     return [
-        *_hole_note(holes, median, where),
-        *_jitter_note(regular, median, where),
+        *_hole_note(holes, usual, where),
+        *_jitter_note(regular, usual, where),
         *_nominal_note(float(regular.mean()), len(steps), where),
     ]
 

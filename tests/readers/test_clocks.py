@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra.numpy import arrays
 
-from labpipe.readers.clocks import clock_notes, find_holes, middle
-from labpipe.records.arrays import Floats
+from labpipe.readers.clocks import clock_notes, find_holes
 from labpipe.records.quality import Severity
 from labpipe.records.recording import Clock
 
@@ -81,8 +79,3 @@ def test_smaller_oddities() -> None:
     assert codes(np.zeros(5)) == {
         "time_repeats": "4 time stamps repeat the one before, first at sample 2 (0 s)"
     }
-
-
-@given(arrays(np.float64, st.integers(1, 30), elements=st.floats(-9, 9) | st.just(np.nan)))
-def test_middle_is_the_median(values: Floats) -> None:
-    assert middle(values) == pytest.approx(float(np.median(values)), rel=1e-15, nan_ok=True)

@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
-from labpipe.records.arrays import frozen
+from labpipe.records.arrays import Floats, frozen, median
 
 
 def test_read_only_without_a_copy() -> None:
@@ -23,3 +26,14 @@ def test_becomes_float64() -> None:
 def test_other_shapes_are_refused(shape: tuple[int | None, ...]) -> None:
     with pytest.raises(ValueError, match=r"expected an array of shape .*, found \(4, 3\)"):
         frozen(np.zeros((4, 3)), shape=shape)
+
+
+@given(arrays(np.float64, st.integers(1, 40), elements=st.floats(-9, 9) | st.just(np.nan)))
+def test_median_is_numpys(values: Floats) -> None:
+    before = values.copy()
+    np.testing.assert_array_equal(median(values), np.median(values))
+    np.testing.assert_array_equal(values, before)
+
+
+def test_no_median_of_nothing() -> None:
+    assert np.isnan(median(np.empty(0)))
