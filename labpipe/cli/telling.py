@@ -9,11 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from labpipe.pipeline.process import Processed
 from labpipe.records.result import Result, Status
 from labpipe.report.numbers import shown_in
 
 if TYPE_CHECKING:
+    from labpipe.pipeline.process import Processed
     from labpipe.pipeline.reporting import Reported
     from labpipe.records.group import GroupNumber
 

@@ -106,6 +106,7 @@ class StrandedWire:
             law.stiffness * self.factor,
             law.half_widths * self.factor,
             law.compliances / self.factor,
+            law.largest_moment * self.factor,
         )
 
     def scaled(self, factor: float) -> StrandedWire:
