@@ -32,7 +32,7 @@ RUNS = 63
 
 def tests_of_wires() -> list[tuple[CantileverScenario, int]]:
     """Quiet tests of plain samples, so that those of one wire and length share their mechanics."""
-    picked = []
+    picked: list[tuple[CantileverScenario, int]] = []
     for seed, group in enumerate(islice(cycle(GROUPS), RUNS)):
         plain = WireCampaign(groups=(group,), samples=1, scatter=0.0, has_mishaps=False)
         picked.extend(wire_scenarios(plain, seed))
