@@ -10,10 +10,10 @@ def test_table_and_progress(run: Run, lab: Lab) -> None:
     assert ran.status == 0
     assert ran.err == "1/1 T1\n"
     heading, first, *rest = ran.out.splitlines()
-    assert heading == f"T1  (wire-cantilever): 13 ok  ->  {lab.processed}"
+    assert heading == f"T1  (wire-cantilever): 15 ok  ->  {lab.processed}"
     assert first.split()[:1] == ["clock_offset"]
     assert first.split()[2:4] == ["s", "95"]
-    assert len(rest) == 12
+    assert len(rest) == 14
     assert not (lab.processed / "figures").exists()
 
 
