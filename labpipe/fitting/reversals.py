@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from labpipe.fitting.corners import Corner, block_means, fit_corner
 from labpipe.fitting.noise import long_run_variance
+from labpipe.fitting.normal import log_share_below
 from labpipe.records.arrays import Floats
 
 _BINS = 600
@@ -173,7 +173,7 @@ def _evaluated(t: Floats, y: Floats, places: Floats, variance: float) -> _Grid:
     inverse: Floats = np.asarray(np.linalg.inv(gram[:, None] + penalties), dtype=np.float64)
     curves = (inverse @ moments[:, None, :, None])[..., 0]
     errors = np.sqrt(variance * inverse[..., _FALL, _FALL])
-    falls = log_ndtr(-curves[..., _FALL] / errors)
+    falls = log_share_below(-curves[..., _FALL] / errors)
     return _Grid(places, precision, likelihood + falls, gram, moments, inverse, curves)
 
 
