@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import assert_never
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.noise import long_run_variance
+from labpipe.fitting.noise_spectra import smooth_stretches
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.processing.filtering import (
     decimate,
@@ -32,6 +34,9 @@ from labpipe.protocol.steps import (
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Severity
+
+_SHORT = 100
+"""Samples of a stretch below which the rest of the record says what its noise is like."""
 
 
 def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol) -> None:
@@ -90,9 +95,13 @@ def _zero(bench: Bench, step: Zero) -> None:
     signal = bench.signals[step.channel]
     _need_time(signal, step.channel, "a stretch in s")
     start = float(signal.time[0] if step.at == "start" else signal.time[-1] - step.over)
-    first = np.searchsorted(signal.time, start)
-    rest = signal.values[first : np.searchsorted(signal.time, start + step.over, side="right")]
+    first = int(np.searchsorted(signal.time, start))
+    last = int(np.searchsorted(signal.time, start + step.over, side="right"))
+    rest = signal.values[first:last]
     known = rest[~np.isnan(rest)]
+    # A stretch of a few samples cannot tell how far its noise remembers; the record can.
+    beside = signal.values[last:] if step.at == "start" else signal.values[:first]
+    stretches = smooth_stretches(beside) if len(known) < _SHORT else ()
     if len(known) < 8:
         apart = median(np.diff(signal.time))
         message = (
@@ -102,9 +111,10 @@ def _zero(bench: Bench, step: Zero) -> None:
         raise ValueError(message)
     if step.by == "mean":
         bench.zeroed[step.channel] = (start, start + step.over)
-        level, error = _mean_level(known)
+        level, error = _mean_level(known, stretches)
     else:
-        level, error = _end_level(known if step.at == "start" else known[::-1])
+        values = known if step.at == "start" else known[::-1]
+        level, error = _end_level(values, stretches)
     zeroed = replace(signal, values=signal.values - level, zero_error=error)
     raw = bench.raw[step.channel]
     bench.raw[step.channel] = (
@@ -118,20 +128,24 @@ def _zero(bench: Bench, step: Zero) -> None:
     bench.note("zeroed", Severity.INFO, step.channel, said)
 
 
-def _mean_level(values: Floats) -> tuple[float, float]:
+def _mean_level(values: Floats, beside: Sequence[Floats]) -> tuple[float, float]:
     """Mean with its standard error."""
+    if beside:
+        fit = fit_linear(np.ones((len(values), 1)), values, beside=beside)
+        half = float(fit.half_widths[0])
+        return float(fit.coefficients[0]), Interval(-half, half).standard_error
     blocks = _blocks(values)
     error = float(np.sqrt(long_run_variance(blocks, parameters=1) / len(blocks)))
     return float(values.mean()), error
 
 
-def _end_level(values: Floats) -> tuple[float, float]:
+def _end_level(values: Floats, beside: Sequence[Floats]) -> tuple[float, float]:
     """First value of a straight line through evenly sampled values, with its standard error."""
     blocks = _blocks(values)
     size = len(values) // len(blocks)
     middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
     design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks)
+    fit = fit_linear(design, blocks, beside=beside)
     # As wide as the t-based interval: a stretch for a zero holds few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
