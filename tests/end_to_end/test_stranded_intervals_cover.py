@@ -29,7 +29,7 @@ RUNS = 63
 """Nine of each wire and length."""
 
 
-def tests_of_wires() -> list[tuple[CantileverScenario, int]]:
+def samples_of_wires() -> list[tuple[CantileverScenario, int]]:
     """Quiet tests of plain samples, so that those of one wire and length share their mechanics."""
     picked: list[tuple[CantileverScenario, int]] = []
     for seed, group in enumerate(islice(cycle(GROUPS), RUNS)):
@@ -74,7 +74,7 @@ def true_values(truth: Truth, scenario: CantileverScenario) -> dict[str, float]:
 @pytest.mark.slow
 def test_intervals_of_stranded_wires_cover(repository: Path) -> None:
     hits: Counter[str] = Counter()
-    for scenario, seed in tests_of_wires():
+    for scenario, seed in samples_of_wires():
         test = observe(replace(scenario, name=f"{scenario.name}-{seed}"), seed)
         truth = true_values(test.truth, scenario)
         for result in results(test, protocol(repository, scenario)):
