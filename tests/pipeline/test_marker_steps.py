@@ -10,9 +10,8 @@ import pytest
 
 from labpipe.errors import ProcessingError
 from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.bench import Bench, MarkerBench
 from labpipe.pipeline.marker_steps import (
-    MarkerBench,
     fit_shapes,
     repair,
     tip_travel,
