@@ -42,6 +42,9 @@ def model_table(modelled: Modelled) -> str:
     if modelled.refused:
         names = _named(tuple(modelled.refused), 0)
         lines.append(f"  not modelled: {names} (reasons below)")
+    if modelled.gone:
+        names = _named(modelled.gone, 0)
+        lines.append(f"  no longer in the sheet, files taken away: {names}")
     lines.append(f"results: {from_here(modelled.folder)}")
     return "\n".join(lines)
 

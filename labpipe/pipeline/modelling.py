@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
 from labpipe import __version__
 from labpipe.decks import deck_paths, deck_texts, write_texts
-from labpipe.errors import ProcessingError, complaint
+from labpipe.errors import ProcessingError, UsageError, complaint
 from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.wire_figures import own_figures, save_wire_figures
@@ -43,6 +43,7 @@ class Modelled:
     tables : of the wires that could be modelled, in the order of the sheet
     refused : name -> why, of those that could not
     files : all that were written, the workbook first
+    gone : wires of an earlier run that the sheet has no more; their files were taken away
     """
 
     sheet: Path
@@ -50,6 +51,7 @@ class Modelled:
     tables: tuple[WireTable, ...]
     refused: Mapping[str, str]
     files: tuple[Path, ...]
+    gone: tuple[str, ...] = ()
 
 
 def model_wires(
@@ -70,7 +72,8 @@ def model_wires(
 
     Returns
     -------
-    Tables, refusals and files. The files of a wire that is refused now are taken away.
+    Tables, refusals and files. The files of a wire that is refused now, or is no longer in the
+    sheet, are taken away.
 
     Raises
     ------
@@ -78,14 +81,16 @@ def model_wires(
         If the sheet has faults (all are told at once), no wire can be modelled, or the results
         cannot be written; earlier results are then as they were.
     """
+    folder = Path("processed") / sheet.stem if out is None else out
+    _spare(sheet, folder)
     specs = read_wire_sheet(sheet)
     with _helpers(len(specs), sheet) as pool:
         made, refused = make_tables(specs, sheet, say, pool)
         if not made:
             raise ProcessingError("\n".join(refused.values()))
         tables = tuple(wire.table for wire in made)
-        folder = Path("processed") / sheet.stem if out is None else out
-        modelled = Modelled(sheet, folder, tables, refused, ())
+        gone = _gone(folder, [spec.name for spec in specs])
+        modelled = Modelled(sheet, folder, tables, refused, (), gone)
         with locked(folder), replacing_together(folder) as stage:
             say("tables and decks")
             with storing(folder):
@@ -93,8 +98,8 @@ def model_wires(
             if figures:
                 written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say)
             files = tuple(folder / path.relative_to(stage) for path in written)
-    _forget(folder, refused)
-    return Modelled(sheet, folder, tables, refused, files)
+    _forget(folder, (*refused, *gone))
+    return replace(modelled, files=files)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,6 +204,29 @@ def _write(
     else:
         save()
     return [workbook, model, *written]
+
+
+def _spare(sheet: Path, folder: Path) -> None:
+    """Refuse to write over the sheet itself."""
+    for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
+        if file.resolve() == sheet.resolve():
+            message = complaint(
+                sheet,
+                "",
+                expected="a folder for the results in which this sheet is not one of them",
+                found=f"that {file} would be written over it",
+                remedy="Choose another folder with --out.",
+            )
+            raise UsageError(message)
+
+
+def _gone(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Wires of the model that stands in a folder and are not among some names."""
+    try:
+        earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
+        return tuple(name for name in earlier if name not in names)
+    except (OSError, ValueError, KeyError, TypeError):
+        return ()  # no model, or not one of labpipe's: nothing that this command wrote
 
 
 def _forget(folder: Path, refused: Iterable[str]) -> None:

@@ -221,3 +221,28 @@ def test_same_sheet_same_files(tmp_path: Path, run: Run) -> None:
     )
     for name in first.keys() - {"wires.xlsx"}:  # a workbook carries the time it was made
         assert first[name] == second[name]
+
+
+def test_the_sheet_itself_is_never_written_over(repository: Path, tmp_path: Path, run: Run) -> None:
+    path = tmp_path / "wires.xlsx"
+    path.write_bytes((repository / "examples" / "wires.xlsx").read_bytes())
+    before = path.read_bytes()
+    done = run("model", str(path), "--out", str(tmp_path), "--no-figures")
+    assert done.status == 2
+    assert "expected a folder for the results in which this sheet is not one of them" in done.err
+    assert "Choose another folder with --out." in done.err
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_of_wires_that_left_the_sheet_are_taken_away(tmp_path: Path, run: Run) -> None:
+    out = tmp_path / "out"
+    assert run("model", str(sheet(tmp_path, A1, A3)), "--out", str(out), "--no-figures").status == 0
+    (out / "decks" / "mine.txt").write_text("a note of the lab", encoding="utf-8")
+    done = run("model", str(sheet(tmp_path, A1)), "--out", str(out), "--no-figures")
+    assert done.status == 0
+    assert "  no longer in the sheet, files taken away: A3" in done.out
+    assert {file.name for file in (out / "decks").iterdir()} == {
+        "mine.txt",
+        *(f"A1.{ending}" for ending in DECKS),
+    }
