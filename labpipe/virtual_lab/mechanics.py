@@ -256,7 +256,7 @@ def _taut(
             shapes.append(ahead)
             continue
         event = _taut_travel(law, rig, shapes[-1], test.length)
-        slackened = bend_to_travel(law, shapes[-1].state, test.length, rig, event)
+        slackened = _let_go(bend_to_travel(law, shapes[-1].state, test.length, rig, event))
         if abs(event - shapes[-1].state.travel) > _SHORTEST:
             shapes.append(slackened)
         yield shapes
@@ -264,6 +264,11 @@ def _taut(
             yield [slackened, bend_to_travel(law, slackened.state, test.length, rig, goal)]
         return
     yield shapes
+
+
+def _let_go(shape: CantileverShape) -> CantileverShape:
+    """The shape in which the string goes slack: what tension is left is rounding."""
+    return replace(shape, tension=0.0, state=replace(shape.state, load=0.0))
 
 
 def _taut_travel(law: MomentLaw, rig: StringRig, shape: CantileverShape, length: float) -> float:

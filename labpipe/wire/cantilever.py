@@ -260,7 +260,7 @@ def bend_to_travel(
         found = _advance(law, present, length, weight, travel)
         if found is None or rig.taut_travel(*_tip(law, found, length)) < travel - _GRAZING:
             return None
-        return found
+        return replace(found, load=0.0)  # not the rounding that the last pull left behind
 
     def step(present: WireState, travel: float) -> WireState | None:
         first, second = (taut, slack) if present.load > 0.0 else (slack, taut)
