@@ -7,15 +7,21 @@ comma, semicolon or tab, UTF-8).
 from __future__ import annotations
 
 import csv
+import io
+import re
+import warnings
+import zipfile
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.files import read_head, reading
 
 _SEPARATORS = ",;\t"
+_NUMBER_STARTS = re.compile(r"[-+]?\.?\d")
+_NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,10 +32,12 @@ class Cell:
     ----------
     text : as shown, without blanks around it; dates as 2026-03-04
     place : such as ``cell C4``, or ``line 4, column 3`` in a csv
+    unread : why it looks blank though it is not, such as ``the error #DIV/0!``; empty otherwise
     """
 
     text: str
     place: str
+    unread: str = ""
 
 
 Row: TypeAlias = tuple[Cell, ...]
@@ -75,7 +83,7 @@ def sheet_names(path: Path) -> list[str]:
 
 
 def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
-    """All cells of one sheet of a workbook.
+    """All cells of one sheet of a workbook; a last row repeats those that cannot be read.
 
     Parameters
     ----------
@@ -98,17 +106,60 @@ def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
             else book.get_sheet_by_index(sheet)
         )
         rows = page.to_python(skip_empty_area=False)
-    return [
+        unread = _unread(path, page.name)
+    shown = [
         [
             Cell(_shown(value), f"cell {get_column_letter(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
         for line, row in enumerate(rows, start=1)
     ]
+    return [*shown, unread] if unread else shown
+
+
+def _unread(path: Path, name: str) -> list[Cell]:
+    """Cells that calamine gives as blank: errors, and formulas that were never worked out."""
+    from openpyxl import load_workbook
+    from openpyxl.utils import get_column_letter
+
+    if not _has_formulas(path):  # most sheets: spares reading them twice more
+        return []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of styles and extensions, which are not read here
+        books = [load_workbook(path, read_only=True, data_only=only) for only in (False, True)]
+        pages = [book[name] for book in books]
+        for page in pages:
+            page.reset_dimensions()  # what a file says of its size may be wrong
+        found = [
+            Cell("", f"cell {get_column_letter(column)}{line}", unread=why)
+            for line, rows in enumerate(zip(*(page.iter_rows() for page in pages), strict=True), 1)
+            for column, (formula, value) in enumerate(zip(*rows, strict=True), 1)
+            if (why := _why_unread(formula, value))
+        ]
+        for book in books:
+            book.close()
+    return found
+
+
+def _has_formulas(path: Path) -> bool:
+    with zipfile.ZipFile(path) as parts:
+        names = [name for name in parts.namelist() if name.startswith("xl/worksheets/")]
+        texts = [parts.read(name) for name in names]
+    return any(b"<f" in text or b't="e"' in text for text in texts)
+
+
+def _why_unread(formula: Any, value: Any) -> str:
+    """Say why a cell cannot be read, from its formula and its stored value; empty if it can."""
+    if value.data_type == "e" and value.value is not None:
+        return f"the error {value.value}"
+    # a formula that gives an empty text is stored as text ("str"): that is a blank on purpose
+    if formula.data_type == "f" and value.value is None and value.data_type != "str":
+        return "a formula without a stored value"
+    return ""
 
 
 def csv_cells(path: Path) -> list[list[Cell]]:
-    """All cells of a csv, parted by what its first line has most of.
+    """All cells of a csv, parted by what its first line has most of, or names as ``sep=;``.
 
     Raises
     ------
@@ -116,11 +167,20 @@ def csv_cells(path: Path) -> list[list[Cell]]:
         If it is no UTF-8 text.
     """
     with reading(path, "a table as UTF-8 text", remedy="Save it as 'CSV UTF-8'."):
-        text = path.read_text(encoding="utf-8-sig")
-        first = next((line for line in text.splitlines() if line.strip()), "")
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            text = stream.read()
+        first = next((line for line in _lines(text) if line.strip()), "")
         separator = max(_SEPARATORS, key=first.count)
-        reader = csv.reader(text.splitlines(keepends=True), delimiter=separator, strict=True)
+        if named := _NAMED_SEPARATOR.fullmatch(first.rstrip("\r\n")):
+            separator = named[1]
+            text = text.replace(first, "\n", 1)  # blank, so that lines are still counted right
+        reader = csv.reader(_lines(text), delimiter=separator, strict=True)
         return [_csv_row(row, reader.line_num) for row in reader]
+
+
+def _lines(text: str) -> io.StringIO:
+    """Lines parted as csv parts them; str.splitlines also parts at U+0085 and U+2028."""
+    return io.StringIO(text, newline="")
 
 
 def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = "") -> Table:
@@ -136,8 +196,12 @@ def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = 
     Raises
     ------
     ReadError
-        If there is no row below a heading, or a cell beyond it.
+        If there is no row below a heading, a cell beyond it, or a cell that cannot be read: all
+        of these in one message.
     """
+    unread = [cell for row in cells for cell in row if cell.unread]
+    if unread:
+        raise ReadError("\n".join(_unread_words(cell, path) for cell in unread))
     filled = [row for row in cells if any(cell.text for cell in row)]
     if len(filled) < 2:
         expected, remedy = f"a heading and {rows_of}", "Fill in the table."
@@ -145,6 +209,14 @@ def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = 
         raise ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))
     heading = _without_tail(filled[0])
     return Table(heading, tuple(_fitted(row, len(heading), path) for row in filled[1:]))
+
+
+def _unread_words(cell: Cell, path: Path) -> str:
+    remedy = "Open the workbook in the spreadsheet program and save it."
+    if cell.unread.startswith("the error"):
+        remedy = "Correct the cell."
+    expected = "a value"
+    return complaint(path, cell.place, expected=expected, found=cell.unread, remedy=remedy)
 
 
 def _csv_row(row: Iterable[str], line: int) -> list[Cell]:
@@ -172,6 +244,8 @@ def _fitted(row: list[Cell], width: int, path: Path) -> Row:
         if cell.text:
             expected, found = "a cell below a heading", f"'{cell.text}'"
             remedy = "Give its column a name in the first row, or empty the cell."
+            if cell.place.startswith("line") and _NUMBER_STARTS.match(cell.text):
+                remedy += ' If it is the rest of a list, put the list in quotes: "12;-15".'
             text = complaint(path, cell.place, expected=expected, found=found, remedy=remedy)
             raise ReadError(text)
     return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))

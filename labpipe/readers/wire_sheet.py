@@ -11,7 +11,7 @@ import math
 import re
 import unicodedata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -96,7 +96,7 @@ def _table(path: Path) -> Table:
     name = next((each for each in known if each.casefold() == WIRES_SHEET), known[0])
     where = f"sheet '{name}'"
     cells = [
-        [Cell(cell.text, f"{where}, {cell.place}") for cell in row]
+        [replace(cell, place=f"{where}, {cell.place}") for cell in row]
         for row in workbook_cells(path, name)
     ]
     return as_table(cells, path, rows_of="one row per wire", place=where)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from labpipe.errors import ReadError, nearest
@@ -90,7 +90,7 @@ def _table(name: str, place: str, faults: Faults) -> tuple[Table | None, Faults]
         return None, faults
     where = f"sheet '{name}'"
     cells = [
-        [Cell(cell.text, f"{where}, {cell.place}") for cell in row]
+        [replace(cell, place=f"{where}, {cell.place}") for cell in row]
         for row in workbook_cells(faults.path, name)
     ]
     return as_table(cells, faults.path, rows_of=rows_of, place=where), faults

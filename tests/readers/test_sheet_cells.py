@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import re
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -62,4 +64,89 @@ def test_a_table_without_rows_is_told_with_its_place(tmp_path: Path) -> None:
     assert str(info.value) == (
         f"{tmp_path / 'a'}, sheet 'wires': expected a heading and one row per wire, found 0 rows."
         " Fill in the table."
+    )
+
+
+def _table_of(path: Path) -> None:
+    as_table(workbook_cells(path), path, rows_of="one row per wire")
+
+
+def test_errors_and_formulas_without_a_value_are_no_blanks(tmp_path: Path) -> None:
+    pages, path = Workbook(), tmp_path / "a.xlsx"
+    page = pages.active
+    assert page is not None
+    page.append(["wire", "length_mm", "poisson"])
+    page.append(["A1", "=80+5", None])
+    page.append(["A2", 85, "#DIV/0!"])
+    page["C3"].data_type = "e"
+    pages.save(path)
+    with pytest.raises(ReadError) as info:
+        _table_of(path)
+    assert str(info.value).split("\n") == [
+        f"{path}, cell B2: expected a value, found a formula without a stored value."
+        " Open the workbook in the spreadsheet program and save it.",
+        f"{path}, cell C3: expected a value, found the error #DIV/0!. Correct the cell.",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("stored", "found"),
+    [
+        (b't="str"><f>80+5</f><v></v>', ""),  # an empty text on purpose
+        (b"><f>80+5</f><v>85</v>", ""),
+        (b't="e"><f>80+5</f><v>#N/A</v>', "the error #N/A"),
+    ],
+)
+def test_formulas_with_a_stored_value(tmp_path: Path, stored: bytes, found: str) -> None:
+    pages, path = Workbook(), tmp_path / "a.xlsx"
+    page = pages.active
+    assert page is not None
+    page.append(["wire", "=80+5"])
+    pages.save(path)
+    _store(path, stored)
+    unread = [cell.unread for row in workbook_cells(path) for cell in row if cell.unread]
+    assert unread == ([found] if found else [])
+
+
+def _store(path: Path, stored: bytes) -> None:
+    """Write a stored value into the cell B1 of a workbook."""
+    with zipfile.ZipFile(path) as parts:
+        texts = {name: parts.read(name) for name in parts.namelist()}
+    sheet = "xl/worksheets/sheet1.xml"
+    texts[sheet], count = re.subn(
+        rb'(<c r="B1")[^>]*><f>80\+5</f><v\s*(?:/>|></v>)', rb"\1 " + stored, texts[sheet]
+    )
+    assert count == 1
+    with zipfile.ZipFile(path, "w") as parts:
+        for name, text in texts.items():
+            parts.writestr(name, text)
+
+
+def test_a_csv_may_name_its_separator(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("sep=;\na;b\n1;2,3,4\n", encoding="utf-8")
+    rows = csv_cells(path)
+    assert rows[1:] == [
+        [Cell("a", "line 2, column 1"), Cell("b", "line 2, column 2")],
+        [Cell("1", "line 3, column 1"), Cell("2,3,4", "line 3, column 2")],
+    ]
+    assert not rows[0]
+
+
+@pytest.mark.parametrize("odd", ["\x85", "\u2028", "\x0b"])
+def test_a_csv_is_parted_at_line_ends_only(tmp_path: Path, odd: str) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text(f"a,b\r\n1,x{odd}y\r\n", encoding="utf-8", newline="")
+    assert csv_cells(path)[1][1] == Cell(f"x{odd}y", "line 2, column 2")
+
+
+def test_a_list_that_was_not_quoted(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("a;b\n1;12;-15\n", encoding="utf-8")
+    with pytest.raises(ReadError) as info:
+        as_table(csv_cells(path), path, rows_of="one row per wire")
+    assert str(info.value) == (
+        f"{path}, line 2, column 3: expected a cell below a heading, found '-15'."
+        " Give its column a name in the first row, or empty the cell."
+        ' If it is the rest of a list, put the list in quotes: "12;-15".'
     )
