@@ -9,7 +9,7 @@ from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.records.quality import QualityNote
 
 AUTO = "auto"
-"""Layout that is a hexagon where it fits, else a packing or rings."""
+"""Layout that is a hexagon where it fits, else rings where they fit, else a packing."""
 
 LAYOUTS = (AUTO, "hexagonal", "concentric", "packed", "compressed")
 """Layouts that can be asked for."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import cast
 
+import numpy as np
+
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import AUTO, WireSpec
 from labpipe.wire.cross_section import TOLERANCE, CrossSection, Insulation, Layer, compressed
@@ -12,9 +14,12 @@ from labpipe.wire.cross_section import hexagonal as as_hexagon
 from labpipe.wire.friction import Contacts, axial_strain, insulated
 from labpipe.wire.laws import require_finite, require_positive
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
+from labpipe.wire.moment_curvature import stick_stiffness
 from labpipe.wire.packing import Kind, lay_out
 
 _ROUNDING = 1e-9  # of the bore's radius: strands that touch
+_ECCENTRIC = 0.02  # of the bore's radius: centroid of the strands off the axis
+_HALF_TURN = np.linspace(0.0, np.pi, 180, endpoint=False)
 
 
 class WireError(ValueError):
@@ -46,8 +51,8 @@ def build(spec: WireSpec) -> BuiltWire:
 
     Returns
     -------
-    The wire, with the notes ``layout_fallback`` (not the hexagon, and why) and
-    ``overlap_tolerated``.
+    The wire, with the notes ``layout_fallback`` (not the hexagon, and why), ``layout_eccentric``
+    (a packing to one side of the bore) and ``overlap_tolerated``.
 
     Raises
     ------
@@ -68,7 +73,8 @@ def build(spec: WireSpec) -> BuiltWire:
         axial_strain(section, spec.tension)  # refuses what cannot be a tension
     except ValueError as error:
         raise WireError(str(error)) from error
-    return BuiltWire(section, contacts, (*notes, *_overlap(section, spec)))
+    notes = (*notes, *_eccentric(section, spec), *_overlap(section, spec))
+    return BuiltWire(section, contacts, notes)
 
 
 def _require_numbers(spec: WireSpec) -> None:
@@ -134,15 +140,30 @@ def _section(spec: WireSpec) -> tuple[CrossSection, tuple[QualityNote, ...]]:
 def _automatic(
     layers: tuple[Layer, ...], tube: Insulation, spec: WireSpec
 ) -> tuple[CrossSection, tuple[QualityNote, ...]]:
-    """The hexagon; else a packing of equal strands, or rings of others, with a note."""
+    """The hexagon; else rings where they fit, or a packing of equal strands, with a note."""
     try:
         return as_hexagon(layers, tube), ()
     except ValueError as error:
         why = str(error)
-    is_equal = len({layer.diameter for layer in layers}) == 1
-    section = lay_out(layers, tube, kind="packed" if is_equal else "concentric")
+    section = lay_out(layers, tube)
     message = f"the layout is {section.kind}, not a hexagon ({why})"
     return section, (QualityNote("layout_fallback", Severity.WARNING, spec.place, message),)
+
+
+def _eccentric(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
+    """Say by how much a packing lies to one side of the bore, and what that does."""
+    bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
+    area = np.array([layer.area for layer in section.layers])[section.layer]
+    off = float(np.hypot(section.x @ area, section.y @ area) / area.sum())
+    if section.kind != "packed" or off <= _ECCENTRIC * bore:
+        return ()
+    stiffness = [stick_stiffness(section, orientation=turn) for turn in _HALF_TURN]
+    message = (
+        f"the strands lie to one side of the bore: their centroid is {off * 1e3:.3g} mm off the "
+        f"axis, {100.0 * off / bore:.2g} % of the bore's radius. Bent about the axis, the stick "
+        f"stiffness is {min(stiffness):.4g} to {max(stiffness):.4g} N m^2, by orientation"
+    )
+    return (QualityNote("layout_eccentric", Severity.WARNING, spec.place, message),)
 
 
 def _overlap(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:

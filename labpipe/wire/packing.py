@@ -9,6 +9,7 @@ which the best is kept, and the hexagon as the usual choice.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -62,7 +63,8 @@ def packed(
 
     Parameters
     ----------
-    layers : their counts share the strands out by distance from the axis; equal diameters
+    layers : their counts share the strands out by distance from the axis; equal diameters. A core,
+        of one strand, stays on the axis
     insulation : the tube, whose bore bounds the strands
     seed : of the random starts; same seed, same packing. A single strand lies on the axis
     n_starts : at most so many, random and from rings with jitter in turns; the first without any
@@ -85,19 +87,30 @@ def packed(
     for start in range(n_starts):
         begin = _jittered_rings(layers, rng) if start % 2 else _scattered(layers, bore, rng)
         # In units of the strand's radius, so that the tolerances mean something.
-        found = minimize(
-            overlap_energy,
-            begin.ravel() / strand,
-            args=(1.0, bore / strand),
-            jac=True,
-            method="L-BFGS-B",
-            options={"ftol": 1e-16, "gtol": 1e-10, "maxiter": 1000},
-        )
-        if found.fun < least:
-            best, least = found.x.reshape(-1, 2) * strand, float(found.fun)
+        centres, energy = _settled(begin / strand, bore / strand, layers[0].count == 1)
+        if energy < least:
+            best, least = centres * strand, energy
         if least < _NO_ENERGY:
             break
     return place("packed", layers, _by_distance(best, layers), insulation)
+
+
+def _settled(begin: Floats, bore: float, has_core: bool) -> tuple[Floats, float]:
+    """Centres of least energy from a start, and that energy, in units of the strand's radius."""
+    core = np.zeros(2 * int(has_core))
+
+    def energy(free: Floats) -> tuple[float, Floats]:
+        value, gradient = overlap_energy(np.concatenate([core, free]), 1.0, bore)
+        return value, gradient[len(core) :]
+
+    found = minimize(
+        energy,
+        begin.ravel()[len(core) :],
+        jac=True,
+        method="L-BFGS-B",
+        options={"ftol": 1e-16, "gtol": 1e-10, "maxiter": 1000},
+    )
+    return np.concatenate([core, found.x]).reshape(-1, 2), float(found.fun)
 
 
 def _scattered(layers: tuple[Layer, ...], bore: float, rng: np.random.Generator) -> Floats:
@@ -141,8 +154,8 @@ def lay_out(
     ----------
     layers : from the axis outwards
     insulation : the tube
-    kind : the layout; without one the hexagon where counts, diameters and bore allow it, else the
-        packing for equal strands and rings for others
+    kind : the layout; without one the hexagon where counts, diameters and bore allow it, else rings
+        where they fit, else the packing for equal strands
     seed : of the packing
 
     Raises
@@ -159,8 +172,9 @@ def lay_out(
             return packed(layers, insulation, seed=seed)
         case "compressed":
             return compressed(layers, insulation)
-    try:
-        return hexagonal(layers, insulation)
-    except ValueError:
-        is_equal = len({layer.diameter for layer in layers}) == 1
-        return packed(layers, insulation, seed=seed) if is_equal else concentric(layers, insulation)
+    for symmetric in (hexagonal, concentric):
+        with suppress(ValueError):  # does not fit: the next one
+            return symmetric(layers, insulation)
+    is_equal = len({layer.diameter for layer in layers}) == 1
+    # of unequal strands, rings are asked for once more for their reason
+    return packed(layers, insulation, seed=seed) if is_equal else concentric(layers, insulation)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from labpipe.records.wire import WireSpec
 from labpipe.wire.from_spec import WireError, build, layers_of, material_of, range_of
 from labpipe.wire.materials import RambergOsgood, StressTable
+from labpipe.wire.moment_curvature import stick_stiffness
 
 LAYS = (float(np.radians(12.0)), float(np.radians(-15.0)))
 A2 = WireSpec("A2", 1.6e-3, (1, 6), (0.32e-3,) * 2, LAYS[:1], 0.3e-3, place="line 2")
@@ -42,6 +44,43 @@ def test_a_packing_instead_of_the_hexagon_is_noted_with_the_reason() -> None:
         "the layout is packed, not a hexagon (the hexagonal layout does not fit: strands overlap"
         " the bore of radius 0.000565 m by 1e-05 m"
     )
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 5])
+def test_strands_without_a_core_touch_each_other_around_the_axis(count: int) -> None:
+    spec = replace(A2, layer_counts=(count,), strand_diameters=(0.3e-3,))
+    built = build(spec)
+    assert built.section.kind == "concentric"
+    assert built.section.radius == pytest.approx(np.full(count, 0.15e-3 / np.sin(np.pi / count)))
+    assert [note.code for note in built.notes] == ["layout_fallback"]
+
+
+def test_a_packing_to_one_side_of_the_bore_is_said_with_what_it_does() -> None:
+    spec = replace(A2, layer_counts=(3,), strand_diameters=(0.3e-3,), layout="packed")
+    built = build(spec)
+    [note] = built.notes
+    assert (note.code, note.severity, note.where) == ("layout_eccentric", "warning", "line 2")
+    off = np.hypot(built.section.x.mean(), built.section.y.mean())
+    assert off > 0.02 * 0.5e-3
+    turns = np.linspace(0.0, np.pi, 7)
+    stiffness = [stick_stiffness(built.section, orientation=turn) for turn in turns]
+    said = re.fullmatch(
+        r"the strands lie to one side of the bore: their centroid is (\S+) mm off the axis, (\S+) %"
+        r" of the bore's radius\. Bent about the axis, the stick stiffness is (\S+) to (\S+)"
+        r" N m\^2, by orientation",
+        note.message,
+    )
+    assert said is not None
+    distance, share, least, most = map(float, said.groups())
+    assert (distance, share) == pytest.approx((1e3 * off, 100.0 * off / 0.5e-3), rel=0.02)
+    assert least <= min(stiffness) * 1.001
+    assert most >= max(stiffness) * 0.999
+    assert most > 1.2 * least
+
+
+def test_a_packing_around_the_axis_is_not_eccentric() -> None:
+    tight = replace(A2, wire_diameter=1.56e-3, layout="packed")
+    assert "layout_eccentric" not in [note.code for note in build(tight).notes]
 
 
 def test_rings_for_strands_that_differ() -> None:

@@ -57,6 +57,14 @@ def test_a_single_strand_lies_on_the_axis_of_a_wide_bore(seed: int) -> None:
     assert section.kind == "packed"
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_core_of_a_packing_lies_on_the_axis(seed: int) -> None:
+    section = packed(layers_of("A2"), tube(1.9e-3), seed=seed)
+    assert section.has_core
+    assert (section.x[0], section.y[0]) == (0.0, 0.0)
+    assert section.radius[1:].min() >= 0.32e-3 * (1.0 - 1e-6)
+
+
 def test_a_bore_too_small_for_any_packing() -> None:
     with pytest.raises(ValueError, match="the packed layout does not fit: strands overlap"):
         packed(layers_of("A2"), tube(1.4e-3))
@@ -64,7 +72,9 @@ def test_a_bore_too_small_for_any_packing() -> None:
 
 def test_the_layout_that_is_chosen() -> None:
     assert lay_out(layers_of("A2"), tube(1.6e-3)).kind == "hexagonal"
-    assert lay_out((Layer(5, 0.3e-3, 0.2),), tube(1.6e-3)).kind == "packed"
+    assert lay_out((Layer(5, 0.3e-3, 0.2),), tube(1.6e-3)).kind == "concentric"
+    crowded = (Layer(1, 0.2e-3), Layer(7, 0.2e-3, 0.2))  # seven do not fit around one
+    assert lay_out(crowded, tube(1.6e-3)).kind == "packed"
     mixed = (Layer(1, 0.35e-3), Layer(6, 0.3e-3, 0.2))
     assert lay_out(mixed, tube(1.6e-3)).kind == "concentric"
     with pytest.raises(ValueError, match="only equal strands are packed"):
