@@ -15,7 +15,10 @@ from labpipe import __version__
 from labpipe.cli import BAD_INPUT, DONE
 from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario
 
-COMMANDS = ("demo", "inspect", "new", "check", "process", "report", "simulate")
+COMMANDS = (
+    *("demo", "inspect", "new", "check", "process", "report"),
+    *("model", "calibrate", "simulate"),
+)
 
 
 @pytest.fixture
@@ -174,7 +177,7 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
             "reason",
             "method",
         }
-        assert re.fullmatch(r"[a-z_]+(\.\d+)?", result["name"])
+        assert re.fullmatch(r"[a-z][a-z0-9_]*(\.\d+)?", result["name"])
     for note in said["quality"]:
         assert set(note) == {"code", "severity", "message"}
 

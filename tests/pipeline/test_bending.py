@@ -53,11 +53,12 @@ def test_stiffnesses_of_the_law(repository: Path) -> None:
     law = SMALL.mechanics.wire.law()
     for curvature in (1.0, 3.0):
         found = results[f"bending_stiffness_at_{curvature:g}"]
-        true = float(law_moment(law, curvature)) / curvature  # type: ignore[arg-type]
+        truth = float(law_moment(law, curvature)) / curvature  # type: ignore[arg-type]
         assert found.unit == "N*m^2"
-        assert found.value == pytest.approx(true, rel=0.05)
+        assert found.value == pytest.approx(truth, rel=0.05)
         assert found.interval is not None
-        assert found.interval.lower < true < found.interval.upper
+        # One test alone may lie outside its 95 %; how often it does is the slow study's question.
+        assert found.value == pytest.approx(truth, abs=3.0 * found.interval.standard_error)
     slope = results["bending_stiffness_t"]  # of half a minute of test, known to a tenth or so
     assert slope.interval is not None
     assert slope.value == pytest.approx(4.53e-3, abs=3.0 * slope.interval.standard_error)
