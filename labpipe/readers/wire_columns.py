@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -49,6 +50,7 @@ class Column:
     rule : what is allowed
     is_list : whether a cell holds several, parted by semicolons
     is_needed : whether no cell may be blank
+    period : after which numbers mean the same again, such as 360 deg
     """
 
     name: str
@@ -58,6 +60,7 @@ class Column:
     rule: Rule
     is_list: bool = False
     is_needed: bool = False
+    period: float = math.inf
 
 
 _DEGREE = math.pi / 180.0
@@ -82,10 +85,39 @@ COLUMNS = (
     Column("radial_force_n", "radial_force", "N", 1.0, NOT_NEGATIVE),
     Column("length_mm", "length", "mm", 1e-3, POSITIVE),
     Column("tension_n", "tension", "N", 1.0, NOT_NEGATIVE),
-    Column("orientation_deg", "orientation", "deg", _DEGREE, ANY),
+    Column("orientation_deg", "orientation", "deg", _DEGREE, ANY, period=360.0),
     Column("largest_curvature_per_m", "largest_curvature", "1/m", 1.0, POSITIVE),
 )
 """Columns of numbers."""
+
+LIMITS = {
+    "wire_diameter_mm": (0.05, 200.0),
+    "strands": (1.0, 2000.0),
+    "conductor_area_mm2": (1e-05, 40000.0),
+    "strand_diameter_mm": (0.005, 50.0),
+    "strand_diameters_mm": (0.005, 50.0),
+    "layer_counts": (1.0, 2000.0),
+    "lay_angles_deg": (-80.0, 80.0),
+    "layer_radii_mm": (0.0, 100.0),
+    "insulation_thickness_mm": (0.001, 100.0),
+    "insulation_modulus_mpa": (0.1, 10000000.0),
+    "conductor_modulus_gpa": (0.1, 1000.0),
+    "poisson": (-0.5, 0.5),
+    "copper_k_mpa": (1.0, 10000.0),
+    "copper_n": (0.01, 0.99),
+    "friction_strand": (0.0, 10.0),
+    "friction_insulation": (0.0, 10.0),
+    "radial_force_n": (0.0, 1000000.0),
+    "length_mm": (1.0, 100000.0),
+    "tension_n": (0.0, 10000000.0),
+    "orientation_deg": (-3600.0, 3600.0),
+    "largest_curvature_per_m": (0.001, 100000.0),
+}
+"""Smallest and largest number of each column, in its unit.
+
+They are wider than any wire needs: outside is only a wrong unit or a slip of the hand, and no
+number inside is too large to work with.
+"""
 
 NAME, LAYOUT, STRESS_TABLE, REMARK = "wire", "layout", "stress_table", "remark"
 KNOWN = (NAME, *(column.name for column in COLUMNS), LAYOUT, STRESS_TABLE, REMARK)
@@ -95,7 +127,11 @@ NEEDED = (NAME, *(column.name for column in COLUMNS if column.is_needed), "lay_a
 SIZES = ("conductor_area_mm2", "strand_diameter_mm", "strand_diameters_mm")
 """Columns of which every sheet has at least one."""
 
+LIKE = 0.6
+"""Likeness (of difflib, 0 to 1) from which a name is told as the one that may be meant."""
+
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
 _BY_NAME = {column.name: column for column in COLUMNS}
 
@@ -150,10 +186,16 @@ def check_heading(heading: Sequence[Cell], faults: Faults) -> None:
 
 
 def _unknown(name: str, cell: Cell, faults: Faults) -> str:
-    """Tell an unknown column; give back the one that was meant, as far as can be guessed."""
-    near = nearest(name, list(KNOWN), most=3)
+    """Tell an unknown column; give back the one that was meant, empty if none is like it."""
+    near = difflib.get_close_matches(name, KNOWN, n=3, cutoff=LIKE)
     same = list(_other_units(name))
+    if not (same or near):
+        expected = f"a column of a wire sheet, such as {', '.join(map(repr, NEEDED))}"
+        remedy = "Correct its name, or remove the column."
+        faults.add(cell.place, expected=expected, found=repr(cell.text), remedy=remedy)
+        return ""
     meant = same[0] if same else near[0]
+    near = nearest(name, list(KNOWN), most=3)
     listed = [meant, *(word for word in near if word != meant)][:3]
     remedy = f"Did you mean {meant!r}?"
     if same and _BY_NAME[meant].unit:
@@ -190,19 +232,46 @@ def numbers_in(cell: Cell, column: Column, faults: Faults) -> tuple[float, ...] 
     """
     place = f"{cell.place} ({column.name})"
     parts = [part.strip() for part in cell.text.split(";")] if column.is_list else [cell.text]
-    values = []
     for part in parts:
-        if _DECIMAL_COMMA.fullmatch(part):
-            remedy = f"Write {part.replace(',', '.')}."
-            found = f"the decimal comma of {part!r}"
-            faults.add(place, expected="a number with a point", found=found, remedy=remedy)
+        wrong = _comma_in(part, cell, column) or _not_allowed(part, cell, column)
+        if wrong:
+            expected, found, remedy = wrong
+            faults.add(place, expected=expected, found=found, remedy=remedy)
             return None
-        if not _allowed(part, column):
-            expected, remedy = allowed_in(column), "Correct the cell."
-            faults.add(place, expected=expected, found=repr(cell.text), remedy=remedy)
-            return None
-        values.append(in_si(float(part), column))
-    return tuple(values)
+    return tuple(in_si(math.fmod(float(part), column.period), column) for part in parts)
+
+
+def _comma_in(part: str, cell: Cell, column: Column) -> tuple[str, str, str] | None:
+    """What is expected, found and to be done where a number holds a comma."""
+    if column.is_list and ";" not in cell.text and "," in part:
+        return allowed_in(column), repr(cell.text), _list_remedy(part)
+    if _THOUSANDS.fullmatch(part):
+        whole, point = part.replace(",", ""), part.replace(",", ".")
+        readings = f"{whole} or {point}" if part.count(",") == 1 else whole
+        return "a number with a point", f"the comma of {part!r}", f"Write {readings}, as meant."
+    if _DECIMAL_COMMA.fullmatch(part):
+        found, remedy = f"the decimal comma of {part!r}", f"Write {part.replace(',', '.')}."
+        return "a number with a point", found, remedy
+    return None
+
+
+def _list_remedy(part: str) -> str:
+    """What to do with a comma in a list that has no semicolon: two numbers, or a decimal comma."""
+    listed = ";".join(each.strip() for each in part.split(","))
+    if _DECIMAL_COMMA.fullmatch(part):
+        return f"Part numbers by ';': write {listed} for two, {part.replace(',', '.')} for one."
+    return f"Part them by ';': {listed}."
+
+
+def _not_allowed(part: str, cell: Cell, column: Column) -> tuple[str, str, str] | None:
+    """What is expected, found and to be done where a number is none, or is not allowed."""
+    if not _allowed(part, column):
+        return allowed_in(column), repr(cell.text), "Correct the cell."
+    low, high = LIMITS.get(column.name, (-math.inf, math.inf))
+    if not low <= float(part) <= high:
+        expected = f"{low:.10g} to {high:.10g} {column.unit}".rstrip()
+        return expected, repr(cell.text), "Is the unit right?"
+    return None
 
 
 def _allowed(part: str, column: Column) -> bool:

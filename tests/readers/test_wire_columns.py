@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import fields
 from pathlib import Path
@@ -10,6 +11,7 @@ from labpipe.readers.sheet_cells import Cell
 from labpipe.readers.wire_columns import (
     COLUMNS,
     KNOWN,
+    LIMITS,
     Column,
     Faults,
     check_heading,
@@ -125,6 +127,32 @@ def test_numbers_become_si() -> None:
             "lay_angles_deg",
             "expected a number with a point, found the decimal comma of '-15,5'. Write -15.5.",
         ),
+        (
+            "1,000",
+            "length_mm",
+            "expected a number with a point, found the comma of '1,000'."
+            " Write 1000 or 1.000, as meant.",
+        ),
+        (
+            "1,6,12",
+            "layer_counts",
+            "expected whole numbers >= 1, parted by ';', found '1,6,12'. Part them by ';': 1;6;12.",
+        ),
+        (
+            "12,15",
+            "lay_angles_deg",
+            "expected angles between -90 and 90 deg, parted by ';', found '12,15'."
+            " Part numbers by ';': write 12;15 for two, 12.15 for one.",
+        ),
+        ("1e300", "wire_diameter_mm", "expected 0.05 to 200 mm, found '1e300'. Is the unit right?"),
+        ("85e6", "length_mm", "expected 1 to 100000 mm, found '85e6'. Is the unit right?"),
+        ("1e300", "strands", "expected 1 to 2000, found '1e300'. Is the unit right?"),
+        ("12;85", "lay_angles_deg", "expected -80 to 80 deg, found '12;85'. Is the unit right?"),
+        (
+            "110e9",
+            "conductor_modulus_gpa",
+            "expected 0.1 to 1000 GPa, found '110e9'. Is the unit right?",
+        ),
     ],
 )
 def test_numbers_that_are_refused(text: str, column: str, message: str) -> None:
@@ -160,3 +188,26 @@ def test_every_column_and_its_default_is_documented(repository: Path) -> None:
         default = getattr(SILENT, column.field, None)
         if isinstance(default, float) and not column.is_needed:
             assert float(documented[column.name]) == pytest.approx(default / column.factor)
+
+
+def test_every_column_of_numbers_has_limits_around_its_default() -> None:
+    assert set(LIMITS) == set(BY_NAME)
+    for column in COLUMNS:
+        low, high = LIMITS[column.name]
+        default = getattr(SILENT, column.field, None)
+        if isinstance(default, float):
+            assert low <= default / column.factor <= high
+        assert math.isfinite(high * column.factor)
+
+
+def test_an_orientation_of_more_than_a_turn_is_what_is_left_of_it() -> None:
+    assert read("450", "orientation_deg") == read("90", "orientation_deg")
+    assert read("-720", "orientation_deg") == ((0.0,), [])
+
+
+def test_a_column_like_none_is_told_what_a_sheet_has() -> None:
+    assert told(*WHOLE_HEADING, "Farbe") == [
+        "w.xlsx, cell 6: expected a column of a wire sheet, such as 'wire', 'wire_diameter_mm',"
+        " 'strands', 'insulation_thickness_mm', 'lay_angles_deg', found 'Farbe'."
+        " Correct its name, or remove the column."
+    ]
