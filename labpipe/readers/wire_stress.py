@@ -27,6 +27,9 @@ from labpipe.readers.wire_columns import (
 
 STRAIN = Column("strain", "strain", "", 1.0, NOT_NEGATIVE)
 STRESS = Column("stress_mpa", "stress", "MPa", 1e6, NOT_NEGATIVE)
+MOST_STRAIN = 0.6
+FIRST_SLOPES = (1e9, 1e12)
+"""Slopes (Pa) between which the first one is: a wrong unit of strain or stress is outside."""
 _ROUNDING = 1e-6  # of the first slope
 
 
@@ -61,8 +64,10 @@ def read_stress_table(
         return None
     if table is None:
         return None
-    points = _points(table, own)
-    _check_order(points, own)
+    so_far, points = len(own.told), _points(table, own)
+    _check_order(points, table.heading[0].place, own)
+    if len(own.told) == so_far:
+        _check_units(points, own)
     if own is not faults:
         faults.told.extend(own.told)
     if len(faults.told) > before:
@@ -83,11 +88,13 @@ def _table(name: str, place: str, faults: Faults) -> tuple[Table | None, Faults]
         beside = faults.path.with_name(name)
         return as_table(csv_cells(beside), beside, rows_of=rows_of), Faults(beside)
     known = sheet_names(faults.path)
-    if name not in known:
+    same = [each for each in known if each.casefold() == name.casefold()]
+    if not same:
         listed = ", ".join(repr(each) for each in nearest(name, known))
         expected, remedy = f"the name of a sheet ({listed})", "Add the sheet or correct its name."
         faults.add(place, expected=expected, found=repr(name), remedy=remedy)
         return None, faults
+    name = name if name in same else same[0]
     where = f"sheet '{name}'"
     cells = [
         [replace(cell, place=f"{where}, {cell.place}") for cell in row]
@@ -125,7 +132,26 @@ def _number(cell: Cell, column: Column, faults: Faults) -> float | None:
     return found[0] if found else None
 
 
-def _check_order(points: Sequence[_Point], faults: Faults) -> None:
+def _check_units(points: Sequence[_Point], faults: Faults) -> None:
+    """Tell strains in per cent and stresses in another unit than MPa."""
+    first = next((point for point in points if point.strain > 0.0), None)
+    if first is None:
+        return  # told already, as a table without a point beyond zero
+    low, high = FIRST_SLOPES
+    slope = first.stress / first.strain
+    largest = points[-1]
+    if largest.strain > MOST_STRAIN:
+        expected, found = f"a strain up to {MOST_STRAIN:g}", f"{largest.strain:g}"
+        remedy = "Give the strain as a plain number, not in per cent."
+        faults.add(largest.place, expected=expected, found=found, remedy=remedy)
+    elif not low <= slope <= high:
+        expected = f"a first slope of {low / 1e9:g} to {high / 1e9:g} GPa"
+        remedy = "Give the strain as a plain number, not in per cent, and the stress in MPa."
+        found = f"{slope / 1e9:.4g} GPa"
+        faults.add(first.place, expected=expected, found=found, remedy=remedy)
+
+
+def _check_order(points: Sequence[_Point], place: str, faults: Faults) -> None:
     """Tell points out of order: strains grow, stresses never fall, the first slope is steepest."""
     last, first_slope = _Point(0.0, 0.0, ""), None
     for number, point in enumerate(points):
@@ -148,7 +174,8 @@ def _check_order(points: Sequence[_Point], faults: Faults) -> None:
             return
         last = point
     if first_slope is None and not faults.told:
-        faults.add("", expected="a point beyond zero", found="none", remedy="Fill in the table.")
+        remedy = "Fill in the table."
+        faults.add(place, expected="a point beyond zero", found="none", remedy=remedy)
 
 
 def _tell(point: _Point, expected: str, found: str, faults: Faults) -> None:

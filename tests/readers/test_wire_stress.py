@@ -40,6 +40,11 @@ def test_a_table_of_the_workbook(tmp_path: Path) -> None:
     assert told(path, "soft") == (((0.001, 0.01, 0.1), (110e6, 150e6, 150e6)), [])
 
 
+def test_a_sheet_in_other_letters(tmp_path: Path) -> None:
+    path = workbook(tmp_path, [HEADING, [0.001, 110]])
+    assert told(path, "SOFT") == (((0.001,), (110e6,)), [])
+
+
 def test_a_table_beside_a_csv(tmp_path: Path) -> None:
     (tmp_path / "soft.csv").write_text("Strain,stress_MPa,from\n0.001,110,us\n", encoding="utf-8")
     (tmp_path / "w.csv").write_text("wire\nA\n", encoding="utf-8")
@@ -64,7 +69,22 @@ def test_a_table_beside_a_csv(tmp_path: Path) -> None:
             "cell A3: expected a slope up to the first, 50 GPa, found 100 GPa."
             " Put the rows in order and correct them.",
         ),
-        ([[0, 0]], "expected a point beyond zero, found none. Fill in the table."),
+        ([[0, 0]], "cell A1: expected a point beyond zero, found none. Fill in the table."),
+        (
+            [[0.001, 110], [5, 150]],
+            "cell A3: expected a strain up to 0.6, found 5."
+            " Give the strain as a plain number, not in per cent.",
+        ),
+        (
+            [[0, 0], [0.2, 110]],
+            "cell A3: expected a first slope of 1 to 1000 GPa, found 0.55 GPa."
+            " Give the strain as a plain number, not in per cent, and the stress in MPa.",
+        ),
+        (
+            [[0.001, 110e6]],
+            "cell A2: expected a first slope of 1 to 1000 GPa, found 1.1e+08 GPa."
+            " Give the strain as a plain number, not in per cent, and the stress in MPa.",
+        ),
         (
             [[0.001, "x"]],
             "cell B2 (stress_mpa): expected a number >= 0 in MPa, found 'x'. Correct the cell.",
