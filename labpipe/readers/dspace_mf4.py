@@ -25,7 +25,7 @@ from contextlib import contextmanager, suppress
 from html import unescape
 from pathlib import Path
 from traceback import walk_tb
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -80,22 +80,24 @@ def _opened(path: Path) -> Iterator[Any]:
         except ImportError as error:
             raise ReadError(_not_installed(path)) from error
         logging.getLogger("asammdf").disabled = True  # it prints what we raise
-        with reading(path, _WHAT, also=(MdfException,)):
-            file = _open(MDF, path, (*BROKEN, MdfException))
-        try:
-            yield file
-        finally:
-            with reading(path, _WHAT):
-                file.close()
+        # Of a damaged file asammdf (8.8) forgets some of the streams it opens itself.
+        with reading(path, _WHAT), path.open("rb") as stream:
+            with reading(path, _WHAT, also=(MdfException,)):
+                file = _open(MDF, stream, (*BROKEN, MdfException))
+            try:
+                yield file
+            finally:
+                with reading(path, _WHAT):
+                    file.close()
 
 
-def _open(mdf: Any, path: Path, broken: tuple[type[Exception], ...]) -> Any:
+def _open(mdf: Any, stream: BinaryIO, broken: tuple[type[Exception], ...]) -> Any:
     """Open a file; what asammdf (8.8) leaves half made of a damaged one is closed at once.
 
     It keeps no other hand on it than the traceback, and its deletion would complain on stderr.
     """
     try:
-        return mdf(path)
+        return mdf(stream)
     except broken as error:
         for frame, _ in walk_tb(error.__traceback__):
             half_made = frame.f_locals.get("self")
