@@ -82,6 +82,21 @@ def sheet_names(path: Path) -> list[str]:
         return list(CalamineWorkbook.from_path(str(path)).sheet_names)
 
 
+def hidden_sheets(path: Path) -> set[str]:
+    """Names of the sheets of a workbook that the spreadsheet program does not show.
+
+    Raises
+    ------
+    ReadError
+        If the workbook is damaged.
+    """
+    from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
+
+    with reading(path, "an xlsx workbook", also=(CalamineError,)):
+        sheets = CalamineWorkbook.from_path(str(path)).sheets_metadata
+    return {each.name for each in sheets if each.visible != SheetVisibleEnum.Visible}
+
+
 def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
     """All cells of one sheet of a workbook; a last row repeats those that cannot be read.
 

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import MISSING, dataclass, field, fields
+from itertools import chain
 from pathlib import Path
 
 from labpipe.errors import complaint, nearest
@@ -127,6 +128,8 @@ NEEDED = (NAME, *(column.name for column in COLUMNS if column.is_needed), "lay_a
 SIZES = ("conductor_area_mm2", "strand_diameter_mm", "strand_diameters_mm")
 """Columns of which every sheet has at least one."""
 
+_UNIT_WORDS = {column.unit.casefold() for column in COLUMNS if column.unit}
+_UNIT_WORDS |= {"mm2", "mm\u00b2", "\u00b0", "-", "m^-1", "n/mm2", "n/mm^2", "n/mm\u00b2"}
 LIKE = 0.6
 """Likeness (of difflib, 0 to 1) from which a name is told as the one that may be meant."""
 
@@ -183,6 +186,32 @@ def check_heading(heading: Sequence[Cell], faults: Faults) -> None:
     if not {*names, *meant} & set(SIZES):
         expected = f"a column {SIZES[0]!r}, {SIZES[1]!r} or {SIZES[2]!r}"
         faults.add(heading[0].place, expected=expected, found="none of them", remedy="Add one.")
+
+
+def check_first_row(cells: Sequence[Sequence[Cell]], faults: Faults) -> None:
+    """Tell a title or a comment above the heading, and a row of units below it.
+
+    Parameters
+    ----------
+    cells : of the whole sheet
+    faults : where to tell them
+    """
+    filled = [row for row in cells if any(cell.text for cell in row)]
+    known = [sum(column_name(cell) in KNOWN for cell in row) for row in filled]
+    heading = next((number for number, count in enumerate(known) if count > 1), None)
+    if heading is None:
+        return
+    if known[0] == 0:
+        title = next(cell for cell in filled[0] if cell.text)
+        expected, found = "the heading in the first row that is not blank", repr(title.text)
+        remedy = f"Remove the lines above the heading at {filled[heading][0].place}."
+        faults.add(title.place, expected=expected, found=found, remedy=remedy)
+    below = [cell for cell in chain(*filled[heading + 1 : heading + 2]) if cell.text]
+    units = [cell for cell in below if cell.text.casefold().strip("[]() ") in _UNIT_WORDS]
+    if len(units) > 1 and len(units) >= len(below) - 1:
+        found = f"a row of units ({', '.join(cell.text for cell in units[:3])}, ...)"
+        remedy = "Remove it: the unit is part of a column's name."
+        faults.add(units[0].place, expected="a wire", found=found, remedy=remedy)
 
 
 def _unknown(name: str, cell: Cell, faults: Faults) -> str:

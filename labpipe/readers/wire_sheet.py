@@ -7,6 +7,7 @@ cell.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 import unicodedata
@@ -16,12 +17,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from labpipe.errors import ReadError, nearest
+from labpipe.errors import ReadError, complaint
 from labpipe.readers.sheet_cells import (
     Cell,
-    Table,
     as_table,
     csv_cells,
+    hidden_sheets,
     is_workbook,
     sheet_names,
     workbook_cells,
@@ -29,10 +30,12 @@ from labpipe.readers.sheet_cells import (
 from labpipe.readers.wire_columns import (
     COLUMNS,
     LAYOUT,
+    LIKE,
     NAME,
     STRESS_TABLE,
     Faults,
     allowed_in,
+    check_first_row,
     check_heading,
     column_name,
     default_words,
@@ -74,8 +77,12 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
         If the file is damaged or holds no wires, or anything in it is wrong: all faults are in one
         message, each with its cell.
     """
-    table = _table(path)
+    cells, where = _cells(path)
     faults = Faults(path)
+    check_first_row(cells, faults)
+    if faults.told:
+        raise ReadError("\n".join(faults.told))
+    table = as_table(cells, path, rows_of="one row per wire", place=where)
     check_heading(table.heading, faults)
     if faults.told:
         raise ReadError("\n".join(faults.told))
@@ -89,17 +96,22 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
     return tuple(spec for spec in specs if spec is not None)
 
 
-def _table(path: Path) -> Table:
+def _cells(path: Path) -> tuple[list[list[Cell]], str]:
+    """Cells of the sheet, and its place in the file: empty for a csv."""
+    if path.is_file() and path.stat().st_size == 0:
+        found, remedy = "an empty file (0 bytes)", "Fill in the sheet and save it."
+        raise ReadError(complaint(path, "", expected="a wire sheet", found=found, remedy=remedy))
     if not is_workbook(path):
-        return as_table(csv_cells(path), path, rows_of="one row per wire")
-    known = sheet_names(path)
-    name = next((each for each in known if each.casefold() == WIRES_SHEET), known[0])
-    where = f"sheet '{name}'"
+        return csv_cells(path), ""
+    known, hidden = sheet_names(path), hidden_sheets(path)
+    shown = [each for each in known if each not in hidden]
+    name = next((each for each in known if each.casefold() == WIRES_SHEET), (shown or known)[0])
+    where = f"hidden sheet '{name}'" if name in hidden else f"sheet '{name}'"
     cells = [
         [replace(cell, place=f"{where}, {cell.place}") for cell in row]
         for row in workbook_cells(path, name)
     ]
-    return as_table(cells, path, rows_of="one row per wire", place=where)
+    return cells, where
 
 
 def _check_names(cells: Sequence[Cell], faults: Faults) -> None:
@@ -114,7 +126,9 @@ def _check_names(cells: Sequence[Cell], faults: Faults) -> None:
             remedy = (
                 'Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at most.'
             )
-            faults.add(place, expected=expected, found=repr(name), remedy=remedy)
+            found = f"{name[:20]!r}... of {len(name)} letters"
+            found = found if len(name) > _LONGEST_NAME else repr(name)
+            faults.add(place, expected=expected, found=found, remedy=remedy)
         elif _as_file(name) in seen:
             expected, found = _name_again(cell, seen[_as_file(name)])
             remedy = "Give each wire a name of its own."
@@ -193,9 +207,9 @@ def _layout(row: _Row) -> str | None:
     """Layout asked for, none if blank."""
     text = row.text(LAYOUT).casefold()
     if text and text not in LAYOUTS:
-        best = nearest(text, list(LAYOUTS), most=1)[0]
+        near = difflib.get_close_matches(text, LAYOUTS, n=1, cutoff=LIKE)
         expected = f"one of {', '.join(repr(each) for each in LAYOUTS)}"
-        remedy = f"Did you mean {best!r}?"
+        remedy = f"Did you mean {near[0]!r}?" if near else "Correct the cell, or empty it."
         row.tell(LAYOUT, expected=expected, found=repr(row.text(LAYOUT)), remedy=remedy)
     return text or None
 
@@ -335,13 +349,20 @@ def _check_bend(row: _Row, values: Mapping[str, Any]) -> None:
         row.tell("largest_curvature_per_m", expected=expected, found=found, remedy=remedy)
 
 
+def _blank_words(row: _Row, spec_field: str) -> str:
+    """Say that a value is taken though its column is there: perhaps a slip, unlike one left out."""
+    column = LAYOUT if spec_field == LAYOUT else _UNIT[spec_field].name
+    return " (blank in this row)" if column in row.cells else ""
+
+
 def _spec(row: _Row, values: dict[str, Any]) -> WireSpec:
     """The record of a row without faults, with words for what it leaves open."""
     given = {key: value for key, value in values.items() if value is not None and key != "strands"}
     silent = [name for name in _WITH_DEFAULT if name not in given]
     if "stress_table" in given:
         silent = [name for name in silent if name not in _OF_THE_CURVE]
-    defaults = {name: default_words(name) for name in (*silent, LAYOUT) if name not in given}
+    open_fields = [name for name in (*silent, LAYOUT) if name not in given]
+    defaults = {name: default_words(name) + _blank_words(row, name) for name in open_fields}
     place = re.sub(r"(cell [A-Z]+|, column \d+)", "", row.cells[NAME].place)
     place = re.sub(r", (\d+)$", r", row \1", place)
     return WireSpec(name=row.text(NAME), **given, defaults=defaults, place=place)

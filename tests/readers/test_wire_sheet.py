@@ -273,11 +273,19 @@ def test_rows_that_are_refused(sheet: Path, cells: Row, message: str) -> None:
     assert fault(sheet, **cells) == message
 
 
-@pytest.mark.parametrize("name", ["A/2", "..", "a.", "con", "NUL.csv", "a" * 101, "a\tb"])
+@pytest.mark.parametrize("name", ["A/2", "..", "a.", "con", "NUL.csv", "a\tb"])
 def test_names_that_no_file_can_have(sheet: Path, name: str) -> None:
     assert fault(sheet, wire=name) == (
         f"cell A2 (wire): expected a name that a file can have, found {name!r}."
         ' Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at most.'
+    )
+
+
+def test_a_name_that_is_too_long(sheet: Path) -> None:
+    assert fault(sheet, wire="a" * 101) == (
+        "cell A2 (wire): expected a name that a file can have, found 'aaaaaaaaaaaaaaaaaaaa'... of"
+        ' 101 letters. Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at'
+        " most."
     )
 
 
@@ -319,6 +327,79 @@ def test_headings_are_told_before_the_rows(sheet: Path) -> None:
         "cell D1: expected one of 'strand_diameter_mm', 'strand_diameters_mm',"
         " 'wire_diameter_mm', ..., found 'strand_diamter_mm'. Did you mean 'strand_diameter_mm'?",
     ]
+
+
+def test_a_layout_like_none(sheet: Path) -> None:
+    assert fault(sheet, layout="xyz").endswith(
+        "'compressed', found 'xyz'. Correct the cell, or empty it."
+    )
+
+
+def written(tmp_path: Path, *lines: str) -> Path:
+    path = tmp_path / "w.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return path
+
+
+def refused(path: Path) -> list[str]:
+    with pytest.raises(ReadError) as info:
+        read_wire_sheet(path)
+    return [line.removeprefix(f"{path}, ") for line in str(info.value).split("\n")]
+
+
+A2_LINES = (",".join(A2), ",".join(str(cell) for cell in A2.values()))
+
+
+def test_a_title_above_the_heading_and_units_below_it(tmp_path: Path) -> None:
+    units = "-,mm,-,mm,deg,mm"
+    assert refused(written(tmp_path, "Our wires", A2_LINES[0], units, A2_LINES[1])) == [
+        "line 1, column 1: expected the heading in the first row that is not blank,"
+        " found 'Our wires'. Remove the lines above the heading at line 2, column 1.",
+        "line 3, column 1: expected a wire, found a row of units (-, mm, -, ...)."
+        " Remove it: the unit is part of a column's name.",
+    ]
+    assert read_wire_sheet(written(tmp_path, "sep=,", *A2_LINES))[0].place == "line 3"
+
+
+def test_an_empty_csv(tmp_path: Path) -> None:
+    path = written(tmp_path, "")
+    assert refused(path) == [
+        f"{path}: expected a wire sheet, found an empty file (0 bytes)."
+        " Fill in the sheet and save it."
+    ]
+
+
+def test_a_blank_cell_of_a_column_that_is_there_is_told_as_such(sheet: Path) -> None:
+    long, blank = read_wire_sheet(
+        write_book(sheet, [A2 | {"length_mm": 90, "layout": "packed"}, A2 | {"wire": "A3"}])
+    )
+    assert not {"length", "layout"} & set(long.defaults)
+    assert blank.defaults["length"] == "length 85 mm (blank in this row)"
+    assert blank.defaults["layout"] == "layout auto (blank in this row)"
+    assert blank.defaults["tension"] == "tension 0 N"
+
+
+def test_a_hidden_sheet_is_called_so_and_taken_by_its_name_only(sheet: Path) -> None:
+    book = Workbook()
+    page = book.active
+    assert page is not None
+    for name in ("old", "Wires"):
+        page = book.create_sheet(name)
+        page.append(list(A2))
+        page.append(list(A2.values()))
+    book["Wires"].sheet_state = "hidden"
+    book.save(sheet)
+    assert read_wire_sheet(sheet)[0].place == "hidden sheet 'Wires', row 2"
+    book["Wires"].title, book["Sheet"].sheet_state = "other", "hidden"
+    book.save(sheet)
+    assert read_wire_sheet(sheet)[0].place == "sheet 'old', row 2"
+
+
+def test_a_cell_with_an_error_is_told_with_its_sheet(sheet: Path) -> None:
+    assert fault(sheet, length_mm="=80+5") == (
+        "cell G2: expected a value, found a formula without a stored value."
+        " Open the workbook in the spreadsheet program and save it."
+    )
 
 
 def test_a_sheet_without_wires(sheet: Path) -> None:
