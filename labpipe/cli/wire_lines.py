@@ -50,14 +50,14 @@ def model_table(modelled: Modelled) -> str:
 
 
 def _cells(table: WireTable) -> tuple[str, ...]:
-    onset = f"{table.slip_onsets[0]:.3g}" if len(table.slip_onsets) else "none"
+    onset = table.slip_onset(0)
     return (
         table.name,
         str(len(table.layout.x)),
         table.layout.kind,
         f"{1e6 * table.stick_stiffness:.5g}",
         f"{1e6 * table.slip_stiffness:.5g}",
-        onset,
+        onset if isinstance(onset, str) else f"{onset:.3g}",
         f"{table.curvature[-1]:.4g}",
         _force(table),
     )

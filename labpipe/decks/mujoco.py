@@ -98,7 +98,8 @@ def mujoco_deck(
     Parameters
     ----------
     table : law of the wire
-    stiffness : N m^2; None for that of a wire whose strands all stick (the slope at zero)
+    stiffness : N m^2; None for the slope of the law at zero: that of a wire whose strands all
+        stick, or the first secant of the table where strands slip at once. The deck says which
     length : free length, m; None for that of the wire's cantilever
     edges : of the cable, at least 3
     mass_per_length : kg/m; None for that of the strands as if of copper, which the deck says
@@ -120,7 +121,7 @@ def mujoco_deck(
     """
     require_mass(mass_per_length)
     cable = _Cable(
-        table.stick_stiffness if stiffness is None else stiffness,
+        _slope_at_zero(table) if stiffness is None else stiffness,
         table.torsional_stiffness,
         table.spec.length if length is None else length,
         table.layout.wire_radius,
@@ -129,7 +130,8 @@ def mujoco_deck(
     )
     _require_cable(cable)
     root = Xml.Element("mujoco", model=on_one_line(table.name, _WIDEST_NAME))
-    for line in _comments(table, cable, is_assumed=mass_per_length is None):
+    origin = _origin(table) if stiffness is None else "as given"
+    for line in _comments(table, cable, origin, is_assumed=mass_per_length is None):
         # two hyphens would end an XML comment
         root.append(Xml.Comment(f" {line.replace('--', '- -')} "))
     _describe(root, cable)
@@ -148,7 +150,19 @@ def _require_cable(cable: _Cable) -> None:
         raise ValueError(message)
 
 
-def _comments(table: WireTable, cable: _Cable, *, is_assumed: bool) -> tuple[str, ...]:
+def _slope_at_zero(table: WireTable) -> float:
+    """Bending stiffness with which the law begins, N m^2."""
+    return float(table.secant_stiffness[1]) if table.slips_at_once else table.stick_stiffness
+
+
+def _origin(table: WireTable) -> str:
+    """Where the stiffness comes from that is taken without being asked for."""
+    if table.slips_at_once:
+        return "the slope of the law at zero, its first secant, as strands slip at once"
+    return "the slope of the law at zero, while all strands stick"
+
+
+def _comments(table: WireTable, cable: _Cable, origin: str, *, is_assumed: bool) -> tuple[str, ...]:
     close = linear_range(table, cable.stiffness)
     if close is None:
         validity = "nowhere within 5 % of the wire's law"
@@ -160,8 +174,8 @@ def _comments(table: WireTable, cable: _Cable, *, is_assumed: bool) -> tuple[str
     mass = density if is_assumed else "as given"
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
-        f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2, {validity}. "
-        f"Nothing in the model stops there.",
+        f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
+        f"{validity}. Nothing in the model stops there.",
         f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of strands that do not grip "
         f"each other, a lower bound. The cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.records.quality import QualityNote
 
@@ -114,7 +116,8 @@ class WireTable:
     stick_stiffness, slip_stiffness : N m^2
     axial_stiffness : N
     torsional_stiffness : N m^2 / rad, of strands that do not grip each other (a lower bound)
-    slip_onsets : 1/m, curvatures at which strands begin to slip, increasing
+    slip_onsets : 1/m, curvatures at which strands begin to slip, increasing; the first is 0 where
+        strands slip as soon as the wire bends
     lowest_moment, highest_moment : N m, over a full turn of the section
     tip_deflection, tip_force : shape (m,), m and N, of the cantilever of `spec.length` under an
         end load normal to the clamped axis
@@ -155,3 +158,30 @@ class WireTable:
         object.__setattr__(self, "tip_deflection", frozen(self.tip_deflection, shape=(None,)))
         force = frozen(self.tip_force, shape=self.tip_deflection.shape)
         object.__setattr__(self, "tip_force", force)
+
+    @property
+    def slips_at_once(self) -> bool:
+        """Whether strands slip as soon as the wire bends, so that it never has its stick stiffness.
+
+        The slope of the law at zero curvature is then the first secant of the table.
+        """
+        return bool(np.any(self.slip_onsets == 0.0))
+
+    def slip_onset(self, which: int) -> float | str:
+        """Curvature within the range at which strands begin to slip, or the word for it.
+
+        Parameters
+        ----------
+        which : 0 for the first onset, -1 for the last
+
+        Returns
+        -------
+        1/m; ``at once`` where strands slip as soon as the wire bends, ``beyond`` where none slips
+        within the range, ``none`` for a single strand, which has nothing to slip on.
+        """
+        if len(self.layout.layer) == 1:
+            return "none"
+        seen = self.slip_onsets[self.slip_onsets <= self.curvature[-1]]
+        if not len(seen):
+            return "beyond"
+        return float(seen[which]) or "at once"

@@ -125,23 +125,32 @@ def _digits(value: float) -> str:
 
 
 def _mark_onsets(table: WireTable, axes: Axes) -> None:
-    seen = table.slip_onsets[table.slip_onsets <= table.curvature[-1]]
+    seen = _shown_onsets(table)
     level = np.full(len(seen), 0.035)
     axes.plot(seen, level, transform=axes.get_xaxis_transform(), **_ONSET)
+
+
+def _shown_onsets(table: WireTable) -> Floats:
+    """Onsets of slip within the range; zero has no place on the axis."""
+    onsets = table.slip_onsets
+    return np.asarray(onsets[(onsets > 0.0) & (onsets <= table.curvature[-1])])
 
 
 def _stiffness_keys(table: WireTable) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    seen = table.slip_onsets <= table.curvature[-1]
     return [
         Line2D([], [], label="secant", **_SECANT),
         Line2D([], [], label="tangent", **_TANGENT),
         Line2D([], [], label="secant, without yielding", **_UNYIELDING),
         Patch(label="secant, all orientations", **_SPREAD),
         Line2D([], [], label="limits without yielding", **_LIMIT),
-        *([Line2D([], [], label="a strand begins to slip", **_ONSET)] if seen.any() else []),
+        *(
+            [Line2D([], [], label="a strand begins to slip", **_ONSET)]
+            if len(_shown_onsets(table))
+            else []
+        ),
     ]
 
 

@@ -52,10 +52,10 @@ def _area(table: WireTable) -> float:
     return _AREA * float(np.sum(np.pi / 4.0 * table.layout.diameter**2))
 
 
-def _onset(table: WireTable, which: int) -> float | None:
-    """First or last onset of slip within the range, 1/m."""
-    seen = table.slip_onsets[table.slip_onsets <= table.curvature[-1]]
-    return CURVATURE.factor * float(seen[which]) if len(seen) else None
+def _onset(table: WireTable, which: int) -> float | str:
+    """First or last onset of slip within the range, or the word for it."""
+    onset = table.slip_onset(which)
+    return onset if isinstance(onset, str) else CURVATURE.factor * onset
 
 
 def orientation_spread(table: WireTable) -> float | None:

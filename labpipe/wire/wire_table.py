@@ -18,6 +18,7 @@ from labpipe.wire.wire_law import concave_law
 GRID_POINTS = 200
 _DECADES = 4.0  # of curvature below the largest
 _DISTINCT = 1e-4  # of a curvature: nearer points are one
+_AT_ONCE = 1e-6  # of the largest curvature: strands that slip before stick to nothing
 DEFLECTIONS = 49
 """Points of the cantilever's curve, zero included."""
 FARTHEST = 0.8
@@ -34,9 +35,9 @@ def wire_table(spec: WireSpec) -> WireTable:
     Returns
     -------
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
-    the end of the range, and those at which strands begin to slip. Notes: ``defaults_taken``,
-    ``layout_fallback``, ``overlap_tolerated``, ``range_shortened``, ``tension``,
-    ``cantilever_cut``.
+    the end of the range, and those at which strands begin to slip; an onset below a millionth of
+    the range is told as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
+    ``tension``, ``slips_at_once``, ``cantilever_cut``.
 
     Raises
     ------
@@ -52,7 +53,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     built = build(spec)
     largest, shortened = range_of(spec)
     onsets = _onsets(built, spec, largest)
-    curve = _curve(built, spec, curvature_grid(largest, onsets))
+    curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
     lowest, highest = orientation_range(
         built.section, built.contacts, curve.curvature, tension=spec.tension
     )
@@ -79,7 +80,10 @@ def wire_table(spec: WireSpec) -> WireTable:
         highest_moment=np.maximum(highest, curve.moment),
         tip_deflection=deflection,
         tip_force=force,
-        notes=(*_defaults(spec), *built.notes, *shortened, *_tension(spec), *cut),
+        notes=(
+            *(*_defaults(spec), *built.notes, *shortened, *_tension(spec)),
+            *(*_slips_at_once(spec, onsets, curve), *cut),
+        ),
     )
 
 
@@ -152,14 +156,16 @@ def curvature_grid(largest: float, onsets: Floats) -> Floats:
 
 
 def _onsets(built: BuiltWire, spec: WireSpec, largest: float) -> Floats:
-    """Curvatures at which strands begin to slip within the range, each once, increasing."""
+    """Curvatures at which strands begin to slip within the range, each once; 0 for at once."""
     found = np.sort(
         slip_onsets(
             built.section, built.contacts, tension=spec.tension, orientation=spec.orientation
         )
     )
-    found = found[(found > 0.0) & (found < largest * (1.0 - _DISTINCT))]
-    return found[np.diff(found, prepend=0.0) > _DISTINCT * found]
+    is_at_once = found <= _AT_ONCE * largest
+    later = found[~is_at_once & (found < largest * (1.0 - _DISTINCT))]
+    later = later[np.diff(later, prepend=0.0) > _DISTINCT * later]
+    return np.concatenate([np.zeros(int(is_at_once.any())), later])
 
 
 def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
@@ -230,3 +236,15 @@ def _tension(spec: WireSpec) -> tuple[QualityNote, ...]:
         f"cantilever bends by that law, the pull of the tension on its shape left out"
     )
     return (QualityNote("tension", Severity.INFO, spec.place, message),)
+
+
+def _slips_at_once(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[QualityNote, ...]:
+    if not np.any(onsets == 0.0):
+        return ()
+    slope = float(curve.secant_stiffness[1])
+    message = (
+        f"strands slip as soon as the wire bends (radial force {spec.radial_force:.3g} N, friction "
+        f"{spec.friction_strand:.3g} and {spec.friction_insulation:.3g}): the slope of the law at "
+        f"zero is {slope:.4g} N m^2, not the stick stiffness, {curve.stick_stiffness:.4g} N m^2"
+    )
+    return (QualityNote("slips_at_once", Severity.WARNING, spec.place, message),)

@@ -41,17 +41,23 @@ def test_numbers_are_those_of_the_table() -> None:
     assert np.isclose(float(force), np.interp(at, table.tip_deflection, table.tip_force), rtol=1e-3)
 
 
-def test_a_curve_that_ends_early_has_no_force_and_a_wire_without_rings_no_slip() -> None:
+def test_a_curve_that_ends_early_has_no_force() -> None:
     table = wire_table("A2")
     short = replace(
         table,
         tip_deflection=table.tip_deflection[:3],
         tip_force=table.tip_force[:3],
-        slip_onsets=np.zeros(0),
     )
-    cells = said(short)[2].split()
-    assert cells[5] == "none"
-    assert cells[-1] == "-"
+    assert said(short)[2].split()[-1] == "-"
+
+
+def test_slip_at_once_is_told_from_slip_beyond_the_range() -> None:
+    table = wire_table("A2")
+    lines = said(
+        replace(table, slip_onsets=np.zeros(1)), replace(table, slip_onsets=np.array([np.inf]))
+    )
+    assert lines[2].split()[5:7] == ["at", "once"]
+    assert lines[3].split()[5] == "beyond"
 
 
 def test_equal_notes_are_told_once_and_warnings_first() -> None:

@@ -128,8 +128,26 @@ def test_the_deck_says_where_its_linear_law_holds() -> None:
     assert "8960 kg/m3 (copper, assumed)" in said
     assert "Beyond this range the deck is not valid." in said
     soft = mujoco_deck(table, stiffness=1e-4, mass_per_length=5e-3)
-    assert "nowhere within 5 % of the wire's law" in soft
+    assert "bending stiffness 0.0001 N m2 (as given), nowhere within 5 % of the wire's law" in soft
     assert "Mass 0.005 kg/m, as given" in soft
+
+
+def test_by_default_the_stiffness_is_the_slope_of_the_law_at_zero() -> None:
+    table = wire_table("A2")
+    said = mujoco_deck(table)
+    assert "N m2 (the slope of the law at zero, while all strands stick), within 5 %" in said
+    slipping = replace(
+        table,
+        slip_onsets=np.zeros(1),
+        moment=table.moment / 5.0,
+        secant_stiffness=table.secant_stiffness / 5.0,
+    )
+    slope = slipping.secant_stiffness[1]
+    assert slope < table.stick_stiffness / 4.0
+    assert (
+        f"bending stiffness {slope:.6g} N m2 (the slope of the law at zero, its first secant, as"
+        " strands slip at once), within 5 % of the wire's law at curvatures from 0 to "
+    ) in mujoco_deck(slipping)
 
 
 @pytest.mark.parametrize("name", ["<A & B>", 'say "A2" -- twice', "x" * 300, "two\nlines", "-->"])

@@ -37,3 +37,29 @@ def test_a_layout_has_one_centre_for_each_strand() -> None:
     assert not layout.x.flags.writeable
     with pytest.raises(ValueError, match=r"expected an array of shape \(2,\), found \(3,\)"):
         WireLayout("packed", np.ones(3), ones, layer, ones, 1e-3, 2e-3)
+
+
+@pytest.mark.parametrize(
+    ("onsets", "first", "last"),
+    [
+        ([0.01, 0.03], 0.01, 0.03),
+        ([0.01, 1e9], 0.01, 0.01),
+        ([0.0], "at once", "at once"),
+        ([0.0, 0.03], "at once", 0.03),
+        ([np.inf], "beyond", "beyond"),
+        ([], "beyond", "beyond"),
+    ],
+)
+def test_slip_at_once_is_told_from_slip_beyond_the_range(
+    onsets: list[float], first: float | str, last: float | str
+) -> None:
+    table = replace(wire_table("A2"), slip_onsets=np.array(onsets, dtype=np.float64))
+    assert (table.slip_onset(0), table.slip_onset(-1)) == (first, last)
+    assert table.slips_at_once == (0.0 in onsets)
+
+
+def test_a_single_strand_has_nothing_to_slip_on() -> None:
+    table = wire_table("A2")
+    one = np.zeros(1)
+    layout = WireLayout("hexagonal", one, one, np.array([0]), one + 1e-3, 1e-3, 2e-3)
+    assert replace(table, layout=layout, slip_onsets=np.zeros(0)).slip_onset(0) == "none"

@@ -79,7 +79,7 @@ def test_stiff_wires_are_shown_in_newton_square_metres() -> None:
 
 def test_onsets_within_the_range_are_marked() -> None:
     table = wire_table("A1")
-    later = replace(table, slip_onsets=np.append(table.slip_onsets, [1e3, np.inf]))
+    later = replace(table, slip_onsets=np.concatenate([[0.0], table.slip_onsets, [1e3, np.inf]]))
     axes = Figure().subplots()
     plot_stiffness(later, axes)
     np.testing.assert_array_equal(line(axes, -1)[0], table.slip_onsets)

@@ -44,7 +44,9 @@ def test_onsets_outside_the_range_are_not_told() -> None:
     beyond = replace(table, slip_onsets=np.array([0.03, np.inf]))
     assert columns["last slip (1/m)"](beyond) == pytest.approx(0.03)
     never = replace(table, slip_onsets=np.array([np.inf]))
-    assert columns["first slip (1/m)"](never) is None
+    assert columns["first slip (1/m)"](never) == "beyond"
+    assert columns["last slip (1/m)"](never) == "beyond"
+    assert columns["first slip (1/m)"](replace(table, slip_onsets=np.zeros(1))) == "at once"
 
 
 def test_force_on_the_curve_and_none_beyond_its_end() -> None:

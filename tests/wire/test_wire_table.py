@@ -144,7 +144,7 @@ def test_tension_is_said_and_stiffens_slipping_strands() -> None:
 
 def test_without_friction_nothing_sticks() -> None:
     table = wire_table(replace(A2, friction_strand=0.0, friction_insulation=0.0))
-    assert table.slip_onsets.shape == (0,)
+    assert table.slip_onsets.tolist() == [0.0]
     assert table.slip == pytest.approx(np.zeros(len(table.slip)), abs=1e-15)
     assert table.tangent_stiffness[1] == pytest.approx(table.slip_stiffness, rel=1e-2)
 
@@ -161,7 +161,7 @@ def test_one_strand() -> None:
 @pytest.mark.parametrize("strands", [2, 3, 4])
 def test_strands_without_core(strands: int) -> None:
     table = wire_table(replace(A2, layer_counts=(strands,), strand_diameters=(0.3e-3,)))
-    assert table.layout.kind == "packed"
+    assert table.layout.kind == "concentric"
     assert np.all(np.diff(table.moment) > 0.0)
 
 
@@ -263,3 +263,26 @@ def test_stiffness_of_helices_by_their_strain_energy() -> None:
 def test_a_layout_needs_a_tube() -> None:
     with pytest.raises(ValueError, match=r"the section has no insulation: allowed is one with"):
         layout_of(rope(0.1))
+
+
+@pytest.mark.parametrize("radial_force", [0.0, 1e-9])
+def test_strands_that_nothing_presses_slip_at_once_and_that_is_said(radial_force: float) -> None:
+    table = wire_table(replace(A2, radial_force=radial_force))
+    [note] = table.notes
+    assert (note.code, note.severity, note.where) == ("slips_at_once", "warning", "line 2")
+    assert note.message == (
+        f"strands slip as soon as the wire bends (radial force {radial_force:.3g} N, friction 0.21"
+        f" and 0.1): the slope of the law at zero is {table.secant_stiffness[1]:.4g} N m^2, not the"
+        f" stick stiffness, {table.stick_stiffness:.4g} N m^2"
+    )
+    assert table.slips_at_once
+    assert np.all(np.diff(table.curvature) > 0.0)
+    assert table.secant_stiffness[1] == pytest.approx(table.slip_stiffness, rel=1e-2)
+    assert table.slip_stiffness < 0.5 * table.stick_stiffness
+
+
+def test_strands_that_never_slip_within_the_range_are_not_said_to_slip() -> None:
+    table = wire_table(replace(A2, radial_force=1e6))
+    assert table.slip_onsets.shape == (0,)
+    assert (table.slips_at_once, table.slip_onset(0)) == (False, "beyond")
+    assert "slips_at_once" not in codes(table)
