@@ -211,3 +211,9 @@ def test_a_column_like_none_is_told_what_a_sheet_has() -> None:
         " 'strands', 'insulation_thickness_mm', 'lay_angles_deg', found 'Farbe'."
         " Correct its name, or remove the column."
     ]
+
+
+def test_every_limit_is_documented(repository: Path) -> None:
+    page = (repository / "docs" / "how-to" / "wire-sheet.md").read_text(encoding="utf-8")
+    for name, (low, high) in LIMITS.items():
+        assert f"| {name.replace('_', ' ')} | {low:.10g} to {high:.10g} |" in page
