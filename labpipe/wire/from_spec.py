@@ -19,6 +19,7 @@ from labpipe.wire.packing import Kind, lay_out
 
 _ROUNDING = 1e-9  # of the bore's radius: strands that touch
 _ECCENTRIC = 0.02  # of the bore's radius: centroid of the strands off the axis
+_YIELDS = 1.2  # times the stress of the curve: pull of strands that are taken as elastic
 _HALF_TURN = np.linspace(0.0, np.pi, 180, endpoint=False)
 
 
@@ -34,11 +35,13 @@ class BuiltWire:
     ----------
     section : strands in place
     contacts : friction and pressure
+    axial_strain : of the straight wire under its tension
     notes : what had to be taken instead of what was asked for, or let pass
     """
 
     section: CrossSection
     contacts: Contacts
+    axial_strain: float
     notes: tuple[QualityNote, ...]
 
 
@@ -52,13 +55,13 @@ def build(spec: WireSpec) -> BuiltWire:
     Returns
     -------
     The wire, with the notes ``layout_fallback`` (not the hexagon, and why), ``layout_eccentric``
-    (a packing to one side of the bore) and ``overlap_tolerated``.
+    (a packing to one side of the bore), ``overlap_tolerated`` and ``tension_yields``.
 
     Raises
     ------
     WireError
-        If the strands do not fit the bore or each other (with the overlap), or a number is out of
-        its range.
+        If the strands do not fit the bore or each other (with the overlap), the tension strains
+        them beyond their stress table, or a number is out of its range.
     """
     try:
         _require_numbers(spec)
@@ -70,11 +73,12 @@ def build(spec: WireSpec) -> BuiltWire:
             insulation=spec.friction_insulation,
             radial_force=spec.radial_force,
         )
-        axial_strain(section, spec.tension)  # refuses what cannot be a tension
+        strain = axial_strain(section, spec.tension)  # refuses what cannot be a tension
     except ValueError as error:
         raise WireError(str(error)) from error
+    range_of(spec, strain=strain)  # refuses a tension beyond the stress table
     notes = (*notes, *_eccentric(section, spec), *_overlap(section, spec))
-    return BuiltWire(section, contacts, notes)
+    return BuiltWire(section, contacts, strain, (*notes, *_yielding(spec, strain)))
 
 
 def _require_numbers(spec: WireSpec) -> None:
@@ -178,28 +182,57 @@ def _overlap(section: CrossSection, spec: WireSpec) -> tuple[QualityNote, ...]:
     return (QualityNote("overlap_tolerated", Severity.INFO, spec.place, message),)
 
 
-def range_of(spec: WireSpec) -> tuple[float, tuple[QualityNote, ...]]:
+def _yielding(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:
+    """Say when the strands would yield under the tension, as the model leaves them elastic."""
+    material = material_of(spec)
+    elastic = material.modulus * strain
+    carried = float(material.stress(np.array([strain]))[0])
+    if elastic <= _YIELDS * carried:
+        return ()
+    message = (
+        f"a tension of {spec.tension:.4g} N strains the elastic wire by {strain:.3g}: the strands "
+        f"pull with {elastic / 1e6:.4g} MPa in the model, and their stress-strain curve carries "
+        f"{carried / 1e6:.4g} MPa there"
+    )
+    return (QualityNote("tension_yields", Severity.WARNING, spec.place, message),)
+
+
+def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
     """Curvature up to which the law of a wire is told.
 
     Parameters
     ----------
     spec : of the wire
+    strain : axial, of the straight wire under its tension
 
     Returns
     -------
     1/m: what was asked for, or a bending radius of five wire diameters; less, with the note
-    ``range_shortened``, where a strand's rim reaches the last strain of the stress table.
+    ``range_shortened``, where a strand's rim reaches the last strain of the stress table by tension
+    and bending together.
+
+    Raises
+    ------
+    WireError
+        If the tension alone strains the wire to the last strain of the stress table.
     """
     wanted = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
     if spec.stress_table is None:
         return wanted, ()
     last = spec.stress_table[0][-1]
-    known = 2.0 * last / max(spec.strand_diameters)
+    if strain >= last:
+        message = (
+            f"a tension of {spec.tension:.4g} N strains the wire by {strain:.3g}, and the stress "
+            f"table ends at a strain of {last:.4g}"
+        )
+        raise WireError(message)
+    known = 2.0 * (last - strain) / max(spec.strand_diameters)
     if known >= wanted:
         return wanted, ()
+    pulled = f", of which the tension takes {strain:.3g}" if strain else ""
     message = (
         f"tables end at {known:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of a strand of "
         f"{max(spec.strand_diameters) * 1e3:.3g} mm reaches the last strain of the stress table, "
-        f"{last:.4g}"
+        f"{last:.4g}{pulled}"
     )
     return known, (QualityNote("range_shortened", Severity.WARNING, spec.place, message),)

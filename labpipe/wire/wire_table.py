@@ -42,8 +42,8 @@ def wire_table(spec: WireSpec) -> WireTable:
     Raises
     ------
     WireError
-        If the strands do not fit (with the overlap), the law softens (with the curvature), or a
-        number is out of its range.
+        If the strands do not fit (with the overlap), the law softens (with the curvature), the
+        tension strains them beyond their stress table, or a number is out of its range.
 
     Notes
     -----
@@ -51,7 +51,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     load normal to the clamped axis, and starts straight.
     """
     built = build(spec)
-    largest, shortened = range_of(spec)
+    largest, shortened = range_of(spec, strain=built.axial_strain)
     onsets = _onsets(built, spec, largest)
     curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
     lowest, highest = orientation_range(

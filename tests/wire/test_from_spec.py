@@ -143,3 +143,42 @@ def test_the_range_of_the_law() -> None:
         "tables end at 62.5 1/m, not at 125 1/m: there the rim of a strand of 0.32 mm reaches the"
         " last strain of the stress table, 0.01"
     )
+
+
+def test_tension_and_bending_share_the_stress_table() -> None:
+    largest, [note] = range_of(replace(A2, stress_table=SOFT), strain=0.002)
+    assert largest == pytest.approx(2.0 * 0.008 / 0.32e-3)
+    assert note.code == "range_shortened"
+    assert note.message == (
+        "tables end at 50 1/m, not at 125 1/m: there the rim of a strand of 0.32 mm reaches the"
+        " last strain of the stress table, 0.01, of which the tension takes 0.002"
+    )
+
+
+def test_a_tension_beyond_the_stress_table_is_refused() -> None:
+    spec = replace(A2, stress_table=SOFT, tension=5000.0)
+    with pytest.raises(WireError) as refusal:
+        build(spec)
+    assert str(refusal.value) == (
+        "a tension of 5000 N strains the wire by 0.0837, and the stress table ends at a strain of"
+        " 0.01"
+    )
+
+
+@pytest.mark.parametrize("table", [None, SOFT])
+def test_strands_that_would_yield_under_the_tension_are_said_to(
+    table: tuple[tuple[float, ...], tuple[float, ...]] | None,
+) -> None:
+    spec = replace(A2, stress_table=table, tension=300.0)
+    built = build(spec)
+    [note] = built.notes
+    elastic = 110e9 * built.axial_strain
+    carried = float(material_of(spec).stress(np.array([built.axial_strain]))[0])
+    assert elastic > 1.2 * carried
+    assert (note.code, note.severity, note.where) == ("tension_yields", "warning", "line 2")
+    assert note.message == (
+        f"a tension of 300 N strains the elastic wire by {built.axial_strain:.3g}: the strands pull"
+        f" with {elastic / 1e6:.4g} MPa in the model, and their stress-strain curve carries"
+        f" {carried / 1e6:.4g} MPa there"
+    )
+    assert build(replace(spec, tension=1.0)).notes == ()
