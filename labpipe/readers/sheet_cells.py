@@ -260,7 +260,7 @@ def _fitted(row: list[Cell], width: int, path: Path) -> Row:
             expected, found = "a cell below a heading", f"'{cell.text}'"
             remedy = "Give its column a name in the first row, or empty the cell."
             if cell.place.startswith("line") and _NUMBER_STARTS.match(cell.text):
-                remedy += ' If it is the rest of a list, put the list in quotes: "12;-15".'
+                remedy += ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
             text = complaint(path, cell.place, expected=expected, found=found, remedy=remedy)
             raise ReadError(text)
     return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))

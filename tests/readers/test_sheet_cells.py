@@ -148,5 +148,5 @@ def test_a_list_that_was_not_quoted(tmp_path: Path) -> None:
     assert str(info.value) == (
         f"{path}, line 2, column 3: expected a cell below a heading, found '-15'."
         " Give its column a name in the first row, or empty the cell."
-        ' If it is the rest of a list, put the list in quotes: "12;-15".'
+        ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
     )
