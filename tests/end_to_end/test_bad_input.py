@@ -411,4 +411,4 @@ def test_a_bad_test_does_not_stop_the_others(lab: Lab, run: Run) -> None:
     ran = run("process", lab.raw.parent, "--no-figures")
     assert ran.status == 2
     assert "T0" in ran.err
-    assert "T1  (wire-cantilever): 13 ok" in ran.out
+    assert "T1  (wire-cantilever): 15 ok" in ran.out
