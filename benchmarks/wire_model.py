@@ -13,8 +13,8 @@ import numpy as np
 from openpyxl import Workbook, load_workbook
 
 from benchmarks import plain_loop
-from labpipe.wire.cantilever import end_load_curve
 from labpipe.wire.cross_section import CrossSection, Insulation, Layer, hexagonal, lay_up
+from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.friction import Contacts, insulated
 from labpipe.wire.materials import ANNEALED_COPPER
 from labpipe.wire.moment_curvature import moment_curvature

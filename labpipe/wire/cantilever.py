@@ -24,11 +24,8 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats, frozen
-from labpipe.wire.end_load import EndLoads, end_loads
 from labpipe.wire.laws import (
     MomentLaw,
-    first_curvature,
-    is_within,
     require_finite,
     require_positive,
     require_within,
@@ -49,7 +46,6 @@ from labpipe.wire.spectral import chebyshev_stations
 DEFAULT_STATIONS = 64  # beyond about 100, BLAS starts threads, which costs more than it gives
 _SMALLEST_STEP = 2.0**-12
 _LARGEST_TURN = 1.0  # rad, of any part of the wire in one step
-_FARTHEST_TREND = 2.0  # steps ahead that the last one is taken to go on
 _GRAZING = 1e-12  # m: a string that just spans counts as slack
 
 
@@ -103,24 +99,6 @@ class CantileverShape:
     force: Floats
     tension: float
     state: WireState
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EndLoadPath:
-    """What it takes to bring the tip to a row of deflections; arrays of shape (n,).
-
-    Parameters
-    ----------
-    load : N, normal to the clamped axis
-    clamp_moment : N m
-    """
-
-    load: Floats
-    clamp_moment: Floats
-
-    def part(self, start: int, stop: int | None = None) -> EndLoadPath:
-        """The path from a point on, up to another, with the same arrays."""
-        return EndLoadPath(self.load[start:stop], self.clamp_moment[start:stop])
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +160,7 @@ def bend_under_force(
 
     def step(present: WireState, share: float) -> WireState | None:
         condition = DeadLoad(start + share * (goal - start))
-        return _advance(law, present, length, condition, travel=share)
+        return settle(law, present, length, condition, travel=share)
 
     what = f"force={goal.tolist()}"
     reached = _walk(step, replace(state, travel=0.0), 1.0, what)
@@ -212,16 +190,16 @@ def bend_to_deflection(
     """
     require_positive("length", length)
     require_finite("deflection", deflection)
-    reached = _deflect(law, state, length, deflection)
+    reached = deflect(law, state, length, deflection)
     require_within(law, reached.moment, f"deflection={deflection!r}")
     return shape_of(law, reached, length)
 
 
-def _deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
+def deflect(law: MomentLaw, state: WireState, length: float, deflection: float) -> WireState:
     """Bend a wire to a deflection, wherever its law ends."""
 
     def step(present: WireState, travel: float) -> WireState | None:
-        return _advance(law, present, length, EndLoad(travel), travel=travel)
+        return settle(law, present, length, EndLoad(travel), travel=travel)
 
     return _walk(step, state, deflection, f"deflection={deflection!r}")
 
@@ -252,12 +230,12 @@ def bend_to_travel(
     def taut(present: WireState, travel: float) -> WireState | None:
         anchor = np.array([rig.anchor_x, rig.anchor_height + travel])
         condition = Pull(anchor, rig.string_length, rig.weight)
-        found = _advance(law, present, length, condition, travel)
+        found = settle(law, present, length, condition, travel=travel)
         return found if found is not None and found.load >= 0.0 else None
 
     def slack(present: WireState, travel: float) -> WireState | None:
         weight = DeadLoad(np.array([0.0, -rig.weight]))
-        found = _advance(law, present, length, weight, travel)
+        found = settle(law, present, length, weight, travel=travel)
         if found is None or rig.taut_travel(*_tip(law, found, length)) < travel - _GRAZING:
             return None
         return replace(found, load=0.0)  # not the rounding that the last pull left behind
@@ -273,149 +251,6 @@ def bend_to_travel(
     reached = _walk(step, state, travel, what)
     require_within(law, reached.moment, what)
     return shape_of(law, reached, length)
-
-
-def end_load_curve(
-    law: MomentLaw, length: float, deflections: Floats, *, n_stations: int = DEFAULT_STATIONS
-) -> Floats:
-    """End load normal to the clamped axis at each of a row of tip deflections, from straight.
-
-    Parameters
-    ----------
-    law, length, deflections, n_stations : as for `end_load_path`
-
-    Returns
-    -------
-    Shape (n,), N.
-
-    Raises
-    ------
-    ValueError
-        If no equilibrium is found on the way, or the law ends before the last deflection (the
-        message says the curvature).
-    """
-    path = end_load_path(law, length, deflections, n_stations=n_stations)
-    reached = len(path.load)
-    if reached < len(deflections):
-        last = float(first_curvature(law, np.array([law.largest_moment]))[0])
-        message = (
-            f"deflection={float(deflections[reached])!r}: the wire would be bent farther than its "
-            f"law goes, {last:.4g} 1/m"
-        )
-        raise ValueError(message)
-    return path.load
-
-
-def end_load_path(
-    law: MomentLaw, length: float, deflections: Floats, *, n_stations: int = DEFAULT_STATIONS
-) -> EndLoadPath:
-    """End load and clamp moment at each of a row of tip deflections, from straight.
-
-    Parameters
-    ----------
-    law : law of the wire
-    length : m
-    deflections : shape (n,), m, in the order in which they are reached
-    n_stations : along the wire, where it is gone through station by station
-
-    Returns
-    -------
-    Load and clamp moment at each deflection, as far as the law goes: fewer where it ends before.
-
-    Raises
-    ------
-    ValueError
-        If no equilibrium is found on the way.
-
-    Notes
-    -----
-    As long as the deflections grow and no part of the wire unloads, to about 0.7 of the length, by
-    the first integral of `wire.end_load`, all at once; from there on station by station.
-    """
-    require_positive("length", length)
-    require_finite("deflections", deflections)
-    grows = np.diff(deflections, prepend=0.0) > 0.0
-    n_growing = len(grows) if grows.all() else int(np.argmin(grows))
-    path = EndLoadPath(*np.empty((2, len(deflections))))
-    before = state = straight(law, n_stations)
-    done = 0
-    if n_growing:
-        first = end_loads(law, length, deflections[:n_growing])
-        done = len(first.load) - 1
-        path.load[:done], path.clamp_moment[:done] = first.load[:-1], first.clamp_moment[:-1]
-        inside = [is_within(law, moment) for moment in first.clamp_moment.tolist()]
-        if not all(inside):
-            return path.part(0, min(inside.index(False), done))
-        if done < len(path.load):
-            before = _guess(before, length, first, max(done - 2, 0))
-            state = _last_state(law, state, length, first)
-    rest = _go_on(law, (before, state), length, deflections[done:], path.part(done))
-    return path.part(0, done + rest)
-
-
-def _guess(virgin: WireState, length: float, first: EndLoads, row: int) -> WireState:
-    """Nearly the state at one row of a first loading, at the stations of the straight wire."""
-    from_tip = length * (1.0 - chebyshev_stations(len(virgin.moment)).position)
-    moment, load = first.moment_at(row, from_tip), float(first.load[row])
-    return replace(virgin, moment=moment, load=load, travel=float(first.deflection[row]))
-
-
-def _last_state(law: MomentLaw, virgin: WireState, length: float, first: EndLoads) -> WireState:
-    """State at the end of a first loading."""
-    guess = _guess(virgin, length, first, -1)
-    found = _settle(law, virgin, length, guess.travel, (guess.moment, guess.load))
-    if found is None:
-        return _deflect(law, virgin, length, guess.travel)
-    return found
-
-
-def _go_on(
-    law: MomentLaw,
-    first: tuple[WireState, WireState],
-    length: float,
-    deflections: Floats,
-    path: EndLoadPath,
-) -> int:
-    """Fill in a path, each point from the trend of the states before; give how many, to its end."""
-    states = list(first)
-    for number, deflection in enumerate(deflections.tolist()):
-        ahead = _trend(states, deflection)
-        found = ahead and _settle(law, states[-1], length, deflection, ahead)
-        if found is None:
-            found = _deflect(law, states[-1], length, deflection)
-        if not is_within(law, float(np.max(np.abs(found.moment)))):
-            return number
-        states = [*states[-2:], found]
-        path.load[number], path.clamp_moment[number] = found.force[1], found.moment[0]
-    return len(deflections)
-
-
-def _trend(states: list[WireState], travel: float) -> tuple[Floats, float] | None:
-    """Moments and load at a travel on the parabola through the last states; None where it cannot.
-
-    A straight line for two states, and where the last three did not go one way.
-    """
-    at = [state.travel for state in states]
-    steps = np.diff([*at, travel])
-    if not 0.0 < (travel - at[-1]) * steps[-2] <= _FARTHEST_TREND * steps[-2] ** 2:
-        return None
-    if steps[0] * steps[-1] <= 0.0:
-        states, at = states[-2:], at[-2:]
-    shares = [
-        float(np.prod([(travel - b) / (a - b) for b in at if b != a])) for a in at
-    ]  # Lagrange's
-    moment = np.sum([n * state.moment for n, state in zip(shares, states, strict=True)], axis=0)
-    return moment, sum(n * state.load for n, state in zip(shares, states, strict=True))
-
-
-def _settle(
-    law: MomentLaw, state: WireState, length: float, deflection: float, guess: tuple[Floats, float]
-) -> WireState | None:
-    """The state at a deflection next to a guess, with the history of a state."""
-    found = solve(law, state.plays, length, EndLoad(deflection), Unknowns(*guess))
-    if found is None or _turns_far(law, guess[0], state.plays, found, length):
-        return None
-    return WireState(found.moment, found.plays, found.force, found.load, deflection)
 
 
 def shape_of(law: MomentLaw, state: WireState, length: float) -> CantileverShape:
@@ -441,15 +276,32 @@ def _tip(law: MomentLaw, state: WireState, length: float) -> tuple[float, float]
     return float(shape.x[-1]), float(shape.y[-1])
 
 
-def _advance(
-    law: MomentLaw, state: WireState, length: float, condition: Condition, travel: float
+def settle(
+    law: MomentLaw,
+    state: WireState,
+    length: float,
+    condition: Condition,
+    *,
+    travel: float,
+    guess: Unknowns | None = None,
 ) -> WireState | None:
     """One step from a state to the equilibrium under a condition; None where Newton fails.
 
-    It also fails where it ends in an equilibrium far from the state, as a curl: there are many.
+    Parameters
+    ----------
+    law, state : law and history of the wire
+    length : m
+    condition : what fixes the load
+    travel : m, where the path then stands
+    guess : where Newton's method starts; None for the state itself
+
+    Returns
+    -------
+    The state; None also for an equilibrium far from the guess, as a curl: there are many.
     """
-    found = solve(law, state.plays, length, condition, Unknowns(state.moment, state.load))
-    if found is None or _turns_far(law, state.moment, state.plays, found, length):
+    near = Unknowns(state.moment, state.load) if guess is None else guess
+    found = solve(law, state.plays, length, condition, near)
+    if found is None or _turns_far(law, near.moment, state.plays, found, length):
         return None
     return WireState(found.moment, found.plays, found.force, found.load, travel)
 

@@ -16,7 +16,7 @@ marched: all deflections are solved at once.
 
 Beyond a deflection of about 0.7 of the length the lever of the parts near the tip shrinks faster
 than the load grows: their moment falls, and what they remember matters (0.3 % of the load at 0.8).
-There this ends; `wire.cantilever` goes on station by station.
+There this ends; `wire.end_load_path` goes on station by station.
 """
 
 from __future__ import annotations

@@ -7,9 +7,9 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireLayout, WireSpec, WireTable
-from labpipe.wire.cantilever import end_load_path
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.end_load import deflection_at
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.friction import slip_onsets
 from labpipe.wire.from_spec import BuiltWire, WireError, build, range_of
 from labpipe.wire.moment_curvature import MomentCurve, moment_curvature, orientation_range

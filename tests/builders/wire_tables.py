@@ -8,8 +8,8 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireLayout, WireSpec, WireTable
-from labpipe.wire.cantilever import end_load_curve
 from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.friction import slip_onsets
 from labpipe.wire.moment_curvature import moment_curvature, orientation_range
 from labpipe.wire.wire_law import play_law

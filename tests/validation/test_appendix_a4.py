@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks import plain_loop
-from labpipe.wire.cantilever import end_load_curve
 from labpipe.wire.cross_section import hexagonal
+from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.moment_curvature import moment_curvature
 from labpipe.wire.packing import overlap_energy
 from labpipe.wire.wire_law import play_law

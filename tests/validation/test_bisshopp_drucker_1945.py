@@ -20,7 +20,8 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from labpipe.records.arrays import Floats
-from labpipe.wire.cantilever import bend_under_force, end_load_curve, straight
+from labpipe.wire.cantilever import bend_under_force, straight
+from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.laws import LinearLaw
 
 PRINTED = {1.0: (0.30172, 0.05643, 0.46135), 2.0: (0.49346, 0.16064, 0.78175)}

@@ -15,28 +15,19 @@ from labpipe.wire.cantilever import (
     StringRig,
     bend_to_travel,
     bend_under_force,
-    end_load_curve,
     straight,
 )
+from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.laws import (
     BilinearLaw,
     LinearLaw,
     MomentLaw,
     complementary_energy,
 )
-from labpipe.wire.play_fit import stick_slip_law
+from tests.builders.cantilevers import LENGTH, WIRE
 
-LENGTH = 0.085
 STRING = 0.760
 WEIGHT = 0.0027 * 9.80665
-WIRE = stick_slip_law(
-    stick_stiffness=5e-3,
-    stick_moment=0.002,
-    slip_stiffness=5e-3,
-    reference_moment=0.05,
-    hardening=0.5,
-    last_moment=0.2,
-)
 BILINEAR = BilinearLaw(5e-3, 1.5e-3, 0.02)
 
 

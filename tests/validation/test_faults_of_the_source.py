@@ -14,9 +14,9 @@ from labpipe.wire.cantilever import (
     StringRig,
     bend_to_travel,
     bend_under_force,
-    end_load_curve,
     straight,
 )
+from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.friction import arrange, sines, slip_onsets
 from labpipe.wire.laws import LinearLaw
 from labpipe.wire.materials import FIRMER_COPPER

@@ -14,24 +14,14 @@ from labpipe.wire.cantilever import (
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
-    end_load_curve,
     straight,
 )
 from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
-from labpipe.wire.play_fit import stick_slip_law
 from labpipe.wire.wire_law import play_law
+from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
 
-LENGTH = 0.085
 RIG = StringRig(string_length=0.76, weight=0.0265, anchor_x=LENGTH, anchor_height=0.76)
-WIRE = stick_slip_law(
-    stick_stiffness=5e-3,
-    stick_moment=0.002,
-    slip_stiffness=5e-3,
-    reference_moment=0.05,
-    hardening=0.5,
-    last_moment=0.2,
-)
 
 
 def travel_through(law: MomentLaw, rig: StringRig, travels: Floats) -> list[CantileverShape]:
@@ -45,15 +35,6 @@ def travel_through(law: MomentLaw, rig: StringRig, travels: Floats) -> list[Cant
 def ramp(*corners: float, steps: int = 24) -> Floats:
     legs = [np.linspace(a, b, steps + 1)[1:] for a, b in pairwise(corners)]
     return np.concatenate([[corners[0]], *legs])
-
-
-def by_stations(law: MomentLaw, deflections: Floats, n_stations: int = 64) -> Floats:
-    state, loads = straight(law, n_stations), []
-    for deflection in deflections:
-        shape = bend_to_deflection(law, state, LENGTH, float(deflection))
-        state = shape.state
-        loads.append(shape.force[1])
-    return np.array(loads)
 
 
 def test_straight_wire_hangs_on_the_string() -> None:
@@ -141,31 +122,6 @@ def test_doubling_the_stations_converges_for_plays() -> None:
     assert errors[0] > 2 * errors[1]
 
 
-@pytest.mark.parametrize("n_deflections", [1, 10, 40])
-def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads(n_deflections: int) -> None:
-    section = wire("C4")
-    law = play_law(section, contacts_of(section), largest_curvature=95.0)
-    fine = np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
-    deflections = np.linspace(0.0, 0.8 * LENGTH, n_deflections + 1)[1:]
-    loads = end_load_curve(law, LENGTH, deflections)
-    expected = np.interp(deflections, fine, by_stations(law, fine))
-    assert loads == pytest.approx(expected, rel=1e-4)  # of the stations: see the test of doubling
-
-
-def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
-    deflections = np.array([0.02, 0.04, 0.03, 0.02, -0.01, 0.0])
-    loads = end_load_curve(WIRE, LENGTH, deflections)
-    assert loads == pytest.approx(by_stations(WIRE, deflections), abs=5e-5 * loads.max())
-    assert loads[3] < 0.7 * loads[0]
-
-
-def test_a_curve_from_zero_and_one_to_the_other_side() -> None:
-    assert end_load_curve(WIRE, LENGTH, np.array([0.0, 0.02]))[0] == pytest.approx(0.0, abs=1e-15)
-    up, down = (end_load_curve(WIRE, LENGTH, side * np.array([0.02, 0.04])) for side in (1.0, -1.0))
-    assert down == pytest.approx(-up, rel=1e-4)
-    assert end_load_curve(WIRE, LENGTH, np.zeros(0)).shape == (0,)
-
-
 def test_a_long_step_does_not_end_in_a_curl() -> None:
     section = wire("C4")
     law = play_law(section, contacts_of(section), largest_curvature=95.0)
@@ -193,8 +149,6 @@ def test_numbers_that_are_not_finite_are_refused(number: float) -> None:
         bend_to_deflection(law, state, LENGTH, number)
     with pytest.raises(ValueError, match="^travel" + said):
         bend_to_travel(law, state, LENGTH, RIG, number)
-    with pytest.raises(ValueError, match="^deflections" + said):
-        end_load_curve(law, LENGTH, np.array([0.0, number]))
 
 
 @pytest.mark.parametrize("length", [0.0, -0.085, np.nan, np.inf])
@@ -208,5 +162,3 @@ def test_lengths_are_positive(length: float) -> None:
         bend_to_deflection(law, state, length, 0.01)
     with pytest.raises(ValueError, match=said):
         bend_to_travel(law, state, length, RIG, 0.01)
-    with pytest.raises(ValueError, match=said):
-        end_load_curve(law, length, np.array([0.01]))

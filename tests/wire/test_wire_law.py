@@ -9,8 +9,6 @@ from labpipe.wire.cantilever import (
     bend_to_deflection,
     bend_to_travel,
     bend_under_force,
-    end_load_curve,
-    end_load_path,
     straight,
 )
 from labpipe.wire.laws import respond, virgin_plays
@@ -87,18 +85,6 @@ def test_the_law_of_a_wire_ends_where_it_is_told_up_to() -> None:
     law = play_law(section, contacts, largest_curvature=20.0)
     last = moment_curvature(section, contacts, np.array([20.0])).moment[0]
     assert law.largest_moment == pytest.approx(last, rel=1e-12)
-    deflections = np.linspace(0.0, 0.05, 26)[1:]
-    path = end_load_path(law, 0.085, deflections)
-    longer = play_law(section, contacts, largest_curvature=60.0)
-    assert 5 < len(path.load) < 25
-    beyond = end_load_path(longer, 0.085, deflections)
-    assert beyond.clamp_moment[len(path.load) - 1] < last < beyond.clamp_moment[len(path.load)]
-    with pytest.raises(
-        ValueError,
-        match=rf"^deflection={deflections[len(path.load)]}: the wire would be bent farther than "
-        rf"its law goes, 20 1/m$",
-    ):
-        end_load_curve(law, 0.085, deflections)
 
 
 def test_no_wire_is_bent_beyond_its_law() -> None:
@@ -112,13 +98,6 @@ def test_no_wire_is_bent_beyond_its_law() -> None:
         bend_to_travel(law, straight(law), 0.085, rig, 0.05)
     with pytest.raises(ValueError, match=r"^force=\[0.0, 0.5\]" + said):
         bend_under_force(law, straight(law), 0.085, np.array([0.0, 0.5]))
-
-
-def test_a_path_that_comes_back_ends_where_the_law_does() -> None:
-    section = wire("A2")
-    law = play_law(section, contacts_of(section), largest_curvature=20.0)
-    path = end_load_path(law, 0.085, np.array([0.01, 0.005, 0.012, 0.05, 0.01]))
-    assert len(path.load) == 3
 
 
 def test_a_concave_law_is_its_own_polygon() -> None:

@@ -1,0 +1,29 @@
+"""A cantilever of a wire that sticks and slips, and its end loads station by station."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.cantilever import bend_to_deflection, straight
+from labpipe.wire.laws import MomentLaw
+from labpipe.wire.play_fit import stick_slip_law
+
+LENGTH = 0.085
+WIRE = stick_slip_law(
+    stick_stiffness=5e-3,
+    stick_moment=0.002,
+    slip_stiffness=5e-3,
+    reference_moment=0.05,
+    hardening=0.5,
+    last_moment=0.2,
+)
+
+
+def by_stations(law: MomentLaw, deflections: Floats, n_stations: int = 64) -> Floats:
+    state, loads = straight(law, n_stations), []
+    for deflection in deflections:
+        shape = bend_to_deflection(law, state, LENGTH, float(deflection))
+        state = shape.state
+        loads.append(shape.force[1])
+    return np.array(loads)
