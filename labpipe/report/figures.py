@@ -1,15 +1,12 @@
-"""The figures of one test by the names that protocols use, and the one function that saves."""
+"""The figures of one test by the names that protocols use, and saving them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-
-from labpipe.errors import StoreError, complaint
 from labpipe.records.result import TestResult
 from labpipe.report import (
     force_displacement,
@@ -19,7 +16,7 @@ from labpipe.report import (
     timeline,
     wire_shapes,
 )
-from labpipe.report.page import finish_layout, style
+from labpipe.report.saving import PageToDraw, save_pages
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,8 +29,6 @@ FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "timeline": timeline.draw,
     "marker-quality": marker_quality.draw,
 }
-
-PNG_DPI = 300
 
 
 def save_figures(result: TestResult, folder: Path) -> list[Path]:
@@ -64,42 +59,5 @@ def save_figures(result: TestResult, folder: Path) -> list[Path]:
     if unknown:
         message = f"figures={unknown}: expected some of {list(FIGURES)}"
         raise ValueError(message)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with ThreadPoolExecutor(max_workers=1) as packer:
-            drawn = [_save(result, name, folder, packer) for name in result.figures]
-            return [path for paths, packing in drawn for path in paths if packing.result() is None]
-    except OSError as error:
-        message = complaint(
-            folder,
-            "",
-            expected="a folder that figures can be written to",
-            found=str(error),
-            remedy="Make room, or change the permissions, and process the test again.",
-        )
-        raise StoreError(message) from error
-
-
-def _save(
-    result: TestResult, name: str, folder: Path, packer: Executor
-) -> tuple[list[Path], Future[None]]:
-    """Draw once, lay out once, write twice: savefig would do all of it four times.
-
-    The pixels are packed into a PNG beside the drawing of what comes next.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from PIL import Image
-
-    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
-    with style():
-        page = FIGURES[name](result)
-        page.set_dpi(PNG_DPI)
-        finish_layout(page)
-        pixels: Any = FigureCanvasAgg(page)
-        pixels.draw()
-        image = Image.fromarray(np.array(pixels.buffer_rgba()))
-        packing = packer.submit(image.save, png, dpi=(PNG_DPI, PNG_DPI), compress_level=3)
-        vector: Any = FigureCanvasSVG(page)  # last: it sets the figure to 72 dots per inch
-        vector.print_svg(str(svg), metadata={"Date": None})
-    return [svg, png], packing
+    pages = [PageToDraw(name, partial(FIGURES[name], result)) for name in result.figures]
+    return save_pages(pages, folder, what="figures", again="process the test")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,8 @@ from labpipe.report.group_look import count_words, finite_end, group_scale
 from labpipe.report.group_slips import draw_slips, with_slips
 from labpipe.report.inline_svg import Inline, inline_svg
 from labpipe.report.numbers import in_words
-from labpipe.report.page import finish_layout, style
+from labpipe.report.page import style
+from labpipe.report.saving import PLAIN_TEXT, save_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -185,33 +186,27 @@ def save_drawings(group: Group, folder: Path, *, stem: str) -> list[SavedFigure]
     -----
     The same group gives the same bytes with the same version of matplotlib.
     """
-    return [_save(group, each, folder, f"{stem}-{each.name}") for each in drawings(group)]
+    look = {"svg.fonttype": "none", **PLAIN_TEXT}
+    with style(look), ThreadPoolExecutor(max_workers=1) as packer:
+        saved = [
+            _save(group, each, folder, f"{stem}-{each.name}", packer) for each in drawings(group)
+        ]
+        return [figure for figure, packing in saved if packing.result() is None]
 
 
-def _save(group: Group, drawing: Drawing, folder: Path, stem: str) -> SavedFigure:
+def _save(
+    group: Group, drawing: Drawing, folder: Path, stem: str, packer: Executor
+) -> tuple[SavedFigure, Future[None]]:
     """Draw once, lay out once, write three times."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from PIL import Image
 
-    svg, png, pdf = (folder / f"{stem}.{kind}" for kind in ("svg", "png", "pdf"))
-    with style({"svg.fonttype": "none", "text.parse_math": False}):
-        page = drawing.draw(group)
-        page.set_dpi(_PNG_DPI)
-        finish_layout(page)
-        pixels: Any = FigureCanvasAgg(page)
-        pixels.draw()
-        image = Image.fromarray(np.array(pixels.buffer_rgba()))
-        image.save(png, dpi=(_PNG_DPI, _PNG_DPI), compress_level=3)
-        paper: Any = FigureCanvasPdf(page)
-        paper.print_pdf(str(pdf), metadata={"CreationDate": None})
-        vector: Any = FigureCanvasSVG(page)
-        buffer = io.BytesIO()
-        vector.print_svg(buffer, metadata={"Date": None})
-    svg.write_bytes(buffer.getvalue())
-    element = inline_svg(buffer.getvalue(), prefix=stem, title=drawing.alt)
-    return SavedFigure(element, drawing.caption, (svg, png, pdf))
+    page = drawing.draw(group)
+    (svg, png), packing = save_page(page, folder, stem, packer, dpi=_PNG_DPI)
+    pdf = folder / f"{stem}.pdf"
+    paper: Any = FigureCanvasPdf(page)
+    paper.print_pdf(str(pdf), metadata={"CreationDate": None})
+    element = inline_svg(svg.read_bytes(), prefix=stem, title=drawing.alt)
+    return SavedFigure(element, drawing.caption, (svg, png, pdf)), packing
 
 
 def stems(names: Iterable[str]) -> list[str]:

@@ -1,20 +1,85 @@
-"""Draw a page once, lay it out once, write it as SVG and as PNG."""
+"""Draw pages once, lay them out once, write them as SVG and as PNG."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from labpipe.report.page import finish_layout
+from labpipe.errors import StoreError, complaint
+from labpipe.report.page import finish_layout, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PNG_DPI = 300
+
+
+PLAIN_TEXT: Mapping[str, Any] = {"text.parse_math": False}
+"""For names of wires and of tests: text, whatever signs of mathematics they hold."""
+
+
+class PageToDraw(NamedTuple):
+    """A page before it is drawn.
+
+    Parameters
+    ----------
+    name : of its files, without the ending
+    draw : makes it
+    """
+
+    name: str
+    draw: Callable[[], Figure]
+
+
+def save_pages(
+    pages: Iterable[PageToDraw],
+    folder: Path,
+    *,
+    what: str,
+    again: str,
+    say: Callable[[str], None] = lambda _: None,
+    changes: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """Draw pages in labpipe's style, each as SVG and as PNG.
+
+    Parameters
+    ----------
+    pages : one is drawn and let go before the next
+    folder : made if it is not there
+    what, again : what the pages are, and how to draw them again, for a message
+    say : told the name of each page as it is drawn
+    changes : settings of matplotlib on top of the style
+
+    Returns
+    -------
+    The files, in the order of the pages.
+
+    Raises
+    ------
+    StoreError
+        If a file cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with style(changes), ThreadPoolExecutor(max_workers=1) as packer:
+            saved = []
+            for page in pages:
+                say(page.name)
+                saved.append(save_page(page.draw(), folder, page.name, packer))
+            return [path for each in saved if each.packing.result() is None for path in each.files]
+    except OSError as error:
+        message = complaint(
+            folder,
+            "",
+            expected=f"a folder that {what} can be written to",
+            found=str(error),
+            remedy=f"Make room, or change the permissions, and {again} again.",
+        )
+        raise StoreError(message) from error
 
 
 class Saving(NamedTuple):
@@ -30,15 +95,18 @@ class Saving(NamedTuple):
     packing: Future[None]
 
 
-def save_page(draw: Callable[[], Figure], folder: Path, name: str, packer: Executor) -> Saving:
-    """Draw a page inside the present style and save it under one name in both formats.
+def save_page(
+    page: Figure, folder: Path, name: str, packer: Executor, *, dpi: int = PNG_DPI
+) -> Saving:
+    """Lay out a page inside the present style and save it under one name in both formats.
 
     Parameters
     ----------
-    draw : makes the page
+    page : as it is drawn
     folder : there already
     name : of the files, without the ending
     packer : packs the pixels into a PNG beside the drawing of what comes next
+    dpi : of the PNG
 
     Returns
     -------
@@ -54,13 +122,12 @@ def save_page(draw: Callable[[], Figure], folder: Path, name: str, packer: Execu
     from PIL import Image
 
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
-    page = draw()
-    page.set_dpi(PNG_DPI)
+    page.set_dpi(dpi)
     finish_layout(page)
     pixels: Any = FigureCanvasAgg(page)
     pixels.draw()
     image = Image.fromarray(np.array(pixels.buffer_rgba()))
-    packing = packer.submit(image.save, png, dpi=(PNG_DPI, PNG_DPI), compress_level=3)
+    packing = packer.submit(image.save, png, dpi=(dpi, dpi), compress_level=3)
     vector: Any = FigureCanvasSVG(page)  # last: it sets the figure to 72 dots per inch
     vector.print_svg(str(svg), metadata={"Date": None})
     return Saving((svg, png), packing)

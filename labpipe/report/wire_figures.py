@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
-from labpipe.errors import StoreError, complaint
 from labpipe.records.wire import WireTable
-from labpipe.report.page import style
-from labpipe.report.saving import save_page
+from labpipe.report.saving import PLAIN_TEXT, PageToDraw, save_pages
 from labpipe.report.wire_cantilever import cantilever_figure
 from labpipe.report.wire_comparison import comparison_figure
 from labpipe.report.wire_look import pages
@@ -30,20 +27,7 @@ _OF_ONE_WIRE: dict[str, Callable[[WireTable], Figure]] = {
 }
 
 
-class WireDrawing(NamedTuple):
-    """A figure before it is drawn.
-
-    Parameters
-    ----------
-    name : of its files, without the ending
-    draw : makes it
-    """
-
-    name: str
-    draw: Callable[[], Figure]
-
-
-def wire_drawings(tables: Sequence[WireTable]) -> Iterator[WireDrawing]:
+def wire_drawings(tables: Sequence[WireTable]) -> Iterator[PageToDraw]:
     """List the figures of a sheet of wires.
 
     Parameters
@@ -57,13 +41,13 @@ def wire_drawings(tables: Sequence[WireTable]) -> Iterator[WireDrawing]:
     with one wire alone.
     """
     for number, some in enumerate(pages(tables), start=1):
-        yield WireDrawing(f"sections-{number}", partial(section_figure, some))
+        yield PageToDraw(f"sections-{number}", partial(section_figure, some))
         if len(some) > 1:
-            yield WireDrawing(f"comparison-{number}", partial(comparison_figure, some))
+            yield PageToDraw(f"comparison-{number}", partial(comparison_figure, some))
     for table in tables:
         names = own_figures(table.name)
         for name, draw in zip(names, _OF_ONE_WIRE.values(), strict=True):
-            yield WireDrawing(name, partial(draw, table))
+            yield PageToDraw(name, partial(draw, table))
 
 
 def own_figures(name: str) -> list[str]:
@@ -101,25 +85,11 @@ def save_wire_figures(
     -----
     The same tables give the same bytes with the same version of matplotlib.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        return _save(tables, folder, say)
-    except OSError as error:
-        message = complaint(
-            folder,
-            "",
-            expected="a folder that figures of wires can be written to",
-            found=str(error),
-            remedy="Make room, or change the permissions, and run the model again.",
-        )
-        raise StoreError(message) from error
-
-
-def _save(tables: Sequence[WireTable], folder: Path, say: Callable[[str], None]) -> list[Path]:
-    # names of wires are text, whatever signs of mathematics they hold
-    with style({"text.parse_math": False}), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = []
-        for drawing in wire_drawings(tables):
-            say(drawing.name)
-            saved.append(save_page(drawing.draw, folder, drawing.name, packer))
-        return [path for each in saved if each.packing.result() is None for path in each.files]
+    return save_pages(
+        wire_drawings(tables),
+        folder,
+        what="figures of wires",
+        again="run the model",
+        say=say,
+        changes=PLAIN_TEXT,
+    )

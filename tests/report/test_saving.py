@@ -18,7 +18,7 @@ def page() -> Figure:
 
 def test_one_page_in_two_formats_with_the_same_bytes(tmp_path: Path) -> None:
     with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        one, other = (save_page(page, tmp_path, name, packer) for name in ("a.b", "c"))
+        one, other = (save_page(page(), tmp_path, name, packer) for name in ("a.b", "c"))
     assert [path.name for path in one.files] == ["a.b.svg", "a.b.png"]
     for first, second in zip(one.files, other.files, strict=True):
         assert first.read_bytes() == second.read_bytes()
@@ -34,9 +34,9 @@ def test_what_goes_wrong_is_raised(tmp_path: Path) -> None:
         ThreadPoolExecutor(max_workers=1) as packer,
         pytest.raises(FileNotFoundError),
     ):
-        save_page(page, tmp_path / "missing", "a", packer)
+        save_page(page(), tmp_path / "missing", "a", packer)
     (tmp_path / "a.png").mkdir()
     with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = save_page(page, tmp_path, "a", packer)
+        saved = save_page(page(), tmp_path, "a", packer)
     with pytest.raises(IsADirectoryError):
         saved.packing.result()
