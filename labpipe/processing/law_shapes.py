@@ -88,36 +88,63 @@ class Loaded:
         return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
 
 
-def predict(loaded: Loaded, basis: LawBasis, compliance: Floats) -> tuple[Floats, Floats]:
-    """How far the markers move from rest under a law, and how that changes with the law.
+@dataclass(frozen=True, slots=True, eq=False)
+class LawShapes:
+    """The shapes that laws of one basis make, with all that their compliances do not change.
 
     Parameters
     ----------
     loaded : moments and rest
-    basis, compliance : the law
-
-    Returns
-    -------
-    Movement, shape (n, 2 markers), m, and its derivatives, shape (n, 2 markers, knots).
+    turns : shape (n, points, knots), rad, of the wire from rest, per unit of compliance
+    still : shape (1, 2 markers), m, where the markers' centres are at rest: x of all, then y
     """
-    line, height = loaded.line, loaded.centre_offset
-    at_rest = basis.values(loaded.moment_at_rest)
-    turns = line.integral(basis.values(loaded.moment) - at_rest)
-    angle = loaded.angle_at_rest + turns @ compliance
-    sine, cosine = np.sin(angle), np.cos(angle)
-    begin = loaded.angle_at_rest[None]
-    still = _centres(line, np.sin(begin), np.cos(begin), height)
-    moved = _centres(line, sine, cosine, height) - still
-    along = -line.integral(sine[..., None] * turns)
-    across = line.integral(cosine[..., None] * turns)
-    at = line.markers
-    along = along[:, at] - height * cosine[:, at, None] * turns[:, at]
-    across = across[:, at] - height * sine[:, at, None] * turns[:, at]
-    return moved, np.concatenate([along, across], axis=1)
+
+    loaded: Loaded
+    turns: Floats
+    still: Floats
+
+    @classmethod
+    def of(cls, loaded: Loaded, basis: LawBasis) -> LawShapes:
+        """Prepare the laws of a basis."""
+        at_rest = basis.values(loaded.moment_at_rest)
+        turns = loaded.line.integral(basis.values(loaded.moment) - at_rest)
+        begin = loaded.angle_at_rest[None]
+        return cls(loaded, turns, _centres(loaded, np.sin(begin), np.cos(begin)))
+
+    def movement(self, compliance: Floats) -> Floats:
+        """How far the markers move from rest under a law, shape (n, 2 markers), m."""
+        return _centres(self.loaded, *self._directions(compliance)) - self.still
+
+    def predict(self, compliance: Floats) -> tuple[Floats, Floats]:
+        """How far the markers move from rest under a law, and how that changes with the law.
+
+        Parameters
+        ----------
+        compliance : shape (knots,), 1/(N m^2)
+
+        Returns
+        -------
+        Movement, shape (n, 2 markers), m, and its derivatives, shape (n, 2 markers, knots).
+        """
+        line, height, turns = self.loaded.line, self.loaded.centre_offset, self.turns
+        sine, cosine = self._directions(compliance)
+        moved = _centres(self.loaded, sine, cosine) - self.still
+        along = -line.integral(sine[..., None] * turns)
+        across = line.integral(cosine[..., None] * turns)
+        at = line.markers
+        along = along[:, at] - height * cosine[:, at, None] * turns[:, at]
+        across = across[:, at] - height * sine[:, at, None] * turns[:, at]
+        return moved, np.concatenate([along, across], axis=1)
+
+    def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
+        """Sine and cosine of the wire's angle, shape (n, points) each."""
+        angle = self.loaded.angle_at_rest + self.turns @ compliance
+        return np.sin(angle), np.cos(angle)
 
 
-def _centres(line: Line, sine: Floats, cosine: Floats, height: float) -> Floats:
+def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
     """Places of the markers' centres, shape (n, 2 markers): x of all, then y."""
+    line, height = loaded.line, loaded.centre_offset
     at = line.markers
     x = line.integral(cosine)[:, at] - height * sine[:, at]
     y = line.integral(sine)[:, at] + height * cosine[:, at]

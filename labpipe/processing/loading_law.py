@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.processing.bending_cloud import bending_cloud
 from labpipe.processing.bending_moments import TipPull, bent
 from labpipe.processing.bending_test import BendingTest, FittedFrames
-from labpipe.processing.law_shapes import Line, Loaded, predict
+from labpipe.processing.law_shapes import LawShapes, Line, Loaded
 from labpipe.processing.law_table import tabulate
 from labpipe.processing.measured_law import LawFit, refine_law
 from labpipe.records.arrays import Floats
@@ -124,11 +124,10 @@ class _Shared:
     def changes(self) -> Iterator[Floats]:
         """One standard error each, as changes of the compliances."""
         errors, frames = self.test.errors, self.frames
-        before = predict(self.loaded, self.fit.basis, self.fit.compliance)[0]
+        before = self.movement(self.loaded)
 
         def change(other: Loaded, share: float = 1.0) -> Floats:
-            moved = predict(other, self.fit.basis, self.fit.compliance)[0]
-            return share * self.fit.shift(moved - before)
+            return share * self.fit.shift(self.movement(other) - before)
 
         yield change(self.with_reading(frames.means.force + errors.force_zero))
         if errors.other_tension_at_rest is not None:
@@ -139,6 +138,10 @@ class _Shared:
         if errors.offset > 0.0:
             yield change(self.longer_at_the_clamp(errors.offset))
             yield change(self.longer_at_the_tip(errors.offset))
+
+    def movement(self, loaded: Loaded) -> Floats:
+        """How far the law moves the markers."""
+        return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
 
     def with_reading(self, reading: Floats) -> Loaded:
         """With another force."""

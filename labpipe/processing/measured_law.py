@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.processing.law_basis import LawBasis, law_knots
-from labpipe.processing.law_shapes import Loaded, predict
+from labpipe.processing.law_shapes import LawShapes, Loaded
 from labpipe.processing.nonnegative import solve_nonnegative
 from labpipe.records.arrays import Flags, Floats
 
@@ -111,14 +111,13 @@ def _at_knots_of(fine: LawFit, coarse: LawFit) -> Floats:
     return np.asarray(coarse.basis.slopes(fine.basis.knots) @ coarse.compliance, dtype=np.float64)
 
 
-def fit_law(loaded: Loaded, basis: LawBasis, start: Floats | None = None) -> LawFit:
+def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
     """Find the law that explains where the markers are, by least squares.
 
     Parameters
     ----------
     loaded : moments, markers and rest
     basis : knots of the law
-    start : shape (knots,), compliances where the search begins; None for a straight law
 
     Returns
     -------
@@ -140,9 +139,10 @@ def fit_law(loaded: Loaded, basis: LawBasis, start: Floats | None = None) -> Law
     """
     seen = np.isfinite(loaded.moved)
     found = np.where(seen, loaded.moved, 0.0)
-    compliance = _straight(loaded, basis, found) if start is None else start
+    shapes = LawShapes.of(loaded, basis)
+    compliance = _straight(shapes, found)
     for _ in range(_ROUNDS):
-        moved, design = predict(loaded, basis, compliance)
+        moved, design = shapes.predict(compliance)
         left = _centred(np.where(seen, found - moved, 0.0)[..., None], seen, loaded.rest_weight)
         design = _centred(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
         flat, residual = design.reshape(-1, design.shape[2]), left.ravel()
@@ -166,10 +166,10 @@ def fit_law(loaded: Loaded, basis: LawBasis, start: Floats | None = None) -> Law
     )
 
 
-def _straight(loaded: Loaded, basis: LawBasis, found: Floats) -> Floats:
+def _straight(shapes: LawShapes, found: Floats) -> Floats:
     """One compliance for all knots that moves the markers about as far as they moved."""
-    one = np.ones(len(basis.knots))
-    moved = predict(loaded, basis, 0.0 * one)[1] @ one
+    one = np.ones(shapes.turns.shape[2])
+    moved = shapes.predict(0.0 * one)[1] @ one
     scale = float((moved**2).sum())
     if not scale > 0.0:
         message = "moment: expected moments other than those at rest, found none"

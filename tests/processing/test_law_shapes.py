@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.processing.law_basis import law_knots
-from labpipe.processing.law_shapes import Line, Loaded, predict
+from labpipe.processing.law_shapes import LawShapes, Line, Loaded
 from labpipe.records.arrays import Floats
 
 LENGTH = 0.1
@@ -37,7 +37,8 @@ def test_points_fall_on_markers_and_tip() -> None:
 def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
     compliance, moment = 200.0, 0.05
     basis = law_knots(0.06, 5)
-    moved, _ = predict(loaded(moment, height=height), basis, np.full(5, compliance))
+    shapes = LawShapes.of(loaded(moment, height=height), basis)
+    moved = shapes.movement(np.full(5, compliance))
     curvature = compliance * moment
     turn, radius = curvature * PLACES, 1.0 / curvature - height
     x = radius * np.sin(turn) - PLACES
@@ -47,10 +48,11 @@ def test_a_constant_moment_bends_into_a_circle(height: float) -> None:
 
 def test_derivatives_are_those_of_the_movement() -> None:
     basis, compliance = law_knots(0.06, 5), np.array([180.0, 200.0, 240.0, 300.0, 280.0])
-    test = loaded(0.05, height=0.0008)
-    _, slopes = predict(test, basis, compliance)
+    shapes = LawShapes.of(loaded(0.05, height=0.0008), basis)
+    moved, slopes = shapes.predict(compliance)
+    assert moved.tolist() == shapes.movement(compliance).tolist()
     for knot in range(5):
         step = np.zeros(5)
         step[knot] = 1e-3
-        more, less = (predict(test, basis, compliance + sign * step)[0] for sign in (1.0, -1.0))
+        more, less = (shapes.movement(compliance + sign * step) for sign in (1.0, -1.0))
         assert slopes[..., knot] == pytest.approx((more - less) / 2e-3, abs=1e-9)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.processing.law_basis import LawBasis, law_knots
-from labpipe.processing.law_shapes import Line, Loaded, predict
+from labpipe.processing.law_shapes import LawShapes, Line, Loaded
 from labpipe.processing.measured_law import fit_law, refine_law
 from labpipe.records.arrays import Floats
 
@@ -34,7 +34,7 @@ def loading(
         rest_weight=5.0,
         centre_offset=0.0008,
     )
-    moved = predict(blank, basis, law)[0]
+    moved = LawShapes.of(blank, basis).movement(law)
     rng = np.random.default_rng(seed)
     markers = np.stack(np.split(moved, 2, axis=1), axis=2)
     at_rest = noise / np.sqrt(5.0) * rng.standard_normal((len(PLACES), 2))
@@ -85,10 +85,10 @@ def test_a_shift_is_what_another_fit_finds() -> None:
     test = loading()
     fit = fit_law(test, BASIS)
     other = replace(test, moment=1.001 * test.moment)
-    moved = predict(other, BASIS, fit.compliance)[0] - predict(test, BASIS, fit.compliance)[0]
+    before, after = (LawShapes.of(each, BASIS).movement(fit.compliance) for each in (test, other))
     again = fit_law(other, BASIS)
     change = again.compliance - fit.compliance
-    assert fit.shift(moved) == pytest.approx(change, abs=0.02 * np.abs(change).max())
+    assert fit.shift(after - before) == pytest.approx(change, abs=0.02 * np.abs(change).max())
 
 
 def test_no_more_knots_than_the_markers_tell_of() -> None:
