@@ -160,16 +160,16 @@ def mean_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> 
     -------
     The means, in order of time.
     """
-    columns = _markers_of(shape)
-    measured = np.isin(shape.flags, (PointFlag.MEASURED, PointFlag.RELABELLED))
-    positions = np.where(measured[..., None], shape.positions, np.nan)[:, columns]
     starts = _starts(branch, per_mean)
     rows = starts[:, None] + np.arange(per_mean)
+    points = rows[..., None], np.flatnonzero(_markers_of(shape))
+    measured = np.isin(shape.flags[points], (PointFlag.MEASURED, PointFlag.RELABELLED))
+    positions = np.where(measured[..., None], shape.positions[points], np.nan)
     return MeanFrames(
         time=shape.time[rows].mean(axis=1),
         force=force[rows].mean(axis=1),
         branch=branch[starts],
-        markers=positions[rows].mean(axis=1),
+        markers=positions.mean(axis=1),
         per_mean=per_mean,
     )
 
