@@ -17,6 +17,9 @@ marched: all deflections are solved at once.
 Beyond a deflection of about 0.7 of the length the lever of the parts near the tip shrinks faster
 than the load grows: their moment falls, and what they remember matters (0.3 % of the load at 0.8).
 There this ends; `wire.end_load_path` goes on station by station.
+
+`wire.first_loading` has the same integral at given clamp moments, with a string and derivatives by
+a law's parameters; it finds neither wanted deflections nor a far bent, upright wire, as this does.
 """
 
 from __future__ import annotations
