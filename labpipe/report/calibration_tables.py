@@ -19,9 +19,8 @@ from labpipe.records.calibration import (
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_look import DEFLECTION, FORCE, SHOWN, length_words, typeset
 from labpipe.report.calibration_shown import CalibrationReport, ValidationGroup
-from labpipe.report.wire_workbook import Sheet, Value
+from labpipe.report.sheets import Sheet, Value, sheet_name
 from labpipe.report.wording import Scale
-from labpipe.report.workbook import sheet_name
 
 SUMMARY, FIT, IDENTIFIED, CURVES = "summary", "fit", "identified", "curves"
 AGREEMENT, NOTES = "agreement", "notes"

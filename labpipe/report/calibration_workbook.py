@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from labpipe.errors import StoreError, complaint
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_tables import tables_of
-from labpipe.report.wire_workbook import Sheet, _add, _heading
-
-if TYPE_CHECKING:
-    from openpyxl.workbook import Workbook
+from labpipe.report.sheets import Sheet, save_sheets
 
 _READ_ME = "read me"
 _ABOUT = (
@@ -42,34 +38,10 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
     ------
     StoreError
         If the file cannot be written.
-
-    Notes
-    -----
-    Text stays text: a test that is called ``=1+1`` is not a formula. Numbers that are not finite
-    are empty cells. Characters that a workbook cannot hold are shown as U+FFFD.
     """
-    try:
-        with path.open("wb") as file:  # first: a book that was begun has to be saved
-            _book(report).save(file)
-    except OSError as error:
-        message = complaint(
-            path,
-            "",
-            expected="a workbook that can be written",
-            found=str(error),
-            remedy="Make room, change the permissions, or close it where it is open, and calibrate"
-            " again.",
-        )
-        raise StoreError(message) from error
+    save_sheets(_sheets(report), path, again="calibrate", active=1)
 
 
-def _book(report: CalibrationReport) -> Workbook:
-    from openpyxl import Workbook
-
-    book = Workbook(write_only=True)
-    book.add_named_style(_heading())
-    _add(book, Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT]))
-    for sheet in tables_of(report, [_READ_ME]):
-        _add(book, sheet)
-    book.active = 1
-    return book
+def _sheets(report: CalibrationReport) -> Iterator[Sheet]:
+    yield Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT])
+    yield from tables_of(report, [_READ_ME])

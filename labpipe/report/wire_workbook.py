@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any
 
-from labpipe.errors import StoreError, complaint
 from labpipe.records.arrays import Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
+from labpipe.report.sheets import Sheet, Value, save_sheets, sheet_name
 from labpipe.report.wire_look import CURVATURE, FORCE, LENGTH, MOMENT, STIFFNESS
 from labpipe.report.wire_summary import SUMMARY, row_error, shown_rows
 from labpipe.report.wording import Scale
-from labpipe.report.workbook import sheet_name
-
-if TYPE_CHECKING:
-    from openpyxl.cell import Cell
-    from openpyxl.styles import NamedStyle
-    from openpyxl.workbook import Workbook
 
 MOST_ROWS = 12_000
 """Rows of all laws together: with more, a workbook of hundreds of wires takes longer to write than
 the model to run."""
 _FEWEST_ROWS = 40
 """Rows of each law that are shown at least: straight lines between them stay within 1 %."""
-_HEADING = "heading of a column"
 _READ_ME, _SUMMARY, _NOTES = "read me", "wires", "notes"
-_NARROWEST, _WIDEST = 11, 60
 _LAW: tuple[tuple[str, str, Scale], ...] = (
     ("curvature", "curvature", CURVATURE),
     ("moment", "moment", MOMENT),
@@ -60,25 +51,6 @@ _ABOUT = (
     "Strands: centres of the section before it is turned; layer 0 is the innermost.",
 )
 
-Value: TypeAlias = str | float | None
-
-
-class Sheet(NamedTuple):
-    """A sheet before it is written.
-
-    Parameters
-    ----------
-    name : free of what a sheet's name may not hold, and no other sheet's
-    heads : headings
-    rows : below them
-    frozen : cell above and left of which all stays in view
-    """
-
-    name: str
-    heads: Sequence[str]
-    rows: Sequence[Sequence[Value]]
-    frozen: str = "A2"
-
 
 def save_wire_workbook(
     tables: Sequence[WireTable], path: Path, *, refused: Mapping[str, str] | None = None
@@ -100,41 +72,21 @@ def save_wire_workbook(
     -----
     With many wires, the sheet of each shows some rows of its law, `MOST_ROWS` of all wires
     together but 40 of each at least; the summary says how many, and how far straight lines between
-    them are from the whole law. Text stays text: a wire called ``=1+1`` is not a formula. Numbers
-    that are not finite are empty cells. Characters that a workbook cannot hold are shown as U+FFFD.
+    them are from the whole law.
     """
-    try:
-        with path.open("wb") as file:  # first: a book that was begun has to be saved
-            _book(tables, refused or {}).save(file)
-    except OSError as error:
-        message = complaint(
-            path,
-            "",
-            expected="a workbook that can be written",
-            found=str(error),
-            remedy="Make room, change the permissions, or close it where it is open, and run the"
-            " model again.",
-        )
-        raise StoreError(message) from error
+    save_sheets(_sheets(tables, refused or {}), path, again="run the model", active=1)
 
 
-def _book(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Workbook:
-    from openpyxl import Workbook
-
-    # cells go to disk as they come: hundreds of sheets take less time and memory
-    book = Workbook(write_only=True)
-    book.add_named_style(_heading())
+def _sheets(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Iterator[Sheet]:
     most = max(MOST_ROWS // max(len(tables), 1), _FEWEST_ROWS)
     shown = [shown_rows(table, most) for table in tables]
     names = _names(tables)
     links = {table.name: name for table, name in zip(tables, names, strict=True)}
-    _add(book, Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT]))
-    _add(book, _summary(tables, refused, shown), links)
-    _add(book, _notes(tables, refused))
+    yield Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT])
+    yield _summary(tables, refused, shown)._replace(links=links)
+    yield _notes(tables, refused)
     for table, name, rows in zip(tables, names, shown, strict=True):
-        _add(book, _wire(table, name, rows))
-    book.active = 1
-    return book
+        yield _wire(table, name, rows)
 
 
 def _names(tables: Sequence[WireTable]) -> list[str]:
@@ -197,61 +149,3 @@ def _wire(table: WireTable, name: str, shown: Ints) -> Sheet:
     ]
     rows = list(zip_longest(*(values for _, values in blocks)))
     return Sheet(name, [head for head, _ in blocks], rows)
-
-
-def _add(book: Workbook, sheet: Sheet, links: Mapping[str, str] | None = None) -> None:
-    """Write a sheet: bold headings that stay in view, columns as wide as their text.
-
-    A text in the first column that is in `links` leads to the sheet of that name.
-    """
-    from openpyxl.utils import get_column_letter
-
-    page: Any = book.create_sheet(sheet.name)
-    page.freeze_panes = sheet.frozen
-    for number, width in enumerate(_widths(sheet), start=1):
-        page.column_dimensions[get_column_letter(number)].width = width
-    heads = [_text(page, head) for head in sheet.heads]
-    for cell in heads:
-        cell.style = _HEADING
-    page.append(heads)
-    for first, *others in sheet.rows:
-        link = (links or {}).get(str(first), "")
-        page.append([_cell(page, first, link), *(_cell(page, value) for value in others)])
-
-
-def _heading() -> NamedStyle:
-    from openpyxl.styles import Alignment, Font, NamedStyle
-
-    wrapped = Alignment(wrap_text=True, vertical="top")
-    return NamedStyle(_HEADING, font=Font(bold=True), alignment=wrapped)
-
-
-def _widths(sheet: Sheet) -> list[int]:
-    """Width of each column: of its longest text; headings are broken into lines."""
-    widths = [max(_NARROWEST, *map(len, head.split(" "))) for head in sheet.heads]
-    for row in sheet.rows:
-        for at, value in enumerate(row):
-            if isinstance(value, str):
-                widths[at] = max(widths[at], len(value))
-    return [min(width + 2, _WIDEST) for width in widths]
-
-
-def _cell(page: Any, value: Value, link: str = "") -> Cell | float | None:
-    if isinstance(value, str):
-        return _text(page, value, link)
-    return None if value is None or not math.isfinite(value) else value
-
-
-def _text(page: Any, text: str, link: str = "") -> Cell:
-    from openpyxl.cell import WriteOnlyCell
-    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
-    from openpyxl.worksheet.hyperlink import Hyperlink
-
-    cell: Cell = WriteOnlyCell(page, ILLEGAL_CHARACTERS_RE.sub("\ufffd", text))
-    if cell.data_type != "s":  # begins like a formula, or is called like an error
-        cell.data_type = "s"
-        cell.quotePrefix = True
-    if link:
-        cell.hyperlink = Hyperlink(ref="A1", location=f"'{link}'!A1")
-        cell.style = "Hyperlink"
-    return cell

@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import math
-import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TypeAlias
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import Band, Campaign, Group, GroupNumber
 from labpipe.report.concerns import find_concerns
 from labpipe.report.group_look import group_scale
 from labpipe.report.numbers import display_of, in_words, shown_in
+from labpipe.report.sheets import Sheet, Value, save_sheets, sheet_name
 
-if TYPE_CHECKING:
-    from openpyxl.workbook import Workbook
-    from openpyxl.worksheet.worksheet import Worksheet
-
-_WIDEST, _NARROWEST = 60, 9
-_SHEET_NAME = 31
-_NOT_IN_A_NAME = re.compile(r"[\\/*?:\[\]\x00-\x1f']")
 _ABOUT = (
     "Numbers are in the unit of their row or of their column's heading, with all digits.",
     "Lower and upper are the ends of 95 % intervals. An empty cell: there is no such number.",
@@ -33,7 +25,8 @@ _ABOUT = (
     " 'failed' is not.",
 )
 
-Row: TypeAlias = Sequence[str | float | None]
+Row: TypeAlias = Sequence[Value]
+_Table: TypeAlias = tuple[Sequence[str], list[Row]]
 
 
 def save_workbook(campaign: Campaign, path: Path) -> None:
@@ -46,29 +39,31 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
 
     Raises
     ------
-    OSError
+    StoreError
         If it cannot be written.
-
-    Notes
-    -----
-    Text stays text: a sample that is called ``=1+1`` is not a formula. Numbers that are not finite
-    are empty cells. Characters that a workbook cannot hold are shown as U+FFFD.
     """
-    from openpyxl import Workbook
+    save_sheets(_sheets(campaign), path, again="make the report")
 
-    book = Workbook()
-    book.remove(book.worksheets[0])
-    _add(book, "read me", ("About",), [(line,) for line in _about(campaign)])
-    _add(book, "needs a look", *_concerns(campaign))
-    _add(book, "groups", *_groups(campaign))
-    _add(book, "spools", *_spools(campaign))
-    _add(book, "samples", *_samples(campaign))
-    _add(book, "comparisons", *_comparisons(campaign))
+
+def _sheets(campaign: Campaign) -> Iterator[Sheet]:
+    names: list[str] = []
+    for wanted, (heads, rows) in _tables(campaign):
+        names.append(sheet_name(wanted, names))
+        yield Sheet(names[-1], heads, rows)
+
+
+def _tables(campaign: Campaign) -> Iterator[tuple[str, _Table]]:
+    """Tables below the names that their sheets should have."""
+    yield "read me", (("About",), [(line,) for line in _about(campaign)])
+    yield "needs a look", _concerns(campaign)
+    yield "groups", _groups(campaign)
+    yield "spools", _spools(campaign)
+    yield "samples", _samples(campaign)
+    yield "comparisons", _comparisons(campaign)
     for group in campaign.groups:
-        _add(book, f"curve {group.name}", *_curve(group, group.band, is_scaled=False))
+        yield f"curve {group.name}", _curve(group, group.band, is_scaled=False)
         if group.band_scaled is not None:
-            _add(book, f"scaled {group.name}", *_curve(group, group.band_scaled, is_scaled=True))
-    book.save(path)
+            yield f"scaled {group.name}", _curve(group, group.band_scaled, is_scaled=True)
 
 
 def _about(campaign: Campaign) -> Iterator[str]:
@@ -77,7 +72,7 @@ def _about(campaign: Campaign) -> Iterator[str]:
     yield from _ABOUT
 
 
-def _concerns(campaign: Campaign) -> tuple[Row, list[Row]]:
+def _concerns(campaign: Campaign) -> _Table:
     heads = ("kind", "group", "test", "what", "reason", "code")
     rows: list[Row] = [
         (str(each.kind), each.group, each.test, each.what, each.reason, each.code)
@@ -86,7 +81,7 @@ def _concerns(campaign: Campaign) -> tuple[Row, list[Row]]:
     return heads, rows
 
 
-def _groups(campaign: Campaign) -> tuple[Row, list[Row]]:
+def _groups(campaign: Campaign) -> _Table:
     heads = (
         "group", "number", "result", "unit", "mean", "lower", "upper", "standard deviation", "n",
         "mean over", "n samples", "within spools", "between spools", "spools alike, p", "decision",
@@ -110,7 +105,7 @@ def _mean(group: Group, number: GroupNumber) -> Row:
     )  # fmt: skip
 
 
-def _spools(campaign: Campaign) -> tuple[Row, list[Row]]:
+def _spools(campaign: Campaign) -> _Table:
     heads = (
         "group", "number", "result", "spool", "unit", "mean", "lower", "upper",
         "standard deviation", "n", "reason",
@@ -127,7 +122,7 @@ def _spools(campaign: Campaign) -> tuple[Row, list[Row]]:
     return heads, rows
 
 
-def _samples(campaign: Campaign) -> tuple[Row, list[Row]]:
+def _samples(campaign: Campaign) -> _Table:
     heads = (
         "group", "test", "type", "spool", "sample", "protocol", "number", "result", "value",
         "unit", "lower", "upper", "status", "reason", "method",
@@ -147,7 +142,7 @@ def _samples(campaign: Campaign) -> tuple[Row, list[Row]]:
     return heads, rows
 
 
-def _comparisons(campaign: Campaign) -> tuple[Row, list[Row]]:
+def _comparisons(campaign: Campaign) -> _Table:
     heads = (
         "number", "result", "first", "second", "unit", "second minus first", "lower", "upper",
         "does not matter below", "equivalent, p", "verdict", "reason",
@@ -165,7 +160,7 @@ def _comparisons(campaign: Campaign) -> tuple[Row, list[Row]]:
     return heads, rows
 
 
-def _curve(group: Group, band: Band, *, is_scaled: bool) -> tuple[Row, list[Row]]:
+def _curve(group: Group, band: Band, *, is_scaled: bool) -> _Table:
     across, up = group_scale(group, "displacement"), group_scale(group, "force")
     unit = "1" if is_scaled else up.unit
     names = ("mean", "lower", "upper", "lower_all", "upper_all")
@@ -181,73 +176,3 @@ def _ends(interval: Interval | None, factor: float) -> tuple[float | None, float
     if interval is None:
         return None, None
     return factor * interval.lower, factor * interval.upper
-
-
-def _add(book: Workbook, name: str, heads: Row, rows: Iterable[Row]) -> None:
-    """Add a sheet: bold headings that stay in view, columns as wide as their text."""
-    from openpyxl.styles import Alignment, Font
-    from openpyxl.utils import get_column_letter
-
-    sheet = book.create_sheet(sheet_name(name, [each.title for each in book.worksheets]))
-    every = [heads, *rows]
-    for number, row in enumerate(every, start=1):
-        _write(sheet, number, row)
-    for cell in sheet[1]:
-        cell.font, cell.alignment = Font(bold=True), Alignment(wrap_text=True, vertical="top")
-    sheet.freeze_panes = "A2"
-    for column in range(len(heads)):
-        texts = [len(str(row[column])) for row in every if _is_text(row, column)]
-        width = min(max([_NARROWEST, *texts]) + 2, _WIDEST)
-        sheet.column_dimensions[get_column_letter(column + 1)].width = width
-
-
-def _is_text(row: Row, column: int) -> bool:
-    return len(row) > column and isinstance(row[column], str)
-
-
-def sheet_name(wanted: str, taken: Sequence[str]) -> str:
-    """Turn any text into a name that a sheet may have and that no other sheet has.
-
-    Parameters
-    ----------
-    wanted : text
-    taken : names of the other sheets
-
-    Returns
-    -------
-    At most 31 characters, none of which is forbidden.
-
-    Examples
-    --------
-    >>> sheet_name("curve a/b", ["read me"])
-    'curve a-b'
-    >>> sheet_name("read me", ["Read me"])
-    'read me 2'
-    """
-    plain = _NOT_IN_A_NAME.sub("-", wanted)[:_SHEET_NAME].strip() or "sheet"
-    known = {name.casefold() for name in taken}
-    name, number = plain, 1
-    while name.casefold() in known:
-        number += 1
-        tail = f" {number}"
-        name = plain[: _SHEET_NAME - len(tail)] + tail
-    return name
-
-
-def _write(sheet: Worksheet, number: int, row: Row) -> None:
-    for column, value in enumerate(row, start=1):
-        if isinstance(value, float) and not math.isfinite(value):
-            continue
-        if isinstance(value, str):
-            _write_text(sheet, number, column, value)
-        else:
-            sheet.cell(number, column, value)
-
-
-def _write_text(sheet: Worksheet, row: int, column: int, text: str) -> None:
-    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
-
-    cell = sheet.cell(row, column, ILLEGAL_CHARACTERS_RE.sub("\ufffd", text))
-    if cell.data_type != "s":  # begins like a formula, or is called like an error
-        cell.data_type = "s"
-        cell.quotePrefix = True

@@ -55,12 +55,12 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         flush(path)
 
-    def full_figures(*arguments: object) -> list[Path]:
+    def full_figures(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(store, "_flush_to_disk", full_flush)
     if place == "wire-shapes.svg":
-        monkeypatch.setattr("labpipe.report.figures._save", full_figures)
+        monkeypatch.setattr("labpipe.report.saving.save_page", full_figures)
     message = bad_input.Refused(lab, run)(lambda _: None)
     assert "full disk" in message or "No space left" in message
     assert not list(lab.home.rglob("*.tmp"))

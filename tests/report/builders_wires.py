@@ -11,7 +11,8 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
 from labpipe.wire.cross_section import Insulation, compressed, lay_up, strand_diameter
 from labpipe.wire.materials import ANNEALED_COPPER
-from tests.builders.wire_tables import layout_of, wire_table
+from labpipe.wire.wire_table import layout_of
+from tests.builders.wire_tables import wire_table
 
 DEFAULTS_TAKEN = QualityNote(
     "defaults_taken", Severity.INFO, "A3", "Not in the sheet: Poisson's ratio 0.34."

@@ -83,7 +83,7 @@ def test_a_table_of_zero_curvature_alone() -> None:
 @pytest.mark.parametrize("name", ["A1", "A3", "C5"])
 @pytest.mark.parametrize("most", [40, 60, 10_000])
 def test_rows_that_are_shown_keep_the_law(name: str, most: int) -> None:
-    table = wire_table(name, count=200)
+    table = wire_table(name)
     rows = shown_rows(table, most)
     last = len(table.curvature) - 1
     assert len(rows) == min(most, last + 1)

@@ -117,7 +117,7 @@ def test_values_that_are_not_finite_are_empty_cells(tmp_path: Path) -> None:
 
 def test_names_of_sheets_are_safe_and_unique(tmp_path: Path) -> None:
     names = ["x" * 40, "x" * 41, "a/b", "wires", "Notes"]
-    book = saved([replace(wire_table("A1", count=20), name=name) for name in names], tmp_path)
+    book = saved([replace(wire_table("A1"), name=name) for name in names], tmp_path)
     assert book.sheetnames[3:] == ["x" * 31, "x" * 29 + " 2", "a-b", "wires 2", "Notes 2"]
     assert [row["wire"] for row in rows(book, "wires")] == ["Z1", *names]
     assert book["wires"]["A5"].hyperlink.location == "'a-b'!A1"
@@ -125,7 +125,7 @@ def test_names_of_sheets_are_safe_and_unique(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["=1+1", "#N/A", "+2", "@SUM(A1)", "a\x07b"])
 def test_text_stays_text(name: str, tmp_path: Path) -> None:
-    book = saved([replace(wire_table("A1", count=20), name=name)], tmp_path)
+    book = saved([replace(wire_table("A1"), name=name)], tmp_path)
     cell = book["wires"]["A3"]
     assert (cell.data_type, cell.value) == ("s", name.replace("\x07", "\ufffd"))
     with zipfile.ZipFile(tmp_path / "wires.xlsx") as parts:
@@ -134,7 +134,7 @@ def test_text_stays_text(name: str, tmp_path: Path) -> None:
 
 
 def test_hundreds_of_wires_share_the_rows(tmp_path: Path) -> None:
-    table = wire_table("A1", count=200)
+    table = wire_table("A1")
     count = 100
     tables = [replace(table, name=f"w{number}") for number in range(count)]
     book = saved(tables, tmp_path)
@@ -154,4 +154,4 @@ def test_no_wire_at_all(tmp_path: Path) -> None:
 
 def test_file_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(StoreError, match=r"expected a workbook that can be written, found .*Make"):
-        save_wire_workbook([wire_table("A1", count=20)], tmp_path / "none" / "wires.xlsx")
+        save_wire_workbook([wire_table("A1")], tmp_path / "none" / "wires.xlsx")

@@ -10,7 +10,7 @@ from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 
 from labpipe.records.group import Campaign
-from labpipe.report.workbook import save_workbook, sheet_name
+from labpipe.report.workbook import save_workbook
 from tests.builders.campaigns import build_campaign, build_group, build_sample
 
 
@@ -100,11 +100,3 @@ def test_text_stays_text(name: str, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "tables.xlsx") as parts:
         for part in parts.namelist():
             assert b"<f>" not in parts.read(part)
-
-
-def test_names_of_sheets() -> None:
-    assert sheet_name("curve " + "x" * 40, []) == "curve " + "x" * 25
-    long = sheet_name("curve " + "x" * 40, ["curve " + "X" * 25])
-    assert (len(long), long[-2:]) == (31, " 2")
-    assert sheet_name("a[b]:c*d?e'f", []) == "a-b--c-d-e-f"
-    assert sheet_name("   ", []) == "sheet"
