@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 from labpipe.records.bending import Bending
+from labpipe.records.bundle import Bundle
 from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
@@ -64,12 +65,22 @@ class Specimen:
     ----------
     type, spool, sample : nested: samples are cut from a spool, spools belong to a type
     dimensions : m, by name, such as ``length``
+    bundle : what a harness bundle is made of; None for any other specimen
+    labels : whatever else the test sheet says of the specimen, by name
     """
 
     type: str
     spool: str
     sample: str
     dimensions: Mapping[str, float] = field(default_factory=dict)
+    bundle: Bundle | None = None
+    labels: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def fields(self) -> Mapping[str, str]:
+        """What groups can be made by, in words; labels go before the words of a bundle."""
+        own = {"type": self.type, "spool": self.spool}
+        return own | dict(self.bundle.fields if self.bundle else {}) | dict(self.labels)
 
 
 @dataclass(frozen=True, slots=True)
