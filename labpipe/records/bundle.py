@@ -17,7 +17,7 @@ ARRANGEMENTS = (PACKED, "symmetric", "asymmetric")
 with one kind on one side."""
 
 TAPINGS = ("none", "coarse", "half-lap")
-"""``coarse``: windings as far apart as the tape is wide; ``half-lap``: each over half of the last."""
+"""``coarse``: windings as far apart as the tape is wide; ``half-lap``: each covers half the last."""
 
 NONE = "none"
 """No tape, or no conduit."""

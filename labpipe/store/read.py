@@ -157,7 +157,7 @@ def _specimen(root: Any) -> Specimen:
     group = root[layout.SPECIMEN]
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
-    return Specimen(**nested, dimensions=dimensions)
+    return Specimen(nested["type"], nested["spool"], nested["sample"], dimensions)
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:
