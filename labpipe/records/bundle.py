@@ -17,7 +17,7 @@ ARRANGEMENTS = (PACKED, "symmetric", "asymmetric")
 with one kind on one side."""
 
 TAPINGS = ("none", "coarse", "half-lap")
-"""``coarse``: windings as far apart as the tape is wide; ``half-lap``: each covers half the last."""
+"""``coarse``: windings a width of the tape apart; ``half-lap``: each covers half of the last."""
 
 NONE = "none"
 """No tape, or no conduit."""
