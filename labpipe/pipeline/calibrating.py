@@ -18,6 +18,7 @@ from labpipe.pipeline.targets import find_results, shared_folder
 from labpipe.protocol.calibration_plan import CalibrationPlan
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -25,9 +26,7 @@ from labpipe.records.calibration import (
     RADIAL_FRICTION,
     Calibration,
     CalibrationFailure,
-    CurveErrors,
     ParameterChoice,
-    Prediction,
     SourceCalibration,
 )
 from labpipe.records.group import SampleCurve

@@ -7,13 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from labpipe import __version__
+from labpipe.records.agreement import CurveAgreement
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import (
     PARAMETERS,
     CalibratedParameter,
     Calibration,
     CalibrationFailure,
-    CurveAgreement,
     Separability,
     SourceCalibration,
 )

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from labpipe.records.agreement import CurveAgreement
 from labpipe.records.arrays import Floats, frozen
 from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote
@@ -194,41 +195,6 @@ class ScatterMixture:
             object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class CurveAgreement:
-    """One measured curve against the model.
-
-    Parameters
-    ----------
-    test, sample : names
-    length : m
-    deflection, force, model : shape (n,), m, N, N; the model without the sample's own factor
-    sample_factor : of this sample on the force of the model, load cell included
-    sse, rmse, rmse_share : of force - model: N^2, N, and RMSE over the largest force
-    lag_one : correlation of neighbouring residuals, the sample's factor taken out
-    runs_p : p-value of the runs test of the same residuals: small where their signs stay
-    """
-
-    test: str
-    sample: str
-    length: float
-    deflection: Floats
-    force: Floats
-    model: Floats
-    sample_factor: float
-    sse: float
-    rmse: float
-    rmse_share: float
-    lag_one: float
-    runs_p: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
-        for name in ("force", "model"):
-            values = frozen(getattr(self, name), shape=(len(self.deflection),))
-            object.__setattr__(self, name, values)
-
-
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
     """What scatters about the model.
@@ -316,53 +282,6 @@ class CalibrationFailure:
 
     code: str
     message: str
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
-    """A loading curve foretold, with 95 % bands; arrays of shape (n,).
-
-    Parameters
-    ----------
-    deflection, force : m, N
-    lower, upper : N, band of the curve of one more sample, point by point, noise included
-    lower_mean, upper_mean : N, band of the curve of the mean sample, without noise
-    notes : what the bands leave out
-    """
-
-    deflection: Floats
-    force: Floats
-    lower: Floats
-    upper: Floats
-    lower_mean: Floats
-    upper_mean: Floats
-    notes: tuple[QualityNote, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
-        for name in ("force", "lower", "upper", "lower_mean", "upper_mean"):
-            values = frozen(getattr(self, name), shape=(len(self.deflection),))
-            object.__setattr__(self, name, values)
-
-
-@dataclass(frozen=True, slots=True)
-class CurveErrors:
-    """A model against measured forces: a row of the source's Table 3.3.
-
-    Parameters
-    ----------
-    n : points
-    sse : N^2
-    rmse : N
-    rmse_share : RMSE over the largest measured force
-    inside : share of the points inside the band; NaN without one
-    """
-
-    n: int
-    sse: float
-    rmse: float
-    rmse_share: float
-    inside: float
 
 
 @dataclass(frozen=True, slots=True)

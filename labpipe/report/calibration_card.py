@@ -6,7 +6,8 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from labpipe.records.calibration import Calibration, Identified, Prediction, SourceCalibration
+from labpipe.records.agreement import Prediction
+from labpipe.records.calibration import Calibration, Identified, SourceCalibration
 from labpipe.report.calibration_curves import (
     MODEL_BAND,
     MODEL_LINE,

@@ -7,13 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.records.agreement import CurveAgreement, Prediction
 from labpipe.records.arrays import Floats
-from labpipe.records.calibration import (
-    Calibration,
-    CurveAgreement,
-    Prediction,
-    SourceCalibration,
-)
+from labpipe.records.calibration import Calibration, SourceCalibration
 from labpipe.report.calibration_look import (
     BAND,
     DEFLECTION,

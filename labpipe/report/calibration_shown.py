@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.arrays import Floats, frozen
-from labpipe.records.calibration import Calibration, CurveErrors, Prediction, SourceCalibration
+from labpipe.records.calibration import Calibration, SourceCalibration
 from labpipe.records.group import Band, SampleCurve
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.records.agreement import Prediction
 from labpipe.records.arrays import Floats
-from labpipe.records.calibration import Prediction
 from labpipe.report.calibration_look import (
     BAND,
     DEFLECTION,

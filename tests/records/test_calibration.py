@@ -3,15 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.calibration import (
-    PARAMETERS,
-    UNITS,
-    CurveAgreement,
-    Prediction,
-    Profile,
-    Separability,
-    SourceCalibration,
-)
+from labpipe.records.calibration import PARAMETERS, UNITS, Profile, Separability, SourceCalibration
 
 TWO = np.zeros(2)
 
@@ -26,12 +18,8 @@ def test_arrays_are_frozen_and_of_one_length() -> None:
         profile.value[0] = 3.0
     with pytest.raises(ValueError, match=r"expected an array of shape \(3,\), found \(2,\)"):
         Profile(np.zeros(3), TWO, 3.84, 20.0)
-    with pytest.raises(ValueError, match=r"expected an array of shape \(2,\), found \(3,\)"):
-        Prediction(TWO, TWO, TWO, TWO, TWO, np.zeros(3))
     with pytest.raises(ValueError, match=r"expected an array of shape \(2, 2\), found \(2,\)"):
         Separability(("a", "b"), TWO, TWO, {}, "")
-    with pytest.raises(ValueError, match=r"expected an array of shape \(2,\), found \(3,\)"):
-        CurveAgreement("t", "s", 1.0, TWO, TWO, np.zeros(3), 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     with pytest.raises(ValueError, match=r"expected an array of shape \(3,\), found \(2,\)"):
         SourceCalibration(
             *(0.2, 0.2, 0.2, 0.08),

@@ -7,12 +7,8 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.records.calibration import (
-    Calibration,
-    ParameterChoice,
-    Prediction,
-    SourceCalibration,
-)
+from labpipe.records.agreement import Prediction
+from labpipe.records.calibration import Calibration, ParameterChoice, SourceCalibration
 from labpipe.records.group import SampleCurve
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.statistics.bands import common_curves, mean_band

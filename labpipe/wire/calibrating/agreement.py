@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
+from labpipe.records.agreement import CurveAgreement, CurveErrors
 from labpipe.records.arrays import Floats
-from labpipe.records.calibration import CurveAgreement, CurveErrors
 from labpipe.wire.calibrating.data import MeasuredCurve
 
 

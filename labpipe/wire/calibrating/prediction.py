@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.special import ndtri
 
+from labpipe.records.agreement import Prediction
 from labpipe.records.arrays import Floats
-from labpipe.records.calibration import PARAMETERS, Calibration, Prediction
+from labpipe.records.calibration import PARAMETERS, Calibration
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.wire.calibrating.finding import Wire
 from labpipe.wire.calibrating.mixture import quantiles

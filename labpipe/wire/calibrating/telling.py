@@ -7,13 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.records.agreement import CurveAgreement
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.calibration import (
     PARAMETERS,
     UNITS,
     CalibratedParameter,
     Calibration,
-    CurveAgreement,
     Identified,
     NoiseLevels,
     PriorConflict,
