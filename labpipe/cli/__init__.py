@@ -119,6 +119,7 @@ def _demo(parser: argparse.ArgumentParser) -> None:
     where = "folder that gets raw/demo and processed/demo (default: here)"
     parser.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    _jobs(parser, default=min(os.cpu_count() or 1, 4))
 
 
 def _inspect(parser: argparse.ArgumentParser) -> None:
@@ -155,6 +156,19 @@ def _process(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help="write to DIR/<test> instead")
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
+    _jobs(parser, default=1)
+
+
+def _jobs(parser: argparse.ArgumentParser, *, default: int) -> None:
+    what = "tests at a time, each in a process of its own (default: %(default)s)"
+    parser.add_argument("--jobs", type=_count, default=default, metavar="N", help=what)
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        message = f"expected a whole number of 1 or more, found {text!r}"
+        raise argparse.ArgumentTypeError(message)
+    return int(text)
 
 
 def _report(parser: argparse.ArgumentParser) -> None:

@@ -4,38 +4,80 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
 
+from labpipe.cli.calibration_lines import calibration_table
 from labpipe.cli.process import process_all
 from labpipe.cli.report import status_of
 from labpipe.cli.telling import headline, report_table, table
+from labpipe.pipeline.calibrating import Calibrated, calibrate_tests
+from labpipe.pipeline.many import run_jobs
 from labpipe.pipeline.process import Processed
 from labpipe.pipeline.reporting import report_tests
 from labpipe.pipeline.targets import find_tests
-from labpipe.virtual_lab import simulate_campaign, simulate_tensile_campaign
+from labpipe.protocol.load import load_test_sheet
+from labpipe.virtual_lab import simulate_tensile_campaign, wire_campaign
+from labpipe.virtual_lab.wire_sheet import write_wire_sheet
 
-SAMPLES = 3
-"""Cantilever tests; the tensile tests are as many as the campaign has."""
+WIRES = "wires"
+CAMPAIGNS: Mapping[str, Callable[[Path], object]] = {
+    WIRES: partial(wire_campaign, cycles=2, fps=25.0),
+    "tensile": simulate_tensile_campaign,
+}
+"""By the folder that they go to."""
+PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are predicted\n"
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make a synthetic campaign in vendor formats, process and report it, and say where to look."""
-    raw = options.folder / "raw" / "demo"
-    out = options.folder / "processed" / "demo"
+    """Make synthetic campaigns in vendor formats, process, report and calibrate, and say where."""
+    raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
     print(f"making a synthetic campaign in {raw}", file=sys.stderr)
-    simulate_campaign(raw, samples=SAMPLES)
-    simulate_tensile_campaign(raw)
-    processed, refused = process_all(find_tests([raw]), out=out, figures=not options.no_figures)
+    run_jobs([partial(make, raw / name) for name, make in CAMPAIGNS.items()], jobs=options.jobs)
+    processed, refused = _processed(raw, out, options)
     print(_told(processed))
     reported = report_tests([each.folder for each in processed], title="Synthetic demo campaign")
     print(f"\n{report_table(reported)}")
-    figures = [
-        path for each in _firsts(processed) for path in each.figures if path.suffix == ".png"
-    ]
-    if figures:
-        print("\nfigures to look at, of the first test of each kind:")
-        print("\n".join(f"  {path}" for path in figures))
+    calibrated = _calibrated(raw / WIRES, out / WIRES, is_drawn=not options.no_figures)
+    print(f"\n{calibration_table(calibrated)}")
+    _name_figures([path for each in _firsts(processed) for path in each.figures], calibrated)
     return 2 if refused else max(status_of(reported), int(any(each.n_failed for each in processed)))
+
+
+def _processed(raw: Path, out: Path, options: argparse.Namespace) -> tuple[list[Processed], int]:
+    """Process campaign by campaign, and draw the first test of each specimen type."""
+    processed, refused = [], 0
+    for name in CAMPAIGNS:
+        tests = find_tests([raw / name])
+        drawn = set() if options.no_figures else _first_of_each_type(tests)
+        done, wrong = process_all(
+            tests, out=out / name, figures=drawn.__contains__, jobs=options.jobs
+        )
+        processed += done
+        refused += wrong
+    return processed, refused
+
+
+def _first_of_each_type(tests: Sequence[Path]) -> set[Path]:
+    firsts: dict[str, Path] = {}
+    for test in tests:
+        firsts.setdefault(load_test_sheet(test).specimen.type, test)
+    return set(firsts.values())
+
+
+def _calibrated(raw: Path, out: Path, *, is_drawn: bool) -> Calibrated:
+    """Calibrate one of the wires, with the sheet and the plan that a person would write."""
+    plan = raw / "plan.yaml"
+    plan.write_text(PLAN, encoding="utf-8")
+    return calibrate_tests([out], wires=write_wire_sheet(raw), plan=plan, figures=is_drawn)
+
+
+def _name_figures(figures: Sequence[Path], calibrated: Calibrated) -> None:
+    drawn = [path for path in (*figures, *calibrated.files) if path.suffix == ".png"]
+    if drawn:
+        print("\nfigures to look at, of the first test of each kind and of the calibration:")
+        print("\n".join(f"  {path}" for path in drawn))
 
 
 def _told(processed: Sequence[Processed]) -> str:

@@ -5,19 +5,22 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from labpipe.cli.telling import progress, table
-from labpipe.errors import LabpipeError
-from labpipe.pipeline.process import Processed, process_test
+from labpipe.pipeline.many import Refused, process_tests
+from labpipe.pipeline.process import Processed
 from labpipe.pipeline.targets import find_tests
 from labpipe.store.summary import summary
 
 
 def run(options: argparse.Namespace) -> int:
-    """Process tests one after the other; a bad one does not stop the others."""
+    """Process tests; a bad one does not stop the others."""
     tests = find_tests(options.tests)
-    processed, refused = process_all(tests, out=options.out, figures=not options.no_figures)
+    processed, refused = process_all(
+        tests, out=options.out, figures=lambda _: not options.no_figures, jobs=options.jobs
+    )
     if not processed:
         return 2  # each has been told
     if options.json:
@@ -31,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def process_all(
-    tests: list[Path], *, out: Path | None, figures: bool
+    tests: list[Path], *, out: Path | None, figures: Callable[[Path], bool], jobs: int
 ) -> tuple[list[Processed], int]:
     """Process tests and say what is wrong with those that cannot be.
 
@@ -41,10 +44,11 @@ def process_all(
     refused : number of those that were not
     """
     processed, refused = [], 0
-    for test, say in progress(tests):
-        try:
-            processed.append(process_test(test, out=out, figures=figures, say=say))
-        except LabpipeError as error:
-            print(f"labpipe process: {error}", file=sys.stderr)
-            refused += 1
+    with progress(len(tests)) as begin:
+        for done in process_tests(tests, out=out, figures=figures, jobs=jobs, begin=begin):
+            if isinstance(done, Refused):
+                print(f"labpipe process: {done.reason}", file=sys.stderr)
+                refused += 1
+            else:
+                processed.append(done)
     return processed, refused

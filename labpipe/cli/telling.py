@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,34 +24,41 @@ _MOST_CYCLES = 8
 _LEAST_WIDTH = 26
 
 
-def progress(tests: list[Path]) -> Iterator[tuple[Path, Callable[[str], None]]]:
-    """Go through tests with a bar on a terminal, and with a line each in a pipe.
+@contextmanager
+def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
+    """Show how far tests are: with a bar on a terminal, with a line each in a pipe.
 
     Parameters
     ----------
-    tests : test.yaml or result.h5 files
+    count : of tests
 
     Yields
     ------
-    test : one of them
-    say : to be called with each stage as it begins
+    begin : to be called with each test; it gives what is to be called with each stage as it begins
     """
+    numbers = itertools.count()
     if not sys.stderr.isatty():
-        for number, test in enumerate(tests, start=1):
-            print(f"{number}/{len(tests)} {test.parent.name}", file=sys.stderr)
-            yield test, lambda _: None
+
+        def tell(test: Path) -> Callable[[str], None]:
+            print(f"{next(numbers) + 1}/{count} {test.parent.name}", file=sys.stderr)
+            return lambda _: None
+
+        yield tell
         return
     from tqdm import tqdm
 
-    with tqdm(total=len(tests) * len(_STAGES), unit="stage", leave=False, delay=1.0) as bar:
-        for number, test in enumerate(tests):
-            bar.n = number * len(_STAGES)
+    with tqdm(total=count * len(_STAGES), unit="stage", leave=False, delay=1.0) as bar:
 
-            def say(stage: str, name: str = test.parent.name) -> None:
-                bar.set_description(f"{name}: {stage}")
+        def begin(test: Path) -> Callable[[str], None]:
+            bar.n = next(numbers) * len(_STAGES)
+
+            def say(stage: str) -> None:
+                bar.set_description(f"{test.parent.name}: {stage}")
                 bar.update()
 
-            yield test, say
+            return say
+
+        yield begin
 
 
 @contextmanager

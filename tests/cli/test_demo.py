@@ -14,8 +14,7 @@ from tests.builders.tensile_tests import TensileLab, write_pull
 def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two small tests and two pulls in place of the campaigns, which take a while."""
 
-    def simulate(folder: Path, *, samples: int) -> None:
-        assert samples == 3
+    def simulate(folder: Path) -> None:
         made = make_lab(folder.parent.parent / "made", small_scenario())
         for name in ("T1", "T2"):
             goal = folder / name
@@ -33,17 +32,17 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
             write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
             shutil.copytree(lab.raw, folder / name)
 
-    monkeypatch.setattr("labpipe.cli.demo.simulate_campaign", simulate)
-    monkeypatch.setattr("labpipe.cli.demo.simulate_tensile_campaign", simulate_tensile)
+    small = {"wires": simulate, "tensile": simulate_tensile}
+    monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", small)
 
 
 @pytest.mark.usefixtures("quick_campaign")
 def test_processes_all_and_says_where(run: Run, tmp_path: Path) -> None:
-    ran = run("demo", tmp_path, "--no-figures")
+    ran = run("demo", tmp_path, "--no-figures", "--jobs", 1)
     assert ran.status == 0
     assert "T1  (wire-cantilever): " in ran.out
     assert "T2  (wire-cantilever): " in ran.out
-    for name in ("T1", "T2", "P-1", "P-2"):
+    for name in ("wires/T1", "wires/T2", "tensile/P-1", "tensile/P-2"):
         assert (tmp_path / "processed" / "demo" / name / "summary.json").is_file()
     assert ran.err.startswith("making a synthetic campaign in ")
     assert "figures to look at" not in ran.out
@@ -53,7 +52,7 @@ def test_processes_all_and_says_where(run: Run, tmp_path: Path) -> None:
 def test_the_first_of_each_kind_is_told_in_full_and_all_are_reported(
     run: Run, tmp_path: Path
 ) -> None:
-    out = run("demo", tmp_path, "--no-figures").out
+    out = run("demo", tmp_path, "--no-figures", "--jobs", 1).out
     one, other = (out.index(f"{name}  (tensile): ") for name in ("P-1", "P-2"))
     assert "failure_displacement" in out[one:other]
     assert "failure_displacement" not in out[other : out.index("A2  (wire-cantilever): ")]
@@ -73,18 +72,22 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
         return drawn
 
     monkeypatch.setattr("labpipe.report.figures.save_figures", one)
-    ran = run("demo", tmp_path)
+    ran = run("demo", tmp_path, "--jobs", 1)
     folder = tmp_path / "processed" / "demo"
-    _, _, told = ran.out.partition("\nfigures to look at, of the first test of each kind:\n")
-    assert [line.strip().endswith("timeline.png") for line in told.splitlines()] == [True, True]
-    assert (folder / "T2" / "figures" / "timeline.png").is_file()
+    _, _, told = ran.out.partition(
+        "\nfigures to look at, of the first test of each kind and of the calibration:\n"
+    )
+    names = [line.strip().rpartition("/")[2] for line in told.splitlines()]
+    assert names[:3] == ["timeline.png", "timeline.png", "calibration.png"]
+    assert (folder / "wires" / "T1" / "figures" / "timeline.png").is_file()
+    assert not (folder / "wires" / "T2" / "figures").exists()
     for name in ("P-1", "T1"):
         assert str(Path(name) / "figures" / "timeline.png") in told
 
 
 @pytest.mark.slow
 def test_the_whole_demo(run: Run, tmp_path: Path) -> None:
-    ran = run("demo", tmp_path)
+    ran = run("demo", tmp_path, "--jobs", 1)
     assert ran.status == 0
     assert ran.out.count("wire-shapes.png") == 1
     assert len(list((tmp_path / "raw" / "demo").iterdir())) == 24

@@ -1,0 +1,110 @@
+"""Many tests one after the other, or several at a time."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from labpipe.errors import LabpipeError
+from labpipe.pipeline.process import Processed, process_test
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """A test that could not be processed.
+
+    Parameters
+    ----------
+    test : its test.yaml or result.h5
+    reason : the message for the user
+    """
+
+    test: Path
+    reason: str
+
+
+def process_tests(
+    tests: Sequence[Path],
+    *,
+    out: Path | None = None,
+    figures: Callable[[Path], bool] = lambda _: True,
+    jobs: int = 1,
+    begin: Callable[[Path], Say] = lambda _: _say_nothing,
+) -> Iterator[Processed | Refused]:
+    """Process tests in order; a bad one does not stop the others.
+
+    Parameters
+    ----------
+    tests : test.yaml or result.h5 files
+    out : see `process_test`
+    figures : whether to draw those of a test
+    jobs : how many at a time, each in a process of its own
+    begin : told each test, and gives what is told its stages; of several at a time, none but that
+        it is waited for
+
+    Yields
+    ------
+    Each test without its recordings and stages, which are in its result.h5: hundreds of tests
+    would not go into memory.
+    """
+    if jobs == 1:
+        for test in tests:
+            yield _process(test, out, figures(test), begin(test))
+        return
+    with _workers(min(jobs, len(tests))) as pool:
+        waiting = [pool.submit(_process, test, out, figures(test)) for test in tests]
+        try:
+            for test, each in zip(tests, waiting, strict=True):
+                begin(test)("wait")
+                yield each.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def run_jobs(calls: Sequence[Callable[[], object]], *, jobs: int) -> None:
+    """Call functions, several at a time in processes of their own.
+
+    Parameters
+    ----------
+    calls : partials of functions at the top of a module, with their arguments
+    jobs : how many at a time
+    """
+    if jobs == 1:
+        for call in calls:
+            call()
+        return
+    with _workers(min(jobs, len(calls))) as pool:
+        for each in [pool.submit(call) for call in calls]:
+            each.result()
+
+
+def _workers(jobs: int) -> ProcessPoolExecutor:
+    # Spawned: a copy of a process that has threads may wait for locks that nobody holds.
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(max(jobs, 1), mp_context=context, initializer=_leave_interrupts)
+
+
+def _leave_interrupts() -> None:
+    """Only the process that was started by hand says so; tests that were begun are ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _say_nothing(_: str) -> None:
+    pass
+
+
+def _process(
+    test: Path, out: Path | None, is_drawn: bool, say: Say = _say_nothing
+) -> Processed | Refused:
+    try:
+        done = process_test(test, out=out, figures=is_drawn, say=say)
+    except LabpipeError as error:
+        return Refused(test, str(error))
+    result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
+    return replace(done, result=result)
