@@ -15,7 +15,7 @@ from labpipe.pipeline.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.records.bending import Bending
-from labpipe.records.result import Specimen, Status, TestResult
+from labpipe.records.result import Status, TestResult
 from labpipe.store.lock import locked
 from labpipe.store.read import RawTest, read_raw
 from labpipe.store.replace import replacing_together
@@ -137,15 +137,9 @@ def _exported(sheet_path: Path) -> tuple[RawTest, Protocol]:
     sheet = load_test_sheet(sheet_path)
     protocol = resolve(sheet, sheet_path)
     recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
-    specimen = Specimen(
-        sheet.specimen.type,
-        sheet.specimen.spool,
-        sheet.specimen.sample,
-        sheet.specimen.dimensions,
-    )
     raw = RawTest(
         test=sheet.test,
-        specimen=specimen,
+        specimen=sheet.specimen.record,
         protocol=protocol.name,
         protocol_yaml=dump_protocol(protocol),
         test_yaml=sheet_path.read_text(encoding="utf-8"),

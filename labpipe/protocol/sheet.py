@@ -12,14 +12,20 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from labpipe.protocol.block import Block
+from labpipe.protocol.bundle import SheetBundle
 from labpipe.protocol.faults import Fault, did_you_mean, error_of
 from labpipe.protocol.quantities import (
     Length,
 )
 from labpipe.protocol.source import Role
-from labpipe.protocol.words import FileStem, Remark, Text
+from labpipe.protocol.words import FileStem, Remark, Snake, Text
+from labpipe.records.result import Specimen
 
 SHEET_NAME = "test.yaml"
+
+
+def _nothing_is_empty(value: object) -> object:
+    return {} if value is None else value
 
 
 class SheetSpecimen(Block):
@@ -32,6 +38,10 @@ class SheetSpecimen(Block):
     spool: Text
     sample: Text
     length: Length | None = Field(None, description="Free length; goes before the protocol's")
+    bundle: SheetBundle | None = Field(None, description="What a harness bundle is made of")
+    labels: Annotated[dict[Snake, Text], BeforeValidator(_nothing_is_empty)] = Field(
+        {}, description="Any other words on the specimen, by name"
+    )
 
     @property
     def dimensions(self) -> dict[str, float]:
@@ -39,13 +49,23 @@ class SheetSpecimen(Block):
         length = {} if self.length is None else {"length": self.length}
         return length | dict(self.__pydantic_extra__)
 
+    @property
+    def record(self) -> Specimen:
+        """The specimen in the words of the rest of labpipe; lengths in m."""
+        bundle = None if self.bundle is None else self.bundle.record
+        named = (self.type, self.spool, self.sample)
+        return Specimen(*named, self.dimensions, bundle, self.labels)
+
     @classmethod
     def between(cls, data: object) -> list[Fault]:
-        """Refuse dimensions that look like a misspelt key."""
+        """Refuse dimensions that look like a misspelt key, and labels that are called like keys."""
         if not isinstance(data, Mapping):
             return []
         known = [*cls.keys(), "span"]
-        return [_misspelt(str(key), known) for key in data if _is_misspelt(str(key), known)]
+        faults = [_misspelt(str(key), known) for key in data if _is_misspelt(str(key), known)]
+        labels = data.get("labels")
+        taken = [key for key in labels if key in known] if isinstance(labels, Mapping) else []
+        return faults + [_taken(key) for key in taken]
 
 
 def _is_misspelt(key: str, known: list[str]) -> bool:
@@ -59,6 +79,13 @@ def _is_misspelt(key: str, known: list[str]) -> bool:
 def _misspelt(key: str, known: list[str]) -> Fault:
     expected = "a known key, or the name of a dimension in small letters"
     return Fault((key,), expected, repr(key), did_you_mean(key, known), "key")
+
+
+def _taken(key: str) -> Fault:
+    expected = "a label that is not called like a key of 'specimen'"
+    return Fault(
+        ("labels", key), expected, repr(key), "Write it one level up, or rename it.", "key"
+    )
 
 
 def _inside(value: object) -> str:
@@ -130,6 +157,6 @@ class TestSheet(Block):
     files: dict[Role, FileNames] = Field(
         min_length=1, description="By role: a file, or the parts of one recording in order"
     )
-    overrides: Annotated[
-        dict[str, Override], BeforeValidator(lambda value: {} if value is None else value)
-    ] = Field({}, description="By dotted key of the protocol")
+    overrides: Annotated[dict[str, Override], BeforeValidator(_nothing_is_empty)] = Field(
+        {}, description="By dotted key of the protocol"
+    )

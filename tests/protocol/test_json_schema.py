@@ -82,6 +82,26 @@ def test_a_test_sheet_fits_its_schema() -> None:
     )
 
 
+def test_a_bundle_fits_the_schema_of_a_test_sheet() -> None:
+    validator = jsonschema.Draft202012Validator(
+        json.loads(json_schema(SCHEMAS["test-sheet.schema.json"]))
+    )
+
+    def takes(bundle: object, **more: object) -> bool:
+        specimen = {"type": "A", "spool": "s", "sample": 1, "bundle": bundle, **more}
+        sheet = {"test": "A1", "protocol": "w", "specimen": specimen, "files": {"force": "a.mat"}}
+        return bool(validator.is_valid(sheet))
+
+    wires = {"B1": 10, "B2": {"number": 9, "diameter": "1.6 mm"}}
+    assert takes({"wires": wires, "number": 19, "arrangement": "symmetric"})
+    assert takes({"wires": "10 B1 + 9 B2", "tape": "PVC", "taping": "half-lap"})
+    assert takes({"wires": {"B1": 1}, "positions": [["0 mm", "1 mm"]]}, labels={"cured": "24 h"})
+    assert not takes({"wires": ["B1"]})
+    assert not takes({"wires": {"B1": "ten"}})
+    assert not takes({"wires": wires, "taping": "halflap"})
+    assert not takes({"wires": wires, "positions": [["0 mm"]]})
+
+
 def test_the_schemas_are_written(tmp_path: Path) -> None:
     write_schemas(tmp_path / "reference")
 

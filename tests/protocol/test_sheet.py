@@ -8,6 +8,8 @@ from pydantic import ValidationError
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import parse_test_sheet
 from labpipe.protocol.sheet import TestSheet
+from labpipe.records.bundle import Bundle, BundleWire
+from labpipe.records.result import Specimen
 
 SHEET = """\
 test: A2-085-1
@@ -29,6 +31,26 @@ def test_no_length_is_no_dimension() -> None:
     sheet = parse_test_sheet(SHEET.replace("length: 80 mm, width: 2 mm", ""), "x")
 
     assert sheet.specimen.dimensions == {}
+
+
+def test_a_specimen_may_be_a_bundle_and_have_labels() -> None:
+    more = "width: 2 mm, span: 6 in, bundle: {wires: 7 B1}, labels: {cured: 24 h, lot: 07}"
+    sheet = parse_test_sheet(SHEET.replace("width: 2 mm", more), "x")
+
+    assert sheet.specimen.record == Specimen(
+        "A2",
+        "A2-s1",
+        "01",
+        {"length": 0.080, "width": 0.002, "span": 0.1524},
+        Bundle((BundleWire("B1", 7),)),
+        {"cured": "24 h", "lot": "07"},
+    )
+
+
+def test_a_plain_specimen_is_no_bundle() -> None:
+    for blank in ("", ", bundle: , labels: "):
+        record = parse_test_sheet(SHEET.replace(", width: 2 mm", blank), "x").specimen.record
+        assert record == Specimen("A2", "A2-s1", "01", {"length": 0.080})
 
 
 INSIDE = (
@@ -87,6 +109,35 @@ def test_a_path_that_leaves_the_folder_is_refused(name: str) -> None:
             "width: 2",
             "x, line 3, column 70 (specimen.width): expected a quantity with a unit such as mm,"
             " found '2'. Write it with its unit, such as '53 mm'.",
+        ),
+        (
+            "width: 2 mm",
+            "labels: {Cured: 24 h}",
+            "x, line 3, column 79 (specimen.labels.Cured): expected a name of small letters,"
+            " digits and '_', a letter first, found 'Cured'.",
+        ),
+        (
+            "width: 2 mm",
+            "labels: {spool: s2}",
+            "x, line 3, column 72 (specimen.labels.spool): expected a label that is not called"
+            " like a key of 'specimen', found 'spool'. Write it one level up, or rename it.",
+        ),
+        (
+            "width: 2 mm",
+            "labels: [cured]",
+            "x, line 3, column 71 (specimen.labels): expected a block of keys with values, found"
+            " a list.",
+        ),
+        (
+            "width: 2 mm",
+            "labels: {cured: }",
+            "x, line 3, column 78 (specimen.labels.cured): expected text, found nothing.",
+        ),
+        (
+            "width: 2 mm",
+            "bundle: 7 B1",
+            "x, line 3, column 71 (specimen.bundle): expected a block of keys with values, found"
+            " '7 B1'.",
         ),
         (
             "protocol: wire\n",

@@ -1,0 +1,252 @@
+"""The block of a test sheet that says what a harness bundle is made of."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import hypot, pi, sqrt
+from typing import Annotated, Any, Literal
+
+from pydantic import (
+    BeforeValidator,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationInfo,
+    field_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
+
+from labpipe.protocol.block import Block
+from labpipe.protocol.faults import Fault, error_of, raised
+from labpipe.protocol.quantities import Length, Offset, Whole
+from labpipe.protocol.words import Text
+from labpipe.records.bundle import NONE, PACKED, Bundle, BundleWire
+
+DENSEST = pi / sqrt(12)
+"""Share of a plane that equal circles cover where they lie densest (Thue 1910)."""
+TOLERANCE = 0.01
+"""Wires may lie this share of the thinner one's diameter inside each other: they give way."""
+_WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
+_SAID = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
+
+
+@dataclass(frozen=True, slots=True)
+class _OrShort:
+    """Annotation of a block that people may also write in a shorter form.
+
+    Parameters
+    ----------
+    read : turns the short form into the block; gives back anything else as it is
+    schema : JSON Schema of the short form
+    """
+
+    read: Callable[[object], object]
+    schema: Mapping[str, Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"anyOf": [dict(self.schema), handler(schema)]}
+
+
+class SheetWires(Block):
+    """Wires of one type in a bundle."""
+
+    number: Annotated[int, Whole(1, 1000)]
+    diameter: Length | None = Field(None, description="Over the insulation")
+
+
+def _number_alone(value: object) -> object:
+    return value if isinstance(value, Mapping | SheetWires) else {"number": value}
+
+
+def _in_words(value: object) -> object:
+    """Read ``10 B1 + 9 B2 (1.6 mm)`` as the block it stands for."""
+    if not isinstance(value, str):
+        return value
+    wires: dict[str, object] = {}
+    for part in re.split(r"\s+\+\s+", value.strip()):
+        words = _WORDS.fullmatch(part)
+        if words is None:
+            raise error_of(expected=_SAID, found=value)
+        if words[2] in wires:
+            remedy = f"Add the numbers of {words[2]!r}."
+            raise error_of(expected="each type once", found=value, remedy=remedy)
+        given = {"number": words[1], "diameter": words[3]}
+        wires[words[2]] = {key: word for key, word in given.items() if word is not None}
+    return wires
+
+
+Wires = Annotated[
+    dict[Text, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
+    Field(min_length=1),
+    _OrShort(_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+]
+
+
+def _pair(value: object) -> object:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+        raise error_of(expected="a list of two lengths, such as [0 mm, 1.2 mm]", found=value)
+    return value
+
+
+class SheetBundle(Block):
+    """What a harness bundle is made of."""
+
+    wires: Wires = Field(description="By type: how many, or number and diameter")
+    number: Annotated[int, Whole(1, 100_000)] | None = Field(
+        None, description="Of all wires together, as a check"
+    )
+    arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
+    positions: tuple[Annotated[tuple[Offset, Offset], BeforeValidator(_pair)], ...] | None = Field(
+        None,
+        description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
+    )
+    tape: Text = "none"
+    taping: Literal["none", "coarse", "half-lap"] = "none"
+    conduit: Text = "none"
+    conduit_bore: Length | None = Field(None, description="Inner diameter of the conduit")
+
+    @property
+    def record(self) -> Bundle:
+        """The bundle in the words of the rest of labpipe; lengths in m."""
+        wires = (BundleWire(kind, of.number, of.diameter) for kind, of in self.wires.items())
+        return Bundle(
+            wires=tuple(wires),
+            arrangement=self.arrangement,
+            positions=self.positions or (),
+            tape=self.tape,
+            taping=self.taping,
+            conduit=self.conduit,
+            conduit_bore=self.conduit_bore,
+        )
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Refuse a taping of no tape, a tape that is not wound, a bore of no conduit."""
+        return list(_contradictions(data)) if isinstance(data, Mapping) else []
+
+    @field_validator("number")
+    @classmethod
+    def _is_the_sum(cls, number: int | None, info: ValidationInfo) -> int | None:
+        wires = info.data.get("wires")
+        if wires is None or number in (None, _number_of(wires)):
+            return number
+        said = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
+        expected = f"{_number_of(wires)}, the number of the wires ({said})"
+        raise error_of(expected=expected, found=number, remedy="Correct one of the two.")
+
+    @field_validator("arrangement")
+    @classmethod
+    def _arranges_kinds(cls, arrangement: str, info: ValidationInfo) -> str:
+        wires = info.data.get("wires")
+        if wires is None or len(wires) > 1 or arrangement == PACKED:
+            return arrangement
+        expected = "'packed' for wires of one type"
+        remedy = "Only wires of different types can be spread one way or another: leave it out."
+        raise error_of(expected=expected, found=arrangement, remedy=remedy)
+
+    @field_validator("positions")
+    @classmethod
+    def _lie_beside_each_other(
+        cls, positions: tuple[tuple[float, float], ...] | None, info: ValidationInfo
+    ) -> tuple[tuple[float, float], ...] | None:
+        wires = info.data.get("wires")
+        if wires is None or positions is None:
+            return positions
+        faults = list(_position_faults(positions, wires))
+        if faults:
+            raise raised(faults, positions)
+        return positions
+
+    @field_validator("conduit_bore")
+    @classmethod
+    def _holds_the_wires(cls, bore: float | None, info: ValidationInfo) -> float | None:
+        wires = info.data.get("wires")
+        diameters = [] if wires is None else _diameters(wires)
+        if bore is None or not diameters:
+            return bore
+        densest = 1.0 if len(diameters) == 1 else DENSEST
+        least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
+        if bore < least:
+            expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
+            found = f"{bore * 1e3:.4g} mm"
+            remedy = "Check the bore, the diameters and the number of wires."
+            raise raised([Fault((), expected, found, remedy)], bore)
+        return bore
+
+
+def _contradictions(data: Mapping[Any, Any]) -> Iterator[Fault]:
+    """Find words of a bundle that deny each other."""
+    tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
+    if tape == NONE and taping != NONE:
+        remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
+        yield Fault(("taping",), "'none' where there is no tape", repr(str(taping)), remedy)
+    if tape != NONE and taping == NONE:
+        remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
+        yield Fault(("tape",), "'none' where 'taping' is 'none'", repr(str(tape)), remedy)
+    if conduit == NONE and data.get("conduit_bore") is not None:
+        remedy = "Write what conduit it is, or leave the bore out."
+        found = repr(str(data["conduit_bore"]))
+        yield Fault(("conduit_bore",), "no bore where there is no conduit", found, remedy)
+
+
+def _number_of(wires: Mapping[str, SheetWires]) -> int:
+    return sum(of.number for of in wires.values())
+
+
+def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
+    """Diameter of every wire, m; nothing where one is not known."""
+    given = [(of.number, of.diameter) for of in wires.values()]
+    known = [(number, diameter) for number, diameter in given if diameter is not None]
+    each = [diameter for number, diameter in known for _ in range(number)]
+    return each if len(known) == len(given) else []
+
+
+def _position_faults(
+    positions: tuple[tuple[float, float], ...], wires: Mapping[str, SheetWires]
+) -> Iterator[Fault]:
+    """Find what keeps positions from being those of the wires; at most one fault per wire."""
+    number = _number_of(wires)
+    if len(positions) != number:
+        remedy = "List one [x, y] for every wire, in the order of 'wires'."
+        yield Fault((), f"{number} positions, one per wire", str(len(positions)), remedy)
+        return
+    diameters = _diameters(wires)
+    if not diameters:
+        missing = ", ".join(repr(kind) for kind, of in wires.items() if of.diameter is None)
+        remedy = "Write it like {B1: {number: 10, diameter: 1.1 mm}}."
+        expected = "positions of wires whose diameters are given"
+        yield Fault((), expected, f"none for {missing}", remedy)
+        return
+    circles = [(*place, diameter) for place, diameter in zip(positions, diameters, strict=True)]
+    called = [f"wire {i + 1} ({kind})" for i, kind in enumerate(_kinds(wires))]
+    for later, circle in enumerate(circles):
+        for earlier, other in enumerate(circles[:later]):
+            if (depth := _overlap(circle, other)) > 0.0:
+                found = f"{called[later]} {depth * 1e3:.3g} mm inside {called[earlier]}"
+                remedy = "Check both positions and the diameters."
+                yield Fault((later,), "wires beside each other", found, remedy)
+                break
+
+
+def _kinds(wires: Mapping[str, SheetWires]) -> list[str]:
+    return [kind for kind, of in wires.items() for _ in range(of.number)]
+
+
+Circle = tuple[float, float, float]
+
+
+def _overlap(one: Circle, other: Circle) -> float:
+    """How deep one circle (x, y, diameter) lies in another, m; 0 within the tolerance."""
+    apart = hypot(one[0] - other[0], one[1] - other[1])
+    depth = (one[2] + other[2]) / 2 - apart
+    return depth if depth > TOLERANCE * min(one[2], other[2]) else 0.0
