@@ -47,6 +47,19 @@ FIGURES: Final = "figures"
 
 SPECIMEN: Final = "specimen"
 """Group whose attributes are the dimensions: names, values, and their one unit."""
+LABELS: Final = "labels"
+LABEL_WORDS: Final = "label_words"
+BUNDLE: Final = "bundle"
+"""Group in `SPECIMEN`, for a harness bundle only."""
+BUNDLE_TEXTS: Final = ("arrangement", "tape", "taping", "conduit")
+BORE: Final = "conduit_bore"
+WIRE_TYPES: Final = "wire_types"
+WIRE_NUMBERS: Final = "wire_numbers"
+WIRE_NUMBER: Final = Field(("type",), "1", "int64")
+WIRE_DIAMETERS: Final = "wire_diameters"
+WIRE_DIAMETER: Final = Field(("type",), "m")
+POSITIONS: Final = "positions"
+WIRE_POSITION: Final = Field(("wire", "xy"), "m")
 
 # /raw/<role>
 RAW: Final = "raw"

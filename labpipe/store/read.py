@@ -26,6 +26,7 @@ from labpipe.store import layout
 from labpipe.store.bending import read_bending
 from labpipe.store.checked import array, arrays, opened, strings, text, texts
 from labpipe.store.recordings import read_notes, read_recording
+from labpipe.store.specimen import read_specimen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +133,7 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     roles = texts(group, "roles") if raw else ()
     return {
         **{name: text(root, name) for name in layout.ROOT_TEXTS},
-        "specimen": _specimen(root),
+        "specimen": read_specimen(root),
         "inputs": _inputs(group) if raw else (),
         "recordings": {role: read_recording(group[role]) for role in roles},
     }
@@ -150,14 +151,6 @@ def _outcome(root: Any) -> dict[str, Any]:
         "slips": () if curve is None else _slips(curve),
         "lines": () if curve is None else _lines(curve),
     }
-
-
-def _specimen(root: Any) -> Specimen:
-    nested = {name: text(root, where) for name, where in layout.SPECIMEN_TEXTS.items()}
-    group = root[layout.SPECIMEN]
-    values = (float(value) for value in group.attrs["values"])
-    dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
-    return Specimen(nested["type"], nested["spool"], nested["sample"], dimensions)
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:

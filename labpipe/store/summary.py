@@ -6,7 +6,8 @@ import json
 from math import isfinite
 from pathlib import Path
 
-from labpipe.records.result import Result, TestResult
+from labpipe.records.bundle import Bundle
+from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.store.replace import replacing
 
 SUMMARY_SCHEMA = 1
@@ -24,16 +25,10 @@ def summary(result: TestResult) -> dict[str, object]:
     What ``summary.json`` holds; only what JSON can say. A number that is not finite, or could not
     be had, is None; the status and the reason say why.
     """
-    specimen = result.specimen
     return {
         "schema": SUMMARY_SCHEMA,
         "test": result.test,
-        "specimen": {
-            "type": specimen.type,
-            "spool": specimen.spool,
-            "sample": specimen.sample,
-            **{name: _number(value) for name, value in specimen.dimensions.items()},
-        },
+        "specimen": _specimen(result.specimen),
         "protocol": result.protocol,
         "labpipe": result.labpipe_version,
         "inputs": [
@@ -64,6 +59,37 @@ def write_summary(result: TestResult, path: Path) -> None:
     text = json.dumps(summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path) as temporary:
         temporary.write_bytes(text.encode())
+
+
+def _specimen(specimen: Specimen) -> dict[str, object]:
+    said: dict[str, object] = {
+        "type": specimen.type,
+        "spool": specimen.spool,
+        "sample": specimen.sample,
+        **{name: _number(value) for name, value in specimen.dimensions.items()},
+    }
+    if specimen.bundle is not None:
+        said["bundle"] = _bundle(specimen.bundle)
+    if specimen.labels:
+        said["labels"] = dict(specimen.labels)
+    return said
+
+
+def _bundle(bundle: Bundle) -> dict[str, object]:
+    return {
+        "composition": bundle.composition,
+        "number": bundle.number,
+        "wires": [
+            {"type": wire.type, "number": wire.number, "diameter": _number(wire.diameter)}
+            for wire in bundle.wires
+        ],
+        "arrangement": bundle.arrangement,
+        "positions": [list(place) for place in bundle.positions],
+        "tape": bundle.tape,
+        "taping": bundle.taping,
+        "conduit": bundle.conduit,
+        "conduit_bore": _number(bundle.conduit_bore),
+    }
 
 
 def _entry(result: Result) -> dict[str, object]:

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
-from labpipe.records.result import InputFile, Result, Specimen, TestResult
+from labpipe.records.result import InputFile, Result, TestResult
 from labpipe.store import layout
 from labpipe.store.bending import write_bending
 from labpipe.store.chunks import Target, place_of, same_content
 from labpipe.store.layout import link_name
 from labpipe.store.recordings import write_notes, write_recording
 from labpipe.store.replace import replacing
+from labpipe.store.specimen import write_specimen
 
 _BLOCK = 1 << 20
 
@@ -96,7 +97,9 @@ def _write_root(target: Target, result: TestResult) -> None:
         attributes[name] = getattr(result, name)
     attributes[layout.DISPLAY] = json.dumps(dict(result.display), ensure_ascii=False)
     target.texts(layout.FIGURES, result.figures)
-    _write_specimen(target, result.specimen)
+    for name, attribute in layout.SPECIMEN_TEXTS.items():
+        attributes[attribute] = getattr(result.specimen, name)
+    write_specimen(target.inside(layout.SPECIMEN), result.specimen)
     _write_raw(target.inside(layout.RAW), result)
     if result.aligned is not None:
         _write_aligned(target.inside(layout.ALIGNED), result.aligned)
@@ -108,15 +111,6 @@ def _write_root(target: Target, result: TestResult) -> None:
         write_bending(target.inside(layout.BENDING), result.bending)
     _write_results(target.inside(layout.RESULTS), result.results)
     write_notes(target.inside(layout.QUALITY), result.quality)
-
-
-def _write_specimen(target: Target, specimen: Specimen) -> None:
-    for name, attribute in layout.SPECIMEN_TEXTS.items():
-        target.group.attrs[attribute] = getattr(specimen, name)
-    dimensions = target.inside(layout.SPECIMEN)
-    dimensions.texts("dimensions", tuple(specimen.dimensions))
-    dimensions.group.attrs["values"] = np.array(list(specimen.dimensions.values()), dtype=float)
-    dimensions.group.attrs["unit"] = "m"
 
 
 def _write_raw(target: Target, result: TestResult) -> None:

@@ -3,9 +3,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from labpipe.errors import ProcessingError, ProtocolError, StoreError
 from labpipe.pipeline.process import process_test
+from labpipe.records.bundle import Bundle, BundleWire
 from labpipe.records.result import Status
 from labpipe.store.read import read_result
 from tests.builders.small_tests import Lab
@@ -23,6 +25,27 @@ def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
     assert stored.test_yaml == (lab.raw / "test.yaml").read_text(encoding="utf-8")
     assert "name: wire-cantilever" in stored.protocol_yaml
     assert stored.specimen.dimensions == {"length": 0.085}
+
+
+def test_the_words_on_a_bundle_reach_the_result_and_stay_when_it_is_processed_again(
+    lab: Lab,
+) -> None:
+    path = lab.raw / "test.yaml"
+    sheet = yaml.safe_load(path.read_text(encoding="utf-8"))
+    sheet["specimen"] |= {
+        "bundle": {"wires": "4 B1 + 3 B2", "arrangement": "symmetric"},
+        "labels": {"cured": "24 h"},
+    }
+    path.write_text(yaml.safe_dump(sheet), encoding="utf-8")
+
+    process_test(path, figures=False)
+    first = read_result(lab.result).specimen
+    process_test(lab.result, figures=False)
+
+    wires = (BundleWire("B1", 4), BundleWire("B2", 3))
+    assert first.bundle == Bundle(wires, arrangement="symmetric")
+    assert first.labels == {"cured": "24 h"}
+    assert read_result(lab.result).specimen == first
 
 
 def test_failed_results_are_counted(lab: Lab) -> None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import StoreError
+from labpipe.records.bundle import Bundle, BundleWire
 from labpipe.records.curve import Interval
-from labpipe.records.result import Result
+from labpipe.records.result import Result, Specimen
 from labpipe.store.summary import summary, write_summary
 from tests.store.builders_result import build_result
 
@@ -41,6 +42,38 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
     assert read["quality"][0] == {
         "code": "marker_filled", "severity": "warning", "message": "26 frames were filled."
     }  # fmt: skip
+
+
+def test_summary_of_a_bundle_with_labels() -> None:
+    wires = (BundleWire("B1", 1, 0.0011), BundleWire("B2", 1))
+    bundle = Bundle(
+        wires, positions=((0.0, 0.0), (0.002, 0.0)), conduit="tube", conduit_bore=0.0107
+    )
+    specimen = Specimen("CWB", "s1", "1", {"span": 0.1524}, bundle, {"cured": "24 h"})
+
+    said = summary(replace(build_result(half_cycle=0.5), specimen=specimen))["specimen"]
+
+    assert json.loads(json.dumps(said)) == {
+        "type": "CWB",
+        "spool": "s1",
+        "sample": "1",
+        "span": 0.1524,
+        "bundle": {
+            "composition": "1 B1 + 1 B2",
+            "number": 2,
+            "wires": [
+                {"type": "B1", "number": 1, "diameter": 0.0011},
+                {"type": "B2", "number": 1, "diameter": None},
+            ],
+            "arrangement": "packed",
+            "positions": [[0.0, 0.0], [0.002, 0.0]],
+            "tape": "none",
+            "taping": "none",
+            "conduit": "tube",
+            "conduit_bore": 0.0107,
+        },
+        "labels": {"cured": "24 h"},
+    }
 
 
 def test_no_number_that_json_cannot_say(tmp_path: Path) -> None:
