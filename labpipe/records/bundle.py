@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.quality import QualityNote
 
 PACKED = "packed"
 """Wires as dense as they go, kinds spread by chance; of one kind, a hexagon where it fits."""
@@ -15,6 +16,9 @@ PACKED = "packed"
 ARRANGEMENTS = (PACKED, "symmetric", "asymmetric")
 """How the kinds of a bundle are spread: ``symmetric`` evenly around its centre, ``asymmetric``
 with one kind on one side."""
+
+STATED = "stated"
+"""Of a layout: positions of the test sheet."""
 
 TAPINGS = ("none", "coarse", "half-lap")
 """``coarse``: windings a width of the tape apart; ``half-lap``: each covers half of the last."""
@@ -112,3 +116,55 @@ class BundleLayout:
         for name in ("x", "y", "diameter"):
             object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
         object.__setattr__(self, "kind", np.asarray(self.kind, dtype=np.int64))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleModel:
+    """Between what bounds the bending of a bundle lies; arrays of shape (n,).
+
+    Parameters
+    ----------
+    bundle : what it is made of
+    layout : where the wires lie
+    low : N m^2, all wires slip on each other, and the strands within them: the sum of the wires'
+        slip stiffnesses
+    free : N m^2, all wires slip on each other, the strands within them stick: the sum of the wires'
+        stick stiffnesses
+    high : N m^2, nothing slips, bent along y
+    tensor : shape (2, 2), N m^2, of what `high` is the yy part
+    principal : N m^2, least and largest stiffness of all directions with nothing slipping
+    principal_angle : rad, in (-pi/2, pi/2], from the x axis to the direction of bending of the
+        largest; 0 where all directions are equal
+    neutral : m, (x, y) where the neutral axes of a sticking bundle cross
+    axial_stiffness : N, of all wires
+    smallest_bore : m, diameter of the smallest circle that holds the wires as they lie
+    packing_fraction : area of the wires / area of the conduit's bore; None without a bore
+    curvature : 1/m, from 0, increasing, to the end of the shortest of the wires' laws
+    moment_slip : N m, first loading, wires that slip on each other: the sum of the wires' laws
+    moment_stick : N m, first loading, wires that stick to each other, bent along y; the strands
+        within them slip as in a wire alone
+    notes : limits met, defaults taken
+    """
+
+    bundle: Bundle
+    layout: BundleLayout
+    low: float
+    free: float
+    high: float
+    tensor: Floats
+    principal: tuple[float, float]
+    principal_angle: float
+    neutral: tuple[float, float]
+    axial_stiffness: float
+    smallest_bore: float
+    packing_fraction: float | None
+    curvature: Floats
+    moment_slip: Floats
+    moment_stick: Floats
+    notes: tuple[QualityNote, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "tensor", frozen(self.tensor, shape=(2, 2)))
+        for name in ("curvature", "moment_slip", "moment_stick"):
+            array = frozen(getattr(self, name), shape=(len(self.curvature),))
+            object.__setattr__(self, name, array)

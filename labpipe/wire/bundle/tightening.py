@@ -1,0 +1,183 @@
+"""Round wires drawn together until they touch, as a tape draws them.
+
+Least is the sum of diameter^2 x squared distance from the middle, without any overlap: a bore, as
+in `wire.packing`, leaves wires loose in the gaps, a pull to the middle leaves none. The start is
+first let go in the soft energy of that module, eqs. (3.1)-(3.4) of the source, with the pull in
+place of the bore; then the overlaps that the pull left are forbidden (sequential least squares).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from scipy.optimize import minimize
+
+from labpipe.records.arrays import Floats
+from labpipe.wire.cross_section import largest_overlap
+
+_PULLS = (0.1, 1e-2)
+"""Weights of the pull against squared overlaps, one after the other."""
+_NEIGHBOURS = 1.4
+"""Distance, in touching ones, up to which a pair is kept from overlapping at the end; others are
+too far apart to meet."""
+_APART = 1e-3
+"""Of a diameter: wires that lie on one another know no way apart, so that they get one."""
+
+
+def drawn_together(centres: Floats, diameters: Floats) -> Floats:
+    """Draw wires together until they touch, from where they are.
+
+    Parameters
+    ----------
+    centres : shape (wires, 2), m, where to start; wires may overlap
+    diameters : shape (wires,), m
+
+    Returns
+    -------
+    Shape (wires, 2), m: no two overlap; centroid of their areas at the origin. A dense heap near
+    the start, not the densest of all.
+    """
+    if len(diameters) == 1:
+        return np.zeros((1, 2))
+    scale = float(np.mean(diameters))
+    reach = diameters / scale
+    found = (centres - centres.mean(axis=0)) / scale
+    for pull in _PULLS:
+        found = _settled(found, reach, pull)
+    found = _without_overlap(found, reach)
+    found = found * _spread(found, reach)
+    return np.asarray(scale * (found - np.average(found, axis=0, weights=reach**2)))
+
+
+def _settled(begin: Floats, diameters: Floats, pull: float) -> Floats:
+    wires = np.arange(len(diameters))
+    apart = _APART * np.column_stack([np.cos(wires), np.sin(wires)])
+    found = minimize(
+        pulled_overlap_energy,
+        (begin + (apart if _is_on_one_another(begin) else 0.0)).ravel(),
+        args=(diameters, pull),
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": 1000},
+    )
+    return np.asarray(found.x).reshape(-1, 2)
+
+
+def _without_overlap(begin: Floats, diameters: Floats) -> Floats:
+    """Nearest least sum of diameter^2 x squared distance in which neighbours do not overlap."""
+    first, second = np.triu_indices(len(diameters), 1)
+    touching = 0.5 * (diameters[first] + diameters[second])
+    near = np.hypot(*(begin[first] - begin[second]).T) < _NEIGHBOURS * touching
+    first, second, touching = first[near], second[near], touching[near]
+    weight = np.repeat(diameters**2, 2) / len(diameters)
+
+    def gaps(flat: Floats) -> Floats:
+        apart = flat.reshape(-1, 2)[first] - flat.reshape(-1, 2)[second]
+        return np.asarray(np.sum(apart**2, axis=1) - touching**2)
+
+    def gap_changes(flat: Floats) -> Floats:
+        apart = 2.0 * (flat.reshape(-1, 2)[first] - flat.reshape(-1, 2)[second])
+        changes = np.zeros((len(first), len(diameters), 2))
+        pairs = np.arange(len(first))
+        changes[pairs, first], changes[pairs, second] = apart, -apart
+        return changes.reshape(len(first), -1)
+
+    def spread(flat: Floats) -> tuple[float, Floats]:
+        return float(np.sum(weight * flat**2)), 2.0 * weight * flat
+
+    apart: Any = {"type": "ineq", "fun": gaps, "jac": gap_changes}
+    found = minimize(
+        spread,
+        begin.ravel(),
+        jac=True,
+        method="SLSQP",
+        constraints=apart,
+        options={"ftol": 1e-12, "maxiter": 200},
+    )
+    return np.asarray(found.x).reshape(-1, 2)
+
+
+def _is_on_one_another(centres: Floats) -> bool:
+    first, second = np.triu_indices(len(centres), 1)
+    return bool(np.hypot(*(centres[first] - centres[second]).T).min() == 0.0)
+
+
+def pulled_overlap_energy(flat: Floats, diameters: Floats, pull: float) -> tuple[float, Floats]:
+    """Energy of wires that push each other apart and are pulled to the origin, and its gradient.
+
+    Parameters
+    ----------
+    flat : shape (2 n,), x and y of one wire after the other
+    diameters : shape (n,), in the same unit
+    pull : weight of the pull
+
+    Returns
+    -------
+    Sum over pairs of squared overlaps + pull x sum of diameter^2 x squared distance from the
+    origin; gradient, shape (2 n,).
+    """
+    centres = flat.reshape(-1, 2)
+    apart = centres[:, None] - centres[None]
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    depth = np.maximum(0.5 * (diameters[:, None] + diameters) - distance, 0.0)
+    push = depth / np.where(distance == 0.0, 1.0, distance)
+    weight = pull * diameters[:, None] ** 2
+    energy = 0.5 * np.sum(depth**2) + np.sum(weight * centres**2)
+    gradient = 2.0 * weight * centres - 2.0 * np.einsum("ij,ijk->ik", push, apart)
+    return float(energy), gradient.ravel()
+
+
+def _spread(centres: Floats, diameters: Floats) -> float:
+    """Factor on all distances that leaves no overlap, at least 1."""
+    first, second = np.triu_indices(len(centres), 1)
+    distance = np.hypot(*(centres[first] - centres[second]).T)
+    return float(max(np.max(0.5 * (diameters[first] + diameters[second]) / distance), 1.0))
+
+
+def overlap_of(centres: Floats, diameters: Floats) -> float:
+    """Deepest overlap of wires, m; 0 where none overlap."""
+    return largest_overlap(centres, diameters / 2.0)
+
+
+def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
+    """Find the smallest circle that holds all wires.
+
+    Parameters
+    ----------
+    centres : shape (wires, 2), m
+    diameters : shape (wires,), m
+
+    Returns
+    -------
+    Its centre, shape (2,), m, and its radius, m.
+
+    Notes
+    -----
+    The distance to the farthest wire is convex in the centre; it is brought down as a linear
+    objective under one cone for each wire (sequential least squares).
+    """
+    radii = diameters / 2.0
+    scale = float(radii.max())
+    points, reach = centres / scale, radii / scale
+    middle = points.mean(axis=0)
+    start = np.append(middle, np.max(np.hypot(*(points - middle).T) + reach))
+
+    def slack(at: Floats) -> Floats:
+        return np.asarray(at[2] - reach - np.hypot(*(points - at[:2]).T))
+
+    def radius_of(at: Floats) -> tuple[float, Floats]:
+        return float(at[2]), np.array([0.0, 0.0, 1.0])
+
+    held: Any = {"type": "ineq", "fun": slack}
+    found = minimize(
+        radius_of,
+        start,
+        jac=True,
+        method="SLSQP",
+        constraints=held,
+        options={"ftol": 1e-12, "maxiter": 200},
+    ).x
+    radius = np.max(np.hypot(*(points - found[:2]).T) + reach)
+    return np.asarray(scale * found[:2]), float(scale * radius)
