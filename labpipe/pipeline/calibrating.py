@@ -10,15 +10,23 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.decks import write_decks
-from labpipe.errors import ProcessingError, UsageError, complaint, nearest
+from labpipe.errors import ProcessingError
 from labpipe.pipeline.bent_shapes import bent_shapes
 from labpipe.pipeline.calibration_json import calibration_json
+from labpipe.pipeline.comparison_json import comparison_json
 from labpipe.pipeline.first_loadings import FirstLoading, read_first_loadings
 from labpipe.pipeline.targets import find_results, shared_folder
+from labpipe.pipeline.tested_wires import (
+    built_wire,
+    require_known,
+    usual_sheet,
+    wire_to_calibrate,
+)
+from labpipe.pipeline.third_curves import hold_third_curves, read_third_curves
+from labpipe.pipeline.validation_groups import compare
 from labpipe.protocol.calibration_plan import CalibrationPlan
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.readers.wire_sheet import read_wire_sheet
-from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,
@@ -29,30 +37,21 @@ from labpipe.records.calibration import (
     ParameterChoice,
     SourceCalibration,
 )
-from labpipe.records.group import SampleCurve
+from labpipe.records.comparison import ThirdCurveComparison
 from labpipe.records.wire import WireSpec
 from labpipe.report.calibration_figures import save_calibration_figures
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
-from labpipe.statistics.bands import common_curves, mean_band
 from labpipe.store.lock import locked
 from labpipe.store.replace import replacing_together
-from labpipe.wire.calibrating.agreement import curve_errors
-from labpipe.wire.calibrating.data import MeasuredCurve
-from labpipe.wire.calibrating.prediction import predict
 from labpipe.wire.calibrating.source_method import calibrate_as_source
 from labpipe.wire.calibration import Settings, Wire, calibrate
-from labpipe.wire.from_spec import build
 from labpipe.wire.wire_table import wire_table
 
 MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
 FIGURES_FOLDER = "figures"
 DEFAULT_FOLDER = "calibration"
-USUAL_SHEETS = ("wires.xlsx", "wires.csv")
-"""What is looked for where no sheet is named."""
-_GRID = 200
-"""Deflections of a prediction."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +66,7 @@ class Calibrated:
     groups : samples of one wire and length each, those of the calibrated wire first
     left_out : by file, why a test was not taken
     files : all that were written
+    comparisons : curves from elsewhere, held against tests and model
     shapes : of one sample of the calibrated wire, and of the model, by what they are of
     """
 
@@ -76,6 +76,7 @@ class Calibrated:
     groups: tuple[ValidationGroup, ...]
     left_out: Mapping[str, str]
     files: tuple[Path, ...]
+    comparisons: tuple[ThirdCurveComparison, ...] = ()
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
 
 
@@ -111,31 +112,35 @@ def calibrate_tests(
         calibrate, or the calibration fails; earlier results are then as they were.
     """
     asked = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
-    wires = _usual_sheet() if wires is None else wires
+    wires = usual_sheet() if wires is None else wires
     specs = {spec.name: spec for spec in read_wire_sheet(wires)}
+    curves = read_third_curves(asked, plan, specs, wires)
     files = find_results(targets)
     loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
-    name = _wire_to_calibrate(loadings, asked, plan)
-    _require_known(loadings, specs, wires)
-    built = {wire: _built(specs[wire], wires) for wire in {each.curve.wire for each in loadings}}
+    name = wire_to_calibrate(loadings, asked, plan)
+    require_known(loadings, specs, wires)
+    tested = {each.curve.wire for each in loadings}
+    asked_for = sorted(tested | {each.wire for each in curves})
+    built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
     own = [each for each in loadings if each.curve.wire == name]
     say("calibration")
     calibration = _calibration(built[name], own, asked)
-    compared = compare(calibration, built, loadings)
+    groups = compare(calibration, built, loadings)
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
         calibration=calibration,
         source=_as_source(built[name], own, asked),
-        groups=compared,
+        groups=groups,
         left_out=left_out,
         files=(),
+        comparisons=hold_third_curves(curves, calibration, built, groups, own + loadings),
     )
     if figures:
-        wire = _built(calibrated_spec(specs[name], calibration), wires)
+        wire = built_wire(calibrated_spec(specs[name], calibration), wires)
         done = replace(done, shapes=_shapes(own[0], wire))
-    calibrated = [calibrated_spec(specs[group], calibration) for group in built]
+    calibrated = [calibrated_spec(specs[each], calibration) for each in sorted(tested)]
     return replace(done, files=_write(done, calibrated, say, figures=figures))
 
 
@@ -160,75 +165,6 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
         insulation_modulus=values.get(INSULATION_MODULUS, spec.insulation_modulus),
         copper_k=spec.copper_k * values.get(COPPER_SCALE, 1.0),
     )
-
-
-def _usual_sheet() -> Path:
-    for name in USUAL_SHEETS:
-        if Path(name).is_file():
-            return Path(name)
-    message = complaint(
-        "--wire",
-        "",
-        expected=f"a wire sheet, or {' or '.join(USUAL_SHEETS)} in the working folder",
-        found="neither",
-        remedy="Name the sheet that has the dimensions of the tested wires.",
-    )
-    raise UsageError(message)
-
-
-def _wire_to_calibrate(
-    loadings: Sequence[FirstLoading], asked: CalibrationPlan, plan: Path | None
-) -> str:
-    """The wire of the plan, or the only one there is."""
-    tested = sorted({each.curve.wire for each in loadings})
-    if asked.wire is None and len(tested) == 1:
-        return tested[0]
-    if asked.wire in tested:
-        return str(asked.wire)
-    if asked.wire is None:
-        found = f"tests of {len(tested)} wires: {', '.join(tested)}"
-        remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
-        message = complaint(
-            plan or "tests", "", expected="tests of one wire", found=found, remedy=remedy
-        )
-    else:
-        remedy = "Name a specimen type of the tests, or give its tests, too."
-        found = f"usable tests of {', '.join(nearest(asked.wire, tested))} alone"
-        message = complaint(
-            plan or "plan", "wire", expected=f"tests of '{asked.wire}'", found=found, remedy=remedy
-        )
-    raise UsageError(message)
-
-
-def _require_known(
-    loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
-) -> None:
-    """Refuse tests of wires that the sheet does not have."""
-    for wire in sorted({each.curve.wire for each in loadings} - set(specs)):
-        test = next(each.curve.test for each in loadings if each.curve.wire == wire)
-        message = complaint(
-            wires,
-            "column wire",
-            expected=f"a row for '{wire}', the specimen type of test {test}",
-            found=f"rows for {', '.join(nearest(wire, list(specs)))}",
-            remedy="Add the wire, or call it as the tests do.",
-        )
-        raise UsageError(message)
-
-
-def _built(spec: WireSpec, wires: Path) -> Wire:
-    try:
-        made = build(spec)
-    except ValueError as error:
-        message = complaint(
-            wires,
-            f"{spec.place}, wire '{spec.name}'",
-            expected="a wire that can be built",
-            found=f"this: {error}",
-            remedy="Check its row against the wire.",
-        )
-        raise ProcessingError(message) from error
-    return Wire(made.section, made.contacts, spec.orientation)
 
 
 def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan) -> Calibration:
@@ -277,76 +213,6 @@ def _choices(asked: CalibrationPlan) -> dict[str, ParameterChoice]:
     return found
 
 
-def compare(
-    calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
-) -> tuple[ValidationGroup, ...]:
-    """Hold a calibration against tests, those that it rests on and others.
-
-    Parameters
-    ----------
-    calibration : what was found
-    wires : by name
-    loadings : all tests
-
-    Returns
-    -------
-    A group per wire and length, those of the calibrated wire first.
-    """
-    groups: dict[tuple[bool, str, float], list[FirstLoading]] = {}
-    for each in loadings:
-        key = (each.curve.wire != calibration.wire, each.curve.wire, round(each.curve.length, 6))
-        groups.setdefault(key, []).append(each)
-    return tuple(
-        _compared(calibration, wires[wire], groups[other, wire, length])
-        for other, wire, length in sorted(groups)
-    )
-
-
-def _compared(
-    calibration: Calibration, wire: Wire, loadings: Sequence[FirstLoading]
-) -> ValidationGroup:
-    curves = [each.curve for each in loadings]
-    deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
-    noise = float(np.mean([np.mean(curve.noise) for curve in curves]))
-    first = curves[0]
-    prediction, errors, reason = None, None, ""
-    try:
-        prediction = predict(
-            calibration,
-            wire,
-            first.length,
-            np.linspace(0.0, deepest, _GRID),
-            rig=first.rig,
-            noise=noise,
-        )
-    except ValueError as error:
-        reason = f"no_prediction: {error}"
-    else:
-        errors = _errors(curves, prediction)
-    return ValidationGroup(
-        wire=first.wire,
-        length=first.length,
-        is_calibrated=first.wire == calibration.wire,
-        samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
-        band=mean_band(
-            common_curves([(c.deflection, c.force) for c in curves], [c.test for c in curves])
-        ),
-        prediction=prediction,
-        errors=errors,
-        reason=reason,
-    )
-
-
-def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
-    """Errors of all points of some curves, and the share of them inside the band."""
-    deflection = np.concatenate([curve.deflection for curve in curves])
-    model, lower, upper = (
-        np.interp(deflection, prediction.deflection, values)
-        for values in (prediction.force, prediction.lower, prediction.upper)
-    )
-    return curve_errors(np.concatenate([curve.force for curve in curves]), model, lower, upper)
-
-
 def _write(
     done: Calibrated,
     calibrated: Sequence[WireSpec],
@@ -357,7 +223,7 @@ def _write(
     """Write the files of a calibration together."""
     folder = done.folder
     source = None if isinstance(done.source, CalibrationFailure) else done.source
-    shown = CalibrationReport(done.calibration, done.groups, done.shapes, source)
+    shown = CalibrationReport(done.calibration, done.groups, done.shapes, source, done.comparisons)
     with locked(folder), replacing_together(folder) as stage:
         say("tables and decks")
         model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE
@@ -377,4 +243,5 @@ def as_json(done: Calibrated) -> dict[str, object]:
     ----------
     done : the calibration
     """
-    return calibration_json(done.calibration, done.groups, done.source, done.left_out)
+    found = calibration_json(done.calibration, done.groups, done.source, done.left_out)
+    return found | {"comparisons": [comparison_json(each) for each in done.comparisons]}

@@ -1,4 +1,4 @@
-"""The grammar of a calibration: which wire, which parameters are free, fixed or have a prior."""
+"""The grammar of a calibration: which wire, what is free, what else it is held against."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 from labpipe.protocol.block import Block
+from labpipe.protocol.comparison_plan import Comparison, same_names
 from labpipe.protocol.faults import Fault
 from labpipe.protocol.quantities import Length, Quantity, Ratio, Whole
 from labpipe.protocol.schema import known_version
@@ -96,3 +97,11 @@ class CalibrationPlan(Block):
     )
     points: Annotated[int, Whole(20, 5000)] = Field(272, description="Points of each curve")
     up_to: Length | None = Field(None, description="Largest deflection that is looked at")
+    comparisons: tuple[Comparison, ...] = Field(
+        (), description="Curves from elsewhere that tests and model are held against"
+    )
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Ask each comparison for a name of its own."""
+        return same_names(data.get("comparisons") if isinstance(data, Mapping) else None)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.arrays import Floats, frozen
 from labpipe.records.calibration import Calibration, SourceCalibration
+from labpipe.records.comparison import ThirdCurveComparison
 from labpipe.records.group import Band, SampleCurve
 
 
@@ -71,12 +72,14 @@ class CalibrationReport:
     groups : wires and lengths that it is compared with, its own among them
     shapes : by what they are of, such as ``A2, 85 mm``
     source : what `method: source` makes of the same tests; None where it was not run
+    comparisons : curves from elsewhere, held against tests and model
     """
 
     calibration: Calibration
     groups: tuple[ValidationGroup, ...] = ()
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
     source: SourceCalibration | None = None
+    comparisons: tuple[ThirdCurveComparison, ...] = ()
 
     @property
     def predictions(self) -> dict[float, Prediction]:

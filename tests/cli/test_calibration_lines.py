@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from labpipe.cli.calibration_lines import calibration_table
-from labpipe.pipeline.calibrating import Calibrated, compare
+from labpipe.pipeline.calibrating import Calibrated
 from labpipe.pipeline.first_loadings import FirstLoading
+from labpipe.pipeline.validation_groups import compare
 from labpipe.records.calibration import Calibration, CalibrationFailure
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.wire.calibration import Settings, calibrate

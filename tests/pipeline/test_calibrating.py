@@ -6,16 +6,15 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from labpipe.pipeline.calibrating import (
     Calibrated,
     as_json,
     calibrated_spec,
-    compare,
 )
 from labpipe.pipeline.first_loadings import FirstLoading
+from labpipe.pipeline.validation_groups import compare
 from labpipe.records.calibration import Calibration
 from labpipe.wire.calibrating.source_method import calibrate_as_source
 from labpipe.wire.calibration import Settings, calibrate
@@ -52,46 +51,6 @@ def test_a_calibrated_wire_has_the_found_numbers(calibration: Calibration) -> No
         ).name
         == spec.name
     )
-
-
-def test_groups_are_by_wire_and_length_the_own_first(calibration: Calibration) -> None:
-    wires = {"A2": wire_of("A2"), "A1": wire_of("A1")}
-    groups = compare(calibration, wires, loadings("A1", "A2"))
-    assert [(group.wire, group.is_calibrated) for group in groups] == [("A2", True), ("A1", False)]
-    assert [len(group.samples) for group in groups] == [3, 3]
-    for group in groups:
-        assert group.errors is not None
-        assert group.errors.rmse_share < 0.05
-        assert group.errors.inside > 0.9
-        assert group.band.n == 3
-
-
-def test_errors_are_of_all_points(calibration: Calibration) -> None:
-    (group,) = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
-    assert group.errors is not None
-    assert group.prediction is not None
-    assert group.errors.n == sum(len(curve.force) for curve in CURVES)
-    left = np.concatenate(
-        [
-            curve.force
-            - np.interp(curve.deflection, group.prediction.deflection, group.prediction.force)
-            for curve in CURVES
-        ]
-    )
-    assert group.errors.sse == pytest.approx(float(left @ left))
-
-
-def test_what_cannot_be_foretold_says_why(calibration: Calibration) -> None:
-    deep = replace(
-        CURVES[0],
-        deflection=np.linspace(1e-3, 0.95 * CURVES[0].length, 50),
-        force=np.linspace(0.0, 0.2, 50),
-        noise=1e-3,
-    )
-    (group,) = compare(calibration, {"A2": wire_of("A2")}, [FirstLoading(deep, 0.0, ())])
-    assert group.prediction is None
-    assert group.errors is None
-    assert group.reason.startswith("no_prediction: ")
 
 
 def test_json_is_plain_and_says_what_is_not_identified(calibration: Calibration) -> None:

@@ -1,0 +1,187 @@
+"""Curves from elsewhere that a plan names: read, then held against tests and model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, UsageError, complaint, nearest
+from labpipe.pipeline.first_loadings import FirstLoading
+from labpipe.protocol.calibration_plan import CalibrationPlan
+from labpipe.protocol.comparison_plan import COPY_IT, Comparison
+from labpipe.readers.curve_csv import CurveColumn, read_curve
+from labpipe.records.agreement import Prediction
+from labpipe.records.calibration import Calibration
+from labpipe.records.comparison import CurveMatch, ThirdCurve, ThirdCurveComparison
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireSpec
+from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.wire.calibrating.data import DEEPEST
+from labpipe.wire.calibrating.matching import match
+from labpipe.wire.calibrating.prediction import predict
+from labpipe.wire.calibration import Wire
+from labpipe.wire.cantilever import StringRig
+
+_GRID = 200
+"""Deflections of the model."""
+_SAME_LENGTH = 1e-6
+"""m, that two lengths may differ by and still be one."""
+
+
+def read_third_curves(
+    asked: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
+) -> tuple[ThirdCurve, ...]:
+    """Read all curves that a plan names.
+
+    Parameters
+    ----------
+    asked : the plan
+    plan : its file, whose folder the curves are in
+    specs : wires of the sheet, by name
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    UsageError
+        If curves cannot be read, or are of a wire that the sheet does not have: all that is wrong,
+        in one message.
+    """
+    folder = Path() if plan is None else plan.parent
+    found, told = [], []
+    for each in asked.comparisons:
+        if each.wire not in specs:
+            told.append(_unknown_wire(each, specs, plan, wires))
+        try:
+            found.append(_read(each, folder))
+        except ReadError as error:
+            told.append(str(error))
+    if told:
+        raise UsageError("\n".join(told))
+    return tuple(found)
+
+
+def _unknown_wire(
+    each: Comparison, specs: Mapping[str, WireSpec], plan: Path | None, wires: Path
+) -> str:
+    return complaint(
+        plan or "plan",
+        f"comparison '{each.name}', wire",
+        expected=f"a wire of {wires} ({', '.join(nearest(each.wire, list(specs)))})",
+        found=f"'{each.wire}'",
+        remedy="Name the wire that the curve is of, or add it to the sheet.",
+    )
+
+
+def _read(each: Comparison, folder: Path) -> ThirdCurve:
+    path = folder / each.file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        expected, found = "a file inside the folder of the plan", "a link out of it"
+        raise ReadError(complaint(path, "", expected=expected, found=found, remedy=COPY_IT))
+    across, up = each.deflection, each.force
+    deflection, force = read_curve(
+        path,
+        CurveColumn("deflection", "m", across.column, across.unit, across.sign),
+        CurveColumn("force", "N", up.column, up.unit, up.sign),
+    )
+    is_normal = each.load == "normal"
+    return ThirdCurve(
+        each.name, each.file, each.wire, each.length, deflection, force, is_normal, each.because
+    )
+
+
+def hold_third_curves(
+    curves: Sequence[ThirdCurve],
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    groups: Sequence[ValidationGroup],
+    loadings: Sequence[FirstLoading],
+) -> tuple[ThirdCurveComparison, ...]:
+    """Hold curves from elsewhere against the mean of the tests and against the model.
+
+    Parameters
+    ----------
+    curves : from elsewhere
+    calibration : of the model
+    wires : by name, those of the curves among them
+    groups : tests by wire and length
+    loadings : all tests; the first is of the rig that is taken where none has the wire and length
+    """
+    return tuple(
+        _held(curve, calibration, wires[curve.wire], _group(curve, groups), _rig(curve, loadings))
+        for curve in curves
+    )
+
+
+def _group(curve: ThirdCurve, groups: Sequence[ValidationGroup]) -> ValidationGroup | None:
+    return next((g for g in groups if _is_of(curve, g.wire, g.length)), None)
+
+
+def _is_of(curve: ThirdCurve, wire: str, length: float) -> bool:
+    return curve.wire == wire and abs(curve.length - length) < _SAME_LENGTH
+
+
+def _rig(curve: ThirdCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+    """String of the tests of that wire and length, else that of the first test, over the tip."""
+    if curve.is_normal:
+        return None
+    own = [each.curve for each in loadings if _is_of(curve, each.curve.wire, each.curve.length)]
+    if own:
+        return own[0].rig
+    rig = loadings[0].curve.rig
+    return None if rig is None else replace(rig, anchor_x=curve.length)
+
+
+def _held(
+    curve: ThirdCurve,
+    calibration: Calibration,
+    wire: Wire,
+    group: ValidationGroup | None,
+    rig: StringRig | None,
+) -> ThirdCurveComparison:
+    tests, prediction, reason = None, None, ""
+    if group is not None:
+        band = group.band
+        tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
+    try:
+        prediction = _prediction(curve, calibration, wire, group, rig)
+    except ValueError as error:
+        reason = f"the model has no such curve: {error}"
+    if prediction is None:
+        nothing = np.full(len(curve.deflection), np.nan)
+        model = CurveMatch(nothing, None, len(nothing), reason)
+    else:
+        ends = (prediction.lower_mean, prediction.upper_mean)
+        model = match(curve, prediction.deflection, prediction.force, ends, "the model")
+    notes = tuple(_notes(curve, tests, model))
+    return ThirdCurveComparison(curve, tests, model, prediction, notes)
+
+
+def _prediction(
+    curve: ThirdCurve,
+    calibration: Calibration,
+    wire: Wire,
+    group: ValidationGroup | None,
+    rig: StringRig | None,
+) -> Prediction:
+    """The model as far as curve and tests go, and a first loading is followed."""
+    tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
+    goal = max(tested, float(curve.deflection[-1]))
+    deepest = min(goal, DEEPEST * curve.length)
+    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, _GRID), rig=rig)
+
+
+def _notes(curve: ThirdCurve, tests: CurveMatch | None, model: CurveMatch) -> Iterator[QualityNote]:
+    if tests is None:
+        message = (
+            f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: held against the model alone"
+        )
+        yield QualityNote("third_curve_untested", Severity.INFO, curve.name, message)
+    for found in (tests, model):
+        if found is not None and found.words:
+            is_lost = found.errors is None
+            code = "third_curve_not_compared" if is_lost else "third_curve_cut"
+            severity = Severity.WARNING if is_lost else Severity.INFO
+            yield QualityNote(code, severity, curve.name, found.words)

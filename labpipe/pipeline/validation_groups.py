@@ -1,0 +1,91 @@
+"""Tests by wire and length, and what a calibrated model foretells of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from labpipe.pipeline.first_loadings import FirstLoading
+from labpipe.records.agreement import CurveErrors, Prediction
+from labpipe.records.calibration import Calibration
+from labpipe.records.group import SampleCurve
+from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.statistics.bands import common_curves, mean_band
+from labpipe.wire.calibrating.agreement import curve_errors
+from labpipe.wire.calibrating.data import MeasuredCurve
+from labpipe.wire.calibrating.prediction import predict
+from labpipe.wire.calibration import Wire
+
+_GRID = 200
+"""Deflections of a prediction."""
+
+
+def compare(
+    calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
+) -> tuple[ValidationGroup, ...]:
+    """Hold a calibration against tests, those that it rests on and others.
+
+    Parameters
+    ----------
+    calibration : what was found
+    wires : by name
+    loadings : all tests
+
+    Returns
+    -------
+    A group per wire and length, those of the calibrated wire first.
+    """
+    groups: dict[tuple[bool, str, float], list[FirstLoading]] = {}
+    for each in loadings:
+        key = (each.curve.wire != calibration.wire, each.curve.wire, round(each.curve.length, 6))
+        groups.setdefault(key, []).append(each)
+    return tuple(
+        _compared(calibration, wires[wire], groups[other, wire, length])
+        for other, wire, length in sorted(groups)
+    )
+
+
+def _compared(
+    calibration: Calibration, wire: Wire, loadings: Sequence[FirstLoading]
+) -> ValidationGroup:
+    curves = [each.curve for each in loadings]
+    deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
+    noise = float(np.mean([np.mean(curve.noise) for curve in curves]))
+    first = curves[0]
+    prediction, errors, reason = None, None, ""
+    try:
+        prediction = predict(
+            calibration,
+            wire,
+            first.length,
+            np.linspace(0.0, deepest, _GRID),
+            rig=first.rig,
+            noise=noise,
+        )
+    except ValueError as error:
+        reason = f"no_prediction: {error}"
+    else:
+        errors = _errors(curves, prediction)
+    return ValidationGroup(
+        wire=first.wire,
+        length=first.length,
+        is_calibrated=first.wire == calibration.wire,
+        samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
+        band=mean_band(
+            common_curves([(c.deflection, c.force) for c in curves], [c.test for c in curves])
+        ),
+        prediction=prediction,
+        errors=errors,
+        reason=reason,
+    )
+
+
+def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
+    """Errors of all points of some curves, and the share of them inside the band."""
+    deflection = np.concatenate([curve.deflection for curve in curves])
+    model, lower, upper = (
+        np.interp(deflection, prediction.deflection, values)
+        for values in (prediction.force, prediction.lower, prediction.upper)
+    )
+    return curve_errors(np.concatenate([curve.force for curve in curves]), model, lower, upper)
