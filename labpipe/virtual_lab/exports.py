@@ -15,10 +15,13 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.store.replace import storing
+from labpipe.virtual_lab.bundle_truth import tell_taped
+from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.control_desk import write_control_desk
 from labpipe.virtual_lab.instruments import Observation
+from labpipe.virtual_lab.mechanics import solve_path
 from labpipe.virtual_lab.motive import write_motive
-from labpipe.virtual_lab.scenario import VirtualWire
+from labpipe.virtual_lab.scenario import MechanicalTest, VirtualWire
 from labpipe.virtual_lab.sheet import FORCE_FILE, MARKER_FILE, write_sheet
 from labpipe.virtual_lab.stranded import StrandedWire
 from labpipe.wire.laws import MomentLaw, respond, virgin_plays
@@ -90,6 +93,7 @@ def truth_as_json(observation: Observation) -> dict[str, object]:
         "rotation_specimen_to_lab": _rounded(scenario.pose.rotation()),
         "law": asdict(scenario.mechanics.wire),
         "wire": _wire(scenario.mechanics.wire),
+        "bundle": _bundle(scenario.mechanics),
         "first_loading": _first_loading(scenario.mechanics.wire.law()),
         "markers": [
             {"label": label, "arc_length": _rounded(arc_length)}
@@ -118,6 +122,14 @@ def _wire(wire: VirtualWire) -> dict[str, float] | None:
     if not isinstance(wire, StrandedWire):
         return None
     return {**wire.parameters, "sample_factor": wire.factor}
+
+
+def _bundle(test: MechanicalTest) -> dict[str, object] | None:
+    """What is true of a bundle and of its curve, where the wire is one."""
+    if not isinstance(test.wire, BundleModel):
+        return None
+    truth = asdict(tell_taped(solve_path(test)))
+    return {"stiffnesses": dict(test.wire.stiffnesses), "factor": test.wire.factor, **truth}
 
 
 def _first_loading(law: MomentLaw) -> dict[str, object]:

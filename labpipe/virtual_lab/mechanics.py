@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.scenario import GRAVITY, MechanicalTest
 from labpipe.wire.cantilever import (
     CantileverShape,
@@ -151,8 +152,7 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If there is no equilibrium somewhere on it.
     """
-    law = test.wire.law()
-    rig, rest = _set_up(test, law)
+    rig, rest = _set_up(test, _law_in(test, 1))
     cycles: list[list[Segment]] = []
     state, starts = rest.state, []
     for number in range(test.cycles):
@@ -161,6 +161,7 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
         if number > 1 and _same(state, starts[-2]):  # loops of a rate-independent law close
             cycles.append([_later(segment, 2.0 * test.stroke) for segment in cycles[-1]])
             continue
+        law = _law_in(test, number + 1)
         segments, state = _cycle(law, rig, state, begin, test=test, goals=(test.stroke, 0.0))
         cycles.append(segments)
     return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
@@ -182,10 +183,16 @@ def solve_loading(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If there is no equilibrium somewhere on it.
     """
-    law = test.wire.law()
+    law = _law_in(test, 1)
     rig, rest = _set_up(test, law)
     segments, _ = _cycle(law, rig, rest.state, 0.0, test=test, goals=(test.stroke,))
     return MechanicalPath(test, rig, rest, tuple(segments))
+
+
+def _law_in(test: MechanicalTest, cycle: int) -> MomentLaw:
+    """The law of a cycle: bundles lock after the first, wires stay as they are."""
+    wire = test.wire
+    return wire.law(cycle) if isinstance(wire, BundleModel) else wire.law()
 
 
 def _cycle(

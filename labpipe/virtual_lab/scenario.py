@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.stranded import StrandedWire
 from labpipe.wire.laws import PlayLaw
 from labpipe.wire.play_fit import stick_slip_law
@@ -70,8 +71,8 @@ class WireModel:
         )
 
 
-VirtualWire: TypeAlias = WireModel | StrandedWire
-"""A wire by the numbers of its law, or by what it is made of."""
+VirtualWire: TypeAlias = WireModel | StrandedWire | BundleModel
+"""A wire by the numbers of its law, or by what it is made of; or a bundle of wires."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from labpipe.virtual_lab.bundle_sheet import bundle_lines
+from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.scenario import CantileverScenario
 
 PROTOCOL = "wire-cantilever"
@@ -25,6 +27,14 @@ PROTOCOL_VALUES = {
     "markers.centre_offset": "0.8 mm",
 }
 """What the shipped protocol says, key by key."""
+BUNDLE_PROTOCOL = "taped-bundle"
+BUNDLE_PROTOCOL_VALUES = PROTOCOL_VALUES | {
+    "sources.force.calibration.gain": "0.89 N/V",
+    "markers.pull_offset": "6.35 mm",
+    "markers.centre_offset": "2.75 mm",
+}
+"""The same of the protocol of taped bundles: a cell of 2 lb, markers 0.5 in apart on a bundle of
+nineteen wires of 1.1 mm."""
 
 
 def write_sheet(scenario: CantileverScenario) -> str:
@@ -38,15 +48,12 @@ def write_sheet(scenario: CantileverScenario) -> str:
     -------
     The text of ``test.yaml``.
     """
-    specimen = (
-        f"{{type: {scenario.specimen_type}, spool: {scenario.spool}, sample: {scenario.sample}, "
-        f"length: {_millimetres(scenario.mechanics.length)}}}"
-    )
+    is_bundle = isinstance(scenario.mechanics.wire, BundleModel)
     lines = [
         "# A synthetic test, made by labpipe's virtual lab. Its truth stands in truth.json.",
         f"test: {scenario.name}",
-        f"protocol: {PROTOCOL}",
-        f"specimen: {specimen}",
+        f"protocol: {BUNDLE_PROTOCOL if is_bundle else PROTOCOL}",
+        *_specimen(scenario),
         f"date: {scenario.date}",
         "operator: virtual lab",
         f"files: {{force: {FORCE_FILE}, markers: {MARKER_FILE}}}",
@@ -55,9 +62,27 @@ def write_sheet(scenario: CantileverScenario) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _specimen(scenario: CantileverScenario) -> Iterator[str]:
+    said = {
+        "type": scenario.specimen_type,
+        "spool": scenario.spool,
+        "sample": scenario.sample,
+        "length": _millimetres(scenario.mechanics.length),
+    }
+    bundle = scenario.mechanics.wire
+    if not isinstance(bundle, BundleModel):
+        yield f"specimen: {{{', '.join(f'{key}: {value}' for key, value in said.items())}}}"
+        return
+    yield "specimen:"
+    yield from (f"  {key}: {value}" for key, value in said.items())
+    yield from bundle_lines(bundle)
+
+
 def _overrides(scenario: CantileverScenario) -> Iterator[str]:
     values = _values(scenario)
-    changed = {key: value for key, value in values.items() if value != PROTOCOL_VALUES[key]}
+    is_bundle = isinstance(scenario.mechanics.wire, BundleModel)
+    usual = BUNDLE_PROTOCOL_VALUES if is_bundle else PROTOCOL_VALUES
+    changed = {key: value for key, value in values.items() if value != usual[key]}
     if changed:
         yield "overrides:"
     for key, value in changed.items():
