@@ -18,11 +18,25 @@ from labpipe.store.replace import replacing, storing
 
 DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
 """Dimensions of a specimen that have a column of their own."""
+BUNDLE = {
+    "bundle_wires": "wires",
+    "bundle_number": "number",
+    "arrangement": "arrangement",
+    "tape": "tape",
+    "taping": "taping",
+    "conduit": "conduit",
+    "conduit_bore": "conduit_bore",
+}
+"""Columns of a harness bundle, and the keys of its block that they fill."""
+LABELS = "labels."
+"""With this before its name, a column is a label of the specimen."""
 _PLAIN = ("test", "protocol", "date", "operator")
 _SPECIMEN = ("type", "spool", "sample")
-COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *ROLES, "because")
-"""The columns of a campaign's table; besides them, every dotted key of a protocol is one."""
+COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
+"""The columns of a campaign's table; besides them, every dotted key of a protocol is one, and every
+label."""
 _NEEDED = ("test", "protocol", *_SPECIMEN)
+_MISSING = re.compile(r"the key '(\w+)'")
 _UNIT_IN_HEADING = re.compile(r"(.+?)\s*[(\[](.+)[)\]]")
 
 
@@ -32,7 +46,7 @@ class NewTest:
 
     Parameters
     ----------
-    values : text by column: those of `COLUMNS`, and dotted keys of the protocol
+    values : text by column: those of `COLUMNS`, labels, and dotted keys of the protocol
     places : where each of them was written, for messages; by column
     """
 
@@ -66,8 +80,9 @@ def new_test(
     Parameters
     ----------
     folder : of the test; made if it is not there
-    values : text by column of `COLUMNS` (``test`` is the folder's name if left out), or by dotted
-        key of the protocol; several parts of one recording are parted by ``;``
+    values : text by column of `COLUMNS` (``test`` is the folder's name if left out), by label
+        (``labels.cured``), or by dotted key of the protocol; several parts of one recording are
+        parted by ``;``
     overwrite : whether a test sheet that is there already may go
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
 
@@ -105,7 +120,7 @@ def new_from_sheet(
     Parameters
     ----------
     sheet : xlsx or csv with the columns `COLUMNS`, in any order; ``length (mm)`` states a unit for
-        the whole column; a column may also be a dotted key of the protocol
+        the whole column; a column may also be a label, or a dotted key of the protocol
     folder : of the campaign; each test gets a folder of its name in it
     overwrite : whether test sheets that are there already may go; else they are kept
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
@@ -204,8 +219,7 @@ def _faults(test: NewTest, file: Path, folder: Path, protocols: Path | None) -> 
 
 def _worded(fault: Fault, test: NewTest, file: Path) -> str:
     """Word a fault at the cell, or the option, that it comes from."""
-    missing = re.fullmatch(r"the key '(\w+)'", fault.expected)
-    column = missing[1] if missing else _column_of(fault)
+    missing, column = _MISSING.fullmatch(fault.expected), _column_of(fault)
     place = test.places.get(column) or test.places.get("test")
     place = f"{place} ({column})" if place else column
     if missing:
@@ -217,22 +231,42 @@ def _worded(fault: Fault, test: NewTest, file: Path) -> str:
 
 def _column_of(fault: Fault) -> str:
     path = [str(part) for part in fault.path]
+    missing = _MISSING.fullmatch(fault.expected)
+    if path[:2] == ["specimen", "bundle"]:
+        key = missing[1] if missing else path[2]
+        return next(column for column, filled in BUNDLE.items() if filled == key)
+    if missing:
+        return missing[1]
+    if path[:2] == ["specimen", "labels"]:
+        return f"{LABELS}{path[2]}"
     return path[1] if path[0] in ("specimen", "files", "overrides") and len(path) > 1 else path[0]
 
 
 def _sheet_data(values: Mapping[str, str]) -> dict[str, object]:
     """Arrange text by column into the blocks of a test sheet."""
-    specimen = {key: values[key] for key in (*_SPECIMEN, *DIMENSIONS) if key in values}
     files = {role: _parts(values[role]) for role in ROLES if role in values}
-    dotted = {key: value for key, value in values.items() if "." in key}
+    dotted = {key: value for key, value in values.items() if "." in key and not _is_label(key)}
     because = {"because": values["because"]} if "because" in values else {}
     data: dict[str, object] = {key: values[key] for key in ("test", "protocol") if key in values}
-    data["specimen"] = specimen
+    data["specimen"] = _specimen_data(values)
     data |= {key: values[key] for key in ("date", "operator") if key in values}
     data["files"] = files
     if dotted:
         data["overrides"] = {key: {"value": value} | because for key, value in dotted.items()}
     return data
+
+
+def _specimen_data(values: Mapping[str, str]) -> dict[str, object]:
+    plain = (*_SPECIMEN, *DIMENSIONS)
+    specimen: dict[str, object] = {key: values[key] for key in plain if key in values}
+    bundle = {key: values[column] for column, key in BUNDLE.items() if column in values}
+    labels = {key.removeprefix(LABELS): word for key, word in values.items() if _is_label(key)}
+    blocks = {"bundle": bundle, "labels": labels}
+    return specimen | {key: block for key, block in blocks.items() if block}
+
+
+def _is_label(column: str) -> bool:
+    return column.startswith(LABELS)
 
 
 def _parts(text: str) -> str | list[str]:

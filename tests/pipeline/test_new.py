@@ -8,6 +8,7 @@ import pytest
 from labpipe.errors import ReadError, StoreError, UsageError
 from labpipe.pipeline.new import new_from_sheet, new_test
 from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.records.bundle import Bundle, BundleWire
 
 VALUES = {
     "protocol": "wire-cantilever",
@@ -33,6 +34,67 @@ def test_a_test_sheet_from_options(tmp_path: Path) -> None:
     assert protocol.markers is not None
     assert protocol.markers.clamp == "Grip"
     assert [file.name for file in path.parent.iterdir()] == ["test.yaml"]
+
+
+BUNDLE = {
+    "length": "114.3 mm",
+    "bundle_wires": "10 B1 (1.1 mm) + 9 B2 (1.6 mm)",
+    "bundle_number": "19",
+    "arrangement": "symmetric",
+    "tape": "PVC",
+    "taping": "half-lap",
+    "conduit": "corrugated-tube",
+    "conduit_bore": "10.7 mm",
+    "labels.cured": "24 h",
+}
+RECORD = Bundle(
+    (BundleWire("B1", 10, 0.0011), BundleWire("B2", 9, 0.0016)),
+    arrangement="symmetric",
+    tape="PVC",
+    taping="half-lap",
+    conduit="corrugated-tube",
+    conduit_bore=0.0107,
+)
+
+
+def test_a_bundle_from_options(tmp_path: Path) -> None:
+    path = new_test(tmp_path / "t", VALUES | BUNDLE)
+
+    sheet = load_test_sheet(path)
+    assert sheet.specimen.record.bundle == RECORD
+    assert sheet.specimen.labels == {"cured": "24 h"}
+    assert list(sheet.overrides) == ["markers.clamp"]
+
+
+def test_faults_of_a_bundle_are_told_at_its_options(tmp_path: Path) -> None:
+    wrong = {
+        "bundle_wires": "ten B1",
+        "bundle_number": "many",
+        "taping": "halflap",
+        "labels.Cured": "24 h",
+    }
+
+    with pytest.raises(UsageError) as info:
+        new_test(tmp_path / "t", VALUES | BUNDLE | wrong)
+
+    path = tmp_path / "t" / "test.yaml"
+    assert set(str(info.value).splitlines()) == {
+        f"{path}, bundle_wires: expected wires by type, such as {{B1: 10, B2: 9}} or"
+        " '10 B1 + 9 B2', found 'ten B1'.",
+        f"{path}, bundle_number: expected a whole number from 1 to 100000, found 'many'.",
+        f"{path}, taping: expected one of 'half-lap', 'coarse', 'none', found 'halflap'."
+        " Did you mean 'half-lap'?",
+        f"{path}, labels.Cured: expected a name of small letters, digits and '_', a letter first,"
+        " found 'Cured'.",
+    }
+
+
+def test_a_bundle_without_wires(tmp_path: Path) -> None:
+    with pytest.raises(
+        UsageError,
+        match=r"bundle_wires: expected a value for 'bundle_wires', found none\. Fill it in\.$",
+    ):
+        new_test(tmp_path / "t", VALUES | {"conduit": "corrugated-tube"})
 
 
 def test_a_test_sheet_that_is_there_is_kept_unless_asked(tmp_path: Path) -> None:
@@ -120,6 +182,56 @@ def test_one_test_sheet_per_row(table: Path, tmp_path: Path) -> None:
     assert (first.overrides, list(second.overrides)) == ({}, ["markers.clamp"])
 
 
+BUNDLES = """\
+test;protocol;type;spool;sample;Span (mm);Bundle_wires;Arrangement;tape;taping;conduit;\
+Conduit_bore (mm);labels.cured;force;markers
+C-1;wire-cantilever;CWB;s1;1;152.4;19 B1;;;;corrugated-tube;10.7;24 h;a.mat;t.csv
+C-2;wire-cantilever;CWB;s1;2;152.4;10 B1 + 9 B2;asymmetric;PVC;coarse;twist-tube;;;a.mat;t.csv
+C-3;wire-cantilever;B1;s1;3;152.4;;;;;;;;a.mat;t.csv
+"""
+
+
+def test_bundles_from_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.csv"
+    path.write_text(BUNDLES, encoding="utf-8")
+
+    made = new_from_sheet(path, tmp_path / "raw")
+
+    one, two, three = (load_test_sheet(each).specimen.record for each in made.written)
+    assert one.bundle == Bundle(
+        (BundleWire("B1", 19),), conduit="corrugated-tube", conduit_bore=0.0107
+    )
+    assert two.bundle == Bundle(
+        (BundleWire("B1", 10), BundleWire("B2", 9)),
+        arrangement="asymmetric",
+        tape="PVC",
+        taping="coarse",
+        conduit="twist-tube",
+    )
+    assert three.bundle is None
+    assert [dict(each.labels) for each in (one, two, three)] == [{"cured": "24 h"}, {}, {}]
+    assert resolve(load_test_sheet(made.written[0]), made.written[0]).specimen.span == 0.1524
+
+
+def test_faults_of_bundles_name_their_cells(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.csv"
+    wrong = BUNDLES.replace("19 B1;;;", "19 B1;symmetric;;half-lap").replace("10 B1 +", "10 B1,")
+    path.write_text(wrong, encoding="utf-8")
+
+    with pytest.raises(ReadError) as info:
+        new_from_sheet(path, tmp_path / "raw")
+    assert str(info.value).splitlines() == [
+        f"{path}, line 2, column 8 (arrangement): expected 'packed' for wires of one type, found"
+        " 'symmetric'. Only wires of different types can be spread one way or another: leave it"
+        " out.",
+        f"{path}, line 2, column 10 (taping): expected 'none' where there is no tape, found"
+        " 'half-lap'. Write what tape it is, such as 'tape: PVC', or 'tape: unknown'.",
+        f"{path}, line 3, column 7 (bundle_wires): expected wires by type, such as"
+        " {B1: 10, B2: 9} or '10 B1 + 9 B2', found '10 B1, 9 B2'.",
+    ]
+    assert not (tmp_path / "raw").exists()
+
+
 def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path) -> None:
     path = tmp_path / "raw" / "A2-1" / "test.yaml"
     path.parent.mkdir(parents=True)
@@ -139,7 +251,7 @@ def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path)
         (
             "Length (mm)",
             "lenght",
-            "line 1, column 6: expected one of 'length', 'test', 'sample', 'operator', 'diameter',"
+            "line 1, column 6: expected one of 'length', 'test', 'arrangement', 'sample', 'taping',"
             " ..., or a dotted key, found 'lenght'. Did you mean 'length'?",
         ),
         (
