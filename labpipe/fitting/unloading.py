@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.noise import long_run_variance
+from labpipe.fitting.noise import fast_noise, long_run_variance
 from labpipe.records.arrays import Floats
 
 _SMALL = 0.02
@@ -17,7 +17,6 @@ _CLEAR = 4.0
 _REACH = 0.1
 """Share of a branch on each side of its zero that a parabola is fitted to."""
 _LEAST = 8
-_BLOCK = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +74,7 @@ def residual_after_unloading(
     time, displacement, force = time[known], displacement[known], force[known]
     if len(time) < 2 * _LEAST:
         return Failure("too_few_samples", f"{len(time)} samples, {2 * _LEAST} are needed")
-    limit = max(_CLEAR * _noise(force), min(force_below, _SMALL * float(force.max())))
+    limit = max(_CLEAR * fast_noise(force), min(force_below, _SMALL * float(force.max())))
     above = np.flatnonzero(force > limit)
     if len(above) == 0:
         return Failure("too_few_samples", f"{len(time)} samples, none above {limit:.4g} N")
@@ -93,15 +92,6 @@ def residual_after_unloading(
     if has_stopped and is_slack and _is_still(time[rest], displacement[rest]):
         return _rest_mean(displacement[rest])
     return _line_to(time, displacement, zero, change)
-
-
-def _noise(force: Floats) -> float:
-    """Standard deviation of a force about parabolas through blocks of 20 samples; the median."""
-    size = min(_BLOCK, len(force))
-    rows = force[: len(force) // size * size].reshape(-1, size)
-    basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
-    left = rows - rows @ basis @ basis.T
-    return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (size - 3))))
 
 
 def _passed(

@@ -127,8 +127,8 @@ def residual_of(
 def loading_stiffness_of(
     bench: Bench, branches: list[Branch], displacement: Floats, low: float, high: float
 ) -> Estimate | Failure:
-    """Stiffness of the loading branch between two displacements, N/m."""
-    return _stiffness(bench, branches[0], displacement, low, high)
+    """Stiffness of the loading branch between two displacements, N/m; scale taken as exact."""
+    return stiffness_over(bench, branches[0], displacement, low, high)
 
 
 def unloading_stiffness_of(
@@ -138,10 +138,10 @@ def unloading_stiffness_of(
     if len(branches) < 2:
         return Failure("partial_cycle", "the cycle has no unloading branch")
     turn = _value_at_start(curve_of(bench).time, displacement, branches[1])
-    found = _stiffness(bench, branches[1], turn - displacement, low, high)
+    found = stiffness_over(bench, branches[1], turn - displacement, low, high)
     if isinstance(found, Failure):
         return found
-    return Estimate(-found.value, found.error, found.n)
+    return _scaled_by_force(bench, Estimate(-found.value, found.error, found.n))
 
 
 def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
@@ -154,10 +154,23 @@ def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
     return float(np.polynomial.Polynomial.fit(t, y, 2)(0.0))
 
 
-def _stiffness(
+def stiffness_over(
     bench: Bench, part: Branch, path_of_all: Floats, low: float, high: float
 ) -> Estimate | Failure:
-    """Stiffness over the part of a branch whose path lies between two lengths."""
+    """Stiffness over the part of a branch whose path lies between two lengths.
+
+    Parameters
+    ----------
+    bench : with a curve
+    part : the branch, or a stretch of it
+    path_of_all : shape (n,), m, on the clock of the curve, growing along the branch
+    low, high : m
+
+    Returns
+    -------
+    N/m, without the uncertainty of the scale of the force; a failure ``not_reached``,
+    ``too_few_samples`` or ``no_travel``.
+    """
     curve = curve_of(bench)
     branch = bench.within(part)
     time, force, path = curve.time[branch], curve.force[branch], path_of_all[branch]
@@ -173,8 +186,11 @@ def _stiffness(
     moved = secant_stiffness(time, path, shifted, inside)
     if isinstance(found, Failure) or isinstance(moved, Failure):
         return found
-    scale = bench.raw[bench.force].relative_error * found.value
-    return widened(found, scale, moved.value - found.value)
+    return widened(found, moved.value - found.value)
+
+
+def _scaled_by_force(bench: Bench, estimate: Estimate) -> Estimate:
+    return widened(estimate, bench.raw[bench.force].relative_error * estimate.value)
 
 
 def curve_of(bench: Bench) -> Curve:

@@ -21,7 +21,7 @@ from labpipe.pipeline.cycle_numbers import (
     residual_of,
     unloading_stiffness_of,
 )
-from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
+from labpipe.pipeline.outcomes import Asked, blocked_or, to_result, with_force_scale
 from labpipe.pipeline.sharp_turns import peak_displacement_of_cycle, peak_force_of_cycle
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
@@ -40,7 +40,7 @@ def clock_results(bench: Bench) -> list[Result]:
         events = len(fit.event_times_motion)
         offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
         drift = Estimate(fit.drift, fit.drift_interval.standard_error, events)
-        if events < 2:
+        if np.isnan(fit.drift_interval.lower):
             drift = Failure("one_event", "one turning point gives an offset but no drift")
     return [
         to_result(bench, Asked("clock_offset", "s", ("clock",), method), offset),
@@ -52,27 +52,27 @@ def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
     method = "smooth pieces on both sides of a corner, on its near side on one clock; else a vertex"
     asked = Asked("peak_force", "N", ("force",), method, needs=1)
-    return _per_cycle(bench, asked, peak_force_of_cycle)
+    return per_cycle(bench, asked, peak_force_of_cycle)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
     method = "parabolas on both sides of a corner, samples at its top on one clock; else a vertex"
     asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1)
-    return _per_cycle(bench, asked, peak_displacement_of_cycle)
+    return per_cycle(bench, asked, peak_displacement_of_cycle)
 
 
 def energy(bench: Bench) -> list[Result]:
     """``energy.<cycle>`` (J): work dissipated over one cycle."""
     asked = Asked("energy", "J", _ALL, "integral of force, trapezoids", needs=2)
-    return _per_cycle(bench, asked, energy_of)
+    return per_cycle(bench, asked, energy_of)
 
 
 def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
     """``residual_displacement.<cycle>`` (m): displacement left at zero force after unloading."""
     method = f"displacement once the force is back at zero, within {force_below:g} N or less"
     asked = Asked("residual_displacement", "m", _ALL, method)
-    return _per_cycle(bench, asked, partial(residual_of, force_below=force_below))
+    return per_cycle(bench, asked, partial(residual_of, force_below=force_below))
 
 
 def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[Result]:
@@ -82,7 +82,10 @@ def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> li
     asked, first = Asked(name, "N/m", _ALL, method), bench.cycles()[:1]
     outcome: Estimate | Failure = blocked_or(bench, Failure("no_cycle", "the motion has no branch"))
     if first:
-        outcome = _with_shape_error(bench, first[0], number)
+        outcome = with_shape_error(bench, first[0], number)
+    if isinstance(outcome, Estimate):
+        bench.stiffnesses[name] = outcome
+        outcome = with_force_scale(bench, outcome)
     return [to_result(bench, asked, outcome)]
 
 
@@ -100,14 +103,22 @@ def unloading_stiffness(bench: Bench, *, over: float) -> list[Result]:
     """``unloading_stiffness.<cycle>`` (N/m) over the first stretch of the unloading branch."""
     method = f"line from {0.1 * over:g} m to {over:g} m off the peak, time as instrument"
     asked = Asked("unloading_stiffness", "N/m", _ALL, method)
-    return _per_cycle(bench, asked, partial(unloading_stiffness_of, low=0.1 * over, high=over))
+    return per_cycle(bench, asked, partial(unloading_stiffness_of, low=0.1 * over, high=over))
 
 
-_Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
+Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
 """A number of one cycle, from the bench, the branches of the cycle and a displacement."""
 
 
-def _per_cycle(bench: Bench, asked: Asked, of_cycle: _Numbers) -> list[Result]:
+def per_cycle(bench: Bench, asked: Asked, of_cycle: Numbers) -> list[Result]:
+    """Results of one kind for all cycles; one failure where there is no cycle.
+
+    Parameters
+    ----------
+    bench : with its stages
+    asked : what is asked for; the name gets the number of the cycle
+    of_cycle : the number of one cycle
+    """
     cycles = bench.cycles()
     if not cycles:
         failure = blocked_or(bench, Failure("no_cycle", "the motion has no branch"))
@@ -116,7 +127,7 @@ def _per_cycle(bench: Bench, asked: Asked, of_cycle: _Numbers) -> list[Result]:
         to_result(
             bench,
             asked,
-            _with_shape_error(bench, branches, of_cycle),
+            with_shape_error(bench, branches, of_cycle),
             part=f".{branches[0].cycle}",
             doubt=broken_off(bench, branches[: asked.needs]),
         )
@@ -138,10 +149,15 @@ def broken_off(bench: Bench, branches: list[Branch]) -> str:
     return f"partial_cycle: the record ends at {at}, while still {part.direction}"
 
 
-def _with_shape_error(
-    bench: Bench, branches: list[Branch], of_cycle: _Numbers
-) -> Estimate | Failure:
-    """Estimate, its error widened by what another shape would have given."""
+def with_shape_error(bench: Bench, branches: list[Branch], of_cycle: Numbers) -> Estimate | Failure:
+    """Estimate, its error widened by what another shape would have given.
+
+    Parameters
+    ----------
+    bench : with a curve
+    branches : of the cycle
+    of_cycle : the number of it
+    """
     displacement = bench.signals[bench.displacement]
     estimate = of_cycle(bench, branches, displacement.values)
     if displacement.alternative is None or isinstance(estimate, Failure):

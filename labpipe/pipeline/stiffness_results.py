@@ -48,7 +48,7 @@ def line_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[
         return [to_result(bench, asked, blocked_or(bench, NO_BRANCH))]
     curve, stretch = curve_of(bench), loading_stretch(bench)
     displacement, force = curve.displacement[stretch], curve.force[stretch]
-    window = _window(displacement, low, high)
+    window = window_of(displacement, low, high)
     if isinstance(window, Failure):
         return [to_result(bench, asked, window)]
     line = fit_line(displacement[window], force[window])
@@ -59,7 +59,7 @@ def line_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[
     bench.lines.append(FittedLine(name, slope.value, level, line.start, line.stop))
     bench.stiffnesses[name] = slope
     fall = "negative_slope: the force falls where the frame pulls" if slope.value <= 0.0 else ""
-    doubt = "; ".join(filter(None, [fall, _marked_slip(bench, line.start, line.stop)]))
+    doubt = "; ".join(filter(None, [fall, marked_slip(bench, line.start, line.stop)]))
     return [to_result(bench, asked, with_force_scale(bench, slope), doubt=doubt)]
 
 
@@ -82,7 +82,7 @@ def two_segments(bench: Bench, *, low: float, high: float) -> list[Result]:
         FittedLine(names[1], second.value, fit.level, at.value, fit.stop),
     ]
     zero = bench.signals[bench.displacement].zero_error
-    doubt = _marked_slip(bench, fit.start, fit.stop)
+    doubt = marked_slip(bench, fit.start, fit.stop)
     return [
         to_result(bench, asked[0], with_force_scale(bench, first), doubt=doubt),
         to_result(bench, asked[1], with_force_scale(bench, second), doubt=doubt),
@@ -95,7 +95,7 @@ def _segments(bench: Bench, low: float, high: float) -> TwoSegments | Failure:
         return blocked_or(bench, NO_BRANCH)
     curve, stretch = curve_of(bench), loading_stretch(bench)
     displacement, force = curve.displacement[stretch], curve.force[stretch]
-    window = _window(displacement, low, high)
+    window = window_of(displacement, low, high)
     if isinstance(window, Failure):
         return window
     return fit_two_segments(displacement[window], force[window])
@@ -105,7 +105,7 @@ def normalised_stiffness(bench: Bench, *, of: str) -> list[Result]:
     """A stiffness over the largest force of all cycles (1/m); a gain error cancels."""
     method = f"{of} / peak force of the same sample, errors independent, scale error cancelled"
     asked = Asked(f"{of}_per_peak_force", "1/m", CURVE, method)
-    doubts = [_doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[-1:])]
+    doubts = [doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[-1:])]
     doubt = "; ".join(filter(None, doubts))
     return [to_result(bench, asked, _normalised(bench, of), doubt=doubt)]
 
@@ -147,7 +147,7 @@ def modulus_result(bench: Bench, entry: Modulus, specimen: SpecimenBlock) -> lis
         outcome = modulus(
             with_force_scale(bench, stiffness), gauge_length=specimen.length, area=area
         )
-    return [to_result(bench, asked, outcome, doubt=_doubt_of(bench, entry.of))]
+    return [to_result(bench, asked, outcome, doubt=doubt_of(bench, entry.of))]
 
 
 def _area(kind: str, specimen: SpecimenBlock) -> float | Failure:
@@ -171,8 +171,18 @@ def _area(kind: str, specimen: SpecimenBlock) -> float | Failure:
     return area
 
 
-def _window(displacement: Floats, low: float, high: float) -> slice | Failure:
-    """Samples from the first one at `low` to the last one before `high`, in order of time."""
+def window_of(displacement: Floats, low: float, high: float) -> slice | Failure:
+    """Samples from the first one at `low` to the last one before `high`, in order of time.
+
+    Parameters
+    ----------
+    displacement : shape (n,), m, of a loading branch
+    low, high : m
+
+    Returns
+    -------
+    Where they are, or a failure ``not_reached``.
+    """
     known = displacement[~np.isnan(displacement)]
     if not len(known) or known.max() < high:
         reached = float(known.max()) if len(known) else float("nan")
@@ -197,8 +207,18 @@ def _with_other_displacement(
     return widened(slope, abs(line.slope.value - slope.value) / np.sqrt(3.0))
 
 
-def _doubt_of(bench: Bench, stiffness: str) -> str:
-    """Why a number is doubtful that is made of a stiffness: for the reason that this one is."""
+def doubt_of(bench: Bench, stiffness: str) -> str:
+    """Why a number is doubtful that is made of a stiffness: for the reason that this one is.
+
+    Parameters
+    ----------
+    bench : with slips and lines
+    stiffness : name of the result
+
+    Returns
+    -------
+    Code and sentence; empty where it is not.
+    """
     segments = stiffness.startswith("segment_stiffness_")  # one slip bends both
     lines = [
         line
@@ -207,11 +227,21 @@ def _doubt_of(bench: Bench, stiffness: str) -> str:
     ]
     if not lines:
         return ""
-    return _marked_slip(bench, min(line.start for line in lines), max(line.stop for line in lines))
+    return marked_slip(bench, min(line.start for line in lines), max(line.stop for line in lines))
 
 
-def _marked_slip(bench: Bench, start: float, stop: float) -> str:
-    """Why a number over a stretch is doubtful in which a slip was only marked."""
+def marked_slip(bench: Bench, start: float, stop: float) -> str:
+    """Why a number over a stretch is doubtful in which a slip was only marked.
+
+    Parameters
+    ----------
+    bench : with its slip ledger
+    start, stop : m, ends of the stretch
+
+    Returns
+    -------
+    Code and sentence; empty where none slipped there.
+    """
     inside = [
         slip
         for slip in bench.slips
