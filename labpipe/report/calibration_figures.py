@@ -9,6 +9,7 @@ from pathlib import Path
 from labpipe.report.calibration_card import calibration_card
 from labpipe.report.calibration_shapes import shapes_figure
 from labpipe.report.calibration_shown import CalibrationReport
+from labpipe.report.calibration_third import third_figure, third_pages
 from labpipe.report.calibration_validation import validation_figure, validation_pages
 from labpipe.report.saving import PLAIN_TEXT, PageToDraw, save_pages
 
@@ -23,7 +24,8 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[PageToDraw]:
     Yields
     ------
     ``calibration``, the card; ``validation-1``, ``validation-2`` ... with six wires and lengths
-    each; ``shapes-1`` ... for each sample whose shapes are there.
+    each; ``third-curves``, ``third-curves-2`` ... if curves from elsewhere are compared;
+    ``shapes-1`` ... for each sample whose shapes are there.
     """
     card = partial(
         calibration_card, report.calibration, report.source, predictions=report.predictions
@@ -31,6 +33,9 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[PageToDraw]:
     yield PageToDraw("calibration", card)
     for number, groups in enumerate(validation_pages(report.groups), start=1):
         yield PageToDraw(f"validation-{number}", partial(validation_figure, groups))
+    for number, panels in enumerate(third_pages(report), start=1):
+        name = "third-curves" if number == 1 else f"third-curves-{number}"
+        yield PageToDraw(name, partial(third_figure, panels))
     for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
         yield PageToDraw(f"shapes-{number}", partial(shapes_figure, name, shapes))
 

@@ -36,12 +36,13 @@ MOST_GROUPS = 6
 """Panels on a page."""
 _COLUMNS, _ROW = 2, 66.0
 _SAMPLE: dict[str, Any] = {"color": GREY, "linewidth": 0.45, "alpha": 0.75, "zorder": 2}
-_MEAN: dict[str, Any] = {"color": "black", "linewidth": 1.3, "zorder": 4}
-_MEASURED: dict[str, Any] = {"color": "#bbbbbb", "alpha": 0.7, "linewidth": 0, "zorder": 1}
-_MODEL: dict[str, Any] = {
+MEAN_LOOK: dict[str, Any] = {"color": "black", "linewidth": 1.3, "zorder": 4}
+MEASURED_LOOK: dict[str, Any] = {"color": "#bbbbbb", "alpha": 0.7, "linewidth": 0, "zorder": 1}
+MODEL_LOOK: dict[str, Any] = {
     "color": MODEL, "linewidth": 1.4, "linestyle": (0, (5, 1.4)), "zorder": 5
 }  # fmt: skip
-_FORETOLD: dict[str, Any] = {"color": BAND, "alpha": 0.5, "linewidth": 0, "zorder": 1.5}
+FORETOLD_LOOK: dict[str, Any] = {"color": BAND, "alpha": 0.5, "linewidth": 0, "zorder": 1.5}
+"""The mean of samples, its band, the model, and its band."""
 _EDGE: dict[str, Any] = {"color": MODEL, "linewidth": 0.5, "zorder": 3}
 _BINS, _ROOM, _LINE = 100, 1.08, 48
 
@@ -95,8 +96,8 @@ def plot_group(group: ValidationGroup, axes: Axes) -> None:
         axes.plot(across, FORCE.factor * sample.force[kept], **_SAMPLE)
     band, x = group.band, DEFLECTION.factor * group.band.displacement
     if np.isfinite(band.lower).any():
-        axes.fill_between(x, FORCE.factor * band.lower, FORCE.factor * band.upper, **_MEASURED)
-    axes.plot(x, FORCE.factor * band.mean, **_MEAN)
+        axes.fill_between(x, FORCE.factor * band.lower, FORCE.factor * band.upper, **MEASURED_LOOK)
+    axes.plot(x, FORCE.factor * band.mean, **MEAN_LOOK)
     if group.prediction is not None:
         _draw_prediction(group.prediction, axes)
     axes.text(
@@ -135,10 +136,10 @@ def agreement_words(group: ValidationGroup) -> str:
 def _draw_prediction(prediction: Prediction, axes: Axes) -> None:
     x = DEFLECTION.factor * prediction.deflection
     lower, upper = FORCE.factor * prediction.lower, FORCE.factor * prediction.upper
-    axes.fill_between(x, lower, upper, **_FORETOLD)
+    axes.fill_between(x, lower, upper, **FORETOLD_LOOK)
     for edge in (lower, upper):
         axes.plot(x, edge, **_EDGE)
-    axes.plot(x, FORCE.factor * prediction.force, **_MODEL)
+    axes.plot(x, FORCE.factor * prediction.force, **MODEL_LOOK)
 
 
 def _lowest(group: ValidationGroup) -> float:
@@ -183,11 +184,11 @@ def _keys(groups: Sequence[ValidationGroup]) -> list[Artist]:
 
     keys: list[Artist] = [
         Line2D([], [], label="sample", **_SAMPLE),
-        Line2D([], [], label="mean of samples", **_MEAN),
+        Line2D([], [], label="mean of samples", **MEAN_LOOK),
     ]
     if any(np.isfinite(group.band.lower).any() for group in groups):
-        keys.append(Patch(label="95 % band of the mean", **_MEASURED))
+        keys.append(Patch(label="95 % band of the mean", **MEASURED_LOOK))
     if any(group.prediction is not None for group in groups):
-        keys.append(Line2D([], [], label="model", **_MODEL))
-        keys.append(Patch(label="95 % band of the model", **_FORETOLD))
+        keys.append(Line2D([], [], label="model", **MODEL_LOOK))
+        keys.append(Patch(label="95 % band of the model", **FORETOLD_LOOK))
     return keys
