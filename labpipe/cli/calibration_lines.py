@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from labpipe.cli.telling import from_here
-from labpipe.records.calibration import CalibrationFailure, Identified
+from labpipe.records.calibration import DISPLAYED, CalibrationFailure, Identified
 
 if TYPE_CHECKING:
     from labpipe.pipeline.calibrating import Calibrated
     from labpipe.records.calibration import CalibratedParameter
     from labpipe.report.calibration_shown import ValidationGroup
 
-_SHOWN = {"N": (1e3, "mN"), "Pa": (1e-6, "MPa"), "1": (1.0, "")}
-_DOUBTED = {Identified.NOT, Identified.AT_BOUND}
+_DOUBTED = {Identified.NOT, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
 
 
 def calibration_table(done: Calibrated) -> str:
@@ -45,7 +44,7 @@ def calibration_table(done: Calibrated) -> str:
 
 
 def _parameter(each: CalibratedParameter) -> str:
-    factor, unit = _SHOWN[each.unit]
+    factor, unit = DISPLAYED[each.name]
     mark = "?" if each.verdict in _DOUBTED else " "
     line = f"{mark} {each.name:<20}{factor * each.value:>10.5g} {unit:<4}"
     if each.interval is None:
@@ -80,9 +79,10 @@ def _source(done: Calibrated) -> list[str]:
         return []
     if isinstance(source, CalibrationFailure):
         return [f"  method of the source: failed, {source.code}: {source.message}"]
+    unsettled = "" if source.converged else "; its search did not converge"
     return [
         f"  method of the source, to compare: mu_s {source.strand_friction:.3g}, mu_p "
-        f"{source.insulation_friction:.3g}, F_rad {source.radial_force:.3g} N, together "
-        f"{1e3 * source.radial_friction:.4g} mN, rms {1e3 * source.rmse:.3g} mN; where it ends "
-        "depends on where it begins"
+        f"{source.insulation_friction:.3g}, F_rad {1e3 * source.radial_force:.4g} mN, "
+        f"together {1e3 * source.radial_friction:.4g} mN, rms {1e3 * source.rmse:.3g} mN; where it "
+        f"ends depends on where it begins{unsettled}"
     ]

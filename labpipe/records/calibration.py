@@ -21,6 +21,12 @@ COPPER_SCALE = "copper_scale"
 PARAMETERS = (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
 """What is calibrated, in the order of every array over parameters."""
 UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
+DISPLAYED = {
+    RADIAL_FRICTION: (1e3, "mN"),
+    INSULATION_MODULUS: (1e-6, "MPa"),
+    COPPER_SCALE: (1.0, ""),
+}
+"""Factor and unit in which people see a value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +63,8 @@ class Identified(StrEnum):
     """It is open on a side, or spans more than a factor of a hundred."""
     BY_PRIOR = "known from its prior"
     """The tests add next to nothing to what the prior says."""
+    AGAINST_PRIOR = "contradicts its prior"
+    """Prior and tests ask for different values; the one found lies between them."""
     AT_BOUND = "at its bound"
     """The search wanted to go beyond what it was allowed."""
     FIXED = "fixed"

@@ -7,7 +7,12 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from labpipe.records.calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+from labpipe.records.calibration import (
+    COPPER_SCALE,
+    DISPLAYED,
+    INSULATION_MODULUS,
+    RADIAL_FRICTION,
+)
 from labpipe.report.group_look import Look
 from labpipe.report.wording import Scale
 
@@ -53,13 +58,12 @@ class Shown(NamedTuple):
 
 
 SHOWN: Mapping[str, Shown] = {
-    RADIAL_FRICTION: Shown("friction phi", "Friction \u03c6", Scale(1.0, "N")),
-    INSULATION_MODULUS: Shown(
-        "modulus of the insulation", "Insulation modulus", Scale(1e-6, "MPa")
-    ),
-    COPPER_SCALE: Shown(
-        "strength of the copper, factor", "Factor on copper's strength", Scale(1.0, "")
-    ),
+    name: Shown(words, symbol, Scale(*DISPLAYED[name]))
+    for name, words, symbol in (
+        (RADIAL_FRICTION, "friction phi", "Friction \u03c6"),
+        (INSULATION_MODULUS, "modulus of the insulation", "Insulation modulus"),
+        (COPPER_SCALE, "strength of the copper, factor", "Factor on copper's strength"),
+    )
 }
 _IN_WORDS: Mapping[str, str] = {
     RADIAL_FRICTION: "phi",

@@ -128,19 +128,16 @@ def _notes(calibration: Calibration) -> Iterator[str]:
 
 
 def _source(source: SourceCalibration) -> str:
-    numbers = ", ".join(
-        f"{name} {value:.3g}"
-        for name, value in (
-            ("mu_s", source.strand_friction),
-            ("mu_p", source.insulation_friction),
-            ("F_rad", source.radial_force),
-        )
+    milli, unit = SMALL_FORCE
+    numbers = (
+        f"mu_s {source.strand_friction:.3g}, mu_p {source.insulation_friction:.3g}, F_rad "
+        f"{milli * source.radial_force:.4g} {unit}"
     )
     start = ", ".join(f"{value:g}" for value in source.start)
     ending = "" if source.converged else "; its search did not converge"
     return typeset(
         f"Method: source, three friction numbers and one stiffness for the whole wire: phi = "
-        f"{source.radial_friction:.4g} N ({numbers} N, search begun at {start}); RMSE "
-        f"{SMALL_FORCE.factor * source.rmse:.3g} {SMALL_FORCE.unit}, "
+        f"{milli * source.radial_friction:.4g} {unit} ({numbers}, search begun at {start}); RMSE "
+        f"{milli * source.rmse:.3g} {unit}, "
         f"{percent(source.rmse_share)} of the largest force{ending}."
     )

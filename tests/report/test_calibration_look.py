@@ -17,7 +17,7 @@ from labpipe.report.calibration_look import (
 def test_every_parameter_has_words_and_a_unit() -> None:
     assert tuple(SHOWN) == PARAMETERS
     assert [SHOWN[name].label for name in PARAMETERS] == [
-        "Friction \u03c6 (N)",
+        "Friction \u03c6 (mN)",
         "Insulation modulus (MPa)",
         "Factor on copper's strength",
     ]

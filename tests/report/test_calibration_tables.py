@@ -43,7 +43,7 @@ def test_summary() -> None:
         "MPa",
         None,
     )
-    assert modulus["in words"] == "The modulus of the insulation was held at 1 \u00d7 10\u2079 Pa."
+    assert modulus["in words"] == "The modulus of the insulation was held at 1000 MPa."
     conflict = troubled().parameter("copper_scale").conflict
     assert conflict is not None
     assert copper["prior, centre"] == pytest.approx(1.6)

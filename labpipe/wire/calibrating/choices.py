@@ -12,11 +12,11 @@ from labpipe.records.calibration import (
     INSULATION_MODULUS,
     PARAMETERS,
     RADIAL_FRICTION,
-    UNITS,
     CalibrationFailure,
     ParameterChoice,
 )
 from labpipe.wire.calibrating.data import MeasuredCurve
+from labpipe.wire.calibrating.identify import in_display_unit
 from labpipe.wire.calibrating.parts import WireParts
 from labpipe.wire.calibrating.search import Problem
 from labpipe.wire.calibrating.variances import quantile
@@ -123,7 +123,10 @@ def _without_effect(name: str) -> CalibrationFailure:
 
 
 def _out_of_bounds(name: str, value: float, low: float, high: float) -> CalibrationFailure:
-    message = f"{name} starts at {value:.4g} {UNITS[name]}, outside {low:.4g} to {high:.4g}"
+    message = (
+        f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
+        f"{in_display_unit(name, low, high)}"
+    )
     return CalibrationFailure("value_out_of_bounds", message)
 
 

@@ -70,13 +70,16 @@ def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | Cal
         return CalibrationFailure("wires_mixed", message)
     for curve in known:
         if not np.all(np.asarray(curve.noise) > 0.0):
-            message = f"{curve.test}: a noise of {np.min(curve.noise):.4g} N; it must be positive"
+            message = (
+                f"{curve.test}: a noise of {1e3 * np.min(curve.noise):.4g} mN; it must be positive"
+            )
             return CalibrationFailure("noise_not_positive", message)
         deepest = float(np.max(np.abs(curve.deflection)))
         if deepest > DEEPEST * curve.length:
             message = (
-                f"{curve.test}: a deflection of {deepest:.4g} m on {curve.length:.4g} m; the first "
-                f"loading is followed to {DEEPEST:g} of the length"
+                f"{curve.test}: a deflection of {1e3 * deepest:.4g} mm on "
+                f"{1e3 * curve.length:.4g} mm; the first loading is followed to {DEEPEST:g} of the "
+                "length"
             )
             return CalibrationFailure("deflection_too_large", message)
     return known

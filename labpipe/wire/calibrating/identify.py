@@ -10,9 +10,9 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import (
     COPPER_SCALE,
+    DISPLAYED,
     INSULATION_MODULUS,
     RADIAL_FRICTION,
-    UNITS,
     CalibratedParameter,
     Identified,
     PriorConflict,
@@ -32,6 +32,10 @@ NAMES: Mapping[str, str] = {
 }
 FRICTION_NAMES = ("strand_friction", "insulation_friction", "radial_force")
 """mu_s, mu_p, F_rad."""
+_CALLED: Mapping[str, str] = {
+    **NAMES,
+    **dict(zip(FRICTION_NAMES, ("mu_s", "mu_p", "F_rad"), strict=True)),
+}
 
 WELL, HOPELESS = 2.0, 100.0
 """Spans of an interval, upper over lower: well identified below, not identified above."""
@@ -48,6 +52,7 @@ def verdict_of(
     is_open: bool,
     log_error: float,
     prior_error: float,
+    contradicts: bool = False,
 ) -> Identified:
     """Judge an interval.
 
@@ -58,9 +63,12 @@ def verdict_of(
     is_open : on any side
     log_error : standard error of the logarithm
     prior_error : that of its prior; infinite without one
+    contradicts : whether prior and tests contradict each other
     """
     if at_bound:
         return Identified.AT_BOUND
+    if contradicts:
+        return Identified.AGAINST_PRIOR
     if log_error > _MOSTLY_PRIOR * prior_error:
         return Identified.BY_PRIOR
     if is_open or span > HOPELESS:
@@ -68,26 +76,51 @@ def verdict_of(
     return Identified.WELL if span < WELL else Identified.WEAKLY
 
 
+def in_display_unit(name: str, *values: float) -> str:
+    """Write values of a parameter with four digits, without powers of ten, the unit at the end.
+
+    Parameters
+    ----------
+    name : one of `PARAMETERS`
+    values : SI
+
+    Examples
+    --------
+    >>> in_display_unit("insulation_modulus", 9.341e8, 1.0318e9)
+    '934.1 and 1032 MPa'
+    """
+    factor, unit = DISPLAYED[name]
+    rounded = (float(f"{factor * value:.4g}") for value in values)
+    written = " and ".join(np.format_float_positional(value, trim="-") for value in rounded)
+    return f"{written} {unit}".rstrip()
+
+
 def words_of(parameter: CalibratedParameter) -> str:
     """Say what is known of a parameter in a sentence."""
-    name, unit = NAMES[parameter.name], "" if parameter.unit == "1" else f" {parameter.unit}"
-    if parameter.interval is None:
-        return f"{name} was held at {parameter.value:.4g}{unit}"
-    lower, upper = parameter.interval.lower, parameter.interval.upper
+    key, interval = parameter.name, parameter.interval
+    name, value = NAMES[key], in_display_unit(key, parameter.value)
+    if interval is None:
+        return f"{name} was held at {value}"
+    low, high, ends = (
+        in_display_unit(key, *values)
+        for values in ((interval.lower,), (interval.upper,), (interval.lower, interval.upper))
+    )
     if parameter.at_bound:
-        side, other = ("below", upper) if parameter.at_bound == "lower" else ("above", lower)
+        side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
         return (
-            f"{name} ended at the {parameter.at_bound} bound of its search, "
-            f"{parameter.value:.4g}{unit}: the tests ask for a value {side} it, or do not "
-            f"determine it; inside the bounds it reaches to {other:.4g}{unit} (95 %)"
+            f"{name} is doubtful: it ended at the {parameter.at_bound} bound of its search, "
+            f"{value}; the tests ask for a value {side} it, or do not determine it; inside the "
+            f"bounds it reaches to {other} (95 %)"
         )
     sides = {
-        (False, False): f"lies between {lower:.4g} and {upper:.4g}{unit}",
-        (True, False): f"lies below {upper:.4g}{unit}; the tests do not bound it from below",
-        (False, True): f"lies above {lower:.4g}{unit}; the tests do not bound it from above",
-        (True, True): f"may lie anywhere between the bounds, {lower:.4g} and {upper:.4g}{unit}",
+        (False, False): f"lies between {ends}",
+        (True, False): f"lies below {high}; the tests do not bound it from below",
+        (False, True): f"lies above {low}; the tests do not bound it from above",
+        (True, True): f"may lie anywhere between the bounds, {ends}",
     }
     place = sides[parameter.is_open_below, parameter.is_open_above]
+    if parameter.verdict is Identified.AGAINST_PRIOR:
+        return f"{name} is doubtful, for prior and tests contradict each other: it {place} (95 %)"
     return f"{name} is {parameter.verdict.value}: it {place} (95 %)"
 
 
@@ -104,16 +137,18 @@ def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separab
     lost = values < _LEAST
     weights = np.sum(rows[lost] ** 2, axis=0)
     known = {name: bool(weight < _IN_IT) for name, weight in zip(names, weights, strict=True)}
-    listed = ", ".join(f"{value:.3g}" for value in values)
-    if not lost.any():
-        ending = f"all {len(names)} combinations are known to within a factor of e or better"
+    listed = ", ".join(f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values)
+    ending = f"singular values of {what}: {listed}; below 1 is unknown to within a factor of e"
+    unknown = [_CALLED.get(name, name) for name in names if not known[name]]
+    left = len(names) - int(lost.sum())
+    share = f"{left} of {len(names)} combinations {'is' if left == 1 else 'are'} known ({ending})"
+    if not unknown:
+        words = f"{what} can be told apart: {share}"
+    elif len(unknown) == 1:
+        words = f"{unknown[0]} is not identified: {share}"
     else:
-        unknown = " and ".join(name for name in names if not known[name])
-        ending = (
-            f"{int(lost.sum())} of {len(names)} combinations are not identified, so {unknown} "
-            f"cannot be told apart"
-        )
-    words = f"singular values of {what}: {listed}; {ending}"
+        together = f"{', '.join(unknown[:-1])} and {unknown[-1]}"
+        words = f"{together} are not identified, they cannot be told apart: {share}"
     return Separability(names, values, rows, known, words)
 
 
@@ -184,12 +219,12 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     """
     limit = quantile(conflict.freedom)
     contradicts = conflict.size > limit
-    unit = "" if UNITS[name] == "1" else f" {UNITS[name]}"
     relation = "contradicts" if contradicts else "agrees with"
+    side = "above" if conflict.alone > conflict.centre else "below"
     message = (
-        f"the prior of {NAMES[name]}, {conflict.centre:.4g}{unit} within a factor of "
+        f"the prior of {NAMES[name]}, {in_display_unit(name, conflict.centre)} within a factor of "
         f"{conflict.factor:.4g}, {relation} the tests, which by themselves say "
-        f"{conflict.alone:.4g}{unit}: {conflict.size:.2f} standard deviations of both together, "
-        f"{limit:.2f} at 95 %"
+        f"{in_display_unit(name, conflict.alone)}: {conflict.size:.2f} standard errors of both "
+        f"together {side} the prior, {limit:.2f} would be a contradiction at 95 %"
     )
     return replace(conflict, contradicts=contradicts, message=message)

@@ -27,6 +27,7 @@ from labpipe.wire.calibrating.data import whiten
 from labpipe.wire.calibrating.finding import Found
 from labpipe.wire.calibrating.identify import (
     FRICTION_NAMES,
+    NAMES,
     friction_jacobian,
     separability,
     verdict_of,
@@ -89,6 +90,7 @@ def _parameter(found: Found, number: int) -> CalibratedParameter:
         return _held(found, number, value)
     error = float(np.sqrt(found.spread.covariance[number, number]))
     traced = trace(found, number)
+    conflict = _conflict(found, number) if _has_prior(found, number) else None
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
@@ -99,23 +101,25 @@ def _parameter(found: Found, number: int) -> CalibratedParameter:
         is_open_below=traced.is_open_below,
         is_open_above=traced.is_open_above,
         at_bound=_bound(found, number),
-        verdict=_verdict(found, number, traced, error),
+        verdict=_verdict(found, number, traced, error, conflict),
         words="",
         profile=_profile(traced),
-        conflict=_conflict(found, number) if _has_prior(found, number) else None,
+        conflict=conflict,
     )
     return replace(parameter, words=words_of(parameter))
 
 
-def _verdict(found: Found, number: int, traced: Trace, error: float) -> Identified:
-    has_prior = _has_prior(found, number)
-    prior = float(found.problem.precision[number]) ** -0.5 if has_prior else np.inf
+def _verdict(
+    found: Found, number: int, traced: Trace, error: float, conflict: PriorConflict | None
+) -> Identified:
+    prior = np.inf if conflict is None else float(found.problem.precision[number]) ** -0.5
     return verdict_of(
         float(np.exp(traced.upper - traced.lower)),
         at_bound=bool(_bound(found, number)),
         is_open=traced.is_open_below or traced.is_open_above,
         log_error=error,
         prior_error=prior,
+        contradicts=conflict is not None and conflict.contradicts,
     )
 
 
@@ -136,7 +140,9 @@ def _held(found: Found, number: int, value: float) -> CalibratedParameter:
         verdict=Identified.FIXED,
         words="",
     )
-    return replace(held, words=words_of(held) if acts else f"{name} does not act on this wire")
+    return replace(
+        held, words=words_of(held) if acts else f"{NAMES[name]} does not act on this wire"
+    )
 
 
 def _has_prior(found: Found, number: int) -> bool:

@@ -83,7 +83,7 @@ def test_what_does_not_act() -> None:
 
 def test_refused() -> None:
     assert refused({COPPER_SCALE: ParameterChoice(1.0, lower=1.2)}) == CalibrationFailure(
-        "value_out_of_bounds", "copper_scale starts at 1 1, outside 1.2 to 20"
+        "value_out_of_bounds", "copper_scale starts at 1, outside its bounds, 1.2 and 20"
     )
     few = pose(PARTS, measured(n=2), {}, 0.0)
     assert few == CalibrationFailure(

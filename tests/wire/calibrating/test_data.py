@@ -44,7 +44,7 @@ def test_what_is_refused() -> None:
         "wires_mixed", "curves of 2 wires: A2, A3; one wire is calibrated"
     )
     assert failure(replace(CURVE, noise=0.0)) == CalibrationFailure(
-        "noise_not_positive", "t: a noise of 0 N; it must be positive"
+        "noise_not_positive", "t: a noise of 0 mN; it must be positive"
     )
     assert failure(replace(CURVE, noise=np.array([1.0, 1.0, np.nan, 1.0, 1.0]))).code == (
         "noise_not_positive"
@@ -52,7 +52,7 @@ def test_what_is_refused() -> None:
     deep = failure(replace(CURVE, length=0.07))
     assert deep.code == "deflection_too_large"
     assert deep.message == (
-        "t: a deflection of 0.05 m on 0.07 m; the first loading is followed to 0.65 of the length"
+        "t: a deflection of 50 mm on 70 mm; the first loading is followed to 0.65 of the length"
     )
 
 

@@ -46,7 +46,7 @@ def test_a_parameter_at_its_bound() -> None:
     assert modulus.at_bound == "lower"
     assert modulus.verdict is Identified.AT_BOUND
     note = next(note for note in found.notes if note.code == "at_bound")
-    assert "ended at the lower bound of its search, 1.2e+09 Pa" in note.message
+    assert "ended at the lower bound of its search, 1200 MPa" in note.message
     upper = ParameterChoice(0.7e9, upper=0.8e9)
     below = calibrated(THREE, Settings({"insulation_modulus": upper}, gain=0.005))
     assert below.parameter("insulation_modulus").at_bound == "upper"
@@ -99,7 +99,7 @@ def test_a_wire_without_friction() -> None:
     found = calibrated(THREE, Settings(gain=0.005), strand)
     friction = found.parameter("radial_friction")
     assert np.isnan(friction.value)
-    assert friction.words == "radial_friction does not act on this wire"
+    assert friction.words == "phi = F_rad (mu_s + mu_p) does not act on this wire"
     assert found.friction_separability is None
     assert found.separability.names == PARAMETERS[1:]
 
