@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from labpipe.cli.comparison_lines import comparison_lines
 from labpipe.cli.telling import from_here
 from labpipe.records.calibration import DISPLAYED, CalibrationFailure, Identified
 
@@ -37,6 +38,7 @@ def calibration_table(done: Calibrated) -> str:
     if found.friction_separability is not None:
         lines.append(f"  {found.friction_separability.words}")
     lines += ["", *_groups(done)]
+    lines += comparison_lines(done.comparisons)
     lines += _source(done)
     lines += [f"  {note.severity}: {note.where}: {note.message}" for note in found.notes]
     lines.append(f"results: {from_here(done.folder)}")

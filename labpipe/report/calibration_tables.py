@@ -19,6 +19,7 @@ from labpipe.records.calibration import (
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_look import DEFLECTION, FORCE, SHOWN, length_words, typeset
 from labpipe.report.calibration_shown import CalibrationReport, ValidationGroup
+from labpipe.report.comparison_tables import comparison_tables
 from labpipe.report.sheets import Sheet, Value, sheet_name
 from labpipe.report.wording import Scale
 
@@ -37,8 +38,8 @@ def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Shee
 
     Returns
     -------
-    ``summary``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source), ``curves``,
-    ``notes``, and one sheet for each wire and length.
+    ``summary``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source), those of third
+    curves, ``curves``, ``notes``, and one sheet for each wire and length.
     """
     calibration = report.calibration
     sheets = [
@@ -46,6 +47,7 @@ def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Shee
         _fit(calibration, report.source),
         _identified(calibration, report.source),
         _agreement(report.groups),
+        *comparison_tables(report.comparisons),
         _curves(calibration),
         _notes(report),
     ]

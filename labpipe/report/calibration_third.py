@@ -171,7 +171,7 @@ def _rmse(other: str, found: CurveMatch) -> str:
         return f"{other}: not compared"
     rmse = SMALL_FORCE.factor * found.errors.rmse
     return (
-        f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(found.errors.rmse_share)} of F_max"
+        f"{other}: RMSE {rmse:.3g} {SMALL_FORCE.unit}, {percent(found.errors.rmse_share)} of peak"
     )
 
 
@@ -182,10 +182,10 @@ def _note(panels: Sequence[ThirdPanel]) -> str:
         said.append("Grey band: the mean of the tests by Student's t, n - 1 degrees of freedom.")
     if any(panel.prediction is not None for panel in panels):
         said.append("Blue band: the model's for the mean sample.")
-    said.append("F_max: the largest force of what a curve is compared with, where both are known.")
+    said.append("Peak: the largest force of what a curve is compared with, at the points compared.")
     for panel in panels:
         for each in panel.comparisons:
-            said += [f"{each.curve.name}: {note.message}." for note in each.notes]
+            said += [f"'{each.curve.name}': {note.message}." for note in each.notes]
     return " ".join(said)
 
 

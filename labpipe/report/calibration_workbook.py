@@ -23,6 +23,8 @@ _ABOUT = (
     "Sheet 'curves': each test against the model without the sample's own factor. A sheet for each"
     " wire and length holds mean, model and samples; 'lower' and 'upper' of the mean are its 95 %"
     " band by Student's t with n - 1 degrees of freedom.",
+    "Sheets 'third curves': curves from elsewhere, if the plan names some, against the mean of the"
+    " tests and against the model, at their own deflections and never beyond either.",
 )
 
 

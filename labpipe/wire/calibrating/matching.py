@@ -73,7 +73,7 @@ def _words(curve: ThirdCurve, shared: Flags, deflection: Floats, of: str) -> str
     if not len(deflection):
         return f"no point was compared: there is no curve of {of}"
     low, high = 1e3 * deflection[0], 1e3 * deflection[-1]
-    span = f"{low:.4g} to {high:.4g} mm, the range of {of}"
+    span = f"{low:.3g} to {high:.4g} mm, the range of {of}"
     if kept == total:
         return ""
     if kept < FEWEST:
@@ -82,4 +82,4 @@ def _words(curve: ThirdCurve, shared: Flags, deflection: Floats, of: str) -> str
             f"{kept} of {total} points, from {first:.4g} to {last:.4g} mm, lie within {span}; "
             f"{FEWEST} at least are needed"
         )
-    return f"not compared: {total - kept} of {total} points, outside of {span}"
+    return f"{total - kept} of {total} points left out, outside of {span}"
