@@ -36,6 +36,38 @@ overrides:
         assert line in dumped
 
 
+@pytest.mark.parametrize(
+    ("shared", "own", "span"),
+    [
+        ("", "", None),
+        (", span: 6 in", "", 0.1524),
+        ("", ", span: 5 in", 0.127),
+        (", span: 6 in", ", span: 5 in", 0.127),
+    ],
+)
+def test_the_span_of_a_test_goes_before_that_of_its_protocol(
+    shared: str, own: str, span: float | None, lab: Path, wire: str, write: Callable[[str], Path]
+) -> None:
+    protocol = wire.replace("length: 85 mm", f"length: 85 mm{shared}")
+    (lab / "protocols" / "wire.yaml").write_text(protocol, encoding="utf-8")
+    path = write(SHEET.replace(", length: 80 mm", own))
+
+    specimen = resolve(load_test_sheet(path), path, lab / "protocols").specimen
+
+    assert specimen.length == 0.085
+    assert specimen.span == (None if span is None else pytest.approx(span))
+
+
+def test_a_span_is_given_once(tell: Tell) -> None:
+    sheet = SHEET.replace("length: 80 mm", "span: 5 in")
+
+    assert tell(f"{sheet}overrides:\n  specimen.span: {{value: 6 in, because: x}}\n") == [
+        f"{Path('test', 'test.yaml')}, line 7, column 26 (overrides.specimen.span.value):"
+        " expected 'specimen.span' once, found '6 in' beside '5 in' in 'specimen'. Keep the one in"
+        " 'specimen'."
+    ]
+
+
 def test_a_test_names_its_channels_and_dialect(lab: Path, tube: str) -> None:
     (lab / "protocols" / "tube.yaml").write_text(tube, encoding="utf-8")
     path = lab / "test" / "test.yaml"
