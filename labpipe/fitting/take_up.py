@@ -1,0 +1,100 @@
+"""Where a loading branch takes up its force: the displacement that its stiffness begins at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.noise import fast_noise, long_run_variance
+from labpipe.records.arrays import Floats
+
+_CLEAR = 4.0
+"""Standard deviations of the force that are told from zero."""
+_FOOT = 5.0
+"""Limits up to which the foot of the force is taken for straight."""
+_LEAST = 8
+_BACK = 0.02
+"""Share of the branch that a line through its foot may be followed back beyond its beginning."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeUp:
+    """Where the force begins.
+
+    Parameters
+    ----------
+    displacement : m, at zero force
+    sample : first one of the branch whose force is told from zero
+    """
+
+    displacement: Estimate
+    sample: int
+
+
+def find_take_up(
+    displacement: Floats, force: Floats, *, zero_error: float = 0.0
+) -> TakeUp | Failure:
+    """Displacement at which a loading branch takes up force.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
+        in either are passed over
+    zero_error : N, standard error of the force's zero
+
+    Returns
+    -------
+    The place, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` when the branch
+    begins under a force that it cannot be followed back from, ``no_force`` when its force is
+    nowhere told from zero.
+
+    Notes
+    -----
+    Zero is what is not told from it: four standard deviations of the fast noise of the force. The
+    foot of the force begins behind the last sample within that limit before the largest force, and
+    ends at five limits; a straight line through it (eight samples at least) is followed back to
+    zero force. Where the force comes from below zero, as after bending to the other side, the
+    place is where it passes zero. The error is that of the line, and of the force's zero.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.01, 400)
+    >>> found = find_take_up(d, 500.0 * np.maximum(d - 0.002, 0.0))
+    >>> round(1e3 * found.displacement.value, 6)
+    2.0
+    """
+    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    if len(known) < 2 * _LEAST:
+        return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST} are needed")
+    d, f = displacement[known], force[known]
+    limit = _CLEAR * fast_noise(f)
+    top = int(np.argmax(f))
+    if f[top] <= limit:
+        found = f"the force reaches {f[top]:.4g} N, zero is told to {limit:.4g} N"
+        return Failure("no_force", found)
+    within = np.flatnonzero(f[:top] <= limit)
+    first = int(within[-1]) + 1 if len(within) else 0
+    at = _followed_back(d[first:], f[first:], limit, zero_error)
+    if not len(within) and at.value < d[0] - _BACK * float(np.ptp(d)):
+        found = f"the branch begins at {f[0]:.4g} N, zero is told to {limit:.4g} N"
+        return Failure("not_unloaded", found)
+    return TakeUp(at, int(known[first]))
+
+
+def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> Estimate:
+    """Where a straight line through the foot of a force is zero; its first sample if none rises."""
+    beyond = np.flatnonzero(f > _FOOT * limit)
+    foot = slice(0, max(_LEAST, int(beyond[0]) if len(beyond) else len(f)))
+    d, f = d[foot], f[foot]
+    lever = d - d.mean()
+    travel = float(lever @ lever)
+    slope = float(lever @ f) / travel if travel > 0.0 else 0.0
+    if slope <= 0.0:
+        return Estimate(float(d[0]), float(np.ptp(d)), len(d))
+    back = -float(f.mean()) / slope
+    variance = long_run_variance(f - f.mean() - slope * lever, parameters=2)
+    at_zero = float(np.sqrt(variance * (1.0 / len(d) + back**2 / travel)))
+    return Estimate(float(d.mean()) + back, hypot(at_zero, zero_error) / slope, len(d))
