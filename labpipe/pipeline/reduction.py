@@ -9,6 +9,13 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
+from labpipe.pipeline.bundle_results import (
+    beam_results,
+    hardening_results,
+    kink_results,
+    loading_stiffness_results,
+    plateau_results,
+)
 from labpipe.pipeline.clocks import align_clocks, turning_points
 from labpipe.pipeline.corrections import correct_curve
 from labpipe.pipeline.cycle_results import (
@@ -39,17 +46,22 @@ from labpipe.pipeline.tensile_results import (
 )
 from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
 from labpipe.protocol.results import (
+    BendingStiffness,
     ClockResult,
     ComplianceResult,
     Energy,
     EnergyToBreak,
     FailureResult,
+    Hardening,
     InitialStiffness,
+    Kink,
+    LoadingStiffness,
     Modulus,
     MomentCurvature,
     NormalisedStiffness,
     PeakDisplacement,
     PeakForce,
+    Plateau,
     ResidualDisplacement,
     ResultEntry,
     SlackResult,
@@ -214,6 +226,16 @@ def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union
             return slack_result(bench)
         case ComplianceResult():
             return compliance_result(bench, low=entry.start, high=entry.stop)
+        case Kink():
+            return kink_results(bench, low=entry.start, high=entry.stop)
+        case Plateau():
+            return plateau_results(bench, entry)
+        case LoadingStiffness():
+            return loading_stiffness_results(bench, over=entry.over)
+        case Hardening():
+            return hardening_results(bench, over=entry.over)
+        case BendingStiffness():
+            return beam_results(bench, entry, protocol.specimen)
         case UnloadingStiffness():
             return unloading_stiffness(bench, over=entry.over)
         case Energy():

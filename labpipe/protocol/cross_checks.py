@@ -31,8 +31,14 @@ _BRANCH_RESULTS = (
     "slack",
     "compliance",
     "moment-curvature",
+    "kink",
+    "plateau",
+    "loading-stiffness",
+    "hardening",
+    "bending-stiffness",
 )
-_NAMED = ("stiffness", "modulus", "moment-curvature")
+_NAMED = ("stiffness", "modulus", "moment-curvature", "bending-stiffness")
+_DEFAULT_OF = {"plateau": "initial_stiffness"}
 _MAKES_STIFFNESS = ("initial-stiffness", "stiffness", "two-segments")
 _NEEDS_OF_CURVE = {
     "failure": "failure",
@@ -170,7 +176,8 @@ def _result_faults(outline: Outline) -> Faults:
     for number, tag, entry in outline.entries("results", "result"):
         path: KeyPath = ("results", number, "result")
         yield from _need_faults(outline, tag, path)
-        yield from _of_faults(entry, (*path[:2], "of"), stiffnesses)
+        said = {"of": _DEFAULT_OF[tag], **entry} if tag in _DEFAULT_OF else entry
+        yield from _of_faults(said, (*path[:2], "of"), stiffnesses)
         names = result_names(tag, entry)
         yield from _twice_faults(names, tag, seen, path)
         seen |= dict.fromkeys(names, tag)

@@ -14,6 +14,7 @@ from labpipe.protocol.quantities import (
     Distance,
     Force,
     Length,
+    Share,
     behind_start,
 )
 from labpipe.protocol.words import Snake
@@ -97,6 +98,49 @@ class MomentCurvature(Block):
     name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_20")
 
 
+class Kink(_Window):
+    """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
+
+    result: Literal["kink"]
+
+
+class Plateau(Block):
+    """``end_slope`` (1); where it is small also ``plateau_displacement`` (m), ``plateau_force``."""
+
+    result: Literal["plateau"]
+    slope_below: Share = Field(description="Share of the initial slope, such as 10 %")
+    of: Snake = Field(
+        "initial_stiffness", description="Name of the stiffness above that is the initial slope"
+    )
+    over: Length = Field(0.005, description="Stretch that a tangent is read from")
+
+
+class LoadingStiffness(Block):
+    """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
+
+    result: Literal["loading-stiffness"]
+    over: Length
+
+
+class Hardening(Block):
+    """``hardening.<cycle>`` (1) of later cycles: ``loading_stiffness`` over that of the first."""
+
+    result: Literal["hardening"]
+    over: Length
+
+
+class BendingStiffness(Block):
+    """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
+
+    result: Literal["bending-stiffness"]
+    of: Snake = Field(description="Name of a stiffness above, such as initial_stiffness")
+    support: Literal["cantilever", "three-point"] = Field(
+        description="cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span"
+    )
+    length_uncertainty: Distance = Field(0.0, description="Standard uncertainty of L")
+    name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_start")
+
+
 class TwoSegments(_Window):
     """``segment_stiffness_first``, ``segment_stiffness_second`` (N/m) and ``break_point`` (m)."""
 
@@ -173,6 +217,11 @@ ResultEntry: TypeAlias = Annotated[
     | SlackResult
     | ComplianceResult
     | TipTravel
+    | Kink
+    | Plateau
+    | LoadingStiffness
+    | Hardening
+    | BendingStiffness
     | MomentCurvature,
     Field(discriminator="result"),
 ]
@@ -193,6 +242,10 @@ _FIXED_NAMES: Final = MappingProxyType(
         "slack": ("slack",),
         "compliance": ("compliance",),
         "tip-travel": ("tip_travel",),
+        "kink": ("kink_displacement", "kink_force"),
+        "plateau": ("end_slope", "plateau_displacement", "plateau_force"),
+        "loading-stiffness": ("loading_stiffness.1",),
+        "hardening": ("hardening.1",),
     }
 )
 
@@ -207,7 +260,7 @@ def result_names(tag: str, entry: Mapping[str, object]) -> tuple[str, ...]:
     """
     if tag == "normalised-stiffness":
         return (f"{entry.get('of')}_per_peak_force",)
-    if tag == "moment-curvature":
+    if tag in ("moment-curvature", "bending-stiffness"):
         return (str(entry.get("name", "bending_stiffness")),)
     if tag in ("stiffness", "modulus"):
         return (str(entry.get("name", tag)),)
