@@ -29,6 +29,9 @@ DENSEST = pi / sqrt(12)
 """Share of a plane that equal circles cover where they lie densest (Thue 1910)."""
 TOLERANCE = 0.01
 """Wires may lie this share of the thinner one's diameter inside each other: they give way."""
+Places = tuple[tuple[float, float], ...]
+Circle = tuple[float, float, float]
+"""x, y and diameter, m."""
 _WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
 _SAID = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
 
@@ -157,8 +160,8 @@ class SheetBundle(Block):
     @field_validator("positions")
     @classmethod
     def _lie_beside_each_other(
-        cls, positions: tuple[tuple[float, float], ...] | None, info: ValidationInfo
-    ) -> tuple[tuple[float, float], ...] | None:
+        cls, positions: Places | None, info: ValidationInfo
+    ) -> Places | None:
         wires = info.data.get("wires")
         if wires is None or positions is None:
             return positions
@@ -211,42 +214,36 @@ def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
     return each if len(known) == len(given) else []
 
 
-def _position_faults(
-    positions: tuple[tuple[float, float], ...], wires: Mapping[str, SheetWires]
-) -> Iterator[Fault]:
-    """Find what keeps positions from being those of the wires; at most one fault per wire."""
-    number = _number_of(wires)
+def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iterator[Fault]:
+    """Find what keeps positions from being those of the wires."""
+    number, diameters = _number_of(wires), _diameters(wires)
     if len(positions) != number:
         remedy = "List one [x, y] for every wire, in the order of 'wires'."
         yield Fault((), f"{number} positions, one per wire", str(len(positions)), remedy)
-        return
-    diameters = _diameters(wires)
-    if not diameters:
+    elif not diameters:
         missing = ", ".join(repr(kind) for kind, of in wires.items() if of.diameter is None)
         remedy = "Write it like {B1: {number: 10, diameter: 1.1 mm}}."
         expected = "positions of wires whose diameters are given"
         yield Fault((), expected, f"none for {missing}", remedy)
-        return
-    circles = [(*place, diameter) for place, diameter in zip(positions, diameters, strict=True)]
-    called = [f"wire {i + 1} ({kind})" for i, kind in enumerate(_kinds(wires))]
+    else:
+        circles = [(*place, size) for place, size in zip(positions, diameters, strict=True)]
+        kinds = [kind for kind, of in wires.items() for _ in range(of.number)]
+        yield from _overlaps(circles, [f"wire {i + 1} ({kind})" for i, kind in enumerate(kinds)])
+
+
+def _overlaps(circles: Sequence[Circle], called: Sequence[str]) -> Iterator[Fault]:
+    """Find wires that lie inside an earlier one; the first such pair of each wire."""
     for later, circle in enumerate(circles):
-        for earlier, other in enumerate(circles[:later]):
-            if (depth := _overlap(circle, other)) > 0.0:
-                found = f"{called[later]} {depth * 1e3:.3g} mm inside {called[earlier]}"
-                remedy = "Check both positions and the diameters."
-                yield Fault((later,), "wires beside each other", found, remedy)
-                break
-
-
-def _kinds(wires: Mapping[str, SheetWires]) -> list[str]:
-    return [kind for kind, of in wires.items() for _ in range(of.number)]
-
-
-Circle = tuple[float, float, float]
+        depths = [_overlap(circle, other) for other in circles[:later]]
+        earlier = next((number for number, depth in enumerate(depths) if depth > 0.0), None)
+        if earlier is not None:
+            found = f"{called[later]} {depths[earlier] * 1e3:.3g} mm inside {called[earlier]}"
+            remedy = "Check both positions and the diameters."
+            yield Fault((later,), "wires beside each other", found, remedy)
 
 
 def _overlap(one: Circle, other: Circle) -> float:
-    """How deep one circle (x, y, diameter) lies in another, m; 0 within the tolerance."""
+    """How deep one circle lies in another, m; 0 within the tolerance."""
     apart = hypot(one[0] - other[0], one[1] - other[1])
     depth = (one[2] + other[2]) / 2 - apart
     return depth if depth > TOLERANCE * min(one[2], other[2]) else 0.0
