@@ -9,9 +9,9 @@ import numpy as np
 from labpipe.pipeline.first_loadings import FirstLoading
 from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.calibration import Calibration
-from labpipe.records.group import SampleCurve
+from labpipe.records.group import Band, SampleCurve
 from labpipe.report.calibration_shown import ValidationGroup
-from labpipe.statistics.bands import common_curves, mean_band
+from labpipe.statistics.bands import block_means, common_curves, mean_band
 from labpipe.wire.calibrating.agreement import curve_errors
 from labpipe.wire.calibrating.data import MeasuredCurve
 from labpipe.wire.calibrating.prediction import predict
@@ -19,6 +19,9 @@ from labpipe.wire.calibration import Wire
 
 _GRID = 200
 """Deflections of a prediction."""
+_BLOCKS = 50
+"""Means of each curve, at least, that the mean curve is made of: of single points its band would
+show how they scatter by their noise, and not how the samples do."""
 
 
 def compare(
@@ -72,13 +75,17 @@ def _compared(
         length=first.length,
         is_calibrated=first.wire == calibration.wire,
         samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
-        band=mean_band(
-            common_curves([(c.deflection, c.force) for c in curves], [c.test for c in curves])
-        ),
+        band=_band(curves),
         prediction=prediction,
         errors=errors,
         reason=reason,
     )
+
+
+def _band(curves: Sequence[MeasuredCurve]) -> Band:
+    """Mean of some curves, each of block means."""
+    means = [(block_means(c.deflection, _BLOCKS), block_means(c.force, _BLOCKS)) for c in curves]
+    return mean_band(common_curves(means, [curve.test for curve in curves]))
 
 
 def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:

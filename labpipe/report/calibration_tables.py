@@ -165,7 +165,7 @@ def _by_name(values: Mapping[str, Value]) -> tuple[Value, ...]:
 def _agreement(groups: Sequence[ValidationGroup]) -> Sheet:
     heads = (
         "wire", DEFLECTION.label("length"), "samples", "model is", "points", "SSE (N²)",
-        FORCE.label("RMSE"), "RMSE over the largest force (%)", "mean inside the band (%)",
+        FORCE.label("RMSE"), "RMSE over the largest force (%)", "points inside the band (%)",
         "band foretells the mean of (samples)", "reason",
     )  # fmt: skip
     return Sheet(AGREEMENT, heads, [_agreement_row(group) for group in groups], "C2")

@@ -10,8 +10,10 @@ import pytest
 from labpipe.pipeline.first_loadings import FirstLoading
 from labpipe.pipeline.validation_groups import compare
 from labpipe.records.calibration import Calibration
+from labpipe.records.group import Band
+from labpipe.statistics.bands import common_curves, mean_band
 from labpipe.wire.calibration import Settings, calibrate
-from tests.builders.loading_tests import measured, wire_of
+from tests.builders.loading_tests import exact_curve, measured, wire_of
 
 CURVES = measured("A2")
 
@@ -65,3 +67,18 @@ def test_what_cannot_be_foretold_says_why(calibration: Calibration) -> None:
     assert group.prediction is None
     assert group.errors is None
     assert group.reason.startswith("no_prediction: ")
+
+
+def test_the_band_is_one_of_means_and_not_of_noise(calibration: Calibration) -> None:
+    (group,) = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
+    points = mean_band(common_curves([(curve.deflection, curve.force) for curve in CURVES]))
+    assert roughness(group.band) < 0.2 * roughness(points)
+    deep = group.band.displacement > 0.01
+    share = group.band.mean[deep] / exact_curve("A2", 0.085)(group.band.displacement[deep])
+    noise = 0.002 / np.sqrt(3 * 272 / 50) / group.band.mean[deep]
+    factor = np.mean(share / noise**2) / np.mean(1.0 / noise**2)
+    assert np.max(np.abs(share - factor) / noise) < 4.0
+
+
+def roughness(band: Band) -> float:
+    return float(np.std(np.diff(band.upper - band.lower, 2)))

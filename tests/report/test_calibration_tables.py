@@ -86,7 +86,7 @@ def test_agreement_of_each_wire_and_length() -> None:
         errors.n, errors.sse, errors.rmse,
     )  # fmt: skip
     assert first["RMSE over the largest force (%)"] == pytest.approx(100.0 * errors.rmse_share)
-    assert first["mean inside the band (%)"] == pytest.approx(100.0 * errors.inside)
+    assert first["points inside the band (%)"] == pytest.approx(100.0 * errors.inside)
     assert first["model is"] == "calibrated by these samples"
     assert (single["model is"], single["samples"]) == ("foretold", 1)
     assert (first["reason"], single["reason"][:11]) == ("", "one_curve: ")
