@@ -7,6 +7,7 @@ from typing import get_args
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.bundle import SheetBundle
@@ -269,3 +270,27 @@ def test_faults_of_wires_do_not_hide_the_others_or_make_new_ones() -> None:
     assert [line.split(")")[0] for line in told(bundle + "conduit: a\nconduit_bore: 1 mm\n")] == [
         "wires.B1"
     ]
+
+
+words = st.sampled_from(
+    ["7 B1", "7", "B1", "none", "symmetric", "half-lap", "1.6 mm", "[", "1e99 mm", ""]
+)
+anything = st.recursive(
+    words | st.none(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(words, inner, max_size=3),
+    max_leaves=6,
+)
+keys = st.sampled_from(["number", "diameter", *SheetBundle.model_fields])
+
+
+def kinds_of_fault(bundle: object) -> set[str]:
+    try:
+        SheetBundle.model_validate(bundle)
+    except ValidationError as error:
+        return {line["type"] for line in error.errors()}
+    return set()
+
+
+@given(st.dictionaries(keys, anything | st.dictionaries(words, st.just("7")), max_size=6))
+def test_whatever_is_written_is_taken_or_told_in_our_words(bundle: dict[str, object]) -> None:
+    assert kinds_of_fault(bundle) <= {"labpipe"}
