@@ -107,6 +107,28 @@ def read_outcome(path: Path) -> TestResult:
         return TestResult(**_head(root, raw=False), **outcome, aligned=aligned, shape=None)
 
 
+def read_stages(path: Path) -> TestResult:
+    """Read all that processing made of a test: aligned signals, shapes and outcome, no recordings.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+
+    Returns
+    -------
+    The test with empty recordings and inputs, and without its measured moment-curvature.
+
+    Raises
+    ------
+    StoreError
+        As `read_result`.
+    """
+    with opened(path) as root:
+        shape = _shape(root[layout.SHAPE]) if layout.SHAPE in root else None
+        head = _head(root, raw=False)
+        return TestResult(**head, **_outcome(root), aligned=_aligned(root), shape=shape)
+
+
 def read_raw(path: Path) -> RawTest:
     """Read what is needed to process a test again when its exports are gone.
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
 from labpipe.records.slips import SlipDecision
-from labpipe.store.read import RawTest, read_outcome, read_raw, read_result
+from labpipe.store.read import RawTest, read_outcome, read_raw, read_result, read_stages
 from labpipe.store.write import write_result
 from tests.store.builders_result import build_result, differences, with_slips
 
@@ -46,6 +46,11 @@ def test_outcome_is_the_result_without_what_only_processing_needs(
     kept = result.aligned if decision is SlipDecision.REPAIRED else None
     wanted = replace(result, inputs=(), recordings={}, shape=None, aligned=kept)
     assert differences(wanted, read_outcome(tmp_path / "result.h5")) == []
+
+
+def test_stages_are_the_result_without_recordings(written: Path) -> None:
+    wanted = replace(read_result(written), inputs=(), recordings={}, bending=None)
+    assert differences(wanted, read_stages(written)) == []
 
 
 def test_outcome_without_a_curve(tmp_path: Path) -> None:
