@@ -293,10 +293,14 @@ def _group_faults(outline: Outline) -> Faults:
     known = [name for _, tag, entry in entries for name in result_names(tag, entry)]
     said = outline.block("groups").get("main")
     for number, name in enumerate(said if isinstance(said, list) else []):
-        if isinstance(name, str) and re.sub(r"\.\d+$", ".1", name) not in known:
+        if isinstance(name, str) and _of_any_cycle(name) not in map(_of_any_cycle, known):
             expected = f"one of the results {one_of(name, known)}" if known else "a result"
             remedy = did_you_mean(name, known) or "The protocol asks for none."
             yield Fault(("groups", "main", number), expected, repr(name), remedy)
+
+
+def _of_any_cycle(name: str) -> str:
+    return re.sub(r"\.\d+$", ".1", name)
 
 
 def _lacking(path: KeyPath, block: str, needed_for: str) -> Fault:

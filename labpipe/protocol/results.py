@@ -245,7 +245,7 @@ _FIXED_NAMES: Final = MappingProxyType(
         "kink": ("kink_displacement", "kink_force"),
         "plateau": ("end_slope", "plateau_displacement", "plateau_force"),
         "loading-stiffness": ("loading_stiffness.1",),
-        "hardening": ("hardening.1",),
+        "hardening": ("hardening.2",),
     }
 )
 
