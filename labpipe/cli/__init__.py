@@ -139,7 +139,10 @@ def _new(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--operator", help="who ran it")
     for role in ("force", "markers", "frame"):
         parser.add_argument(f"--{role}", metavar="FILE", help=f"export of the role {role}")
-    change = "override a value of the protocol, such as markers.clamp=Base; can be repeated"
+    change = (
+        "override a value of the protocol, such as markers.clamp=Base, or fill a column of a"
+        " campaign sheet, such as tape=PVC; can be repeated"
+    )
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=change)
     parser.add_argument("--because", help="why the protocol's values are overridden")
     parser.add_argument("--overwrite", action="store_true", help="replace a test.yaml that exists")
