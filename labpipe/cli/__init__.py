@@ -104,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     _process(_command(commands, "process", "exports to result.h5, summary.json and figures"))
     _report(_command(commands, "report", "processed tests to one page, figures and a workbook"))
     _model(_command(commands, "model", "wire dimensions to stiffness tables and simulation decks"))
+    _bundle(_command(commands, "bundle", "bounds of a harness bundle's bending stiffness"))
     _calibrate(_command(commands, "calibrate", "cantilever tests to a calibrated wire model"))
     _simulate(_command(commands, "simulate", "synthetic exports of a test, with known truth"))
     return parser
@@ -189,6 +190,23 @@ def _model(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the tables as JSON, in SI units")
+
+
+def _bundle(parser: argparse.ArgumentParser) -> None:
+    what = "wires, such as '10 B1 + 9 B2', or the test.yaml of a harness bundle"
+    parser.add_argument("bundle", metavar="BUNDLE", help=what)
+    sheet = "wire sheet with the types of the bundle as its wires (default: %(default)s)"
+    parser.add_argument(
+        "--wire", type=Path, default=Path("wires.xlsx"), metavar="WIRES", help=sheet
+    )
+    where = "packed, symmetric or asymmetric (default: that of the test.yaml, else packed)"
+    parser.add_argument("--arrangement", metavar="WORD", help=where)
+    bore = "inner diameter of a conduit, such as '10.7 mm'; of several, the best filled is chosen"
+    parser.add_argument("--bore", action="append", default=[], metavar="LENGTH", help=bore)
+    where = "folder of the results (default: processed/bundles/<name>)"
+    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 
 def _calibrate(parser: argparse.ArgumentParser) -> None:

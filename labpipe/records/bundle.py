@@ -126,11 +126,11 @@ class BundleModel:
     ----------
     bundle : what it is made of
     layout : where the wires lie
-    low : N m^2, all wires slip on each other, and the strands within them: the sum of the wires'
-        slip stiffnesses
+    low : N m^2, all wires slip on each other, and the strands within them, without friction and
+        elastic: the sum of the wires' slip stiffnesses
     free : N m^2, all wires slip on each other, the strands within them stick: the sum of the wires'
         stick stiffnesses
-    high : N m^2, nothing slips, bent along y
+    high : N m^2, nothing slips or yields, bent along y
     tensor : shape (2, 2), N m^2, of what `high` is the yy part
     principal : N m^2, least and largest stiffness of all directions with nothing slipping
     principal_angle : rad, in (-pi/2, pi/2], from the x axis to the direction of bending of the
@@ -138,11 +138,12 @@ class BundleModel:
     neutral : m, (x, y) where the neutral axes of a sticking bundle cross
     axial_stiffness : N, of all wires
     smallest_bore : m, diameter of the smallest circle that holds the wires as they lie
+    middle : m, (x, y) of the centre of that circle
     packing_fraction : area of the wires / area of the conduit's bore; None without a bore
     curvature : 1/m, from 0, increasing, to the end of the shortest of the wires' laws
     moment_slip : N m, first loading, wires that slip on each other: the sum of the wires' laws
-    moment_stick : N m, first loading, wires that stick to each other, bent along y; the strands
-        within them slip as in a wire alone
+    moment_stick : N m, first loading, wires that stick to each other, bent along y; they yield as
+        they are stretched, and the strands within them slip as in a wire alone
     notes : limits met, defaults taken
     """
 
@@ -157,6 +158,7 @@ class BundleModel:
     neutral: tuple[float, float]
     axial_stiffness: float
     smallest_bore: float
+    middle: tuple[float, float]
     packing_fraction: float | None
     curvature: Floats
     moment_slip: Floats

@@ -14,9 +14,9 @@ from labpipe.wire.bundle.tightening import drawn_together, holding_circle
 
 N_SHUFFLES = 8
 """Shuffles of the kinds of a packed bundle, of which the densest is kept."""
-OVERLAP = 0.02
+OVERLAP = 0.01
 """Overlap of stated positions that is let pass, as a share of the smaller wire's diameter:
-insulation gives, and positions are read off to a hundredth of a millimetre."""
+the test sheet lets as much pass."""
 
 _EQUAL = 1e-9
 
@@ -40,7 +40,7 @@ def arrange(
     Raises
     ------
     ValueError
-        If stated positions are not one for each wire, or wires at them overlap by more than 2 % of
+        If stated positions are not one for each wire, or wires at them overlap by more than 1 % of
         the smaller diameter.
 
     Notes

@@ -18,11 +18,9 @@ from labpipe.wire.bundle.stiffness import (
     slipping_moment,
     sticking,
 )
+from labpipe.wire.bundle.stretching import largest_stretch, stretching_moment
 from labpipe.wire.bundle.tightening import holding_circle
 
-YIELD_STRAIN = 1e-3
-"""Strain along a wire beyond which its copper yields so far that an elastic one no longer says
-what a sticking bundle does."""
 _OTHER_DIAMETER = 0.05
 """Of a diameter: how far the test sheet may be from the wire sheet without a note."""
 _OBLIQUE = 0.01
@@ -41,7 +39,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     Returns
     -------
     The model. Notes: ``diameter_differs``, ``range_shortened``, ``oblique_axes``,
-    ``elastic_limit``.
+    ``copper_yields``.
 
     Raises
     ------
@@ -51,9 +49,11 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
 
     Notes
     -----
-    low = sum of the wires' slip stiffnesses, free = sum of their stick stiffnesses,
-    high = free + sum EA (y - y0)^2, with y0 the centroid of the axial stiffnesses. The moments hold
-    on first loading: sum of the wires' laws M(kappa), without and with kappa sum EA (y - y0)^2.
+    low = sum of the wires' slip stiffnesses (copper that yields brings the moments below it),
+    free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
+    the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
+    without and with the moment of their stretching and shortening, in which copper yields (see
+    `wire.bundle.stretching`). What bending and stretching of one wire do to each other is left out.
     Friction between wires, and tape that gives, leave a bundle between the two.
     """
     kinds = [_table(wire.type, tables) for wire in bundle.wires]
@@ -66,11 +66,12 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
     own = np.array([table.stick_stiffness for table in kinds])
     stuck = sticking(layout.x, layout.y, own[layout.kind], axial[layout.kind])
-    curvature = common_curvature(kinds)
+    curvature, notes = _curvature(kinds, layout)
     slip = slipping_moment(curvature, kinds, counts)
+    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kinds)
     free = float(own[layout.kind].sum())
     high = float(stuck.tensor[1, 1])
-    smallest = _smallest_bore(bundle, layout)
+    middle, smallest = _holding(bundle, layout)
     bore = bundle.conduit_bore
     return BundleModel(
         bundle=bundle,
@@ -84,15 +85,16 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
         neutral=stuck.neutral,
         axial_stiffness=float(axial[layout.kind].sum()),
         smallest_bore=smallest,
+        middle=middle,
         packing_fraction=None if bore is None else packing_fraction(layout.diameter, bore),
         curvature=curvature,
         moment_slip=slip,
-        moment_stick=slip + (high - free) * curvature,
+        moment_stick=stick,
         notes=(
             *_other_diameters(bundle, kinds),
-            *_shortened(kinds, curvature),
+            *notes,
             *_oblique(stuck),
-            *_elastic(layout, stuck),
+            *_yielding(high, curvature, stick),
         ),
     )
 
@@ -105,10 +107,11 @@ def _table(type_: str, tables: Mapping[str, WireTable]) -> WireTable:
     return tables[type_]
 
 
-def _smallest_bore(bundle: Bundle, layout: BundleLayout) -> float:
-    """Diameter of the circle that holds the wires, if it fits the conduit."""
+def _holding(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
+    """Centre and diameter of the circle that holds the wires, if it fits the conduit."""
     centres = np.column_stack([layout.x, layout.y])
-    smallest = 2.0 * holding_circle(centres, layout.diameter)[1]
+    middle, radius = holding_circle(centres, layout.diameter)
+    smallest = 2.0 * radius
     bore = bundle.conduit_bore
     if bore is not None and not fits(smallest, bore):
         message = (
@@ -117,7 +120,7 @@ def _smallest_bore(bundle: Bundle, layout: BundleLayout) -> float:
             f"(packing fraction {packing_fraction(layout.diameter, bore):.3g})"
         )
         raise ValueError(message)
-    return smallest
+    return (float(middle[0]), float(middle[1])), smallest
 
 
 def _other_diameters(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
@@ -131,14 +134,26 @@ def _other_diameters(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[Qua
             yield _note("diameter_differs", message, Severity.WARNING)
 
 
-def _shortened(kinds: Sequence[WireTable], curvature: Floats) -> Iterator[QualityNote]:
+def _curvature(
+    kinds: Sequence[WireTable], layout: BundleLayout
+) -> tuple[Floats, tuple[QualityNote, ...]]:
+    """Curvatures that all laws know, and a note where one of them goes further."""
+    curvature = common_curvature(kinds)
+    depth = float(np.ptp(layout.y))
+    known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    if known < curvature[-1]:
+        curvature = np.append(curvature[curvature < known], known)
+        why = f"sticking wires {1e3 * depth:.3g} mm apart reach the last strain of a stress table"
+    else:
+        why = "the shortest of the wires' laws ends"
     longest = max(kinds, key=lambda table: float(table.curvature[-1]))
-    if longest.curvature[-1] > curvature[-1]:
-        message = (
-            f"moments are told up to {curvature[-1]:.4g} 1/m, where the shortest of the wires' laws"
-            f" ends; that of {longest.name} goes to {longest.curvature[-1]:.4g} 1/m"
-        )
-        yield _note("range_shortened", message)
+    if longest.curvature[-1] <= curvature[-1]:
+        return curvature, ()
+    message = (
+        f"moments are told up to {curvature[-1]:.4g} 1/m, where {why}; the law of {longest.name} "
+        f"goes to {longest.curvature[-1]:.4g} 1/m"
+    )
+    return curvature, (_note("range_shortened", message),)
 
 
 def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
@@ -148,22 +163,21 @@ def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
         message = (
             f"the principal axes are oblique ({np.degrees(stuck.angle):.3g} deg from x to the "
             f"stiffest direction): bent along y, a sticking bundle that may move aside is "
-            f"{100.0 * lost:.2g} % less stiff than the {1e6 * along:.4g} N mm^2 of one kept in its "
+            f"{100.0 * lost:.2g} % less stiff than the {along:.4g} N m^2 of one kept in its "
             f"plane"
         )
         yield _note("oblique_axes", message)
 
 
-def _elastic(layout: BundleLayout, stuck: Sticking) -> Iterator[QualityNote]:
-    farthest = float(np.max(np.abs(layout.y - stuck.neutral[1])))
-    if farthest > 0.0:
+def _yielding(high: float, curvature: Floats, stick: Floats) -> Iterator[QualityNote]:
+    """Say where a sticking bundle has half its first stiffness."""
+    below = np.flatnonzero(stick[1:] < 0.5 * high * curvature[1:]) + 1
+    if len(below):
         message = (
-            f"sticking wires are taken as elastic along their axes: the outermost, "
-            f"{1e3 * farthest:.3g} mm from the neutral axis, is strained by {YIELD_STRAIN:.1%} at "
-            f"{YIELD_STRAIN / farthest:.3g} 1/m; beyond, copper that yields leaves a sticking "
-            f"bundle below this bound"
+            f"copper that is stretched yields: a sticking bundle, bent along y, has less than half "
+            f"of its {high:.4g} N m^2 beyond {curvature[below[0]]:.3g} 1/m"
         )
-        yield _note("elastic_limit", message)
+        yield _note("copper_yields", message)
 
 
 def _note(code: str, message: str, severity: Severity = Severity.INFO) -> QualityNote:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.records.bundle import BundleModel
 from labpipe.records.curve import Interval
 from labpipe.records.wire import WireTable
 
@@ -115,6 +116,34 @@ def slipping_moment(
     """
     laws = [np.interp(curvature, table.curvature, table.moment) for table in tables]
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
+
+
+def secant_bounds(model: BundleModel, curvature: float) -> tuple[float, float]:
+    """Secant stiffnesses M / kappa of the bounds at a curvature, N m^2: wires slip, wires stick.
+
+    Parameters
+    ----------
+    model : of the bundle
+    curvature : 1/m, above 0, within the range of the model
+
+    Raises
+    ------
+    ValueError
+        If the curvature is outside the range: nothing is said there.
+
+    Notes
+    -----
+    Between the points of the model, straight lines of the moments.
+    """
+    end = float(model.curvature[-1])
+    if not 0.0 < curvature <= end:
+        message = f"curvature={curvature:.6g} 1/m: allowed are curvatures in (0, {end:.6g}] 1/m"
+        raise ValueError(message)
+    slip, stick = (
+        float(np.interp(curvature, model.curvature, moment)) / curvature
+        for moment in (model.moment_slip, model.moment_stick)
+    )
+    return slip, stick
 
 
 @dataclass(frozen=True, slots=True)
