@@ -18,6 +18,7 @@ from labpipe.records.slips import Slip
 
 if TYPE_CHECKING:
     from labpipe.processing.frames import SpecimenFrame
+    from labpipe.processing.three_point import SpanShape
     from labpipe.processing.tracks import RepairedTracks
 
 
@@ -53,6 +54,22 @@ class Signal:
         return self.time_unit == "s"
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SpanBend:
+    """The bent axis between two supports, as the cameras saw it.
+
+    Parameters
+    ----------
+    shape : in every frame
+    time : shape (frames,), s, on the clock of the cameras
+    rest : shape (frames,), frames before the loading
+    """
+
+    shape: SpanShape
+    time: Floats
+    rest: Flags
+
+
 @dataclass(slots=True)
 class Bench:
     """The stages of one test, filled in from left to right.
@@ -63,6 +80,8 @@ class Bench:
     raw : signals calibrated and zeroed but not smoothed, by name
     signals : the same after all steps
     shape, clock_fit, aligned, curve : stages; None while not reached
+    other_clocks : by name, a third clock against that of the curve: its time = offset + (1 + drift)
+        x time of the curve; all others are that of the force
     turning_times : shape (branches, 2), s, ends of the branches on the clock of the curve
     blocked : why the stages after the last one reached are missing: code and sentence
     doubts : why results that rest on a quantity (``clock``, ``force``, ``displacement``) are
@@ -74,6 +93,7 @@ class Bench:
     stiffnesses : by name of the result, without the uncertainty of the force's scale
     lines : the straight lines that they were read from
     bending : measured moment-curvature, or why there is none; None where nobody asked
+    span : the bent axis between two supports, or why there is none; None where nobody asked
     is_full_stroke : whether the motion went as far as the rig was told to
     notes : quality notes so far
     """
@@ -84,6 +104,7 @@ class Bench:
     signals: dict[str, Signal] = field(default_factory=dict)
     shape: Shape | None = None
     clock_fit: ClockFit | None = None
+    other_clocks: dict[str, ClockFit] = field(default_factory=dict)
     aligned: Aligned | None = None
     curve: Curve | None = None
     blocked: str = ""
@@ -95,6 +116,7 @@ class Bench:
     stiffnesses: dict[str, Estimate] = field(default_factory=dict)
     lines: list[FittedLine] = field(default_factory=list)
     bending: Bending | Failure | None = None
+    span: SpanBend | Failure | None = None
     is_full_stroke: bool = False
     notes: list[QualityNote] = field(default_factory=list)
 

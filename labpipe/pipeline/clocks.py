@@ -123,7 +123,12 @@ def align_clocks(
         (corner, pulled)
         for first, second in pairs.tolist()
         for corner in peaks[first].corners
-        if (pulled := _force_corner(force, peaks[first], corner, seen[second], align)) is not None
+        if (
+            pulled := force_corner(
+                force, peaks[first], corner, seen[second], window=align.force_window
+            )
+        )
+        is not None
     ]
     if not events:
         bench.block("no_common_peak", _why_no_event(force, peaks, seen, len(pairs)), where="align")
@@ -138,11 +143,23 @@ def align_clocks(
     return fit
 
 
-def _force_corner(
-    force: Signal, turn: Turn, corner: Corner, seen: float, align: AlignTurningPoints
+def force_corner(
+    force: Signal, turn: Turn, corner: Corner, seen: float, *, window: float
 ) -> Reversal | None:
-    """Corner of the force: roughly in a wide window, then in the protocol's own around it."""
-    wide, window = turn.window(4.0 * align.force_window), turn.window(align.force_window)
+    """Find a corner of the force: roughly in a wide window, then in the stated one around it.
+
+    Parameters
+    ----------
+    force : on its own clock
+    turn, corner : of the motion, and one of its corners
+    seen : s, where the force was roughly seen to turn
+    window : s on each side; cut to the length of a dwell
+
+    Returns
+    -------
+    The corner, or None where its time is not known to 0.1 s.
+    """
+    wide, window = turn.window(4.0 * window), turn.window(window)
     near = float(seen) + corner.time - turn.middle
     rough = fit_corner(*_around(force, near, wide), near=near, window=wide, degree=2)
     if rough is None or not rough.time_error < _WORST_CORNER:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import assert_never
+from typing import TypeGuard, assert_never
 
 import numpy as np
 
@@ -16,7 +16,8 @@ from labpipe.pipeline.bundle_results import (
     loading_stiffness_results,
     plateau_results,
 )
-from labpipe.pipeline.clocks import align_clocks, turning_points
+from labpipe.pipeline.clocks import Turn, align_clocks, turning_points
+from labpipe.pipeline.common_start import start_together
 from labpipe.pipeline.corrections import correct_curve
 from labpipe.pipeline.cycle_results import (
     clock_results,
@@ -44,7 +45,7 @@ from labpipe.pipeline.tensile_results import (
     slack_result,
     slip_results,
 )
-from labpipe.processing.strokes import branch_numbers, find_strokes, split_branches
+from labpipe.processing.strokes import Stroke, branch_numbers, find_strokes, split_branches
 from labpipe.protocol.results import (
     BendingStiffness,
     ClockResult,
@@ -56,6 +57,7 @@ from labpipe.protocol.results import (
     InitialStiffness,
     Kink,
     LoadingStiffness,
+    MidSpan,
     Modulus,
     MomentCurvature,
     NormalisedStiffness,
@@ -68,13 +70,14 @@ from labpipe.protocol.results import (
     SlipResults,
     Stiffness,
     TipTravel,
+    Twist,
     TwoSegments,
     UnloadingStiffness,
 )
-from labpipe.protocol.rig import AlignTurningPoints
+from labpipe.protocol.rig import Align, AlignCommonStart, AlignTurningPoints
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Aligned, Branch, Curve, Series
+from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Series
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 
@@ -128,20 +131,42 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
         bench.block("no_motion", message, where=protocol.branches.channel)
     times = np.full((len(strokes), 2), np.nan)
-    if isinstance(protocol.align, AlignTurningPoints) and strokes:
+    if strokes and _joins_clocks(protocol.align, bench):
         turns = turning_points(motion, strokes, window=protocol.align.motion_window)
         for turn in turns:
             times[turn.stroke, 1] = turn.arrival.time
             times[turn.stroke + 1, 0] = turn.departure.time
-        bench.clock_fit = align_clocks(bench, protocol.align, strokes, turns)
+        bench.clock_fit = _joined(bench, protocol.align, strokes, turns)
         check_turns(bench, motion, strokes, turns)
     branches = split_branches(motion.time, strokes, turning_times=times)
+    if bench.span is not None:
+        from labpipe.pipeline.three_point import align_cameras  # loaded by these tests alone
+
+        align_cameras(bench, motion, strokes, min_stroke=protocol.branches.min_stroke)
     check_rig(bench, protocol, branches)
     check_rest(bench, branches)
     if not bench.blocked:
         bench.aligned = _aligned(bench)
         bench.curve = _curve(bench, motion.time, branches)
         correct_curve(bench, protocol.curve)
+
+
+def _joins_clocks(align: Align, bench: Bench) -> TypeGuard[AlignTurningPoints | AlignCommonStart]:
+    """Whether force and displacement have clocks that are to be joined."""
+    if isinstance(align, AlignCommonStart):
+        return bench.raw[align.channel].clock != bench.raw[bench.displacement].clock
+    return isinstance(align, AlignTurningPoints)
+
+
+def _joined(
+    bench: Bench,
+    align: AlignTurningPoints | AlignCommonStart,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
+) -> ClockFit | None:
+    if isinstance(align, AlignCommonStart):
+        return start_together(bench, align, strokes, turns)
+    return align_clocks(bench, align, strokes, turns)
 
 
 def _aligned(bench: Bench) -> Aligned:
@@ -186,8 +211,9 @@ def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
 def _at(bench: Bench, signal: Signal, time: Floats) -> Floats:
     """Values of a signal at times of the curve's clock: interpolated, never extrapolated."""
     clock = bench.signals[bench.displacement].clock
-    if signal.clock != clock and bench.clock_fit is not None:
-        time = bench.clock_fit.to_force_time(time)
+    fit = bench.other_clocks.get(signal.clock, bench.clock_fit)
+    if signal.clock != clock and fit is not None:
+        time = fit.to_force_time(time)
     if len(time) == len(signal.time) and np.array_equal(time, signal.time):
         return signal.values
     return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
@@ -248,5 +274,13 @@ def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union
             return bending_stiffness(bench, entry, protocol)
         case TipTravel():
             return tip_travel_result(bench)
+        case MidSpan():
+            from labpipe.pipeline.three_point import mid_span_results
+
+            return mid_span_results(bench, entry)
+        case Twist():
+            from labpipe.pipeline.three_point import twist_result
+
+            return twist_result(bench)
         case _ as never:
             assert_never(never)

@@ -29,6 +29,8 @@ from labpipe.protocol.steps import (
     Smooth,
     SpecimenFrame,
     Step,
+    ThreePointShape,
+    TravelFromSpeed,
     Zero,
 )
 from labpipe.records.arrays import Floats, median
@@ -57,6 +59,14 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
     match step:
         case RepairMarkers() | SpecimenFrame() | FitShape():
             _take_marker_step(bench, markers, step, protocol)
+        case ThreePointShape():
+            from labpipe.pipeline.three_point import bend_between_supports  # for these tests alone
+
+            bend_between_supports(bench, markers, step, protocol)
+        case TravelFromSpeed():
+            from labpipe.pipeline.travel_from_speed import travel_from_speed
+
+            travel_from_speed(bench, step, protocol.rig)
         case Zero():
             _zero(bench, step)
         case Smooth():

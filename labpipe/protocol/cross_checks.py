@@ -15,7 +15,16 @@ from labpipe.units import si_factor
 
 Faults: TypeAlias = Iterator[Fault]
 
-_MARKER_STEPS = ("repair-markers", "specimen-frame", "fit-shape")
+_MARKER_STEPS = ("repair-markers", "specimen-frame", "fit-shape", "three-point-shape")
+_COMES_BEFORE = {"fit-shape": "specimen-frame", "three-point-shape": "repair-markers"}
+_SHAPE_OF = {
+    "tip-travel": ("fit-shape",),
+    "moment-curvature": ("fit-shape",),
+    "mid-span": ("three-point-shape",),
+    "twist": ("three-point-shape",),
+    "wire-shapes": ("fit-shape", "three-point-shape"),
+}
+"""Results and figures, and the steps of which one makes the shape that they show."""
 _BRANCH_RESULTS = (
     "peak-force",
     "peak-displacement",
@@ -36,6 +45,8 @@ _BRANCH_RESULTS = (
     "loading-stiffness",
     "hardening",
     "bending-stiffness",
+    "mid-span",
+    "twist",
 )
 _NAMED = ("stiffness", "modulus", "moment-curvature", "bending-stiffness")
 _DEFAULT_OF = {"plateau": "initial_stiffness"}
@@ -83,9 +94,12 @@ def _step_faults(outline: Outline) -> Faults:
         here: KeyPath = ("steps", number, "step")
         if tag in _MARKER_STEPS:
             yield from _marker_step_faults(outline, tag, here, before)
-        yield from _channel_faults(step, ("steps", number, "channel"), known, outline)
+        if tag == "travel-from-speed":
+            yield from _from_speed_faults(outline, step, number, known)
+        else:
+            yield from _channel_faults(step, ("steps", number, "channel"), known, outline)
         yield from _span_faults(outline, step, ("steps", number, "span"))
-        known = [*known, *outline.made_by(tag)]
+        known = [*known, *outline.made_by(tag, step)]
         before.append(tag)
 
 
@@ -96,9 +110,26 @@ def _marker_step_faults(outline: Outline, tag: str, here: KeyPath, before: list[
         yield Fault(here, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
     if tag in before:
         yield Fault(here, f"{tag!r} once", "a second one", "Remove one of them.")
-    if tag == "fit-shape" and "specimen-frame" not in before:
-        remedy = "Put the step 'specimen-frame' before it."
-        yield Fault(here, "'specimen-frame' before 'fit-shape'", "no such step before", remedy)
+    needed = _COMES_BEFORE.get(tag)
+    if needed and needed not in before:
+        remedy = f"Put the step {needed!r} before it."
+        yield Fault(here, f"{needed!r} before {tag!r}", "no such step before", remedy)
+
+
+def _from_speed_faults(outline: Outline, step: Values, number: int, known: list[str]) -> Faults:
+    """Find a travel that nothing can be made of, where no source can take its place."""
+    yield from _channel_faults(step, ("steps", number, "force"), known, outline)
+    if outline.block("rig").get("cycles") not in (None, "1", 1):
+        remedy = "Remove the step, or set 'rig.cycles' to 1."
+        found = f"{outline.block('rig').get('cycles')}"
+        yield Fault(("rig", "cycles"), "one cycle for 'travel-from-speed'", found, remedy)
+    if any(channel.name == step.get("channel") for channel in outline.channels):
+        return
+    for key in ("crosshead_speed", "stroke"):
+        if key not in outline.block("rig"):
+            remedy = f"Add 'rig.{key}', or a source that measures the displacement."
+            expected = f"'rig.{key}' for 'travel-from-speed'"
+            yield Fault(("steps", number, "step"), expected, "none", remedy)
 
 
 _ADD_MARKERS = "Add the source 'markers'."
@@ -135,11 +166,13 @@ def _all_channels(outline: Outline) -> list[str]:
 
 def _align_faults(outline: Outline) -> Faults:
     align = outline.block("align")
-    if not outline.turning_points:
+    if not outline.joins_clocks:
         return
     sources = [channel.name for channel in outline.channels]
     yield from _channel_faults(align, ("align", "channel"), sources)
     here = ("align", "method")
+    if not outline.turning_points:
+        return
     if not outline.has_markers():
         yield Fault(here, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
     elif not outline.clamp:
@@ -157,7 +190,7 @@ def _curve_faults(outline: Outline) -> Faults:
             expected = f"a channel in {unit}"
             yield Fault(("curve", key), expected, f"{name!r} in {found}", "Name another channel.")
     clocks = {outline.clock_of(str(name)) for name in curve.values()} - {None}
-    if len(clocks) > 1 and not outline.turning_points:
+    if len(clocks) > 1 and not outline.joins_clocks:
         remedy = "Set 'align.method' to 'turning-points'."
         path: KeyPath = ("align", "method") if outline.block("align") else ("curve",)
         yield Fault(path, "a method that joins the two clocks of the curve", "none", remedy)
@@ -222,18 +255,18 @@ def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
     if needed and outline.block("curve") and not outline.block("curve", needed):
         remedy = f"Add the block {needed!r} to 'curve'."
         yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
-    if tag == "clock" and not outline.turning_points:
+    if tag == "clock" and not outline.joins_clocks:
         yield _lacking_word(path, "align.method", "turning-points", repr(tag))
-    if tag in ("tip-travel", "moment-curvature"):
-        yield from _shape_faults(outline, tag, path)
+    yield from _shape_faults(outline, tag, path)
     if tag == "moment-curvature":
         yield from _clamp_faults(outline, tag, path)
 
 
 def _shape_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
-    if "fit-shape" not in [step for _, step, _ in outline.entries("steps", "step")]:
-        remedy = "Add the step 'fit-shape'."
-        yield Fault(path, f"the step 'fit-shape' for {tag!r}", "no such step", remedy)
+    made = _SHAPE_OF.get(tag, ())
+    if made and not {step for _, step, _ in outline.entries("steps", "step")} & set(made):
+        remedy = f"Add the step {made[0]!r}."
+        yield Fault(path, f"the step {made[0]!r} for {tag!r}", "no such step", remedy)
 
 
 def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
 
 from labpipe.errors import ProtocolError
+from labpipe.protocol.absent import absent_faults, without_absent
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import Fault, did_you_mean, faults_of, one_of
 from labpipe.protocol.overrides import with_overrides
@@ -136,7 +137,8 @@ def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -
 
     Returns
     -------
-    The protocol, with defaults, overrides and the specimen's dimensions filled in.
+    The protocol, with defaults, overrides and the specimen's dimensions filled in, and without what
+    an optional export would have made that the test lacks.
 
     Raises
     ------
@@ -161,9 +163,11 @@ def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -
         both = zip(placed, again, strict=True)
         told += [bare if bare.file == str(sheet_path) else full for bare, full in both]
         raise _complaint(told) from None
+    kept = without_absent(protocol, sheet.files)
+    told += [said.place(fault) for fault in absent_faults(kept, protocol)]
     if told:
         raise _complaint(told)
-    return protocol
+    return kept
 
 
 def dump_protocol(protocol: Protocol) -> str:
@@ -226,11 +230,18 @@ def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
     """Find roles that only one of test sheet and protocol has."""
     data = protocol.data if isinstance(protocol.data, Mapping) else {}
     sources = data.get("sources")
-    roles = [str(role) for role in sources] if isinstance(sources, Mapping) else []
+    sources = sources if isinstance(sources, Mapping) else {}
+    roles, optional = [str(role) for role in sources], _optional(sources)
     for role in sheet.files:
         if roles and role not in roles:
             expected = f"a role of the protocol: {one_of(role, roles)}"
             yield Fault(("files", role), expected, repr(role), did_you_mean(role, roles), "key")
-    for missing in sorted(set(roles) & set(ROLES) - set(sheet.files)):
+    for missing in sorted(set(roles) & set(ROLES) - set(sheet.files) - optional):
         expected = f"a file in the role {missing!r}"
         yield Fault(("files",), expected, "none", "Add it to 'files'.")
+
+
+def _optional(sources: Mapping[Any, Any]) -> set[str]:
+    """Roles whose export a test may lack."""
+    blocks = {str(role): source for role, source in sources.items() if isinstance(source, Mapping)}
+    return {role for role, source in blocks.items() if source.get("optional") is True}

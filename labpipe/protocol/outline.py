@@ -108,22 +108,45 @@ class Outline:
         """Say whether a rigid body marks the clamp."""
         return self.block("markers").get("clamp") is not None
 
-    def made_by(self, step: str) -> tuple[str, ...]:
+    def made_by(self, tag: str, step: Values) -> tuple[str, ...]:
         """Channels that a step adds to those of the sources."""
-        if step == "specimen-frame" and self.clamp:
+        if tag == "specimen-frame" and self.clamp:
             return ("travel",)
-        return ("deflection",) if step == "fit-shape" else ()
+        if tag == "travel-from-speed":
+            return (str(step.get("channel")),)
+        return {"fit-shape": ("deflection",), "three-point-shape": ("mid_span",)}.get(tag, ())
 
     @property
     def made(self) -> list[str]:
         """Channels that the steps add, in order."""
-        return [name for _, tag, _ in self.entries("steps", "step") for name in self.made_by(tag)]
+        return [
+            name
+            for _, tag, step in self.entries("steps", "step")
+            for name in self.made_by(tag, step)
+        ]
+
+    @property
+    def from_speed(self) -> dict[str, str]:
+        """Channels that are made from crosshead speed, and the force that each is made with."""
+        return {
+            str(step.get("channel")): str(step.get("force"))
+            for _, tag, step in self.entries("steps", "step")
+            if tag == "travel-from-speed"
+        }
+
+    def is_optional(self, role: str) -> bool:
+        """Say whether a test may lack a source."""
+        return self.block("sources", role).get("optional") is True
 
     def clock_of(self, channel: str) -> str | None:
         """Role whose clock a channel is on; None for an unknown channel."""
-        if channel in self.made:
-            return "markers"
-        return next((each.role for each in self.channels if each.name == channel), None)
+        own = next((each.role for each in self.channels if each.name == channel), None)
+        if own is not None:
+            return own
+        force = self.from_speed.get(channel)
+        if force is not None:
+            return next((each.role for each in self.channels if each.name == force), None)
+        return "markers" if channel in self.made else None
 
     def unit_of(self, channel: str) -> str | None:
         """SI unit of a channel; None where it is not known."""
@@ -133,5 +156,10 @@ class Outline:
 
     @property
     def turning_points(self) -> bool:
-        """Say whether two clocks are joined."""
+        """Say whether two clocks are joined at the turning points of a clamp."""
         return self.block("align").get("method") == "turning-points"
+
+    @property
+    def joins_clocks(self) -> bool:
+        """Say whether two clocks are joined."""
+        return self.block("align").get("method") in ("turning-points", "common-start")

@@ -98,6 +98,21 @@ class MomentCurvature(Block):
     name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_20")
 
 
+class MidSpan(_Window):
+    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent span."""
+
+    result: Literal["mid-span"]
+    corrections: tuple[Literal["large-deflection"], ...] = Field(
+        (), description="large-deflection: the supports push along the specimen as well"
+    )
+
+
+class Twist(Block):
+    """``twist`` (rad): how far the section at mid-span has turned about the axis."""
+
+    result: Literal["twist"]
+
+
 class Kink(_Window):
     """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
 
@@ -222,7 +237,9 @@ ResultEntry: TypeAlias = Annotated[
     | LoadingStiffness
     | Hardening
     | BendingStiffness
-    | MomentCurvature,
+    | MomentCurvature
+    | MidSpan
+    | Twist,
     Field(discriminator="result"),
 ]
 
@@ -246,6 +263,8 @@ _FIXED_NAMES: Final = MappingProxyType(
         "plateau": ("end_slope", "plateau_displacement", "plateau_force"),
         "loading-stiffness": ("loading_stiffness.1",),
         "hardening": ("hardening.2",),
+        "mid-span": ("mid_span_bending_stiffness", "mid_span_curvature"),
+        "twist": ("twist",),
     }
 )
 

@@ -119,7 +119,20 @@ class AlignTurningPoints(Block):
     max_drift: Ratio = Field(description="Doubtful above")
 
 
-Align: TypeAlias = Annotated[AlignNone | AlignTurningPoints, Field(discriminator="method")]
+class AlignCommonStart(Block):
+    """Two recorders that were started together; the force's corner at the turn checks it."""
+
+    method: Literal["common-start"]
+    channel: Snake = Field(description="Channel whose corner marks the turn")
+    max_offset: Duration = Field(description="The later recorder starts no later than this")
+    max_drift: Ratio = Field(1e-4, description="How far the clocks may differ in rate")
+    motion_window: Duration = Field(10.0, description="On each side of a turn of the motion")
+    force_window: Duration = Field(1.0, description="On each side of a corner of the channel")
+
+
+Align: TypeAlias = Annotated[
+    AlignNone | AlignTurningPoints | AlignCommonStart, Field(discriminator="method")
+]
 
 
 class MachineCompliance(Block):

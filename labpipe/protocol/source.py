@@ -161,6 +161,9 @@ class Source(Block):
     part: Text | None = Field(
         None, description="Of a load frame: which specimen or sheet of an export that holds several"
     )
+    optional: bool = Field(
+        False, description="Whether a test may lack it; what only this source makes then falls away"
+    )
     channel: Names | None = Field(None, description="Short for one channel named like the role")
     unit: Text | None = None
     calibration: Calibration | None = None

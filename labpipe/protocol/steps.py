@@ -11,6 +11,7 @@ from labpipe.protocol.quantities import (
     Duration,
     Frequency,
     Length,
+    Ratio,
     SpanOf,
     Whole,
 )
@@ -42,6 +43,31 @@ class FitShape(Block):
     step: Literal["fit-shape"]
     terms: Annotated[int, Whole(2, 12)]
     tip: Literal["free", "loaded"] = Field(description="free: no bending moment at the tip")
+
+
+class ThreePointShape(Block):
+    """Fit the bent axis between two supports through sections of markers; makes `mid_span`."""
+
+    step: Literal["three-point-shape"]
+    over: Duration = Field(description="Stretch at the start in which the specimen is straight")
+    section: Length = Field(
+        0.004, description="Markers nearer to each other than this, along the axis, share a section"
+    )
+    facing: Literal["side", "load", "away"] = Field(
+        "side",
+        description="Where on the specimen the markers are: across the load, where the load goes "
+        "to, or where it comes from",
+    )
+
+
+class TravelFromSpeed(Block):
+    """Make a displacement from crosshead speed and stroke; a measured one goes before it."""
+
+    step: Literal["travel-from-speed"]
+    channel: Snake = Field(description="Displacement that it makes where no source gives one")
+    force: Snake = Field(description="Channel in which the turn is looked for")
+    window: Duration = Field(1.0, description="On each side of the force's corner at the turn")
+    speed_uncertainty: Ratio = Field(0.005, description="Standard uncertainty of rig's speed")
 
 
 class Zero(Block):
@@ -86,6 +112,14 @@ class Decimate(Block):
 
 
 Step: TypeAlias = Annotated[
-    RepairMarkers | SpecimenFrame | FitShape | Zero | Smooth | LowPass | Decimate,
+    RepairMarkers
+    | SpecimenFrame
+    | FitShape
+    | ThreePointShape
+    | TravelFromSpeed
+    | Zero
+    | Smooth
+    | LowPass
+    | Decimate,
     Field(discriminator="step"),
 ]

@@ -73,7 +73,7 @@ CASES = {
     "step": (
         ("step: smooth", "step: smoth"),
         "p.yaml, line 21, column 12 (steps.4.step): expected one of 'smooth', 'decimate',"
-        " 'fit-shape', 'zero', 'specimen-frame', 'low-pass', ..., found 'smoth'."
+        " 'fit-shape', 'zero', 'specimen-frame', 'three-point-shape', ..., found 'smoth'."
         " Did you mean 'smooth'?",
     ),
     "no step": (

@@ -1,0 +1,163 @@
+"""Two recorders that were started together: their clocks, checked at the turn of the motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from labpipe.fitting.corners import Corner
+from labpipe.fitting.reversals import Reversal
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.clocks import Turn, force_corner
+from labpipe.processing.alignment import match_peaks, rough_peaks
+from labpipe.processing.falls_of_force import sharpest_turn
+from labpipe.processing.strokes import Stroke
+from labpipe.protocol.rig import AlignCommonStart
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import ClockFit, Interval
+from labpipe.records.quality import Severity
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A turning point that both recorders have seen: their times, s, and the difference's error."""
+
+    motion: float
+    force: float
+    error: float
+
+
+def start_together(
+    bench: Bench, align: AlignCommonStart, strokes: tuple[Stroke, ...], turns: list[Turn]
+) -> ClockFit:
+    """Fit the force's clock to the motion's, both started by one trigger.
+
+    Parameters
+    ----------
+    bench : its raw force is used; gets notes, and a doubt where the two did not start together
+    align : channel and limits of the protocol
+    strokes, turns : of the motion
+
+    Returns
+    -------
+    The fit.
+
+    Notes
+    -----
+    Three kinds of evidence in one weighted least-squares fit of offset and drift: the common start
+    says offset = 0 with the standard uncertainty max_offset / sqrt(3) of a rectangle, instruments
+    say drift = 0 with that of max_drift (GUM, JCGM 100:2008, sec. 4.3.7), every corner of the force
+    says what its difference to the turn of the motion is. A sharp corner so decides within the
+    limits of the start, a blurred one leaves what the start says. Where the corner contradicts the
+    start by more than its own 95 % interval, the start is left out and the clocks are doubtful.
+    """
+    seen = _seen(bench, align, strokes, turns)
+    at_turn = _weighted(seen)
+    together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
+    fit = _fitted(seen, align, together=together)
+    _tell(bench, fit, align, at_turn, together=together)
+    return fit
+
+
+def _seen(
+    bench: Bench, align: AlignCommonStart, strokes: tuple[Stroke, ...], turns: list[Turn]
+) -> list[Seen]:
+    """Turns at the top of loading that the force has seen as well."""
+    force = bench.raw[align.channel]
+    peaks = [turn for turn in turns if strokes[turn.stroke].sign == strokes[0].sign]
+    found = []
+    for peak, near in _paired(force, peaks, align.force_window):
+        for corner in peak.corners:
+            pulled = force_corner(force, peak, corner, near, window=align.force_window)
+            if pulled is not None:
+                found.append(_event(corner, pulled))
+    return found
+
+
+def _paired(force: Signal, peaks: list[Turn], width: float) -> list[tuple[Turn, float]]:
+    if len(peaks) == 1:
+        near = sharpest_turn(force.time, force.values, width=width)
+        return [] if near is None else [(peaks[0], near)]
+    seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
+    pairs, _ = match_peaks(np.array([peak.middle for peak in peaks]), seen)
+    return [(peaks[first], float(seen[second])) for first, second in pairs.tolist()]
+
+
+def _event(corner: Corner, pulled: Reversal) -> Seen:
+    error = float(np.hypot(corner.time_error, pulled.corner.time_error))
+    return Seen(corner.time, pulled.corner.time, error)
+
+
+def _weighted(seen: list[Seen]) -> tuple[float, float] | None:
+    """Mean difference at the turns and its standard error, s."""
+    if not seen:
+        return None
+    weights = np.array([each.error for each in seen]) ** -2.0
+    differences = np.array([each.force - each.motion for each in seen])
+    return float(np.average(differences, weights=weights)), float(weights.sum() ** -0.5)
+
+
+def _fitted(seen: list[Seen], align: AlignCommonStart, *, together: bool) -> ClockFit:
+    design: Floats = np.array([[1.0, each.motion] for each in seen] + [[0.0, 1.0]])
+    says = np.array([each.force - each.motion for each in seen] + [0.0])
+    errors = np.array([each.error for each in seen] + [align.max_drift / sqrt(3.0)])
+    if together:
+        design = np.vstack([design, [1.0, 0.0]])
+        says = np.append(says, 0.0)
+        errors = np.append(errors, align.max_offset / sqrt(3.0))
+    weighted = design / errors[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    offset, drift = (float(each) for each in covariance @ weighted.T @ (says / errors))
+    offset_error, drift_error = (float(each) for each in np.sqrt(np.diag(covariance)))
+    events = seen or [Seen(0.0, 0.0, align.max_offset / sqrt(3.0))]  # the trigger itself
+    motion, force, spread = np.array([[e.motion, e.force, e.error] for e in events]).T
+    left = force - offset - (1.0 + drift) * motion
+    return ClockFit(
+        offset=offset,
+        drift=drift,
+        offset_interval=Interval.normal_95(offset, offset_error),
+        drift_interval=Interval.normal_95(drift, drift_error),
+        residual=float(np.sqrt(np.mean(left**2))),
+        event_times_motion=motion,
+        event_times_force=force,
+        event_errors=spread,
+        method=_METHOD if together else _NOT_TOGETHER,
+    )
+
+
+_METHOD = "common start and the force's corner at the turn, drift taken as zero within a bound"
+_NOT_TOGETHER = "the force's corner at the turn alone, drift taken as zero within a bound"
+
+
+def _tell(
+    bench: Bench,
+    fit: ClockFit,
+    align: AlignCommonStart,
+    at_turn: tuple[float, float] | None,
+    *,
+    together: bool,
+) -> None:
+    if at_turn is None:
+        message = (
+            f"the {align.channel} shows no corner at a turn of the motion: the common start, "
+            f"within {1e3 * align.max_offset:.3g} ms, is taken as it is"
+        )
+        bench.note("start_unchecked", Severity.INFO, "align", message)
+        return
+    known = 1.96e3 * at_turn[1]
+    said = (
+        f"the {align.channel} turns {1e3 * at_turn[0]:.4g} ms after the motion, known to "
+        f"{known:.2g} ms"
+    )
+    if together:
+        message = f"{said}; started together, so {1e3 * fit.offset:.4g} ms is taken at the start"
+        bench.note("common_start", Severity.INFO, "align", message)
+        return
+    message = (
+        f"{said}: the recorders did not start within {1e3 * align.max_offset:.3g} ms of each "
+        "other; the difference at the turn is taken"
+    )
+    for quantity in ("clock", "force"):
+        bench.doubt(quantity, "not_started_together", message, where="align")

@@ -1,0 +1,126 @@
+"""What of a protocol falls away where a test lacks an export that its source calls optional."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from types import MappingProxyType
+from typing import Final
+
+from labpipe.protocol.faults import Fault
+from labpipe.protocol.results import ResultEntry, result_names
+from labpipe.protocol.rig import AlignNone
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.steps import Step, TravelFromSpeed
+
+_OF_MARKERS: Final = MappingProxyType(
+    {
+        "steps": frozenset({"repair-markers", "specimen-frame", "fit-shape", "three-point-shape"}),
+        "results": frozenset({"tip-travel", "moment-curvature", "mid-span", "twist"}),
+        "figures": frozenset({"wire-shapes", "moment-curvature", "marker-quality"}),
+    }
+)
+"""What a protocol asks for that needs a source of marker tracks."""
+
+
+def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
+    """Take out of a protocol what a test without an optional export cannot have.
+
+    Parameters
+    ----------
+    protocol : as loaded
+    roles : of the files that the test has
+
+    Returns
+    -------
+    The protocol of this test: without the sources that are optional and absent, without the steps,
+    results and figures that only these make possible, and without a ``travel-from-speed`` whose
+    channel a source of the test measures.
+    """
+    sources = {
+        role: source
+        for role, source in protocol.sources.items()
+        if role in roles or not source.optional
+    }
+    kept = protocol.model_copy(update={"sources": sources})
+    lost = _channels_of(protocol) - _channels_of(kept)
+    no_markers = "markers" in protocol.sources and "markers" not in sources
+    results = tuple(each for each in kept.results if not (no_markers and _of_markers(each)))
+    update: dict[str, object] = {
+        "steps": tuple(step for step in kept.steps if _is_kept(step, kept, lost)),
+        "results": results,
+    }
+    if no_markers:
+        drawn = tuple(x for x in kept.report.figures if x not in _OF_MARKERS["figures"])
+        update["report"] = kept.report.model_copy(update={"figures": drawn})
+        update["markers"] = None
+        gone = _names(protocol.results) - _names(results)
+        main = tuple(name for name in kept.groups.main if name not in gone)
+        update["groups"] = kept.groups.model_copy(update={"main": main})
+    return kept.model_copy(update=update)
+
+
+def absent_faults(protocol: Protocol, whole: Protocol) -> Iterator[Fault]:
+    """Find what a test cannot do without, although its source is optional.
+
+    Parameters
+    ----------
+    protocol : as `without_absent` gives it
+    whole : the same with all its sources
+
+    Returns
+    -------
+    Faults at the key ``files`` of the test sheet.
+    """
+    made = {step.channel for step in protocol.steps if isinstance(step, TravelFromSpeed)}
+    for role, source in whole.sources.items():
+        if role in protocol.sources:
+            continue
+        for name in sorted(set(source.all_channels) & _needed(protocol) - made):
+            expected = f"a file in the role {role!r}, which gives {name!r}"
+            remedy = "Add it to 'files', or add the step 'travel-from-speed' to the protocol."
+            yield Fault(("files",), expected, "none", remedy)
+        for name in sorted(set(source.all_channels) & made):
+            yield from _speed_faults(protocol, role, name)
+
+
+def _speed_faults(protocol: Protocol, role: str, name: str) -> Iterator[Fault]:
+    """Find a displacement that neither an export nor speed and stroke give."""
+    for key in ("crosshead_speed", "stroke"):
+        if getattr(protocol.rig, key) is None:
+            expected = f"a file in the role {role!r}, or 'rig.{key}' to make {name!r} from"
+            remedy = f"Add the file to 'files', or 'rig.{key}' to the protocol."
+            yield Fault(("files",), expected, "neither", remedy)
+
+
+def _needed(protocol: Protocol) -> set[str]:
+    """Channels without which there is no curve."""
+    names = set()
+    if protocol.curve is not None:
+        names |= {protocol.curve.force, protocol.curve.displacement}
+    if protocol.branches is not None:
+        names.add(protocol.branches.channel)
+    if not isinstance(protocol.align, AlignNone):
+        names.add(protocol.align.channel)
+    return names
+
+
+def _channels_of(protocol: Protocol) -> set[str]:
+    return set(protocol.channels)
+
+
+def _is_kept(step: Step, kept: Protocol, lost: set[str]) -> bool:
+    if "markers" not in kept.sources and step.step in _OF_MARKERS["steps"]:
+        return False
+    if isinstance(step, TravelFromSpeed):
+        return step.channel not in kept.channels
+    made = {each.channel for each in kept.steps if isinstance(each, TravelFromSpeed)}
+    return getattr(step, "channel", None) not in lost - made
+
+
+def _of_markers(entry: ResultEntry) -> bool:
+    return entry.result in _OF_MARKERS["results"]
+
+
+def _names(entries: tuple[ResultEntry, ...]) -> set[str]:
+    said = [(entry.result, entry.model_dump(by_alias=True)) for entry in entries]
+    return {name for tag, entry in said for name in result_names(tag, entry)}
