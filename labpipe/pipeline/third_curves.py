@@ -155,7 +155,7 @@ def _held(
     else:
         ends = (prediction.lower_mean, prediction.upper_mean)
         model = match(curve, prediction.deflection, prediction.force, ends, "the model")
-    notes = tuple(_notes(curve, tests, model))
+    notes = (*_load_notes(curve, group, prediction), *_notes(curve, tests, model))
     return ThirdCurveComparison(curve, tests, model, prediction, notes)
 
 
@@ -171,6 +171,25 @@ def _prediction(
     goal = max(tested, float(curve.deflection[-1]))
     deepest = min(goal, DEEPEST * curve.length)
     return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, _GRID), rig=rig)
+
+
+def _load_notes(
+    curve: ThirdCurve, group: ValidationGroup | None, prediction: Prediction | None
+) -> Iterator[QualityNote]:
+    """Say what a load that is not that of the tests makes, by the model."""
+    pulled = None if group is None else group.prediction
+    if not curve.is_normal or pulled is None or prediction is None:
+        return
+    ends = (curve.deflection, pulled.deflection, prediction.deflection)
+    at = min(float(each[-1]) for each in ends)
+    one, other = (
+        float(np.interp(at, each.deflection, each.force)) for each in (pulled, prediction)
+    )
+    message = (
+        f"its load stays normal to the axis, the tests' does not: at {1e3 * at:.4g} mm the model's "
+        f"force is {1e3 * one:.4g} mN as tested and {1e3 * other:.4g} mN normal to the axis"
+    )
+    yield QualityNote("third_curve_load", Severity.INFO, curve.name, message)
 
 
 def _notes(curve: ThirdCurve, tests: CurveMatch | None, model: CurveMatch) -> Iterator[QualityNote]:
