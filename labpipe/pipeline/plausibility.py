@@ -11,6 +11,7 @@ from labpipe.pipeline.clocks import Turn
 from labpipe.processing.filtering import moving_average, seconds_to_window
 from labpipe.processing.strokes import Stroke, noise_level
 from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Severity
 
@@ -21,6 +22,8 @@ _ROUNDED = (0.05, 0.25)
 """s on each side of a turning point that are held against the corner."""
 _SETTLED = 0.25
 """s by which a zero may reach into the motion before it is doubted."""
+_BLOCKS = 200
+"""Means that a record of the force is looked at in, to tell a load from noise."""
 
 
 def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -> None:
@@ -126,6 +129,42 @@ def _on_motion_clock(bench: Bench, name: str, at: float) -> float:
     if fit is None or bench.raw[name].clock == bench.signals[bench.displacement].clock:
         return at
     return (at - fit.offset) / (1.0 + fit.drift)
+
+
+def check_sign(bench: Bench, motion: Signal) -> None:
+    """Doubt a force that goes down where the motion goes up: a bridge wired the other way round.
+
+    Parameters
+    ----------
+    bench : gets the doubt, in place of that of a string that pushes
+    motion : that the curve is split by; a motion that goes down may well load downwards
+    """
+    force = bench.signals[bench.force]
+    known = force.values[~np.isnan(force.values)]
+    if len(known) < 2 or _excursion(motion.values) < 0.0 or _excursion(known) > 0.0:
+        return
+    means = [float(block.mean()) for block in np.array_split(known, min(_BLOCKS, len(known)))]
+    lowest, highest = min(means), max(*means, 0.0)
+    if lowest >= -2.0 * highest - 5.0 * noise_level(known):
+        return
+    message = (
+        f"the force goes to {lowest:.3g} N while the specimen is loaded: the bridge is reversed, "
+        "or the gain has the wrong sign; give its calibration a gain of the other sign"
+    )
+    bench.notes[:] = [note for note in bench.notes if note.code != "force_negative"]
+    if bench.doubts.get("force", "").startswith("force_negative: "):
+        del bench.doubts["force"]
+    bench.doubt("force", "force_reversed", message, where=bench.force)
+
+
+def _excursion(values: Floats) -> float:
+    """Largest way from where a signal begins, negative where it goes further down than up."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return 0.0
+    start = float(known[: max(1, len(known) // 100)].mean())
+    up, down = float(known.max()) - start, start - float(known.min())
+    return up if up >= down else -down
 
 
 def check_turns(

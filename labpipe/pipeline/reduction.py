@@ -30,7 +30,7 @@ from labpipe.pipeline.cycle_results import (
     unloading_stiffness,
 )
 from labpipe.pipeline.layout import lay_out
-from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
+from labpipe.pipeline.plausibility import check_rest, check_rig, check_sign, check_turns
 from labpipe.pipeline.steps import take_step
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
@@ -144,6 +144,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
 
         align_cameras(bench, motion, strokes, min_stroke=protocol.branches.min_stroke)
     check_rig(bench, protocol, branches)
+    check_sign(bench, motion)
     check_rest(bench, branches)
     if not bench.blocked:
         bench.aligned = _aligned(bench)

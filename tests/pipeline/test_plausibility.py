@@ -13,7 +13,7 @@ from labpipe.errors import ReadError
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import turning_points
 from labpipe.pipeline.exports import name_channels
-from labpipe.pipeline.plausibility import check_rest, check_rig, check_turns
+from labpipe.pipeline.plausibility import check_rest, check_rig, check_sign, check_turns
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
@@ -95,6 +95,42 @@ def test_a_string_cannot_push(protocol: Protocol) -> None:
     check_rig(made, protocol, branches(SHARP))
     assert made.doubts["force"].startswith("force_negative: the force falls to -0.2")
     assert "a string cannot push: the zero is wrong or drifts" in made.doubts["force"]
+
+
+def test_a_reversed_bridge(protocol: Protocol) -> None:
+    """Said once, by its cause: not as a string that pushes."""
+    made = bench(SHARP, -160.0 * SHARP)
+    check_rig(made, protocol, branches(SHARP))
+    check_sign(made, made.raw["travel"])
+    assert made.doubts["force"] == (
+        "force_reversed: the force goes to -3.19 N while the specimen is loaded: the bridge is "
+        "reversed, or the gain has the wrong sign; give its calibration a gain of the other sign"
+    )
+    assert [note.code for note in made.notes] == ["force_reversed"]
+
+
+@pytest.mark.parametrize(
+    ("motion", "force"),
+    [
+        (SHARP, 20.0 * SHARP),
+        (-SHARP, -20.0 * SHARP),
+        (-SHARP, 20.0 * SHARP),
+        (SHARP, 20.0 * SHARP - 0.3),
+        (SHARP, np.random.default_rng(0).normal(0.0, 0.1, len(TIME))),
+        (SHARP, np.full(len(TIME), np.nan)),
+    ],
+    ids=["up", "down", "pressed, as some frames sign it", "off zero", "noise", "nothing"],
+)
+def test_no_reversed_bridge(motion: Floats, force: Floats) -> None:
+    made = bench(motion, force)
+    check_sign(made, made.raw["travel"])
+    assert not made.doubts
+
+
+def test_motion_that_nobody_saw_tells_no_sign() -> None:
+    made = bench(np.full(len(TIME), np.nan), 20.0 * SHARP)
+    check_sign(made, made.raw["travel"])
+    assert not made.doubts
 
 
 def test_a_slack_string_may_lose_the_counterweight(protocol: Protocol) -> None:
