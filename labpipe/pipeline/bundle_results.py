@@ -86,7 +86,7 @@ def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
     end, other = _both(bench, fit)
     if isinstance(end, Failure):
         return [to_result(bench, share, end)]
-    bench.lines.append(FittedLine("end_slope", end.slope, end.level, end.start, end.stop))
+    bench.lines.append(FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop))
     moved = other if isinstance(other, EndSlope) else end
     found = to_result(
         bench, share, _changed(end.share, moved.share), doubt=doubt_of(bench, entry.of)

@@ -1,4 +1,4 @@
-"""A loading curve with what was read from it: lines, break point, slips, failure."""
+"""A loading curve with what was read from it: lines, break point, kink, plateau, slips, failure."""
 
 from __future__ import annotations
 
@@ -20,11 +20,20 @@ _BINS = 1500
 _COLUMNS = 3
 _MOST_OTHERS = 4
 """Entries of the key beside the lines: loading, as measured, break point or slip, failure."""
+_PLACES = {
+    "break_point": ("break point", ":"),
+    "kink_displacement": ("kink", ":"),
+    "plateau_displacement": ("onset of the plateau", (0, (8, 2))),
+}
+"""Results that are places on the axis of displacement: words for the key, and style of the line."""
 
 
 def draw(result: TestResult) -> Figure:
     """Draw the first loading branch with the lines that stiffnesses were read from."""
-    rows = -(-(_MOST_OTHERS + len(result.lines)) // _COLUMNS)
+    bundle = [
+        name for name in _PLACES if name != "break_point" and _value(result, name) is not None
+    ]
+    rows = -(-(_MOST_OTHERS + len(bundle) + len(result.lines)) // _COLUMNS)
     page = titled_page(
         title(result),
         footnote(result),
@@ -93,7 +102,7 @@ def plot_lines(result: TestResult, axes: Axes) -> None:
 
 
 def mark_points(result: TestResult, axes: Axes) -> None:
-    """Mark break point, slips and failure.
+    """Mark break point, kink, onset of a plateau, slips and failure.
 
     Parameters
     ----------
@@ -101,11 +110,11 @@ def mark_points(result: TestResult, axes: Axes) -> None:
     axes : to draw on
     """
     across, up = _scales(result)
-    bend = _value(result, "break_point")
-    if bend is not None:
-        axes.axvline(
-            bend * across.factor, color=GREY, linewidth=0.6, linestyle=":", label="break point"
-        )
+    for name, (words, dashes) in _PLACES.items():
+        place = _value(result, name)
+        if place is not None:
+            x = place * across.factor
+            axes.axvline(x, color=GREY, linewidth=0.6, linestyle=dashes, label=words)
     for number, slip in enumerate(result.slips):
         axes.axvline(
             slip.position * across.factor,

@@ -70,6 +70,18 @@ def test_break_point_slips_and_failure_are_marked(result: TestResult) -> None:
     assert float(np.asarray(axes.lines[-1].get_ydata())[0]) == 12.0
 
 
+def test_kink_and_onset_of_a_plateau_are_marked(result: TestResult) -> None:
+    found = (
+        Result("kink_displacement", 0.002, "m", Interval(0.0019, 0.0021)),
+        Result("plateau_displacement", 0.007, "m", Interval(0.006, 0.008)),
+    )
+    axes = Figure().subplots()
+    mark_points(replace(result, results=found, slips=()), axes)
+    assert _labels(list(axes.lines)) == ["kink", "onset of the plateau"]
+    places = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines]
+    np.testing.assert_allclose(places, [2.0, 7.0])
+
+
 def test_key_has_every_entry(result: TestResult) -> None:
     with style():
         page = draw(result)
