@@ -19,6 +19,7 @@ ELSEWHERE = {
     # Its shapes, drawn end to end; its numbers, through the calibration they lay out.
     "pipeline/bent_shapes.py": "end_to_end/test_calibrate.py",
     "pipeline/calibration_json.py": "pipeline/test_calibrating.py",
+    "pipeline/comparison_json.py": "pipeline/test_third_curves.py",
     # Numbers of a cycle, through the results that are made of them.
     "pipeline/cycle_numbers.py": "pipeline/test_cycle_results.py",
     # What reading checks, through reading.

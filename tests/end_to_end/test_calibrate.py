@@ -196,3 +196,45 @@ def test_a_prior_that_contradicts_the_tests(
     done = run("calibrate", str(campaign), "--wire", sheet, *asked)
     assert done.status == 0
     assert "standard deviations" in done.out
+
+
+def test_a_curve_from_elsewhere_is_held_against_tests_and_model(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    rows = [f"{i},{-2.0 * i},{-0.004 * i}" for i in range(26)]
+    (tmp_path / "fe.csv").write_text("\n".join(["step,U2,RF2", *rows, ""]), encoding="utf-8")
+    text = (
+        "wire: A2\ncomparisons:\n"
+        "  - {name: elements, file: fe.csv, wire: A2, length: 85 mm, load: normal, because: made,\n"
+        "     deflection: {column: U2, unit: mm, sign: -1},\n"
+        "     force: {column: RF2, unit: N, sign: -1}}\n"
+    )
+    out = tmp_path / "out"
+    asked = ("--plan", plan(tmp_path, text), "--out", str(out))
+    done = run("calibrate", str(campaign), "--wire", sheet, *asked)
+    assert done.status == 0, done.err
+    found = json.loads((out / "calibration.json").read_text("utf-8"))
+    (curve,) = found["comparisons"]
+    assert (curve["name"], curve["load"]) == ("elements", "normal")
+    for each in (curve["tests"], curve["model"]):
+        pairs = zip(curve["force"], each["force"], strict=True)
+        left = [force - other for force, other in pairs if other is not None]
+        assert each["n"] == len(left) > 20
+        assert each["n"] + each["left_out"] == 26
+        assert each["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
+    assert "elements     tests of A2, 85 mm" in done.out
+    assert "its load stays normal to the axis, the tests' does not" in done.out
+    assert (out / "figures" / "third-curves.png").is_file()
+
+
+def test_a_curve_that_cannot_be_read_ends_a_calibration_before_it_begins(
+    campaign: Path, sheet: str, tmp_path: Path, run: Run
+) -> None:
+    (tmp_path / "fe.csv").write_text("deflection_mm,force\n0,0\n1,1\n2,2\n", encoding="utf-8")
+    asked = plan(
+        tmp_path,
+        "wire: A2\ncomparisons:\n"
+        "  - {name: fe, file: fe.csv, wire: A2, length: 85 mm, because: made}\n",
+    )
+    said = refused(run, tmp_path, str(campaign), "--wire", sheet, "--plan", asked)
+    assert "fe.csv, line 1, column 2: expected a unit of the force, found none in 'force'. " in said

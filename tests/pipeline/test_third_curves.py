@@ -68,7 +68,7 @@ def test_held_against_tests_and_model(calibration: Calibration) -> None:
     assert found.model.errors is not None
     assert found.model.errors.inside == 1.0
     assert found.prediction is not None
-    assert found.prediction.deflection[-1] == pytest.approx(0.05)
+    assert found.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as the tests
     assert not found.notes
 
 

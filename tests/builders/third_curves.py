@@ -1,0 +1,60 @@
+"""Third curves held against tests and model, of straight lines: their numbers are known by head."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.records.agreement import Prediction
+from labpipe.records.comparison import CurveMatch, ThirdCurve, ThirdCurveComparison
+from labpipe.records.group import Band
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.wire.calibrating.matching import match
+
+GRID = np.linspace(0.0, 0.05, 51)
+FORCE = 2.0 * GRID
+"""Of the mean of the tests; the model lies 2 mN below."""
+UNTESTED = QualityNote("third_curve_untested", Severity.INFO, "paper", "no test of B2 at 100 mm")
+
+
+def third_group(wire: str = "A2", length: float = 0.085) -> ValidationGroup:
+    band = Band(GRID, FORCE, FORCE - 0.004, FORCE + 0.004, FORCE - 0.01, FORCE + 0.01, 3, "samples")
+    return ValidationGroup(wire, length, is_calibrated=True, samples={}, band=band)
+
+
+def third_model() -> Prediction:
+    force = FORCE - 0.002
+    ends = (force - 0.01, force + 0.01, force - 0.005, force + 0.005)
+    return Prediction(GRID, force, *ends)
+
+
+def third_comparison(
+    name: str = "finite elements", *, offset: float = 0.001, is_normal: bool = False
+) -> ThirdCurveComparison:
+    """A curve above the mean of the tests by an offset in N, one of its points out of range."""
+    at = np.linspace(0.01, 0.06, 6)
+    curve = ThirdCurve(
+        name, "fe.csv", "A2", 0.085, at, 2.0 * at + offset, is_normal, "synthetic elements"
+    )
+    band, model = third_group().band, third_model()
+    ends = (model.lower_mean, model.upper_mean)
+    tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
+    note = QualityNote("third_curve_cut", Severity.INFO, name, tests.words)
+    return ThirdCurveComparison(
+        curve, tests, match(curve, GRID, model.force, ends, "the model"), model, (note,)
+    )
+
+
+def untested(name: str = "paper") -> ThirdCurveComparison:
+    """A curve without tests."""
+    whole = third_comparison(name)
+    curve = replace(whole.curve, wire="B2", length=0.1)
+    return replace(whole, curve=curve, tests=None, notes=(UNTESTED,))
+
+
+def unmodelled() -> ThirdCurveComparison:
+    """A curve that the model does not reach."""
+    lost = CurveMatch(np.full(6, np.nan), None, 6, "the model has no such curve: it ends earlier")
+    return replace(third_comparison(), model=lost, prediction=None)
