@@ -17,6 +17,7 @@ from labpipe.fitting.estimates import Estimate, Failure, scaled, widened
 from labpipe.fitting.kinks import Kink, fit_kink
 from labpipe.fitting.plateaus import EndSlope, Onset, find_onset, fit_end_slope
 from labpipe.fitting.take_up import find_take_up
+from labpipe.pipeline.beam_corrections import corrected
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of, stiffness_over
@@ -32,7 +33,7 @@ from labpipe.pipeline.outcomes import (
 )
 from labpipe.pipeline.stiffness_results import doubt_of, marked_slip, window_of
 from labpipe.protocol.results import BendingStiffness, Plateau
-from labpipe.protocol.rig import SpecimenBlock
+from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.quality import Severity
@@ -187,8 +188,9 @@ def _hardening(
     return scaled(after, 1.0 / before.value, more=more)
 
 
-def beam_results(bench: Bench, entry: BendingStiffness, specimen: SpecimenBlock) -> list[Result]:
+def beam_results(bench: Bench, entry: BendingStiffness, protocol: Protocol) -> list[Result]:
     """Bending stiffness (N m^2) of a beam, from a stiffness above and the length of the sheet."""
+    specimen = protocol.specimen
     key = "length" if entry.support == "cantilever" else "span"
     formula = "L^3 / 3" if entry.support == "cantilever" else "L^3 / 48"
     asked = Asked(entry.name, "N m^2", CURVE, f"{entry.of} x {formula}, L = specimen.{key}")
@@ -208,6 +210,8 @@ def beam_results(bench: Bench, entry: BendingStiffness, specimen: SpecimenBlock)
             length_error=entry.length_uncertainty,
             support=entry.support,
         )
+        outcome, said = corrected(bench, entry, outcome, specimen, protocol.results)
+        asked = replace(asked, method=f"{asked.method}{said}")
     return [to_result(bench, asked, outcome, doubt=doubt_of(bench, entry.of))]
 
 

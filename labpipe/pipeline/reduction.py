@@ -262,7 +262,7 @@ def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union
         case Hardening():
             return hardening_results(bench, over=entry.over)
         case BendingStiffness():
-            return beam_results(bench, entry, protocol.specimen)
+            return beam_results(bench, entry, protocol)
         case UnloadingStiffness():
             return unloading_stiffness(bench, over=entry.over)
         case Energy():

@@ -146,6 +146,8 @@ def _sharp_end(bench: Bench, branch: Branch, displacement: Floats) -> tuple[Shar
     if bench.clock_fit is not None:
         return None
     onwards = displacement[branch.start :]
+    if np.isnan(onwards).any():
+        return None
     length = min(branch.stop - branch.start + 1, len(onwards))  # the sample of the turn is shared
     sense = _sign(onwards[:length] - onwards[0])
     end = find_sharp_end(sense * onwards, length=length)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Annotated, Final, Literal, TypeAlias
 
 from pydantic import Field, field_validator
 
 from labpipe.protocol.block import Block
+from labpipe.protocol.faults import Fault
 from labpipe.protocol.quantities import (
     Curvature,
     Distance,
     Force,
     Length,
+    Ratio,
     Share,
     behind_start,
 )
@@ -144,6 +146,13 @@ class Hardening(Block):
     over: Length
 
 
+class Roller(Block):
+    """The rollers of two supports."""
+
+    diameter: Length | None = None
+    friction: Ratio | None = Field(None, description="Coefficient, of rollers that do not turn")
+
+
 class BendingStiffness(Block):
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
@@ -154,6 +163,35 @@ class BendingStiffness(Block):
     )
     length_uncertainty: Distance = Field(0.0, description="Standard uncertainty of L")
     name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_start")
+    corrections: tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...] = (
+        Field((), description="Of three-point: what an exactly bent elastic beam does otherwise")
+    )
+    roller: Roller | None = None
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Refuse a correction without what it is made of."""
+        return list(_correction_faults(data)) if isinstance(data, Mapping) else []
+
+
+def _correction_faults(entry: Mapping[str, object]) -> Iterator[Fault]:
+    said = entry.get("corrections")
+    names = said if isinstance(said, list | tuple) else []
+    if names and entry.get("support") == "cantilever":
+        expected = "corrections for 'three-point' alone"
+        yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
+        return
+    roller = entry.get("roller")
+    for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
+        if name not in names:
+            continue
+        if "large-deflection" not in names:
+            remedy = "Add 'large-deflection' to the corrections."
+            expected = f"'large-deflection' beside {name!r}"
+            yield Fault(("corrections",), expected, "none", remedy)
+        if not isinstance(roller, Mapping) or roller.get(key) is None:
+            remedy = f"Add 'roller: {{{key}: ...}}'."
+            yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
 
 class TwoSegments(_Window):
