@@ -35,11 +35,12 @@ class Take:
     rate : frames per second
     names : of all measured markers, the body's first
     positions : shape (frames, markers, 3), m, NaN where not seen
-    body : the clamp
-    fitted : shape (frames, 4, 3), m, where the fit of the body puts its markers
-    quality : shape (frames, 4), Motive's figure for each of them, up to 1
-    labels : label of each wire marker, from the clamp on
-    arc_lengths : shape (wire markers,), m
+    body : the clamp; None where there is none
+    fitted : shape (frames, 4, 3), m, where the fit of the body puts its markers; (frames, 0, 3)
+        without a body
+    quality : shape (frames, 4), Motive's figure for each of them, up to 1; (frames, 0) without
+    labels : label of each marker along the specimen, in order
+    arc_lengths : shape (markers along the specimen,), m
     log : what went wrong
     """
 
@@ -47,7 +48,7 @@ class Take:
     rate: float
     names: tuple[str, ...]
     positions: Floats
-    body: RigidBody
+    body: RigidBody | None
     fitted: Floats
     quality: Floats
     labels: tuple[str, ...]
@@ -62,7 +63,7 @@ class Take:
             rate=self.rate,
             names=self.names,
             positions=self.positions,
-            bodies=(self.body,),
+            bodies=() if self.body is None else (self.body,),
         )
         return Recording(reader="motive-csv", markers=tracks)
 

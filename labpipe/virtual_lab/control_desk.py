@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.io import savemat
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.load_cell import FORCE_PATH, MOTOR_PATHS, PORT, ForceRecord
+from labpipe.virtual_lab.load_cell import PORT, ForceRecord, TriggeredRecord
 
 VERSION = "7.4"
 _RASTER = "HostService"
@@ -23,7 +23,9 @@ _HEADER_BYTES = 116
 _NO_LIMIT = np.finfo(np.float64).max
 
 
-def write_control_desk(path: Path, record: ForceRecord, *, saved: datetime, seed: int) -> None:
+def write_control_desk(
+    path: Path, record: ForceRecord | TriggeredRecord, *, saved: datetime, seed: int
+) -> None:
     """Write a force record.
 
     Parameters
@@ -33,7 +35,7 @@ def write_control_desk(path: Path, record: ForceRecord, *, saved: datetime, seed
     saved : time for the header and the description
     seed : for the note that the file is synthetic
     """
-    signals = dict(zip((FORCE_PATH, *MOTOR_PATHS), _columns(record), strict=True))
+    signals = record.signals
     axis = {
         "Name": "",
         "Type": np.int32(4),
@@ -55,10 +57,6 @@ def write_control_desk(path: Path, record: ForceRecord, *, saved: datetime, seed
     }
     savemat(path, {path.stem: content}, oned_as="row", long_field_names=True)
     _stamp(path, saved)
-
-
-def _columns(record: ForceRecord) -> tuple[Floats, Floats, Floats]:
-    return record.volts, record.direction, record.frequency
 
 
 def _channel(where: str, values: Floats) -> dict[str, object]:
@@ -99,7 +97,9 @@ def _struct_array(rows: list[dict[str, object]]) -> NDArray[np.void]:
     return array
 
 
-def _description(record: ForceRecord, saved: datetime, seed: int) -> dict[str, object]:
+def _description(
+    record: ForceRecord | TriggeredRecord, saved: datetime, seed: int
+) -> dict[str, object]:
     origin = (
         f"Software revision: virtual_lab.sdf\r\n"
         f"Variable description: virtual_lab.sdf\r\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +15,7 @@ from labpipe.virtual_lab.schedule import Schedule
 
 FORCE_PATH = "Model Root/Load Cell"
 MOTOR_PATHS = ("Model Root/Motor/Direction", "Model Root/Motor/Frequency")
+TRIGGER_PATH = "Model Root/Trigger"
 PORT = "Out1"
 _PULSES_PER_METRE = 8e6  # the source drives its motor with 8000 Hz for 1 mm/s
 
@@ -37,16 +39,50 @@ class ForceRecord:
     frequency: Floats
     true_gain: float
 
+    @property
+    def signals(self) -> Mapping[str, Floats]:
+        """What is recorded, by path."""
+        values = (self.volts, self.direction, self.frequency)
+        return dict(zip((FORCE_PATH, *MOTOR_PATHS), values, strict=True))
+
     def recording(self) -> Recording:
         """The record as a reader of the export would give it: no unit is known."""
-        values = (self.volts, self.direction, self.frequency)
-        channels = tuple(
-            Channel(name=PORT, path=f"{path}/{PORT}", values=column, clock="HostService")
-            for path, column in zip((FORCE_PATH, *MOTOR_PATHS), values, strict=True)
-        )
-        return Recording(
-            reader="dspace-mat", clocks=(Clock("HostService", self.clock),), channels=channels
-        )
+        return _recording(self.clock, self.signals)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriggeredRecord:
+    """Samples of a force recorder that the program of a load frame starts.
+
+    Parameters
+    ----------
+    clock : shape (samples,), s, the recorder's time axis
+    volts : shape (samples,), V
+    trigger : shape (samples,), the signal that started it: 1 throughout
+    true_gain : N/V, what the load cell really does
+    """
+
+    clock: Floats
+    volts: Floats
+    trigger: Floats
+    true_gain: float
+
+    @property
+    def signals(self) -> Mapping[str, Floats]:
+        """What is recorded, by path."""
+        return {FORCE_PATH: self.volts, TRIGGER_PATH: self.trigger}
+
+    def recording(self) -> Recording:
+        """The record as a reader of the export would give it: no unit is known."""
+        return _recording(self.clock, self.signals)
+
+
+def _recording(clock: Floats, signals: Mapping[str, Floats]) -> Recording:
+    channels = tuple(
+        Channel(name=PORT, path=f"{path}/{PORT}", values=column, clock="HostService")
+        for path, column in signals.items()
+    )
+    return Recording(reader="dspace-mat", clocks=(Clock("HostService", clock),), channels=channels)
 
 
 def record_force(
@@ -78,14 +114,14 @@ def record_force(
     down = moving & (np.floor_divide(progress, scenario.mechanics.stroke) % 2 == 0)
     return ForceRecord(
         clock=schedule.force_clock,
-        volts=_convert(sensed / gain + cell.offset, cell),
+        volts=convert(sensed / gain + cell.offset, cell),
         direction=down.astype(np.float64),
         frequency=np.where(moving, round(_PULSES_PER_METRE * scenario.speed, 6), 0.0),
         true_gain=float(gain),
     )
 
 
-def _convert(volts: Floats, cell: LoadCell) -> Floats:
+def convert(volts: Floats, cell: LoadCell) -> Floats:
     """Quantise to the converter's steps, and saturate at its ends."""
     step = 2.0 * cell.full_scale / 2**cell.bits
     lowest, highest = -(2 ** (cell.bits - 1)), 2 ** (cell.bits - 1) - 1

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.mechanics import solve_loading
 from labpipe.virtual_lab.scenario import CantileverScenario, MechanicalTest
 from labpipe.virtual_lab.stranded import StrandedWire
@@ -52,8 +53,8 @@ def observe_loading(
 
     Parameters
     ----------
-    scenario : the test, of a stranded wire. Of the load cell, its gain error and noise are used;
-        of the markers, the noise, taken for that of the tip's deflection
+    scenario : the test, of a stranded wire or a bundle. Of the load cell, its gain error and noise
+        are used; of the markers, the noise, taken for that of the tip's deflection
     seed : the same seed gives the same noise, and the same gain error where it is drawn
     n_points : of the curve; the source's curves have 272
     noise : N, rms, of a point's force; None for that of the load cell
@@ -65,8 +66,8 @@ def observe_loading(
     Raises
     ------
     ValueError
-        If the wire is not one of strands, its factor is farther from 1 than `MOST_SCATTER`, the
-        string is slack at first, or the mechanics have no solution.
+        If the wire is neither one of strands nor a bundle, its factor is farther from 1 than
+        `MOST_SCATTER`, the string is slack at first, or the mechanics have no solution.
     """
     random = np.random.default_rng([seed, 43])
     cell = scenario.load_cell
@@ -98,12 +99,13 @@ def _true_loading(test: MechanicalTest, travel: Floats) -> tuple[Floats, Floats]
     return found[:, 0], found[:, 1]
 
 
-def _stranded(test: MechanicalTest) -> StrandedWire:
-    """The wire, if the test is one that scales."""
+def _stranded(test: MechanicalTest) -> StrandedWire | BundleModel:
+    """The wire or bundle, if the test is one that scales."""
     wire = test.wire
-    if not isinstance(wire, StrandedWire) or test.slack is not None:
+    if not isinstance(wire, StrandedWire | BundleModel) or test.slack is not None:
         message = (
-            f"wire={type(wire).__name__}, slack={test.slack}: allowed are a StrandedWire and None"
+            f"wire={type(wire).__name__}, slack={test.slack}: allowed are a StrandedWire or a "
+            f"BundleModel, and None"
         )
         raise ValueError(message)
     if not 1.0 / MOST_SCATTER <= wire.factor <= MOST_SCATTER:

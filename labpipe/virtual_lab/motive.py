@@ -82,17 +82,22 @@ def _first_line(take: Take, word: str, started: datetime, take_name: str, seed: 
 
 def _groups(take: Take, seed: int) -> list[_Group]:
     random = np.random.default_rng([seed, 77])
+    groups = [] if take.body is None else _body_groups(take.body.name, random)
+    place = tuple(("Position", axis) for axis in _AXES)
+    for name in take.names:
+        groups.append(_Group("Marker", name, f'"{random.bytes(3).hex().upper()}"', place))
+    return groups
+
+
+def _body_groups(body: str, random: np.random.Generator) -> list[_Group]:
     body_id = f'"{random.bytes(16).hex().upper()}"'
     place = tuple(("Position", axis) for axis in _AXES)
     turn = tuple(("Rotation", axis) for axis in (*_AXES, "W"))
-    body = take.body.name
     groups = [_Group("Rigid Body", body, body_id, (*turn, *place, ("Mean Marker Error", "")))]
     for number in range(len(BODY_MARKERS)):
         columns = (*place, ("Marker Quality", ""))
         name = f'"{body}:Marker{number + 1}"'
         groups.append(_Group("Rigid Body Marker", name, body_id, columns))
-    for name in take.names:
-        groups.append(_Group("Marker", name, f'"{random.bytes(3).hex().upper()}"', place))
     return groups
 
 
@@ -117,15 +122,17 @@ def _table(take: Take, factor: float) -> Floats:
     """All data columns after the frame number, in the file's unit."""
     frames = len(take.time)
     fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
-    columns = (
-        take.time[:, None],
-        take.body.rotation,
-        take.body.position * factor,
-        take.body.error[:, None] * factor,
-        fitted.reshape(frames, -1),
-        (take.positions * factor).reshape(frames, -1),
+    body = (
+        []
+        if take.body is None
+        else [
+            take.body.rotation,
+            take.body.position * factor,
+            take.body.error[:, None] * factor,
+        ]
     )
-    return np.hstack(columns)
+    seen = (take.positions * factor).reshape(frames, -1)
+    return np.hstack([take.time[:, None], *body, fitted.reshape(frames, -1), seen])
 
 
 def _data_lines(take: Take, factor: float) -> Iterator[str]:

@@ -32,6 +32,7 @@ def write_test_suite(
     name: str,
     started: datetime,
     seed: int,
+    kind: str = "tensile test",
 ) -> tuple[str, ...]:
     """Write a record.
 
@@ -43,6 +44,7 @@ def write_test_suite(
     name : of the test run
     started : time for the preamble
     seed : for the note that the test is synthetic
+    kind : of the test, for the same note
 
     Returns
     -------
@@ -59,7 +61,9 @@ def write_test_suite(
     files = {}
     for number, part in enumerate(_parts(record, layout)):
         file = f"{ACTIVITY}{number or ''}.txt"
-        head = _head(file, layout.force_unit, name, started, seed)
+        head = _head(
+            file, layout.force_unit, name, started, f"{kind}, labpipe virtual lab, seed {seed}"
+        )
         files[file] = "" if part is None else "".join([*head, _rows(part, layout.force_unit)])
     for file, text in files.items():
         (folder / file).write_bytes(text.encode("utf-8-sig"))
@@ -82,11 +86,11 @@ def _piece(record: FrameRecord, piece: slice) -> FrameRecord:
     return FrameRecord(record.time[piece], record.displacement[piece], record.force[piece])
 
 
-def _head(file: str, force_unit: str, name: str, started: datetime, seed: int) -> list[str]:
+def _head(file: str, force_unit: str, name: str, started: datetime, note: str) -> list[str]:
     clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
     lines = (
         f"File Path: {_FOLDER}\\{name}\\{file}   ",
-        f"Test: SYNTHETIC tensile test, labpipe virtual lab, seed {seed}",
+        f"Test: SYNTHETIC {note}",
         f"Test Run: {name}",
         f"Date: {started.month}/{started.day}/{started.year} {clock}",
         "",
