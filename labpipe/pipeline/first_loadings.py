@@ -7,16 +7,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
+from labpipe.pipeline.string_at_rest import at_rest, notes_of
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
+from labpipe.protocol.steps import FitShape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.statistics.bands import block_means
-from labpipe.store.read import read_outcome
+from labpipe.store.read import read_stages
 from labpipe.wire.calibrating.data import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig
 
@@ -24,6 +27,8 @@ GRAVITY = 9.80665
 """m/s^2, standard acceleration of free fall."""
 _FEWEST = 20
 """Points of a curve with which something can be said."""
+_TERMS = 5
+"""Of the polynomial that the slope of a first loading is read from, for the noise alone."""
 _SECOND_DIFFERENCE = np.sqrt(6.0)
 """Standard deviation of a second difference of white noise, over that of the noise."""
 
@@ -75,7 +80,7 @@ def read_first_loadings(
     for file in files:
         say(file.parent.name)
         try:
-            result = read_outcome(file)
+            result = read_stages(file)
             protocol = parse_protocol(result.protocol_yaml, str(file))
             loading = first_loading(result, protocol, points=points, up_to=up_to)
             found.append(replace(loading, file=file))
@@ -98,19 +103,24 @@ def first_loading(
 
     Returns
     -------
-    The curve up to its largest deflection. The string is taken to have held the wire straight at
-    rest, so that the load cell, zeroed then, reads what comes on top of the counterweight.
+    The curve up to its largest deflection. The string held the wire straight at rest, so that the
+    load cell, zeroed then, reads what comes on top of the counterweight; a test that knows nothing
+    of this is taken to be such, with a note.
 
     Raises
     ------
     NotUsableError
-        If there is no curve, no first loading, no free length, or too few points.
+        If it is no cantilever, or has no curve, no first loading, no free length, too few points,
+        or a wire that hung at rest.
 
     Notes
     -----
-    The noise of a point is that of the second differences of the block means.
+    The noise of a point is that of the second differences of the block means: of the force, and of
+    the deflection times the slope of the curve.
     """
+    _require_cantilever(protocol)
     curve, branch = _first_branch(result)
+    rest_notes = _rest_notes(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
     if length is None:
         message = "the free length is not known: give it in the test sheet (specimen.length)"
@@ -124,7 +134,8 @@ def first_loading(
     if taken.sum() < _FEWEST:
         message = (
             f"{int(taken.sum())} points of the first loading lie between 0 and "
-            f"{1e3 * limit:.3g} mm: {_FEWEST} at least are needed"
+            f"{1e3 * limit:.3g} mm: {_FEWEST} at least are needed; ask for more points, or for "
+            "deeper ones"
         )
         raise NotUsableError(message)
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
@@ -135,21 +146,50 @@ def first_loading(
         length=length,
         deflection=deflection[taken],
         force=force[taken],
-        noise=noise_of(force[usable]),
+        noise=_noise(deflection[usable], force[usable])[taken[usable]],
         rig=_rig(protocol, length),
     )
-    notes = (*_doubts(result), *_cut(result.test, deflection[usable], limit))
+    notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
     return FirstLoading(measured, _gain(protocol), notes)
 
 
-def noise_of(force: Floats) -> float:
-    """Standard deviation of the noise of consecutive values on a smooth curve, N.
+def noise_of(values: Floats) -> float:
+    """Standard deviation of the noise of consecutive values on a smooth curve, in their unit.
 
     Parameters
     ----------
-    force : shape (n,), N, without NaN
+    values : shape (n,), without NaN
     """
-    return float(np.std(np.diff(force, 2)) / _SECOND_DIFFERENCE)
+    return float(np.std(np.diff(values, 2)) / _SECOND_DIFFERENCE)
+
+
+def _noise(deflection: Floats, force: Floats) -> Floats:
+    """Noise of the force at each point, that of the deflection in it, N."""
+    slope = Polynomial.fit(deflection, force, _TERMS).deriv()(deflection)
+    return np.hypot(noise_of(force), slope * noise_of(deflection))
+
+
+def _rest_notes(
+    result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
+) -> tuple[QualityNote, ...]:
+    """Refuse a wire that hung under its counterweight at rest; say what is not known of it."""
+    string = protocol.rig.string
+    if string is None or string.counterweight == 0.0:
+        return ()
+    rest = at_rest(result, curve, branch, GRAVITY * string.counterweight)
+    if rest.why_not_straight:
+        raise NotUsableError(rest.why_not_straight)
+    return tuple(notes_of(result.test, rest))
+
+
+def _require_cantilever(protocol: Protocol) -> None:
+    has_shape = any(isinstance(step, FitShape) for step in protocol.steps)
+    if protocol.rig.string is None and not has_shape:
+        message = (
+            f"it is no cantilever test: its protocol, {protocol.name}, has neither a string "
+            "(rig.string) nor a shape (step fit-shape)"
+        )
+        raise NotUsableError(message)
 
 
 def _first_branch(result: TestResult) -> tuple[Curve, Branch]:

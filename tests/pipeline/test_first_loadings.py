@@ -18,7 +18,7 @@ from labpipe.pipeline.first_loadings import (
 )
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Protocol
-from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series
 from labpipe.records.result import Result, Specimen, Status, TestResult
 
 LENGTH, PEAK, COUNT = 0.085, 0.05, 2000
@@ -84,8 +84,20 @@ def test_points_are_means_of_the_first_loading_alone(protocol: Protocol) -> None
 def test_noise_is_that_of_the_means(protocol: Protocol) -> None:
     curve = taken(protocol).curve
     each = NOISE / np.sqrt(COUNT / 200)
-    assert np.unique(curve.noise).size == 1
-    assert 0.7 * each < float(np.mean(curve.noise)) < 1.6 * each
+    assert 0.7 * each < float(np.min(curve.noise))
+    assert float(np.mean(curve.noise)) < 1.6 * each
+
+
+def test_noise_of_the_deflection_is_in_that_of_the_force(protocol: Protocol) -> None:
+    result = result_of()
+    assert result.curve is not None
+    off = 0.2e-3 * np.random.default_rng(2).standard_normal(len(result.curve.displacement))
+    seen = replace(result.curve, displacement=result.curve.displacement + off)
+    curve = taken(protocol, replace(result, curve=seen)).curve
+    slope = 0.1 / np.sqrt(PEAK * curve.deflection)
+    wanted = np.hypot(NOISE, 0.2e-3 * slope) / np.sqrt(COUNT / 200)
+    middle = (curve.deflection > 0.01) & (curve.deflection < 0.045)
+    assert np.asarray(curve.noise)[middle] == pytest.approx(wanted[middle], rel=0.35)
 
 
 def test_white_noise_on_a_parabola() -> None:
@@ -112,7 +124,7 @@ def test_no_string_no_rig(protocol: Protocol) -> None:
 def test_what_lies_beyond_the_limit_is_left_out_and_told(protocol: Protocol) -> None:
     found = taken(protocol, up_to=0.02)
     assert found.curve.deflection.max() <= 0.02
-    (note,) = found.notes
+    _, note = found.notes
     assert note.code == "loading_cut"
     assert note.message.endswith("what lies beyond 20 mm was left out")
 
@@ -121,7 +133,7 @@ def test_doubtful_tests_are_taken_and_told(protocol: Protocol) -> None:
     doubtful = Result(
         "peak_force.1", 0.2, "N", status=Status.DOUBTFUL, reason="gap: a marker was lost"
     )
-    (note,) = taken(protocol, result_of(results=(doubtful,))).notes
+    note, _ = taken(protocol, result_of(results=(doubtful,))).notes
     assert (note.code, note.where) == ("test_doubtful", "T1")
     assert note.message == "taken as it is: gap: a marker was lost"
 
@@ -154,8 +166,36 @@ def test_without_a_length(protocol: Protocol) -> None:
 
 
 def test_too_few_points(protocol: Protocol) -> None:
-    with pytest.raises(NotUsableError, match="20 at least are needed"):
+    with pytest.raises(
+        NotUsableError, match="20 at least are needed; ask for more points, or for deeper ones"
+    ):
         taken(protocol, up_to=1e-3)
+
+
+def test_a_test_that_is_no_cantilever(repository: Path) -> None:
+    pulled = load_protocol(repository / "protocols" / "corrugated-tube.yaml")
+    told = r"it is no cantilever test: its protocol, corrugated-tube, has neither a string \(rig"
+    with pytest.raises(NotUsableError, match=told):
+        taken(pulled)
+
+
+def test_a_wire_of_which_nothing_is_known_at_rest(protocol: Protocol) -> None:
+    (note,) = taken(protocol).notes
+    assert (note.code, note.where) == ("rest_unknown", "T1")
+
+
+def test_a_wire_that_hung_under_its_counterweight(protocol: Protocol) -> None:
+    result = result_of()
+    assert result.curve is not None
+    travel = result.curve.displacement + 1.5e-3
+    aligned = Aligned(result.curve.time, {"travel": Series(travel, "m")})
+    with pytest.raises(NotUsableError, match=r"its string was slack at rest: .* 1.5 mm before"):
+        taken(protocol, replace(result, aligned=aligned))
+    light = protocol.rig.string.model_copy(update={"counterweight": 0.0})  # type: ignore[union-attr]
+    rig = protocol.rig.model_copy(update={"string": light})
+    assert not taken(
+        protocol.model_copy(update={"rig": rig}), replace(result, aligned=aligned)
+    ).notes
 
 
 def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:

@@ -1,0 +1,135 @@
+"""Whether a string held its wire straight at rest: by the travel of the clamp, by the shape."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.pipeline.string_at_rest import AtRest, at_rest, notes_of
+from labpipe.records.curve import Aligned, Branch, Curve, Direction, PointFlag, Series, Shape
+from labpipe.records.result import Specimen, TestResult
+
+WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05
+TIME = np.arange(COUNT) / 10.0
+
+
+def curve() -> Curve:
+    """Rest, then a straight line to 50 mm at 4 N/m."""
+    deflection = np.maximum(np.arange(COUNT) - REST, 0) / (COUNT - REST) * DEEP
+    branch = np.repeat([-1, 0], [REST, COUNT - REST])
+    return Curve(
+        time=TIME,
+        displacement=deflection,
+        force=4.0 * deflection,
+        branch=branch,
+        cycle=branch + 1,
+        branches=(Branch(REST, COUNT, 1, Direction.LOADING, TIME[REST], TIME[-1]),),
+    )
+
+
+def shape(sag: float) -> Shape:
+    """Clamped end and pull point alone."""
+    positions = np.zeros((COUNT, 2, 3))
+    positions[:, 1, 0] = 0.085
+    positions[:, 1, 1] = curve().displacement - sag
+    return Shape(
+        time=TIME,
+        positions=positions,
+        names=("grip", "pull"),
+        flags=np.full((COUNT, 2), PointFlag.CONSTRUCTED, dtype=np.uint8),
+        arc_length=np.array([0.0, 0.085]),
+        coefficients=np.zeros((COUNT, 3, 0)),
+        length=0.085,
+        rotation_lab_to_specimen=np.eye(3),
+    )
+
+
+def seen(*, ahead: float | None = None, sag: float | None = None) -> AtRest:
+    one = curve()
+    aligned = None
+    if ahead is not None:
+        aligned = Aligned(TIME, {"travel": Series(one.displacement + ahead, "m")})
+    result = TestResult(
+        test="T1",
+        specimen=Specimen("A2", "A2-s1", "3"),
+        protocol="wire-cantilever",
+        protocol_yaml="",
+        test_yaml="",
+        labpipe_version="0",
+        inputs=(),
+        recordings={},
+        aligned=aligned,
+        curve=one,
+        shape=None if sag is None else shape(sag),
+        results=(),
+        quality=(),
+    )
+    return at_rest(result, one, one.branches[0], WEIGHT)
+
+
+def test_a_taut_string_and_a_straight_wire() -> None:
+    found = seen(ahead=0.02e-3, sag=0.1e-3)
+    assert found.ahead == pytest.approx(0.02e-3)
+    assert found.sag == pytest.approx(0.1e-3)
+    assert found.reach == pytest.approx(WEIGHT / 4.0, rel=0.1)
+    assert found.why_not_straight == ""
+    assert list(notes_of("T1", found)) == []
+
+
+def test_a_slack_string() -> None:
+    found = seen(ahead=1.5e-3, sag=12e-3)
+    assert found.why_not_straight == (
+        "its string was slack at rest: the clamp travels 1.5 mm before the tip follows, and until "
+        "then the wire hung under the counterweight of 26.5 mN, its tip 12 mm below; a first "
+        "loading begins with a straight wire that the string holds"
+    )
+    assert "26.5 mN; a first loading" in seen(ahead=1.5e-3).why_not_straight
+
+
+def test_a_string_that_just_spans_to_a_hanging_wire() -> None:
+    """The clamp is not ahead of the tip, and the wire has been bent all the same."""
+    found = seen(ahead=0.0, sag=6.5e-3)
+    assert found.why_not_straight == (
+        "its wire hung at rest: the tip stood 6.5 mm below the axis of the clamp, where the "
+        "counterweight of 26.5 mN bends the wire by about 6.7 mm; a first loading begins with a "
+        "straight wire that the string holds"
+    )
+
+
+def test_a_wire_that_is_not_quite_straight_is_told() -> None:
+    found = seen(ahead=0.0, sag=2e-3)
+    assert found.why_not_straight == ""
+    (note,) = notes_of("T1", found)
+    assert (note.code, note.where) == ("wire_not_straight", "T1")
+    assert note.message == (
+        "at rest the tip stood 2 mm below the axis of the clamp: the wire is taken as straight, "
+        "and its string as carrying all of the counterweight"
+    )
+
+
+def test_a_test_that_knows_nothing_of_it() -> None:
+    found = seen()
+    assert not found.is_known
+    assert found.why_not_straight == ""
+    (note,) = notes_of("T1", found)
+    assert note.code == "rest_unknown"
+    assert note.message.endswith("held the wire straight at rest; it is taken to have done so")
+
+
+def test_a_force_that_never_reaches_the_counterweight() -> None:
+    one = curve()
+    weak = at_rest(
+        TestResult(
+            *("T1", Specimen("A2", "A2-s1", "3"), "wire-cantilever", "", "", "0", (), {}),
+            aligned=None,
+            curve=one,
+            shape=shape(30e-3),
+            results=(),
+            quality=(),
+        ),
+        one,
+        one.branches[0],
+        weight=1.0,
+    )
+    assert weak.reach == pytest.approx(DEEP, rel=0.01)
+    assert weak.why_not_straight.startswith("its wire hung at rest: the tip stood 30 mm below")
