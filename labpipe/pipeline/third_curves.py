@@ -199,8 +199,10 @@ def _notes(curve: ThirdCurve, tests: CurveMatch | None, model: CurveMatch) -> It
         )
         yield QualityNote("third_curve_untested", Severity.INFO, curve.name, message)
     for found in (tests, model):
-        if found is not None and found.words:
-            is_lost = found.errors is None
-            code = "third_curve_not_compared" if is_lost else "third_curve_cut"
-            severity = Severity.WARNING if is_lost else Severity.INFO
-            yield QualityNote(code, severity, curve.name, found.words)
+        if found is None or not found.words:
+            continue
+        if found.errors is None:
+            words = found.words
+            yield QualityNote("third_curve_not_compared", Severity.WARNING, curve.name, words)
+        else:
+            yield QualityNote("third_curve_cut", Severity.INFO, curve.name, found.words)
