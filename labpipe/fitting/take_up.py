@@ -77,15 +77,15 @@ def find_take_up(
         return Failure("no_force", found)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
-    at = _followed_back(d[first:], f[first:], limit, zero_error)
-    if not len(within) and at.value < d[0] - _BACK * float(np.ptp(d)):
+    at, rises = _followed_back(d[first:], f[first:], limit, zero_error)
+    if not len(within) and not (rises and at.value >= d[0] - _BACK * float(np.ptp(d))):
         found = f"the branch begins at {f[0]:.4g} N, zero is told to {limit:.4g} N"
         return Failure("not_unloaded", found)
     return TakeUp(at, int(known[first]))
 
 
-def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> Estimate:
-    """Where a straight line through the foot of a force is zero; its first sample if none rises."""
+def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> tuple[Estimate, bool]:
+    """Where a line through the foot of a force is zero; if none rises, its first sample."""
     beyond = np.flatnonzero(f > _FOOT * limit)
     foot = slice(0, max(_LEAST, int(beyond[0]) if len(beyond) else len(f)))
     d, f = d[foot], f[foot]
@@ -93,8 +93,8 @@ def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> Est
     travel = float(lever @ lever)
     slope = float(lever @ f) / travel if travel > 0.0 else 0.0
     if slope <= 0.0:
-        return Estimate(float(d[0]), float(np.ptp(d)), len(d))
+        return Estimate(float(d[0]), float(np.ptp(d)), len(d)), False
     back = -float(f.mean()) / slope
     variance = long_run_variance(f - f.mean() - slope * lever, parameters=2)
     at_zero = float(np.sqrt(variance * (1.0 / len(d) + back**2 / travel)))
-    return Estimate(float(d.mean()) + back, hypot(at_zero, zero_error) / slope, len(d))
+    return Estimate(float(d.mean()) + back, hypot(at_zero, zero_error) / slope, len(d)), True

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.noise import long_run_variance
+from labpipe.fitting.noise import fast_noise, long_run_variance
 
 
 def test_white_noise_has_its_plain_variance() -> None:
@@ -37,3 +37,10 @@ def test_nan_count_as_absent() -> None:
     assert long_run_variance(with_gap, parameters=1) == pytest.approx(
         long_run_variance(values, parameters=1)
     )
+
+
+def test_fast_noise_does_not_see_the_curve() -> None:
+    x = np.linspace(0.0, 1.0, 5000)
+    noise = np.random.default_rng(2).normal(0.0, 0.02, len(x))
+    assert fast_noise(10.0 * x**3 + noise) == pytest.approx(0.02, rel=0.03)
+    assert fast_noise(x) == pytest.approx(0.0, abs=1e-12)
