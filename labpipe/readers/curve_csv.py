@@ -11,6 +11,7 @@ different lengths side by side. One blank cell is refused.
 File structure: cells parted by tabulator, semicolon, comma or blanks, whichever parts the first
 rows into numbers; decimal point or comma, one of them in a file. Rows above the names are passed
 over. A file without names is read where its columns are numbered. Of a workbook, the first sheet.
+A file that CalculiX printed is read as it is, see `readers.calculix_dat`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint, nearest
+from labpipe.readers.calculix_dat import is_calculix, tip_rows
 from labpipe.readers.load_frame.cells import (
     are_units,
     is_number,
@@ -159,6 +161,8 @@ def _text_cells(path: Path) -> list[list[Cell]]:
         remedy = "Save the curve as csv or xlsx."
         raise _fault(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
     lines = lines_of(decode(content.data, content, _ENCODINGS, path))
+    if is_calculix(lines):
+        return tip_rows(lines, path)
     for separator in _SEPARATORS:
         rows = [_placed(split_line(line, separator), i) for i, line in enumerate(lines, start=1)]
         if any(_is_sample(row) for row in rows):
