@@ -73,7 +73,7 @@ def travel_from_speed(bench: Bench, step: TravelFromSpeed, rig: Rig) -> None:
     force, lasts = bench.raw[step.force], rig.stroke / rig.crosshead_speed
     corner = _turn(force, step)
     drive = Drive(corner.time - lasts, corner.time, rig.crosshead_speed)
-    time = bench.signals[step.force].time
+    time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
     # What another assumption changes is divided by sqrt(3) later; a standard error must not be.
     late = time - np.sqrt(3.0) * corner.time_error
     other = (1.0 + np.sqrt(3.0) * step.speed_uncertainty) * drive.travel(late)

@@ -42,11 +42,10 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
         if role in roles or not source.optional
     }
     kept = protocol.model_copy(update={"sources": sources})
-    lost = _channels_of(protocol) - _channels_of(kept)
     no_markers = "markers" in protocol.sources and "markers" not in sources
     results = tuple(each for each in kept.results if not (no_markers and _of_markers(each)))
     update: dict[str, object] = {
-        "steps": tuple(step for step in kept.steps if _is_kept(step, kept, lost)),
+        "steps": tuple(_kept_steps(kept, set(protocol.channels) - set(kept.channels))),
         "results": results,
     }
     if no_markers:
@@ -104,17 +103,17 @@ def _needed(protocol: Protocol) -> set[str]:
     return names
 
 
-def _channels_of(protocol: Protocol) -> set[str]:
-    return set(protocol.channels)
-
-
-def _is_kept(step: Step, kept: Protocol, lost: set[str]) -> bool:
-    if "markers" not in kept.sources and step.step in _OF_MARKERS["steps"]:
-        return False
-    if isinstance(step, TravelFromSpeed):
-        return step.channel not in kept.channels
-    made = {each.channel for each in kept.steps if isinstance(each, TravelFromSpeed)}
-    return getattr(step, "channel", None) not in lost - made
+def _kept_steps(kept: Protocol, lost: set[str]) -> Iterator[Step]:
+    """Steps that still have a channel; one that is made from speed exists behind its step."""
+    for step in kept.steps:
+        if "markers" not in kept.sources and step.step in _OF_MARKERS["steps"]:
+            continue
+        if isinstance(step, TravelFromSpeed):
+            if step.channel not in kept.channels:
+                lost = lost - {step.channel}
+                yield step
+        elif getattr(step, "channel", None) not in lost:
+            yield step
 
 
 def _of_markers(entry: ResultEntry) -> bool:

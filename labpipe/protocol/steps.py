@@ -67,6 +67,7 @@ class TravelFromSpeed(Block):
     channel: Snake = Field(description="Displacement that it makes where no source gives one")
     force: Snake = Field(description="Channel in which the turn is looked for")
     window: Duration = Field(1.0, description="On each side of the force's corner at the turn")
+    rate: Frequency = Field(50.0, description="How often the displacement is made")
     speed_uncertainty: Ratio = Field(0.005, description="Standard uncertainty of rig's speed")
 
 
