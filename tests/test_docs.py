@@ -14,7 +14,7 @@ import pytest
 
 from labpipe.cli import main
 from labpipe.protocol import results
-from labpipe.protocol.load import load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.load import load_calibration_plan, load_test_sheet, parse_protocol, resolve
 from labpipe.readers import READERS
 from labpipe.records.slips import SlipDecision
 
@@ -150,6 +150,11 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
     for text in fenced(path.read_text(encoding="utf-8"), "yaml"):
         if re.search(r"^version:", text, flags=re.MULTILINE):
             assert parse_protocol(text, name_of(path)).results
+            continue
+        if text.startswith("comparisons:"):
+            plan = tmp_path / "plan.yaml"
+            plan.write_text(f"version: 1\n{text}", encoding="utf-8")
+            assert load_calibration_plan(plan).comparisons
             continue
         sheet = tmp_path / "test.yaml"
         sheet.write_text(text, encoding="utf-8")

@@ -93,7 +93,14 @@ def test_curves_side_by_side_end_where_they_end(tmp_path: Path) -> None:
 def test_the_first_sheet_of_a_workbook(tmp_path: Path) -> None:
     book = openpyxl.Workbook()
     assert book.active is not None
-    for row in [("deflection / mm", "force / N"), (0, 0), (10, 0.02), (20, 0.035), (30.5, 0.05)]:
+    rows: list[tuple[str | float, ...]] = [
+        ("deflection / mm", "force / N"),
+        (0, 0),
+        (10, 0.02),
+        (20, 0.035),
+        (30.5, 0.05),
+    ]
+    for row in rows:
         book.active.append(row)
     path = tmp_path / "curve.xlsx"
     book.save(path)

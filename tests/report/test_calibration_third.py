@@ -69,7 +69,9 @@ def test_curves_bands_and_model_are_drawn() -> None:
     np.testing.assert_allclose(
         np.asarray(curve.get_data()), [1e3 * one.curve.deflection, one.curve.force]
     )
-    tops = [float(each.get_paths()[0].vertices[:, 1].max()) for each in axes.collections]
+    tops = [
+        float(np.asarray(each.get_paths()[0].vertices)[:, 1].max()) for each in axes.collections
+    ]
     np.testing.assert_allclose(tops, [0.104, 0.103])  # the model's band is of the mean sample
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Tip deflection (mm)", "Force (N)")
 
