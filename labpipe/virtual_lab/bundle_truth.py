@@ -64,6 +64,26 @@ class LoadingTruth:
     plateau_displacement: float | None
     plateau_force: float | None
 
+    def scaled(self, factor: float) -> LoadingTruth:
+        """The same with all forces multiplied by `factor`."""
+        kink = self.kink
+        return LoadingTruth(
+            tangent_at_zero=factor * self.tangent_at_zero,
+            stiffness=factor * self.stiffness,
+            secant_stiffness=factor * self.secant_stiffness,
+            windowed_stiffness=factor * self.windowed_stiffness,
+            kink=KinkTruth(
+                kink.displacement,
+                factor * kink.force,
+                factor * kink.stiffness_before,
+                factor * kink.stiffness_after,
+            ),
+            end_tangent=factor * self.end_tangent,
+            end_slope=self.end_slope,
+            plateau_displacement=self.plateau_displacement,
+            plateau_force=None if self.plateau_force is None else factor * self.plateau_force,
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class TapedTruth:

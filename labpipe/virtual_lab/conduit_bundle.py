@@ -8,7 +8,7 @@ have clocks of their own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from labpipe.records.bundle import NONE
 from labpipe.virtual_lab.bent_half import ThreePointTest
@@ -119,7 +119,7 @@ class ConduitScenario:
     load_cell: LoadCell = LOAD_CELL
     markers: CylinderMarkers = CylinderMarkers()
     frame: FrameCell = FrameCell()
-    pose: Pose = Pose()
+    pose: Pose = field(default_factory=Pose)
     has_frame_export: bool = True
     length_unit: str = "m"
 

@@ -1,4 +1,4 @@
-"""What the instruments of a three-point test record: force in volts, the frame's travel, markers."""
+"""What the instruments of a three-point test record: volts, the frame's travel, markers."""
 
 from __future__ import annotations
 

@@ -75,12 +75,9 @@ class ThreePointPath:
         axis lay at rest, m, rad.
         """
         side, where = np.sign(arc_length), np.abs(arc_length)
-        rows = [
-            np.concatenate(
-                [CubicSpline(self.arc_length, each)(where) for each in (h.x, h.y, h.angle)]
-            )
-            for h in self._halves
-        ]
+        halves = np.array([np.concatenate([h.x, h.y, h.angle]) for h in self._halves])
+        along = halves.reshape(len(halves), 3, -1)
+        rows = CubicSpline(self.arc_length, along, axis=2)(where).reshape(len(halves), -1)
         x, y, angle = np.split(self._look_up(progress, rows), 3, axis=1)
         way, _, _ = self.middle(progress)
         return side * x, y - way[:, None], side * angle
