@@ -1,0 +1,153 @@
+"""Bounds of bundles against numbers by hand, integrals over drawn circles, and chapter 4's claim.
+
+Section 4.2.3 of the source: an asymmetric bundle of 10 B1 and 9 B2 wires is stiffer than a
+symmetric one, since stiffness grows with the distance from the neutral plane.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.bundle import Bundle, BundleModel, BundleWire
+from labpipe.wire.bundle.model import bundle_model
+from labpipe.wire.bundle.sites import sites
+from labpipe.wire.bundle.stiffness import in_direction, sticking
+from tests.builders.bundles import bundle, example_wires, solid_stiffnesses, solid_wire
+
+
+def test_seven_equal_wires() -> None:
+    """Four of the ring at sqrt(3)/2 d above and below, or two at d and four at d/2: 3 d^2 EA."""
+    model = bundle_model(bundle(("S", 7)), {"S": solid_wire()})
+    own, axial = solid_stiffnesses()
+    assert model.high == pytest.approx(7.0 * own + 3.0 * axial * 1e-3**2, rel=1e-6)
+    assert model.low == pytest.approx(7.0 * own, rel=1e-6)
+
+
+@pytest.mark.parametrize(("rings", "wires"), [(1, 7), (2, 19), (3, 37)])
+def test_hexagons_in_closed_form(rings: int, wires: int) -> None:
+    """Sum of squared distances of ring k: k d^2 (5 k^2 + 1), so half of their sum about an axis.
+
+    The second ring: six corners at 2 d and six middles at sqrt(3) d, 24 + 18 = 42 = 2 x 21.
+    """
+    squares = sum(k * (5 * k**2 + 1) for k in range(1, rings + 1))
+    model = bundle_model(bundle(("S", wires)), {"S": solid_wire()})
+    own, axial = solid_stiffnesses()
+    assert model.high == pytest.approx(wires * own + 0.5 * squares * axial * 1e-6, rel=1e-6)
+
+
+def test_twelve_wires_around_a_core_of_three() -> None:
+    """Squared distances of 1/3, 4/3 and 7/3 d^2 for three, three and six wires: 19 d^2."""
+    model = bundle_model(bundle(("S", 12)), {"S": solid_wire()})
+    own, axial = solid_stiffnesses()
+    assert model.high == pytest.approx(12.0 * own + 9.5 * axial * 1e-6, rel=1e-6)
+
+
+def test_against_an_integral_over_drawn_circles() -> None:
+    """E y^2 summed over pixels of a drawing, about the centroid of E of the same drawing."""
+    rng = np.random.default_rng(8)
+    places = 1.2e-3 * sites(8) + rng.normal(scale=2e-5, size=(8, 2))
+    moduli = np.array([1e11] * 4 + [2e11] * 4)
+    radius, step = 0.4e-3, 4e-6
+    edge = np.arange(-3e-3, 3e-3, step) + step / 2.0
+    x, y = np.meshgrid(edge, edge)
+    drawn = np.zeros_like(x)
+    for place, modulus in zip(places, moduli, strict=True):
+        drawn[np.hypot(x - place[0], y - place[1]) <= radius] = modulus
+    drawn *= step**2
+    about_x, about_y = (each - np.sum(drawn * each) / drawn.sum() for each in (x, y))
+    pixels = [np.sum(drawn * a * b) for a in (about_x, about_y) for b in (about_x, about_y)]
+    own, axial = moduli * np.pi * radius**4 / 4.0, moduli * np.pi * radius**2
+    stuck = sticking(places[:, 0], places[:, 1], own, axial)
+    assert stuck.tensor.ravel() == pytest.approx(np.array(pixels), rel=2e-3, abs=2e-3 * pixels[0])
+
+
+@pytest.mark.parametrize("number", [7, 12, 19, 27, 37])
+def test_a_hexagon_is_as_stiff_in_every_direction(number: int) -> None:
+    model = bundle_model(bundle(("S", number)), {"S": solid_wire()})
+    turns = np.linspace(0.0, np.pi, 13)
+    around = [in_direction(model.tensor, turn) for turn in turns]
+    assert around == pytest.approx([model.high] * 13, rel=1e-9)
+
+
+def mixed(number: tuple[int, int], arrangement: str, diameter: float | None = None) -> BundleModel:
+    kinds = tuple(
+        BundleWire(name, count, diameter) for name, count in zip(("B1", "B2"), number, strict=True)
+    )
+    return bundle_model(Bundle(kinds, arrangement), example_wires())
+
+
+def test_a_mixture_lies_between_bundles_of_one_kind() -> None:
+    wires = example_wires()
+    all_b1, all_b2 = (bundle_model(bundle((name, 19)), wires) for name in ("B1", "B2"))
+    for number in ((10, 9), (9, 10)):
+        for arrangement in ("packed", "symmetric", "asymmetric"):
+            model = mixed(number, arrangement)
+            assert all_b1.low < model.low < all_b2.low
+            assert all_b1.high < model.principal[0]
+            assert model.principal[1] < all_b2.high
+
+
+def test_symmetric_is_the_mean_of_the_sites() -> None:
+    """Of equal diameters and spread evenly: each site has the mean axial stiffness."""
+    wires, d = example_wires(), 1.175e-3
+    model = mixed((10, 9), "symmetric", d)
+    mean = (10 * wires["B1"].axial_stiffness + 9 * wires["B2"].axial_stiffness) / 19.0
+    assert model.high == pytest.approx(model.free + 24.0 * d**2 * mean, rel=0.01)
+    assert model.principal[0] == pytest.approx(model.principal[1], rel=1e-6)
+
+
+def test_the_side_on_which_wires_lie_does_not_stiffen() -> None:
+    """Of equal diameters, kinds on two sides soften every direction of a sticking bundle.
+
+    Upper and lower half have the same second moment about the middle, and the neutral axis moves
+    towards the stiffer half, which takes sum(EA) y0^2 away: the parallel axis theorem, against the
+    inference of the source.
+    """
+    d = 1.175e-3
+    for number in ((10, 9), (9, 10)):
+        side, even = (mixed(number, word, d) for word in ("asymmetric", "symmetric"))
+        assert side.low == even.low
+        assert side.principal[1] < even.principal[0]
+        unmoved = side.high + side.axial_stiffness * side.neutral[1] ** 2
+        assert unmoved == pytest.approx(even.high, rel=0.01)
+
+
+def test_wires_outside_stiffen() -> None:
+    """What does stiffen: nine stiffer wires at the corners and three middles of the hexagon."""
+    d, wires = 1.175e-3, example_wires()
+    places = d * sites(19)
+    outside = np.argsort(np.hypot(*places.T), kind="stable")[::-1]
+    order = [*outside[9:], *outside[:9]]
+    kinds = (BundleWire("B1", 10, d), BundleWire("B2", 9, d))
+    positions = tuple((float(x), float(y)) for x, y in places[order])
+    model = bundle_model(Bundle(kinds, positions=positions), wires)
+    even = mixed((10, 9), "symmetric", d)
+    assert sum(model.principal) > 1.05 * sum(even.principal)
+
+
+def test_the_sources_claim_with_both_axes() -> None:
+    """Documented in docs/explanations/bundle-model.md, N m^2: along x, along y."""
+    found = {
+        (number, word): np.diag(mixed(number, word).tensor)
+        for number in ((10, 9), (9, 10))
+        for word in ("symmetric", "asymmetric")
+    }
+    assert found[(10, 9), "symmetric"] == pytest.approx([1.526, 1.526], abs=5e-4)
+    assert found[(10, 9), "asymmetric"] == pytest.approx([1.467, 1.554], abs=5e-4)
+    assert found[(9, 10), "symmetric"] == pytest.approx([1.577, 1.577], abs=5e-4)
+    assert found[(9, 10), "asymmetric"] == pytest.approx([1.527, 1.539], abs=5e-4)
+
+
+def test_packing_fraction_against_areas() -> None:
+    """Pixels of wires over pixels of the bore."""
+    model = bundle_model(bundle(("S", 19), conduit_bore=6e-3), {"S": solid_wire()})
+    edge = np.arange(-3e-3, 3e-3, 1e-5) + 5e-6
+    x, y = np.meshgrid(edge, edge)
+    layout = model.layout
+    wires = np.zeros(x.shape, dtype=bool)
+    for place in zip(layout.x, layout.y, strict=True):
+        wires |= np.hypot(x - place[0], y - place[1]) <= 0.5e-3
+    bore = np.hypot(x, y) <= 3e-3
+    assert model.packing_fraction == pytest.approx(wires.sum() / bore.sum(), rel=2e-3)
+    assert model.packing_fraction == pytest.approx(19.0 / 36.0)

@@ -1,0 +1,59 @@
+"""Kinds of wires on the sites of a bundle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from labpipe.wire.bundle.kinds import by_chance, evenly, on_one_side, unevenness
+from labpipe.wire.bundle.sites import sites
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    counts=st.lists(st.integers(0, 6), min_size=1, max_size=3).filter(lambda each: sum(each) > 1)
+)
+def test_every_spread_has_the_counts(counts: list[int]) -> None:
+    places = np.random.default_rng(0).normal(size=(sum(counts), 2))
+    chance = by_chance(counts, np.random.default_rng(1))
+    for kind in (chance, evenly(places, counts), on_one_side(places, counts, [1.0] * len(counts))):
+        assert np.bincount(kind, minlength=len(counts)).tolist() == counts
+
+
+def test_the_stiffest_lies_on_top() -> None:
+    places = sites(19)
+    kind = on_one_side(places, [10, 9], [1.0, 2.0])
+    assert places[kind == 1, 1].min() >= places[kind == 0, 1].max() - 1e-9
+    assert places[kind == 1].mean(axis=0)[1] > 0.5
+    assert places[kind == 1].sum(axis=0)[0] == pytest.approx(0.0, abs=1e-9)
+    turned = on_one_side(places, [10, 9], [2.0, 1.0])
+    assert places[turned == 0, 1].min() >= places[turned == 1, 1].max() - 1e-9
+
+
+def test_a_shared_row_is_balanced() -> None:
+    places = np.array([[-2.0, 0.0], [-1.0, 0.0], [0.0, 0.0], [1.0, 0.0], [2.0, 0.0]])
+    assert on_one_side(places, [3, 2], [1.0, 2.0]).tolist() == [0, 1, 0, 1, 0]
+    assert on_one_side(places, [4, 1], [1.0, 2.0]).tolist() == [0, 0, 1, 0, 0]
+
+
+def test_even_spread_is_evener_than_chance_and_repeats() -> None:
+    places = sites(19)
+    even = evenly(places, [10, 9], seed=2)
+    assert np.array_equal(even, evenly(places, [10, 9], seed=2))
+    rng = np.random.default_rng(5)
+    chances = [unevenness(places, by_chance([10, 9], rng)) for _ in range(200)]
+    assert unevenness(places, even) < min(chances)
+
+
+def test_unevenness_is_zero_for_one_kind_and_large_for_sides() -> None:
+    places = sites(19)
+    assert unevenness(places, np.zeros(19, dtype=np.int64)) == pytest.approx(0.0, abs=1e-20)
+    assert unevenness(places, on_one_side(places, [10, 9], [1.0, 2.0])) > 5.0
+
+
+def test_six_of_seven_around_the_core_cannot_be_even() -> None:
+    """A lone wire of its kind goes where it tilts the bundle least: into the middle."""
+    kind = evenly(sites(7), [6, 1])
+    assert kind.tolist() == [1, 0, 0, 0, 0, 0, 0]
