@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,8 @@ from labpipe.units import si_factor
 FEWEST = 3
 """Points that make a curve."""
 _SEPARATORS = ("\t", ";", ",", " ")
+_HEAD = 400
+"""Lines in which the first row of numbers is looked for."""
 _ENCODINGS = ("utf-8", "latin-1")
 _USUAL = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
@@ -164,9 +166,10 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     if is_calculix(lines):
         return tip_rows(lines, path)
     for separator in _SEPARATORS:
-        rows = [_placed(split_line(line, separator), i) for i, line in enumerate(lines, start=1)]
-        if any(_is_sample(row) for row in rows):
-            return rows
+        rows = (_placed(split_line(line, separator), i) for i, line in enumerate(lines, start=1))
+        head = list(islice(rows, _HEAD))
+        if any(_is_sample(row) for row in head):
+            return [*head, *rows]
     return []
 
 

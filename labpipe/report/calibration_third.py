@@ -163,7 +163,8 @@ def match_words(each: ThirdCurveComparison) -> str:
     """
     lines = textwrap.wrap(each.curve.name, _LINE)
     lines.append("no tests to compare" if each.tests is None else _rmse("tests", each.tests))
-    return "\n".join([*lines, _rmse("model", each.model)])
+    words = "\n".join([*lines, _rmse("model", each.model)])
+    return f" {words}" if words.startswith("_") else words  # matplotlib hides such a label
 
 
 def _rmse(other: str, found: CurveMatch) -> str:

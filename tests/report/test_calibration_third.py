@@ -83,6 +83,7 @@ def test_how_far_it_is_stands_in_the_key() -> None:
         "model: RMSE 3 mN, 3.1 % of peak",
     ]
     assert match_words(untested()).splitlines()[1] == "no tests to compare"
+    assert match_words(third_comparison("_fe")).startswith(" _fe\n")
     assert match_words(unmodelled()).splitlines()[2] == "model: not compared"
 
 
