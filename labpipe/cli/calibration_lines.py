@@ -30,7 +30,8 @@ def calibration_table(done: Calibrated) -> str:
     """
     found = done.calibration
     lines = [
-        f"{found.wire}: {found.n_points} points of {found.n_samples} samples, rms "
+        f"{found.wire}: {found.n_points} points of {found.n_samples} "
+        f"sample{'s' * (found.n_samples != 1)}, rms "
         f"{1e3 * found.rmse:.3g} mN ({100.0 * found.rmse_share:.2g} % of the largest force)"
     ]
     lines += [_parameter(each) for each in found.parameters]
@@ -40,7 +41,12 @@ def calibration_table(done: Calibrated) -> str:
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
     lines += _source(done)
-    lines += [f"  {note.severity}: {note.where}: {note.message}" for note in found.notes]
+    said = {each.words for each in found.parameters}
+    lines += [
+        f"  {note.severity}: {note.where}: {note.message}"
+        for note in found.notes
+        if note.message not in said
+    ]
     lines.append(f"results: {from_here(done.folder)}")
     return "\n".join(lines)
 
@@ -48,12 +54,17 @@ def calibration_table(done: Calibrated) -> str:
 def _parameter(each: CalibratedParameter) -> str:
     factor, unit = DISPLAYED[each.name]
     mark = "?" if each.verdict in _DOUBTED else " "
-    line = f"{mark} {each.name:<20}{factor * each.value:>10.5g} {unit:<4}"
+    line = f"{mark} {each.name:<20}{_written(factor * each.value):>10} {unit:<4}"
     if each.interval is None:
         return f"{line} {each.verdict}"
-    low = "?" if each.is_open_below else f"{factor * each.interval.lower:.5g}"
-    high = "?" if each.is_open_above else f"{factor * each.interval.upper:.5g}"
+    low = "?" if each.is_open_below else _written(factor * each.interval.lower)
+    high = "?" if each.is_open_above else _written(factor * each.interval.upper)
     return f"{line} 95 %: {low} to {high}  {each.verdict}"
+
+
+def _written(number: float) -> str:
+    """Five digits, or more where a large number would else be a power of ten."""
+    return f"{number:.5g}" if number < 99_999.0 else f"{number:.0f}"
 
 
 def _groups(done: Calibrated) -> list[str]:

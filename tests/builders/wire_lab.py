@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from labpipe.cli import main
+from labpipe.virtual_lab import simulate_test
 from labpipe.virtual_lab.stranded import WIRES
-from labpipe.virtual_lab.wire_campaign import WireCampaign, WireGroup, simulate_wires
+from labpipe.virtual_lab.wire_campaign import (
+    WireCampaign,
+    WireGroup,
+    simulate_wires,
+    wire_scenarios,
+)
 
 CAMPAIGN = WireCampaign(
     groups=(WireGroup(WIRES["A2"], 0.085), WireGroup(WIRES["B1"], 0.1)),
@@ -23,3 +30,19 @@ def processed_wires(home: Path) -> Path:
     for test in simulate_wires(CAMPAIGN, raw, seed=3):
         main(["process", str(test), "--out", str(out), "--no-figures"])
     return out
+
+
+def processed_rest(home: Path, slack: float) -> Path:
+    """Folder of a processed test of A2 whose wire hung under the counterweight at rest.
+
+    Parameters
+    ----------
+    home : everything is made in it
+    slack : m, travel of the clamp before the string pulls
+    """
+    one = replace(CAMPAIGN, groups=CAMPAIGN.groups[:1], samples=1)
+    ((scenario, seed),) = wire_scenarios(one, seed=3)
+    hung = replace(scenario, name="A2-085-hung", mechanics=replace(scenario.mechanics, slack=slack))
+    test = simulate_test(hung, home / "raw" / hung.name, seed)
+    main(["process", str(test), "--out", str(home / "processed"), "--no-figures"])
+    return home / "processed" / hung.name

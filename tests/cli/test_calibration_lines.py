@@ -73,6 +73,22 @@ def test_notes_and_the_folder(done: Calibrated) -> None:
     assert lines[-1] == f"results: {Path('processed/calibration')}"
 
 
+def test_what_the_words_of_a_parameter_say_is_not_said_again(done: Calibrated) -> None:
+    modulus = done.calibration.parameter("insulation_modulus")
+    note = QualityNote("not_identified", Severity.WARNING, modulus.name, modulus.words)
+    with_note = replace(done, calibration=replace(done.calibration, notes=(note,)))
+    assert calibration_table(with_note).count(modulus.words) == 1
+
+
+def test_one_sample_and_a_value_at_a_far_bound(done: Calibrated) -> None:
+    first, *others = done.calibration.parameters
+    far = replace(first, value=100.0, interval=None)
+    one = replace(done.calibration, n_samples=1, parameters=(far, *others))
+    lines = calibration_table(replace(done, calibration=one)).splitlines()
+    assert " points of 1 sample, rms" in lines[0]
+    assert " 100000 mN" in lines[1]
+
+
 def test_a_failed_comparison_says_why(done: Calibrated) -> None:
     failed = CalibrationFailure("parameter_without_effect", "a single strand has no friction")
     said = calibration_table(replace(done, source=failed))
