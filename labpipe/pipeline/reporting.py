@@ -2,28 +2,40 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import LabpipeError, UsageError
-from labpipe.pipeline.settings import Settings, setting_notes, settings_of, unlike_words
+from labpipe.pipeline.bundle_places import find_places
+from labpipe.pipeline.group_differences import find_differences
+from labpipe.pipeline.grouping import (
+    Key,
+    check_fields,
+    group_names,
+    in_turn,
+    key_of,
+    with_own_spools,
+    without,
+)
+from labpipe.pipeline.settings import Settings, setting_notes, settings_by_test, settings_of
 from labpipe.pipeline.targets import find_results, shared_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.rig import Groups
+from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
-from labpipe.records.group import Campaign, Difference, Group, Sample, SampleCurve
+from labpipe.records.group import Campaign, Group, Sample, SampleCurve
 from labpipe.records.result import TestResult
 from labpipe.report.lab_report import write_report
 from labpipe.report.numbers import is_main
 from labpipe.statistics.bands import block_means
-from labpipe.statistics.groups import PoolingLimits, build_group, compare_groups
+from labpipe.statistics.group_fields import TYPE
+from labpipe.statistics.group_notes import grouping_notes
+from labpipe.statistics.groups import PoolingLimits, build_group
 from labpipe.statistics.methods import PROTOCOLS_DIFFER
 from labpipe.store.lock import locked
 from labpipe.store.read import read_outcome
@@ -32,6 +44,25 @@ from labpipe.store.replace import replacing_together
 _POINTS = 2000
 """Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
 corner is smeared over less than a line is thick."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a report is wanted to show.
+
+    Parameters
+    ----------
+    by : fields of the test sheets that groups are made by
+    alone : show only pairs of groups that differ in this field and no other; empty for all
+    wires : wire sheet, for the bounds of harness bundles; None for none
+    """
+
+    by: tuple[str, ...] = (TYPE,)
+    alone: str = ""
+    wires: Path | None = None
+
+
+BY_TYPE = Wanted()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +87,7 @@ def report_tests(
     out: Path | None = None,
     title: str = "",
     say: Callable[[str], None] = lambda _: None,
+    wanted: Wanted = BY_TYPE,
 ) -> Reported:
     """Put processed tests together into one report.
 
@@ -65,6 +97,7 @@ def report_tests(
     out : folder of the report; None for ``report`` in the folder that all tests share
     title : of the report; the name of that folder if empty
     say : told the name of each test as it is read
+    wanted : groups and comparisons
 
     Returns
     -------
@@ -73,12 +106,13 @@ def report_tests(
     Raises
     ------
     LabpipeError
-        If there is no processed test, none can be read, or the report cannot be written; an
-        earlier report is then as it was.
+        If there is no processed test, none can be read, no test sheet has a field that is wanted,
+        the wire sheet has faults, or the report cannot be written; an earlier report is then as it
+        was.
     """
     files = find_results(targets)
     shared = shared_folder(files)
-    campaign = make_campaign(files, title or shared.resolve().name, say)
+    campaign = make_campaign(files, title or shared.resolve().name, say, wanted)
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
@@ -87,7 +121,10 @@ def report_tests(
 
 
 def make_campaign(
-    files: Sequence[Path], title: str, say: Callable[[str], None] = lambda _: None
+    files: Sequence[Path],
+    title: str,
+    say: Callable[[str], None] = lambda _: None,
+    wanted: Wanted = BY_TYPE,
 ) -> Campaign:
     """Read processed tests one after the other and put them into groups.
 
@@ -96,20 +133,52 @@ def make_campaign(
     files : result.h5 files; one that cannot be read is left out, with the reason
     title : of the report
     say : told the name of each test as it is read
+    wanted : groups and comparisons
 
     Returns
     -------
-    Groups of one specimen type and one protocol each, and how they differ.
+    Groups that have the wanted fields and the protocol alike, and how they differ.
 
     Raises
     ------
     LabpipeError
-        If no file can be read.
+        If no file can be read, no test sheet has a field that is wanted, or the wire sheet has
+        faults.
     """
-    members: dict[tuple[str, str], list[Sample]] = {}
-    wishes: dict[str, Groups] = {}
-    settings: dict[str, Settings] = {}
-    left_out: dict[str, str] = {}
+    wires = None if wanted.wires is None else read_wire_sheet(wanted.wires)
+    read = _read(files, say)
+    check_fields(wanted.by, read.samples, "--by")
+    check_fields(list(filter(None, [wanted.alone])), read.samples, "--compare")
+    groups = _groups(read, wanted.by)
+    differences = find_differences(
+        groups, read.wishes, read.settings, by=wanted.by, alone=wanted.alone
+    )
+    return Campaign(
+        title=title,
+        groups=tuple(groups),
+        differences=differences.shown,
+        left_out=read.left_out,
+        labpipe_version=__version__,
+        by=wanted.by,
+        compared=wanted.alone,
+        pairs_not_shown=differences.pairs_not_shown,
+        places=() if wires is None else tuple(find_places(groups, wires)),
+        wire_sheet="" if wanted.wires is None else wanted.wires.name,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What was read: samples, what protocols say of groups, settings by file, what is left out."""
+
+    samples: list[Sample]
+    wishes: dict[str, Groups]
+    settings: dict[str, Settings]
+    left_out: dict[str, str]
+
+
+def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
+    read = _Read([], {}, {}, {})
     for file in files:
         say(file.parent.name)
         try:
@@ -117,23 +186,27 @@ def make_campaign(
             # What concerns a group is said by its protocol, as each result stored it.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
-            left_out[str(file)] = str(error)
+            read.left_out[str(file)] = str(error)
             continue
-        key = (result.specimen.type, result.protocol)
-        wishes[result.protocol], settings[str(file)] = protocol.groups, settings_of(protocol)
-        members.setdefault(key, []).append(sample_of(result, str(file)))
-    if not members:
-        raise UsageError("\n".join(left_out.values()))
-    groups = {
-        key: _noted(_group(key, members, wishes[key[1]]), settings) for key in sorted(members)
-    }
-    return Campaign(
-        title=title,
-        groups=tuple(groups.values()),
-        differences=tuple(_differences(groups, wishes, settings)),
-        left_out=left_out,
-        labpipe_version=__version__,
-    )
+        read.wishes[result.protocol] = protocol.groups
+        read.settings[str(file)] = settings_of(protocol)
+        read.samples.append(sample_of(result, str(file)))
+    if not read.samples:
+        raise UsageError("\n".join(read.left_out.values()))
+    return read
+
+
+def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
+    members: dict[Key, list[Sample]] = {}
+    for sample in read.samples:
+        members.setdefault(key_of(sample, by), []).append(sample)
+    names = group_names(in_turn(members, by), by)
+    return [
+        _noted(
+            _group(name, members[key], read.wishes[key.protocol], without(key, by)), read.settings
+        )
+        for key, name in names.items()
+    ]
 
 
 def sample_of(result: TestResult, source: str) -> Sample:
@@ -192,22 +265,25 @@ def _stop_before_failure(result: TestResult, branch: Branch, displacement: Float
 
 
 def _group(
-    key: tuple[str, str], members: dict[tuple[str, str], list[Sample]], settings: Groups
+    name: str, members: Sequence[Sample], settings: Groups, not_said: Sequence[str]
 ) -> Group:
-    kind, protocol = key
-    shared = sum(other == kind for other, _ in members) > 1
+    samples, renamed = with_own_spools(members)
     group = build_group(
-        f"{kind}, {protocol}" if shared else kind,
-        protocol,
-        [_of_specimen(sample) for sample in members[key]],
+        name,
+        members[0].protocol,
+        [_of_specimen(sample) for sample in samples],
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
     )
     numbers = {number.name: number for number in group.numbers}
     first = [numbers.pop(name) for name in settings.main if name in numbers]
-    whole = {sample.source: sample for sample in members[key]}
-    samples = tuple(whole[sample.source] for sample in group.samples)
-    return replace(group, samples=samples, numbers=(*first, *numbers.values()))
+    whole = {sample.source: sample for sample in samples}
+    return replace(
+        group,
+        samples=tuple(whole[sample.source] for sample in group.samples),
+        numbers=(*first, *numbers.values()),
+        notes=(*grouping_notes(not_said, renamed), *group.notes),
+    )
 
 
 def _of_specimen(sample: Sample) -> Sample:
@@ -219,34 +295,8 @@ def _of_specimen(sample: Sample) -> Sample:
     return replace(sample, results=tuple(kept))
 
 
-def _differences(
-    groups: dict[tuple[str, str], Group],
-    wishes: dict[str, Groups],
-    settings: dict[str, Settings],
-) -> list[Difference]:
-    """How groups of one protocol differ in the numbers that the protocol calls main."""
-    found: list[Difference] = []
-    for (first, one), (second, other) in combinations(groups.items(), 2):
-        said = wishes[first[1]]
-        if first[1] == second[1]:
-            unlike = unlike_words(_settings((*one.samples, *other.samples), settings))
-            compared = compare_groups(one, other, names=said.main, margin=said.margin)
-            found += [replace(each, verdict=each.verdict + unlike) for each in compared]
-    return found
-
-
 def _noted(group: Group, settings: dict[str, Settings]) -> Group:
     """The group with a warning, before all others, for what was not set alike in its tests."""
     told = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
-    return replace(
-        group, notes=(*setting_notes(_settings(group.samples, settings), told), *group.notes)
-    )
-
-
-def _settings(samples: Sequence[Sample], settings: dict[str, Settings]) -> dict[str, Settings]:
-    """Settings by test; of tests of one name, by file."""
-    times = Counter(sample.test for sample in samples)
-    return {
-        sample.test if times[sample.test] == 1 else sample.source: settings[sample.source]
-        for sample in samples
-    }
+    unlike = setting_notes(settings_by_test(group.samples, settings), told)
+    return replace(group, notes=(*unlike, *group.notes))

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from labpipe.protocol.schema import Protocol
+from labpipe.records.group import Sample
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.statistics.methods import PROTOCOLS_DIFFER, parted
 
@@ -99,6 +101,23 @@ def differing(settings: Mapping[str, Settings]) -> dict[str, str]:
         if len(tests) > 1 and not is_told:
             found[key] = parted(tests)
     return found
+
+
+def settings_by_test(
+    samples: Sequence[Sample], settings: Mapping[str, Settings]
+) -> dict[str, Settings]:
+    """Settings of samples by test; of tests of one name, by file.
+
+    Parameters
+    ----------
+    samples : of one group, or of two that are compared
+    settings : by file
+    """
+    times = Counter(sample.test for sample in samples)
+    return {
+        sample.test if times[sample.test] == 1 else sample.source: settings[sample.source]
+        for sample in samples
+    }
 
 
 def unlike_words(settings: Mapping[str, Settings]) -> str:

@@ -202,6 +202,8 @@ class Difference:
     margin : in `unit`, difference that does not matter in practice; None where nobody has said it
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     verdict : in words
+    fields : what of the specimens differs between the groups: word of the first and of the second,
+        by field
     """
 
     name: str
@@ -212,6 +214,16 @@ class Difference:
     margin: float | None
     p_equivalent: float
     verdict: str
+    fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def question(self) -> str:
+        """The one field that the groups differ in; empty for several, none, or the type alone.
+
+        Specimens of two types are two things; that they differ is no answer to a question.
+        """
+        (only,) = self.fields if len(self.fields) == 1 else ("",)
+        return "" if only == "type" else only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,6 +239,7 @@ class Group:
     band : mean loading curve of the first cycle
     band_scaled : the same for force / peak force of each sample; None where not asked for
     notes : what concerns the group as a whole
+    fields : what all samples have alike of what groups can be made by, in words, by name
     """
 
     name: str
@@ -236,6 +249,36 @@ class Group:
     band: Band
     band_scaled: Band | None = None
     notes: tuple[QualityNote, ...] = ()
+    fields: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class BundlePlace:
+    """Where the bending stiffness of a harness bundle lies between slipping and sticking.
+
+    Parameters
+    ----------
+    group, test : of the sample; without a test, the mean of the group
+    value : measured bending stiffness, N m^2; None where there is none
+    interval : 95 %, of `value`
+    low, high : N m^2, of the bundle model: all slips, and nothing does, bent along y; NaN without
+        bounds
+    principal : N m^2, least and largest of all directions with nothing slipping
+    share : of the way from `low` to `high`; NaN without both
+    share_interval : 95 %, from that of `value`; the bounds are taken as known
+    reason : why there are no bounds or no value; empty otherwise
+    """
+
+    group: str
+    test: str
+    value: float | None
+    interval: Interval | None
+    low: float = float("nan")
+    high: float = float("nan")
+    principal: tuple[float, float] = (float("nan"), float("nan"))
+    share: float = float("nan")
+    share_interval: Interval | None = None
+    reason: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,6 +292,11 @@ class Campaign:
     differences : between pairs of groups of one protocol
     left_out : by file, why a test could not be read
     labpipe_version : the version that made the report
+    by : fields that the groups were made by
+    compared : field that the pairs in `differences` differ in alone; empty for all pairs
+    pairs_not_shown : pairs of groups that were left out for it
+    places : bending stiffness of bundles between the bounds of their model
+    wire_sheet : name of the file that the bounds are from; empty where none was given
     """
 
     title: str
@@ -256,3 +304,8 @@ class Campaign:
     differences: tuple[Difference, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     labpipe_version: str = ""
+    by: tuple[str, ...] = ("type",)
+    compared: str = ""
+    pairs_not_shown: int = 0
+    places: tuple[BundlePlace, ...] = ()
+    wire_sheet: str = ""

@@ -10,7 +10,12 @@ import numpy as np
 from labpipe.records.group import GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status
+from labpipe.statistics.methods import parted
 from labpipe.statistics.outliers import too_few_for_outliers
+
+_MIXES = "a mean over them mixes what this changes with scatter"
+_IN_COMPOSITION = ("wire", "number")
+"""Fields that a composition says, too."""
 
 
 def sample_keys(samples: Sequence[Sample]) -> list[str]:
@@ -37,7 +42,7 @@ def group_note(code: str, message: str, severity: Severity = Severity.INFO) -> Q
 
 
 def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Tell of samples that are none, one, repeated, or of several sizes.
+    """Tell of samples that are none, one, repeated, of several sizes, or unlike bundles.
 
     Parameters
     ----------
@@ -57,7 +62,7 @@ def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
                 f"the means count it as {count} samples"
             )
             notes.append(group_note("sample_repeated", message, Severity.WARNING))
-    return [*notes, *_dimension_notes(samples)]
+    return [*notes, *_dimension_notes(samples), *_field_notes(samples)]
 
 
 def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
@@ -68,10 +73,58 @@ def _dimension_notes(samples: Sequence[Sample]) -> list[QualityNote]:
         low, high = float(np.nanmin(given)), float(np.nanmax(given))
         if high - low > 0.01 * abs(high):
             message = (
-                f"the samples differ in {name}: {1e3 * low:.4g} mm to {1e3 * high:.4g} mm; "
-                "a mean over them mixes what this changes with scatter"
+                f"the samples differ in {name}: {1e3 * low:.4g} mm to {1e3 * high:.4g} mm; {_MIXES}"
             )
             notes.append(group_note("dimensions_differ", message, Severity.WARNING))
+    return notes
+
+
+def _field_notes(samples: Sequence[Sample]) -> list[QualityNote]:
+    """Warn where bundles of a group are not made alike; tell of labels that are not alike."""
+    of_bundles = [sample.specimen.bundle for sample in samples]
+    made_of = dict.fromkeys(name for each in of_bundles if each for name in each.fields)
+    names = [name for name in made_of if name not in _IN_COMPOSITION]
+    labels = dict.fromkeys(name for sample in samples for name in sample.specimen.labels)
+    told = [_unlike(samples, name) for name in names if name not in labels]
+    notes = [
+        group_note("bundles_differ", f"{each}; {_MIXES}", Severity.WARNING) for each in told if each
+    ]
+    return [
+        *notes,
+        *(group_note("labels_differ", each) for name in labels if (each := _unlike(samples, name))),
+    ]
+
+
+def _unlike(samples: Sequence[Sample], name: str) -> str:
+    """Which samples have which word of a field, where not all have the same; else empty."""
+    words: dict[str, list[str]] = {}
+    for key, sample in zip(sample_keys(samples), samples, strict=True):
+        words.setdefault(sample.specimen.fields.get(name, ""), []).append(key)
+    return f"the samples differ in {name}: {parted(words)}" if len(words) > 1 else ""
+
+
+def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
+    """Tell what was done to put samples into groups.
+
+    Parameters
+    ----------
+    without : fields that groups were made by and that the sheets of this group do not say
+    renamed : spools that several types have, each one of its own
+    """
+    notes = [
+        group_note(
+            "field_not_said",
+            f"the test sheets of these samples do not say {name}",
+            Severity.WARNING,
+        )
+        for name in without
+    ]
+    if renamed:
+        message = (
+            f"several types have a spool of the name {', '.join(renamed)}: "
+            "spools belong to a type, so they count as several spools"
+        )
+        notes.append(group_note("spools_renamed", message))
     return notes
 
 

@@ -12,6 +12,7 @@ from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sa
 from labpipe.records.result import Result
 from labpipe.statistics.comparison import compare
 from labpipe.statistics.group_curves import loading_band, scaled_band
+from labpipe.statistics.group_fields import shared_fields
 from labpipe.statistics.group_notes import number_notes, sample_keys, sample_notes
 from labpipe.statistics.methods import apart, method_notes
 from labpipe.statistics.nested import USUAL, PoolingLimits, nested_mean
@@ -50,7 +51,8 @@ def build_group(
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
     told = [*method_notes(numbers, ordered), *sample_notes(ordered), *number_notes(numbers)]
-    return Group(name, protocol, ordered, numbers, band, share, (*told, *notes, *share_notes))
+    every = (*told, *notes, *share_notes)
+    return Group(name, protocol, ordered, numbers, band, share, every, shared_fields(ordered))
 
 
 def _order(sample: Sample) -> list[list[tuple[int, str]]]:

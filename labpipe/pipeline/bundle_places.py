@@ -1,0 +1,133 @@
+"""Where measured bending stiffnesses of harness bundles lie between the bounds of their model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+
+from labpipe.records.bundle import Bundle, BundleModel
+from labpipe.records.curve import Interval
+from labpipe.records.group import BundlePlace, Group, Sample
+from labpipe.records.result import Result
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.wire.bundle.model import bundle_model
+from labpipe.wire.wire_table import wire_table
+
+STIFFNESS = "bending_stiffness"
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """Model of a bundle, or why there is none."""
+
+    model: BundleModel | None
+    reason: str = ""
+
+
+def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[BundlePlace]:
+    """Place the samples of each group with a bundle, and its mean, between slipping and sticking.
+
+    Parameters
+    ----------
+    groups : of the report; those without a bundle have no place
+    wires : of the wire sheet
+
+    Yields
+    ------
+    Group by group: its samples, then its mean. The mean has bounds where all its samples have the
+    same ones. What has no bounds, or no stiffness, says why.
+
+    Notes
+    -----
+    The share is (EI - low) / (high - low), which is what layered beams call the degree of composite
+    action (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75): 0
+    where every wire slips on its neighbours and its strands slip too, 1 where nothing slips.
+    """
+    with_bundles = [group for group in groups if _bundles(group)]
+    every = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
+    bounds = _bounds(list(every), {wire.name: wire for wire in wires})
+    for group in with_bundles:
+        for sample in group.samples:
+            yield _of_sample(group, sample, bounds)
+        yield _of_mean(group, bounds)
+
+
+def _bundles(group: Group) -> list[Bundle]:
+    return [bundle for each in group.samples if (bundle := _bundle(each)) is not None]
+
+
+def _bundle(sample: Sample) -> Bundle | None:
+    """What bounds rest on: the bundle, whatever conduit or tape is around it."""
+    own = sample.specimen.bundle
+    return None if own is None else replace(own, conduit_bore=None)
+
+
+def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bundle, _Bounds]:
+    tables: dict[str, WireTable] = {}
+    refused: dict[str, str] = {}
+    for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
+        if name not in wires:
+            refused[name] = f"not_in_sheet: no bounds: the sheet has no {name}"
+            continue
+        try:
+            tables[name] = wire_table(wires[name])
+        except ValueError as error:
+            refused[name] = f"no_law: no bounds: {name} of the sheet cannot be modelled: {error}"
+    return {bundle: _model(bundle, tables, refused) for bundle in bundles}
+
+
+def _model(bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, str]) -> _Bounds:
+    whys = [refused[wire.type] for wire in bundle.wires if wire.type in refused]
+    if whys:
+        return _Bounds(None, "; ".join([whys[0], *(why.partition(": ")[2] for why in whys[1:])]))
+    try:
+        return _Bounds(bundle_model(bundle, tables))
+    except ValueError as error:
+        return _Bounds(None, f"no_model: no bounds: {error}")
+
+
+def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+    result = next((each for each in sample.results if each.name == STIFFNESS), None)
+    value = None if result is None else result.value
+    interval = None if result is None else result.interval
+    place = BundlePlace(group.name, sample.test, value, interval, reason=_why_no_value(result))
+    bundle = _bundle(sample)
+    if bundle is None:
+        return replace(place, reason="no_bundle: no bounds: its test sheet says no bundle")
+    return _between(place, bounds[bundle])
+
+
+def _why_no_value(result: Result | None) -> str:
+    if result is None:
+        return f"no_result: the test has no {STIFFNESS}"
+    return result.reason if result.value is None else ""
+
+
+def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+    number = next((each for each in group.numbers if each.name == STIFFNESS), None)
+    mean = None if number is None or number.mean is None else number.mean.chosen
+    value = None if mean is None else mean.mean
+    reason = f"no_result: no sample has a {STIFFNESS}" if mean is None else ""
+    place = BundlePlace(group.name, "", value, mean.interval if mean else None, reason=reason)
+    shared = list(dict.fromkeys(map(_bundle, group.samples)))
+    if len(shared) > 1 or shared[0] is None:
+        return replace(place, reason="bundles_differ: no bounds: its samples differ in them")
+    return _between(place, bounds[shared[0]])
+
+
+def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
+    model = bounds.model
+    if model is None:
+        return replace(place, reason=bounds.reason)
+    place = replace(place, low=model.low, high=model.high, principal=model.principal)
+    if place.value is None:
+        return place
+    if not model.high > model.low:
+        return replace(place, reason="one_bound: no share: the two bounds are the same")
+    span = model.high - model.low
+    ends = None
+    if place.interval is not None:
+        own = place.interval
+        ends = Interval((own.lower - model.low) / span, (own.upper - model.low) / span, own.level)
+    return replace(place, share=(place.value - model.low) / span, share_interval=ends)

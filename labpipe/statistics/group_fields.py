@@ -1,0 +1,184 @@
+"""What samples can be grouped by, and in what of it two groups differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from re import split
+
+from labpipe.records.bundle import NONE, TAPINGS
+from labpipe.records.group import Group, Sample
+from labpipe.records.result import Specimen
+
+TYPE, SPOOL = "type", "spool"
+BORE = "conduit_bore"
+NOT_SAID = "not said"
+"""In place of a word that the test sheets of a group lack."""
+_SIZES_ALIKE = 0.01
+"""Share by which a dimension may vary without being another one."""
+
+
+def fields_of(specimen: Specimen) -> dict[str, str]:
+    """List all that a specimen can be grouped by, in words.
+
+    Parameters
+    ----------
+    specimen : its dimensions count too, and the bore of its conduit
+
+    Returns
+    -------
+    Word by field; type and spool first.
+
+    Examples
+    --------
+    >>> fields_of(Specimen("A2", "A2-s1", "1", {"length": 0.085}))
+    {'type': 'A2', 'spool': 'A2-s1', 'length': '85 mm'}
+    """
+    sizes = {name: _size_words(size) for name, size in specimen.dimensions.items()}
+    bore = specimen.bundle.conduit_bore if specimen.bundle is not None else None
+    return dict(specimen.fields) | sizes | ({} if bore is None else {BORE: _size_words(bore)})
+
+
+def _size_words(size: float) -> str:
+    return f"{1e3 * size:.4g} mm"
+
+
+def known_fields(specimens: Iterable[Specimen]) -> list[str]:
+    """List the fields that any of the specimens has, each once."""
+    return list(dict.fromkeys(name for each in specimens for name in fields_of(each)))
+
+
+def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
+    """List the fields that all samples of a group have alike.
+
+    Parameters
+    ----------
+    samples : of one group
+
+    Returns
+    -------
+    Word by field; of a dimension that varies by 1 % at the most, that of the mean.
+    """
+    found: dict[str, str] = {}
+    own = [fields_of(sample.specimen) for sample in samples]
+    for name in known_fields(sample.specimen for sample in samples):
+        words = {each.get(name) for each in own}
+        sizes = _sizes(samples, name)
+        if len(words) == 1:
+            found[name] = own[0][name]
+        elif len(sizes) == len(samples) and _are_alike(sizes):
+            found[name] = _size_words(sum(sizes) / len(sizes))
+    return found
+
+
+def _sizes(samples: Iterable[Sample], name: str) -> list[float]:
+    sizes = (sample.specimen.dimensions.get(name) for sample in samples)
+    return [size for size in sizes if size is not None]
+
+
+def _are_alike(sizes: Sequence[float]) -> bool:
+    return max(sizes) - min(sizes) <= _SIZES_ALIKE * max(map(abs, sizes))
+
+
+def varying_fields(group: Group) -> tuple[str, ...]:
+    """Name the fields that are not the same in all samples of a group, but for the spool.
+
+    Parameters
+    ----------
+    group : a composition that varies is named, and not the wires and numbers behind it
+    """
+    every = known_fields(sample.specimen for sample in group.samples)
+    varying = [name for name in every if name not in group.fields and name != SPOOL]
+    if "composition" in varying:
+        varying = [name for name in varying if name not in {"wire", "number"}]
+    return tuple(varying)
+
+
+def differing_fields(
+    first: Group, second: Group, by: Sequence[str] = (TYPE,)
+) -> dict[str, tuple[str, str]]:
+    """Tell in which fields two groups differ.
+
+    Parameters
+    ----------
+    first, second : what varies within one of them does not count
+    by : fields that the groups were made by; the spool counts only as one of them
+
+    Returns
+    -------
+    Both words by field. What follows from another field is left out: of bundles, the type, and the
+    composition where wire or number differ; the tape where one of the two has none; the bore of a
+    conduit where the conduits differ; the arrangement where a bundle has wires of one kind only.
+    Dimensions differ by more than 1 %.
+    """
+    varying = {*varying_fields(first), *varying_fields(second)}
+    if "composition" in varying:
+        varying |= {"wire", "number"} - (first.fields.keys() & second.fields.keys())
+    names = dict.fromkeys((*first.fields, *second.fields))
+    words = {
+        name: (first.fields.get(name, NOT_SAID), second.fields.get(name, NOT_SAID))
+        for name in names
+        if name not in varying and (name != SPOOL or SPOOL in by)
+    }
+    found = {
+        name: both
+        for name, both in words.items()
+        if both[0] != both[1] and not _sizes_alike(first, second, name)
+    }
+    dependent = _dependent(found, words, first, second)
+    return {name: both for name, both in found.items() if name not in dependent}
+
+
+def _sizes_alike(first: Group, second: Group, name: str) -> bool:
+    means = [sum(own) / len(own) for each in (first, second) if (own := _sizes(each.samples, name))]
+    return len(means) == 2 and _are_alike(means)
+
+
+def _dependent(
+    found: Mapping[str, tuple[str, str]],
+    words: Mapping[str, tuple[str, str]],
+    first: Group,
+    second: Group,
+) -> set[str]:
+    """Fields that follow from others, and are no difference of their own."""
+    dependent: set[str] = set()
+    if all(_has_bundles(each) for each in (first, second)):
+        dependent.add(TYPE)
+    if {"wire", "number"} & found.keys():
+        dependent.add("composition")
+    if NONE in words.get("taping", ()):
+        dependent.add("tape")
+    if "conduit" in found:
+        dependent.add(BORE)
+    if any(_are_of_one_kind(each) for each in (first, second)):
+        dependent.add("arrangement")
+    return dependent
+
+
+def _has_bundles(group: Group) -> bool:
+    return bool(group.samples) and all(each.specimen.bundle for each in group.samples)
+
+
+def _are_of_one_kind(group: Group) -> bool:
+    bundles = [sample.specimen.bundle for sample in group.samples]
+    return any(bundle is not None and len(bundle.wires) == 1 for bundle in bundles)
+
+
+def in_order(name: str, word: str) -> tuple[object, ...]:
+    """Order words of a field: ``none`` first, more tape later, 7 before 12.
+
+    Parameters
+    ----------
+    name : of the field
+    word : of a group
+
+    Examples
+    --------
+    >>> sorted(["half-lap", "none", "coarse"], key=lambda word: in_order("taping", word))
+    ['none', 'coarse', 'half-lap']
+    """
+    if name == "taping" and word in TAPINGS:
+        return 0, TAPINGS.index(word)
+    if word in {NONE, NOT_SAID}:
+        return (0,)
+    parts = split(r"(\d+)", word)
+    return 1, tuple((int(part), "") if part.isdecimal() else (0, part) for part in parts)
