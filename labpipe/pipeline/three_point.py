@@ -245,7 +245,8 @@ def _stiffness(bench: Bench, parts: _Parts, entry: MidSpan, *, large: bool) -> E
     if isinstance(found, Failure) or isinstance(other, Failure):
         return found
     change = abs(other.value - found.value) / sqrt(3.0)  # a rectangle of that half width
-    return with_force_scale(bench, widened(found, change))
+    side = bend.shape.side_share * abs(found.value) / sqrt(3.0)
+    return with_force_scale(bench, widened(found, change, side))
 
 
 def _peak_curvature(bend: SpanBend, branch: Branch, time: Floats) -> Estimate | Failure:
@@ -253,7 +254,8 @@ def _peak_curvature(bend: SpanBend, branch: Branch, time: Floats) -> Estimate | 
     other = _at_turn(bend.shape.fewer_terms, bend.rest, branch, time)
     if isinstance(found, Failure) or isinstance(other, Failure):
         return found
-    return widened(found, abs(other.value - found.value) / sqrt(3.0))
+    side = bend.shape.side_share * abs(found.value) / sqrt(3.0)
+    return widened(found, abs(other.value - found.value) / sqrt(3.0), side)
 
 
 def _at_turn(values: Floats, rest: Flags, branch: Branch, time: Floats) -> Estimate | Failure:

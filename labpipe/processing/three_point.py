@@ -16,11 +16,12 @@ from labpipe.processing.sections import (
 from labpipe.records.arrays import Flags, Floats, Ints, frozen
 
 TERMS = 3
-_GRID = 241
+_GRID = 161
 _CHUNK = 400
 _STEEPEST = 0.97
 """Sine of the steepest slope that a shape can have."""
 _NEWTON, _ROUNDS = 3, 3
+"""Gauss-Newton steps from a straight line; rounds of shape and distances, one more step in each."""
 _LOOKED_AT = 30
 _CENTRE = 0.02
 """Frames by which mid-span is found, and m on each side of a first guess that it is looked for."""
@@ -109,6 +110,7 @@ class SpanShape:
     twist : shape (frames, sections), rad; NaN where it is not known
     lever : shape (sections,), m, as `section_twist` gives it
     fewer_terms : shape (frames,), 1/m, curvature at mid-span with one term less
+    side_share : by which share the curvature would be another with the markers on the other side
     """
 
     bent: Bent
@@ -117,6 +119,7 @@ class SpanShape:
     twist: Floats
     lever: Floats
     fewer_terms: Floats
+    side_share: float
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "centres", frozen(self.centres, shape=(None, None, 3)))
@@ -161,9 +164,12 @@ def fit_span(
     for towards in SIDES[facing]:
         axis = axis_at_rest(sections, radius=radius, towards=towards)
         middle, misfit = _find_middle(few, axis, span, radius)
-        tried.append((misfit, axis, middle))
-    _, axis, middle = min(tried, key=lambda each: each[0])
-    return _fit(sections, axis, middle, span, radius)
+        seen = float(np.nanmean(_fit(few, axis, middle, span, radius).bent.mid_span))
+        tried.append((misfit, axis, middle, seen))
+    tried.sort(key=lambda each: each[0])
+    _, axis, middle, seen = tried[0]
+    other_side = tried[-1][3] / seen - 1.0
+    return replace(_fit(sections, axis, middle, span, radius), side_share=abs(other_side))
 
 
 def _taken(sections: Sections, frames: Ints) -> Sections:
@@ -189,19 +195,19 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
 
 
 def _fit(sections: Sections, axis: Floats, middle: float, span: float, radius: float) -> SpanShape:
-    frames = len(sections.markers)
-    slope = np.zeros((frames, sections.count))
     here = np.array([middle, axis[0], axis[1]])
+    slope, bent = np.zeros((len(sections.markers), sections.count)), None
     for _ in range(_ROUNDS):
         twist, lever = section_twist(sections, slope, radius=radius)
         centres = section_centres(sections, axis, slope, twist) - here
-        bent = fit_bent(centres, span=span, terms=TERMS)
+        bent = fit_bent(centres, span=span, terms=TERMS, start=bent)
         slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0])))
     fewer = fit_bent(centres, span=span, terms=TERMS - 1)
-    return SpanShape(bent, middle, centres, twist, lever, fewer.mid_span)
+    last = fit_bent(centres, span=span, terms=TERMS, start=bent)
+    return SpanShape(last, middle, centres, twist, lever, fewer.mid_span, 0.0)
 
 
-def fit_bent(points: Floats, *, span: float, terms: int) -> Bent:
+def fit_bent(points: Floats, *, span: float, terms: int, start: Bent | None = None) -> Bent:
     """Least squares of a bent axis through points in every frame.
 
     Parameters
@@ -209,6 +215,7 @@ def fit_bent(points: Floats, *, span: float, terms: int) -> Bent:
     points : shape (frames, n, 2 or 3), m, x from mid-span, y where the load goes; NaN where missing
     span : m
     terms : powers of u = 1 - 2 abs(x) / span that the curvature is made of, from the first on
+    start : shapes of nearly the same points, from which one step is enough; None for straight lines
 
     Returns
     -------
@@ -222,9 +229,13 @@ def fit_bent(points: Floats, *, span: float, terms: int) -> Bent:
     in x, so the first power alone is the elastic beam in its bent state, and higher powers are what
     the law of the specimen adds. No moment at the supports; overhangs are straight.
     """
+    first = np.zeros((len(points), terms + 2))
+    if start is not None:
+        first = np.column_stack([start.curvature, start.tilt, start.height])
+    steps = _NEWTON if start is None else 1
     parts = [
-        _fit_some(points[start : start + _CHUNK], span, terms)
-        for start in range(0, len(points), _CHUNK)
+        _fit_some(points[at : at + _CHUNK], span, np.nan_to_num(first[at : at + _CHUNK]), steps)
+        for at in range(0, len(points), _CHUNK)
     ]
     curvature, tilt, height, residual, unit_error, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)
@@ -232,7 +243,8 @@ def fit_bent(points: Floats, *, span: float, terms: int) -> Bent:
     return Bent(curvature, tilt, height, residual, unit_error, freedom, span)
 
 
-def _fit_some(points: Floats, span: float, terms: int) -> tuple[Floats, ...]:
+def _fit_some(points: Floats, span: float, unknown: Floats, steps: int) -> tuple[Floats, ...]:
+    terms = unknown.shape[1] - 2
     seen: Flags = np.asarray(np.isfinite(points[..., :2]).all(axis=2))
     enough = seen.sum(axis=1) >= terms + 3
     x: Floats = np.where(seen, points[..., 0], 0.0)
@@ -241,9 +253,8 @@ def _fit_some(points: Floats, span: float, terms: int) -> tuple[Floats, ...]:
     grid = np.linspace(-reach, reach, _GRID)
     along = _integrals(grid[None], span, terms)[0]
     columns = np.concatenate([-along, np.ones((_GRID, 1))], axis=1)  # curvatures, tilt
-    unknown: Floats = np.zeros((len(x), terms + 2))
     weight = seen.astype(np.float64)
-    for _ in range(_NEWTON):
+    for _ in range(steps):
         design, model = _linearised(unknown, columns, grid, x)
         design = design * weight[:, :, None]
         normal: Floats = np.einsum("fni,fnj->fij", design, design) + 1e-30 * np.eye(terms + 2)

@@ -43,18 +43,24 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     }
     kept = protocol.model_copy(update={"sources": sources})
     no_markers = "markers" in protocol.sources and "markers" not in sources
-    results = tuple(each for each in kept.results if not (no_markers and _of_markers(each)))
+    one_clock = _is_made_from_speed(kept)
+    gone = (_OF_MARKERS["results"] if no_markers else frozenset()) | (
+        {"clock"} if one_clock else set()
+    )
+    results = tuple(each for each in kept.results if each.result not in gone)
+    left = _names(protocol.results) - _names(results)
+    main = tuple(name for name in kept.groups.main if name not in left)
     update: dict[str, object] = {
         "steps": tuple(_kept_steps(kept, set(protocol.channels) - set(kept.channels))),
         "results": results,
+        "groups": kept.groups.model_copy(update={"main": main}),
     }
+    if one_clock:
+        update["align"] = AlignNone()
     if no_markers:
         drawn = tuple(x for x in kept.report.figures if x not in _OF_MARKERS["figures"])
         update["report"] = kept.report.model_copy(update={"figures": drawn})
         update["markers"] = None
-        gone = _names(protocol.results) - _names(results)
-        main = tuple(name for name in kept.groups.main if name not in gone)
-        update["groups"] = kept.groups.model_copy(update={"main": main})
     return kept.model_copy(update=update)
 
 
@@ -116,8 +122,12 @@ def _kept_steps(kept: Protocol, lost: set[str]) -> Iterator[Step]:
             yield step
 
 
-def _of_markers(entry: ResultEntry) -> bool:
-    return entry.result in _OF_MARKERS["results"]
+def _is_made_from_speed(kept: Protocol) -> bool:
+    """Whether the displacement of the curve is made on the clock of the force."""
+    if kept.curve is None or kept.curve.displacement in kept.channels:
+        return False
+    made = {step.channel for step in kept.steps if isinstance(step, TravelFromSpeed)}
+    return kept.curve.displacement in made
 
 
 def _names(entries: tuple[ResultEntry, ...]) -> set[str]:

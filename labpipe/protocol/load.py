@@ -244,4 +244,6 @@ def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
 def _optional(sources: Mapping[Any, Any]) -> set[str]:
     """Roles whose export a test may lack."""
     blocks = {str(role): source for role, source in sources.items() if isinstance(source, Mapping)}
-    return {role for role, source in blocks.items() if source.get("optional") is True}
+    return {
+        role for role, source in blocks.items() if str(source.get("optional")).lower() == "true"
+    }

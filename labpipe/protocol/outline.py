@@ -136,7 +136,7 @@ class Outline:
 
     def is_optional(self, role: str) -> bool:
         """Say whether a test may lack a source."""
-        return self.block("sources", role).get("optional") is True
+        return str(self.block("sources", role).get("optional")).lower() == "true"
 
     def clock_of(self, channel: str) -> str | None:
         """Role whose clock a channel is on; None for an unknown channel."""
