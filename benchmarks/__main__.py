@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import load_frames, two_segments, wire_model
+from benchmarks import calibration, load_frames, two_segments, wire_model
 from labpipe.processing.filtering import moving_average
 
 LABPIPE = str(Path(sys.executable).with_name("labpipe"))
@@ -133,6 +133,7 @@ def main() -> None:
     filters()
     two_segments.main()
     wire_model.main()
+    calibration.main()
     with tempfile.TemporaryDirectory() as folder:
         load_frame_exports(Path(folder))
         lab_report(Path(folder))

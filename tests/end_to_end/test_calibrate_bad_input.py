@@ -31,7 +31,7 @@ def calibrate(repository: Path, tmp_path: Path, run: Run) -> Callable[..., Ran]:
 
     def calibrated(*tests: Path, plan: str = "") -> Ran:
         sheet = ("--wire", repository / "examples" / "wires.xlsx", "--no-figures")
-        asked = ("--out", tmp_path / "out")
+        asked: tuple[str | Path, ...] = ("--out", tmp_path / "out")
         if plan:
             (tmp_path / "plan.yaml").write_text(f"version: 1\n{plan}", encoding="utf-8")
             asked = (*asked, "--plan", tmp_path / "plan.yaml")

@@ -53,6 +53,16 @@ def test_only_phi_is_found() -> None:
     assert found.start == (0.2, 0.2, 0.2)
 
 
+def test_more_points_of_the_same_say_the_same() -> None:
+    """The search must not walk on along the floor of its valley because there are more points."""
+    found, many = (calibrate_as_source(WIRE, CURVES * count) for count in (1, 12))
+    assert not isinstance(found, CalibrationFailure)
+    assert not isinstance(many, CalibrationFailure)
+    assert many.converged
+    assert many.radial_friction == pytest.approx(found.radial_friction, rel=1e-3)
+    assert many.strand_friction == pytest.approx(found.strand_friction, rel=1e-2)
+
+
 def test_failures() -> None:
     strand = Wire(concentric((Layer(1, 0.5e-3),)), Contacts((), ()))
     found = calibrate_as_source(strand, CURVES)
