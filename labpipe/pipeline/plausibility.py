@@ -155,6 +155,8 @@ def check_sign(bench: Bench, motion: Signal) -> None:
     if bench.doubts.get("force", "").startswith("force_negative: "):
         del bench.doubts["force"]
     bench.doubt("force", "force_reversed", message, where=bench.force)
+    if bench.clock_fit is not None:  # two clocks are joined at the peaks of the force
+        bench.doubt("clock", "force_reversed", message, where=bench.force)
 
 
 def _excursion(values: Floats) -> float:

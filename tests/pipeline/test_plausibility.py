@@ -19,7 +19,7 @@ from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Shape
+from labpipe.records.curve import Branch, ClockFit, Interval, Shape
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
 
@@ -125,6 +125,15 @@ def test_no_reversed_bridge(motion: Floats, force: Floats) -> None:
     made = bench(motion, force)
     check_sign(made, made.raw["travel"])
     assert not made.doubts
+
+
+def test_a_reversed_bridge_leaves_no_peaks_to_join_clocks_by() -> None:
+    made = bench(SHARP, -160.0 * SHARP)
+    nothing = np.array([0.0])
+    clocks = Interval(-1.0, 1.0)
+    made.clock_fit = ClockFit(0.0, 0.0, clocks, clocks, 0.0, nothing, nothing, nothing, "")
+    check_sign(made, made.raw["travel"])
+    assert made.doubts["clock"] == made.doubts["force"]
 
 
 def test_motion_that_nobody_saw_tells_no_sign() -> None:
