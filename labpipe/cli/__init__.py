@@ -31,6 +31,8 @@ first steps:
   labpipe process raw/A2/A2-085-1   numbers and figures
   labpipe report processed/A2       means, bands and tables of many tests
   labpipe model examples/wires.xlsx stiffness of wires from their dimensions
+  labpipe bundle '19 B1' --wire examples/wires.xlsx
+                                    bounds of a bundle's stiffness
 """
 
 

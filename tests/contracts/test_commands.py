@@ -17,7 +17,7 @@ from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenari
 
 COMMANDS = (
     *("demo", "inspect", "new", "check", "process", "report"),
-    *("model", "calibrate", "simulate"),
+    *("model", "bundle", "calibrate", "simulate"),
 )
 
 

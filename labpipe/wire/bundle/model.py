@@ -131,7 +131,7 @@ def _other_diameters(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[Qua
                 f"{wire.type}: the bundle says {1e3 * wire.diameter:.4g} mm over the insulation, "
                 f"which places the wires; the law is that of a wire of {1e3 * known:.4g} mm"
             )
-            yield _note("diameter_differs", message, Severity.WARNING)
+            yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
 
 
 def _curvature(
@@ -153,7 +153,7 @@ def _curvature(
         f"moments are told up to {curvature[-1]:.4g} 1/m, where {why}; the law of {longest.name} "
         f"goes to {longest.curvature[-1]:.4g} 1/m"
     )
-    return curvature, (_note("range_shortened", message),)
+    return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
 
 
 def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
@@ -166,7 +166,7 @@ def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
             f"{100.0 * lost:.2g} % less stiff than the {along:.4g} N m^2 of one kept in its "
             f"plane"
         )
-        yield _note("oblique_axes", message)
+        yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
 
 
 def _yielding(high: float, curvature: Floats, stick: Floats) -> Iterator[QualityNote]:
@@ -177,8 +177,4 @@ def _yielding(high: float, curvature: Floats, stick: Floats) -> Iterator[Quality
             f"copper that is stretched yields: a sticking bundle, bent along y, has less than half "
             f"of its {high:.4g} N m^2 beyond {curvature[below[0]]:.3g} 1/m"
         )
-        yield _note("copper_yields", message)
-
-
-def _note(code: str, message: str, severity: Severity = Severity.INFO) -> QualityNote:
-    return QualityNote(code, severity, "bundle", message)
+        yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
