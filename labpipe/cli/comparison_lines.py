@@ -35,7 +35,10 @@ def comparison_lines(comparisons: Sequence[ThirdCurveComparison]) -> list[str]:
         of = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
         for what, found in (("tests", each.tests), ("model", each.model)):
             if found is not None:
-                name = f"  {curve.name:<{width}}  {f'{what} of {of}':<22}"
+                called = (
+                    curve.name if len(curve.name) <= _WIDEST else f"{curve.name[: _WIDEST - 1]}…"
+                )
+                name = f"  {called:<{width}}  {f'{what} of {of}':<22}"
                 lines.append(f"{name}{_numbers(found)}")
     notes = [note for each in comparisons for note in each.notes]
     return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]

@@ -110,7 +110,7 @@ def hold_third_curves(
     loadings : all tests; the first is of the rig that is taken where none has the wire and length
     """
     return tuple(
-        _held(curve, calibration, wires[curve.wire], _group(curve, groups), _rig(curve, loadings))
+        _held(curve, calibration, wires[curve.wire], _group(curve, groups), loadings)
         for curve in curves
     )
 
@@ -123,10 +123,8 @@ def _is_of(curve: ThirdCurve, wire: str, length: float) -> bool:
     return curve.wire == wire and abs(curve.length - length) < _SAME_LENGTH
 
 
-def _rig(curve: ThirdCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+def _string(curve: ThirdCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
     """String of the tests of that wire and length, else that of the first test, over the tip."""
-    if curve.is_normal:
-        return None
     own = [each.curve for each in loadings if _is_of(curve, each.curve.wire, each.curve.length)]
     if own:
         return own[0].rig
@@ -139,9 +137,11 @@ def _held(
     calibration: Calibration,
     wire: Wire,
     group: ValidationGroup | None,
-    rig: StringRig | None,
+    loadings: Sequence[FirstLoading],
 ) -> ThirdCurveComparison:
     tests, prediction, reason = None, None, ""
+    string = _string(curve, loadings)
+    rig = None if curve.is_normal else string
     if group is not None:
         band = group.band
         tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
@@ -155,8 +155,10 @@ def _held(
     else:
         ends = (prediction.lower_mean, prediction.upper_mean)
         model = match(curve, prediction.deflection, prediction.force, ends, "the model")
-    notes = (*_load_notes(curve, group, prediction), *_notes(curve, tests, model))
-    return ThirdCurveComparison(curve, tests, model, prediction, notes)
+    notes = list(_notes(curve, tests, model))
+    if rig is not string:
+        notes += _load_notes(curve, group, prediction)
+    return ThirdCurveComparison(curve, tests, model, prediction, tuple(notes))
 
 
 def _prediction(
@@ -178,7 +180,7 @@ def _load_notes(
 ) -> Iterator[QualityNote]:
     """Say what a load that is not that of the tests makes, by the model."""
     pulled = None if group is None else group.prediction
-    if not curve.is_normal or pulled is None or prediction is None:
+    if pulled is None or prediction is None:
         return
     ends = (curve.deflection, pulled.deflection, prediction.deflection)
     at = min(float(each[-1]) for each in ends)

@@ -209,6 +209,9 @@ def _notes(report: CalibrationReport) -> Sheet:
     for group in report.groups:
         for note in group.prediction.notes if group.prediction is not None else ():
             told["prediction", note.message] = note
+    for each in report.comparisons:
+        for note in each.notes:
+            told[f"third curve '{each.curve.name}'", note.message] = note
     rows = [
         (of, note.severity.value, note.where, note.message, note.code)
         for severity in reversed(Severity)

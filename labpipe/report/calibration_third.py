@@ -39,6 +39,8 @@ _COLUMNS, _ROW = 2, 70.0
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
 _ROOM, _LINE, _MARKED = 1.08, 44, 14
+_FREE_ROWS, _ROOM_PER_ROW = 4, 0.06
+"""Rows of a key that fit above most curves, and the room that each further one takes."""
 
 
 class ThirdPanel(NamedTuple):
@@ -132,7 +134,9 @@ def plot_third(panel: ThirdPanel, axes: Axes) -> None:
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
     lines = [_draw(each, number, axes) for number, each in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
-    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=_ROOM * axes.get_ylim()[1])
+    rows = sum(1 + str(line.get_label()).count("\n") for line in lines)
+    room = _ROOM + _ROOM_PER_ROW * max(0, rows - _FREE_ROWS)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
     axes.legend(handles=lines, loc="upper left", fontsize=7, handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(FORCE.label("Force"))
@@ -184,9 +188,13 @@ def _note(panels: Sequence[ThirdPanel]) -> str:
     if any(panel.prediction is not None for panel in panels):
         said.append("Blue band: the model's for the mean sample.")
     said.append("Peak: the largest force of what a curve is compared with, at the points compared.")
+    notes = [note for panel in panels for each in panel.comparisons for note in each.notes]
+    if any(note.code == "third_curve_load" for note in notes):
+        said.append("Where the load is normal to the axis, that of the tests is not.")
     for panel in panels:
         for each in panel.comparisons:
-            said += [f"'{each.curve.name}': {note.message}." for note in each.notes]
+            told = [note for note in each.notes if note.code != "third_curve_load"]
+            said += [f"'{each.curve.name}': {note.message}." for note in told]
     return " ".join(said)
 
 

@@ -28,5 +28,10 @@ def test_what_was_not_compared_has_no_numbers() -> None:
     assert lines[3].split()[-4:] == ["0", "-", "-", "-"]
 
 
+def test_a_long_name_is_cut() -> None:
+    lines = comparison_lines([third_comparison("n" * 40)])
+    assert lines[2].startswith(f"  {'n' * 27}…  tests of A2, 85 mm")
+
+
 def test_nothing_without_any() -> None:
     assert comparison_lines([]) == []

@@ -80,11 +80,20 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
     assert pulled.model.errors is not None
     (note,) = normal.notes
     assert note.code == "third_curve_load"
+    assert not pulled.notes
     assert "normal to the axis, the tests' does not: at 45 mm the model's force is" in note.message
     exact = (exact_curve("A2", 0.085)(0.045), exact_curve("A2", 0.085, has_string=False)(0.045))
     ratio = normal.model.reference[-1] / pulled.model.reference[-1]
     assert ratio == pytest.approx(exact[1] / exact[0], abs=1e-3)
     assert ratio < 0.985
+
+
+def test_tests_without_a_string_are_loaded_alike(calibration: Calibration) -> None:
+    loadings = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
+    groups = compare(calibration, WIRES, loadings)
+    curve = third(is_normal=True)
+    (found,) = hold_third_curves([curve], calibration, WIRES, groups, loadings)
+    assert not found.notes
 
 
 @pytest.mark.parametrize(("wire", "length"), [("A1", 0.085), ("A2", 0.12)])

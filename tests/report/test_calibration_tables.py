@@ -8,6 +8,7 @@ import pytest
 
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_tables import tables_of
+from tests.builders.third_curves import UNTESTED, untested
 from tests.report.builders_calibrations import foretold, group, report, source, troubled, usual
 
 LOST = replace(group("A1"), prediction=None, errors=None, reason="no_wire: not in the sheet")
@@ -124,3 +125,11 @@ def test_curves_of_a_wire_and_length() -> None:
     np.testing.assert_allclose(force, shown.samples[name].force)
     bare = rows(CalibrationReport(usual(), (LOST,)), "A1, 85 mm")
     assert "model (N)" not in bare[0]
+
+
+def test_third_curves_have_sheets_and_notes() -> None:
+    own = replace(report(), comparisons=(untested(),))
+    assert len(rows(own, "third curves")) == 2
+    assert len(rows(own, "third curves, points")) == 6
+    (told,) = [row for row in rows(own, "notes") if row["code"] == "third_curve_untested"]
+    assert (told["of"], told["what"]) == ("third curve 'paper'", UNTESTED.message)

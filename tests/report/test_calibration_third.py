@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from labpipe.records.comparison import ThirdCurveComparison
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_third import (
     ThirdPanel,
@@ -92,6 +93,22 @@ def test_footnote_says_what_was_left_out() -> None:
     assert "'finite elements': 1 of 6 points left out, outside of 0 to 50 mm, the range" in said
     assert "'paper': no test of B2 at 100 mm." in said
     assert "Grey band: the mean of the tests" in said
+
+
+def test_a_load_that_is_not_that_of_the_tests_is_said_once() -> None:
+    load = QualityNote("third_curve_load", Severity.INFO, "a", "the model's force is larger")
+    normal = replace(third_comparison("a", is_normal=True), notes=(load,))
+    said = note(page_of(normal, normal))
+    assert said.count("Where the load is normal to the axis, that of the tests is not.") == 1
+    assert "Where the load" not in note(page_of(third_comparison()))
+
+
+def test_a_long_key_has_room_above_the_curves() -> None:
+    tops = [
+        page_of(*(third_comparison(f"curve {i}") for i in range(n))).axes[0].get_ylim()[1]
+        for n in (1, 3)
+    ]
+    assert tops[1] > 1.2 * tops[0]
 
 
 def test_without_a_model() -> None:
