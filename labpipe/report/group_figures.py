@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,15 +17,11 @@ from labpipe.report.group_dots import draw_dots, numbers_to_draw
 from labpipe.report.group_lines import draw_lines, has_lines
 from labpipe.report.group_look import count_words, finite_end, group_scale
 from labpipe.report.group_slips import draw_slips, with_slips
-from labpipe.report.inline_svg import Inline, inline_svg
 from labpipe.report.numbers import in_words
-from labpipe.report.page import style
-from labpipe.report.saving import PLAIN_TEXT, save_page
+from labpipe.report.saved_figures import FigureToSave, SavedFigure, save_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-_PNG_DPI = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,22 +40,6 @@ class Drawing:
     draw: Callable[[Group], Figure]
     caption: str
     alt: str
-
-
-@dataclass(frozen=True, slots=True)
-class SavedFigure:
-    """A figure that was drawn and saved.
-
-    Parameters
-    ----------
-    drawing : as an element of a page
-    caption : how to read it
-    files : SVG, PNG and PDF
-    """
-
-    drawing: Inline
-    caption: str
-    files: tuple[Path, ...]
 
 
 def drawings(group: Group) -> Iterator[Drawing]:
@@ -181,32 +161,12 @@ def save_drawings(group: Group, folder: Path, *, stem: str) -> list[SavedFigure]
     Returns
     -------
     In the order of `drawings`.
-
-    Notes
-    -----
-    The same group gives the same bytes with the same version of matplotlib.
     """
-    look = {"svg.fonttype": "none", **PLAIN_TEXT}
-    with style(look), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = [
-            _save(group, each, folder, f"{stem}-{each.name}", packer) for each in drawings(group)
-        ]
-        return [figure for figure, packing in saved if packing.result() is None]
-
-
-def _save(
-    group: Group, drawing: Drawing, folder: Path, stem: str, packer: Executor
-) -> tuple[SavedFigure, Future[None]]:
-    """Draw once, lay out once, write three times."""
-    from matplotlib.backends.backend_pdf import FigureCanvasPdf
-
-    page = drawing.draw(group)
-    (svg, png), packing = save_page(page, folder, stem, packer, dpi=_PNG_DPI)
-    pdf = folder / f"{stem}.pdf"
-    paper: Any = FigureCanvasPdf(page)
-    paper.print_pdf(str(pdf), metadata={"CreationDate": None})
-    element = inline_svg(svg.read_bytes(), prefix=stem, title=drawing.alt)
-    return SavedFigure(element, drawing.caption, (svg, png, pdf)), packing
+    wanted = [
+        FigureToSave(f"{stem}-{each.name}", partial(each.draw, group), each.caption, each.alt)
+        for each in drawings(group)
+    ]
+    return save_figures(wanted, folder)
 
 
 def stems(names: Iterable[str]) -> list[str]:

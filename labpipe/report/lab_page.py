@@ -15,7 +15,6 @@ from labpipe.report.campaign_tables import (
     table_of_tests,
 )
 from labpipe.report.concerns import find_concerns, split_reason
-from labpipe.report.group_figures import SavedFigure
 from labpipe.report.group_look import count_words
 from labpipe.report.group_tables import (
     key_numbers,
@@ -24,6 +23,7 @@ from labpipe.report.group_tables import (
     spool_means,
 )
 from labpipe.report.numbers import with_names_in_words
+from labpipe.report.saved_figures import SavedFigure
 
 if TYPE_CHECKING:
     from markupsafe import Markup

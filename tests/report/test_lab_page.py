@@ -8,9 +8,9 @@ from html.parser import HTMLParser
 import pytest
 
 from labpipe.records.group import Campaign
-from labpipe.report.group_figures import SavedFigure
 from labpipe.report.inline_svg import Inline
 from labpipe.report.lab_page import render_page
+from labpipe.report.saved_figures import SavedFigure
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
 
 FIGURE = SavedFigure(Inline("<svg></svg>", {"s1": "fill: none"}), "How to <read> it.", ())
