@@ -39,6 +39,14 @@ from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
 
+_NO_LENGTH = Failure(
+    "no_length",
+    "nobody says specimen.length: write it into the test sheet, such as 'length: 114.3 mm'",
+)
+_NO_SPAN = Failure(
+    "no_span",
+    "nobody says specimen.span: write it into the test sheet, such as 'span: 152.4 mm'",
+)
 _Found = TypeVar("_Found")
 _Fit = Callable[[Floats, Floats], _Found | Failure]
 """What is found in displacement and force of the first loading."""
@@ -200,9 +208,7 @@ def beam_results(bench: Bench, entry: BendingStiffness, protocol: Protocol) -> l
     if stiffness is None:
         outcome = blocked_or(bench, Failure("no_stiffness", f"{entry.of} could not be had"))
     elif length is None:
-        example = "length: 114.3 mm" if key == "length" else "span: 152.4 mm"
-        message = f"nobody says specimen.{key}: write it into the test sheet, such as '{example}'"
-        outcome = Failure(f"no_{key}", message)
+        outcome = _NO_LENGTH if key == "length" else _NO_SPAN
     else:
         outcome = beam_stiffness(
             with_force_scale(bench, stiffness),
