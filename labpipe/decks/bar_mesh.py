@@ -102,8 +102,9 @@ def _half_disc() -> tuple[Floats, Ints]:
     y, z = np.meshgrid(np.linspace(-_INNER, _INNER, 5), np.linspace(0.0, _INNER, 3), indexing="ij")
     lattices = [np.stack([y, z], axis=-1), _ring()]
     corners = np.concatenate([_quadrangles(lattice) for lattice in lattices]).reshape(-1, 2)
-    _, at, which = np.unique(corners.round(9) + 0.0, axis=0, return_index=True, return_inverse=True)
-    return corners[at], which.reshape(-1, 8).astype(np.int64)
+    # rounding makes one of nodes that two bricks share, and zeros of what is nearly zero
+    points, which = np.unique(corners.round(12) + 0.0, axis=0, return_inverse=True)
+    return points, which.reshape(-1, 8).astype(np.int64)
 
 
 def _ring() -> Floats:

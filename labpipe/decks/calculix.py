@@ -23,82 +23,78 @@ from labpipe.wire.equivalent_material import EquivalentMaterial, equivalent_mate
 TIP = "TIPHALF"
 """Set of nodes that is printed: the tip of half a bar, whose force counts twice."""
 FARTHEST = 0.6
-"""Tip deflection at the end, as a share of the length."""
-N_ALONG = 10
+"""Tip deflection at the end, as a share of the length, where the law goes that far."""
+N_ALONG = 8
 """Bricks along the bar."""
 N_STEPS = 80
 """Increments of equal size."""
 POISSON = 0.3
 """Of the elastic part; where the bar yields its volume is kept, and the wire's law has none."""
 
-_WIDEST_NAME = 60  # of a wire in a comment: lines end at 132 characters
+_WIDEST_NAME = 60  # of a wire in a comment
+_WIDEST = 120  # of a comment: lines end at 132 characters
 _TOLERANCES = (0.01, 0.003)  # of the moment, from where on the law is said to hold
 _PER_LINE = 12  # numbers of nodes
 
 
-def calculix_deck(
-    table: WireTable,
-    *,
-    length: float | None = None,
-    farthest: float = FARTHEST,
-    n_along: int = N_ALONG,
-    n_steps: int = N_STEPS,
-) -> str:
-    """Write the cantilever of a wire, which CalculiX runs as it is.
+def calculix_deck(table: WireTable, *, n_along: int = N_ALONG, n_steps: int = N_STEPS) -> str:
+    """Write the cantilever of a wire, of the length in its sheet, which CalculiX runs as it is.
 
     Parameters
     ----------
     table : law of the wire
-    length : free length, m; None for that of the sheet of wires
-    farthest : tip deflection at the end, as a share of the length
     n_along : bricks along the bar
     n_steps : increments of equal size
 
     Returns
     -------
-    Text of an input file, in 7-bit ASCII with lines of at most 132 characters.
+    Text of an input file, in 7-bit ASCII with lines of at most 132 characters. It holds comments
+    alone where the table has no cantilever (its note ``cantilever_cut`` says why).
 
     Raises
     ------
     ValueError
-        As `equivalent_material`, or if a number is out of its range.
+        As `equivalent_material`, or if there is not one brick or one step.
 
     Notes
     -----
     Half a bar, cut along its plane of bending. The clamped face keeps its place along the bar, but
     may shrink; at the tip the nodes half-way up are moved across the clamped axis and are free
-    along it, and the tip may turn: an end load normal to the clamped axis (PHYSICS 5).
+    along it, and the tip may turn: an end load normal to the clamped axis (PHYSICS 5). The tip is
+    moved by 0.6 of the length, or as far as the wire's law goes.
     """
-    span = table.spec.length if length is None else length
-    _require(span, farthest, n_steps)
+    if n_steps < 1:
+        message = f"n_steps={n_steps}: allowed are whole numbers >= 1"
+        raise ValueError(message)
     diameter = 2.0 * table.layout.wire_radius
     material = equivalent_material(table.curvature[1:], table.moment[1:], diameter)
-    mesh = half_bar(0.5 * diameter, span, n_along=n_along)
-    lines = [f"** {line}" for line in _comments(table, material, span, farthest)]
-    lines += [*_model(mesh), *_material(material), *_step(span * farthest, n_steps)]
+    reach = min(FARTHEST * table.spec.length, float(table.tip_deflection[-1]))
+    lines = [f"** {line}" for line in (*_facts(table, material), *_loading(table, reach))]
+    if reach > 0.0:
+        mesh = half_bar(0.5 * diameter, table.spec.length, n_along=n_along)
+        lines += [*_model(mesh), *_material(material), *_step(reach, n_steps)]
     return "\n".join(lines) + "\n"
 
 
-def _require(length: float, farthest: float, n_steps: int) -> None:
-    if not (np.isfinite(length) and length > 0.0 and 0.0 < farthest < 1.0 and n_steps >= 1):
-        message = (
-            f"length={length!r}, farthest={farthest!r}, n_steps={n_steps}: allowed are lengths > 0,"
-            f" shares of it between 0 and 1, and 1 step or more"
-        )
-        raise ValueError(message)
-
-
-def _comments(
-    table: WireTable, material: EquivalentMaterial, length: float, farthest: float
-) -> tuple[str, ...]:
+def _facts(table: WireTable, material: EquivalentMaterial) -> tuple[str, ...]:
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
-        "Computed, not measured: a cantilever clamped at x = 0, its tip pushed along y.",
-        f"Free length {length:.6g} m, tip deflection to {farthest * length:.6g} m.",
-        f"The wire is a solid round bar of {material.diameter:.6g} m, its material fitted to the",
-        f"wire's moment-curvature law. Below {material.elastic_curvature:.4g} 1/m it is linear,",
+        "The wire is a solid round bar, its elastic-plastic material fitted to the wire's law.",
+        f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
         *_closeness(material),
         "Where the bar unloads it does so with its first slope, not as a wire does.",
+    )
+
+
+def _loading(table: WireTable, reach: float) -> tuple[str, ...]:
+    """What is done to the bar, or why nothing is."""
+    if reach == 0.0:
+        cut = (note.message for note in table.notes if note.code == "cantilever_cut")
+        why = on_one_line(next(cut, "the table has no cantilever"), _WIDEST)
+        return ("No model of it:", why)
+    return (
+        "Computed, not measured: a cantilever clamped at x = 0, its tip pushed along y.",
+        f"Free length {table.spec.length:.6g} m, tip deflection to {reach:.6g} m.",
         f"Half a bar (z >= 0). Reaction of set {TIP}: half the end load. labpipe reads the",
         "result (ending .dat) as a curve to compare with and doubles the force.",
         "Run: ccx -i, and the name of this file without .inp.",
@@ -109,7 +105,7 @@ def _closeness(material: EquivalentMaterial) -> Iterator[str]:
     """How far the bar's law is from the wire's, and from where on it is near."""
     worst = int(np.argmax(np.abs(material.error)))
     yield (
-        f"and its moment up to {100.0 * abs(material.error[worst]):.2g} % "
+        f"there its moment is up to {100.0 * abs(material.error[worst]):.2g} % "
         f"{'above' if material.error[worst] > 0.0 else 'below'} the wire's "
         f"(at {material.curvature[worst]:.4g} 1/m)."
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from labpipe.decks.abaqus import abaqus_deck
 from labpipe.decks.ansys import ansys_deck
+from labpipe.decks.calculix import calculix_deck
 from labpipe.decks.lookup import lookup_csv, lookup_json
 from labpipe.decks.mujoco import mujoco_deck
 from labpipe.decks.names import file_stem
@@ -20,6 +21,7 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "json": lookup_json,
     "abaqus.inp": abaqus_deck,
     "ansys.inp": ansys_deck,
+    "calculix.inp": calculix_deck,
     "mujoco.xml": mujoco_deck,
 }
 """Ending of the file, and what writes its text."""

@@ -60,7 +60,8 @@ class EquivalentMaterial:
     @property
     def plastic_strain(self) -> Floats:
         """Strain less stress over modulus, shape (n,); the first is zero."""
-        return np.maximum(self.strain - self.stress / self.modulus, 0.0)
+        plastic = self.strain - self.stress / self.modulus
+        return np.asarray(plastic - plastic[0])
 
     @property
     def largest_error(self) -> float:
