@@ -12,8 +12,11 @@ rigidly. Neighbours hold by friction, up to T_i = h EA_i c kappa_s, c the root o
 y and kappa_s the curvature at which a wire at that distance slips (a wire twice as far slips at
 half of it). That is the kink. The tape's glue holds the outer wires until the strain kappa R at the
 bundle's radius R is e; then the tape slides on all of them at once, being one piece. That is the
-plateau: what is left of the tangent is that of the wires. Where the glue outlasts the test there is
-none.
+plateau: what is left of the tangent is that of the wires. The lever of a bundle that bends far gets
+shorter, which alone lets the force grow by 1 % with every millimetre; but a tape that slides holds
+the bundle together less well: all moments at which something gives way are multiplied by
+1 - q (kappa_max R / e - 1), kappa_max being the largest curvature anywhere so far. Where the glue
+outlasts the test there is none of this.
 
 Coulomb sliders side by side are plays one after the other, and their loops follow Masing's rule, so
 all of it is one `PlayLaw`. Wires that slid lock: from the second cycle on all moments at which
@@ -39,6 +42,7 @@ _PACKED, _SYMMETRIC, _ASYMMETRIC = ARRANGEMENTS
 _SHELL = 1e-6  # of the pitch: wires this close in distance from the centre are of one shell
 _DISTINCT = 1e-6  # of a curvature: closer corners are one
 _N_PLAYS = 24
+_LEAST_HELD = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +58,8 @@ class BundleModel:
     slip_curvature : kappa_s, 1/m
     glue_share : g, of the axial stiffness of the outer wires that the tape's glue holds
     glue_strain : e, at which the tape slides on the wires; None where it never does
+    slide_loss : q, share of what holds the wires that is lost while the curvature goes from that at
+        which the tape slides to twice as much, and so on; half is left in the end
     locking : factor on slip from the second cycle on, at least 1
     conduit_stiffness : N m^2, of a conduit around the bundle, elastic
     tape, taping, conduit : words of `records.bundle.Bundle` for the test sheet
@@ -66,7 +72,8 @@ class BundleModel:
     friction_share: float = 0.14
     slip_curvature: float = 0.42
     glue_share: float = 0.018
-    glue_strain: float | None = 0.027
+    glue_strain: float | None = 0.028
+    slide_loss: float = 0.08
     locking: float = 1.05
     conduit_stiffness: float = 0.0
     tape: str = "PVC"
@@ -86,12 +93,13 @@ class BundleModel:
         layout = lay_wires(self)
         return float(np.max(np.hypot(layout.x, layout.y) + 0.5 * layout.diameter))
 
-    def law(self, cycle: int = 1) -> PlayLaw:
+    def law(self, cycle: int = 1, bent: float = 0.0) -> PlayLaw:
         """Moment against curvature, with its loops.
 
         Parameters
         ----------
-        cycle : counted from 1; plays of one cycle are a history for the next one's law
+        cycle : counted from 1; plays under one law are a history for the next one's
+        bent : 1/m, largest curvature anywhere so far
 
         Raises
         ------
@@ -99,13 +107,20 @@ class BundleModel:
             If the wires do not make a bundle.
         """
         plain = _plain_law(replace(self, factor=1.0))
-        grown = 1.0 if cycle == 1 else self.locking
+        grown = self.held(bent) * (1.0 if cycle == 1 else self.locking)
         return PlayLaw(
             plain.stiffness * self.factor,
             plain.half_widths * self.factor * grown,
             plain.compliances / self.factor,
             plain.largest_moment * self.factor * grown,
         )
+
+    def held(self, bent: float) -> float:
+        """What is left of all moments at which something gives way, at a largest curvature, 1/m."""
+        if self.glue_strain is None:
+            return 1.0
+        slid = max(0.0, bent * self.radius / self.glue_strain - 1.0)
+        return max(_LEAST_HELD, 1.0 - self.slide_loss * slid)
 
     def scaled(self, factor: float) -> BundleModel:
         """The same bundle with all moments at a given curvature multiplied by `factor`."""

@@ -30,6 +30,8 @@ from labpipe.wire.laws import MomentLaw
 from labpipe.wire.spectral import interpolation_matrix
 
 _SHORTEST = 1e-9
+_REPEATS = 20
+_HELD = 1e-5  # of what holds a bundle: an error of a few hundredths of a millinewton
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,15 +156,15 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     """
     rig, rest = _set_up(test, _law_in(test, 1))
     cycles: list[list[Segment]] = []
-    state, starts = rest.state, []
+    state, bent, starts = rest.state, 0.0, []
     for number in range(test.cycles):
         begin = 2.0 * test.stroke * number
         starts.append(state)
         if number > 1 and _same(state, starts[-2]):  # loops of a rate-independent law close
             cycles.append([_later(segment, 2.0 * test.stroke) for segment in cycles[-1]])
             continue
-        law = _law_in(test, number + 1)
-        segments, state = _cycle(law, rig, state, begin, test=test, goals=(test.stroke, 0.0))
+        goals = (test.stroke, 0.0)
+        segments, state, bent = _cycle(rig, state, begin, test=test, goals=goals, bent=bent)
         cycles.append(segments)
     return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
 
@@ -183,34 +185,39 @@ def solve_loading(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If there is no equilibrium somewhere on it.
     """
-    law = _law_in(test, 1)
-    rig, rest = _set_up(test, law)
-    segments, _ = _cycle(law, rig, rest.state, 0.0, test=test, goals=(test.stroke,))
+    rig, rest = _set_up(test, _law_in(test, 1))
+    segments, _, _ = _cycle(rig, rest.state, 0.0, test=test, goals=(test.stroke,))
     return MechanicalPath(test, rig, rest, tuple(segments))
 
 
-def _law_in(test: MechanicalTest, cycle: int) -> MomentLaw:
-    """The law of a cycle: bundles lock after the first, wires stay as they are."""
+def _law_in(test: MechanicalTest, cycle: int, bent: float = 0.0) -> MomentLaw:
+    """The law of a cycle after some largest curvature: what bundles remember, wires do not."""
     wire = test.wire
-    return wire.law(cycle) if isinstance(wire, BundleModel) else wire.law()
+    return wire.law(cycle, bent) if isinstance(wire, BundleModel) else wire.law()
 
 
 def _cycle(
-    law: MomentLaw,
     rig: StringRig,
     state: WireState,
     progress: float,
     *,
     test: MechanicalTest,
     goals: tuple[float, ...],
-) -> tuple[list[Segment], WireState]:
+    bent: float = 0.0,
+) -> tuple[list[Segment], WireState, float]:
+    """Walk to each goal: the segments, the state at the end, the largest curvature so far."""
     segments: list[Segment] = []
     cycle = round(progress / (2.0 * test.stroke)) + 1
     for goal in goals:
-        for shapes in _branch(test, law, rig, state, goal):
+        for shapes in _branch(test, cycle, rig, state, goal, bent=bent):
             segments.append(_segment(shapes, cycle, goal > 0.0, progress))
             state, progress = shapes[-1].state, float(segments[-1].progress[-1])
-    return segments, state
+            bent = _most_bent(shapes, bent)
+    return segments, state, bent
+
+
+def _most_bent(shapes: list[CantileverShape], bent: float) -> float:
+    return max(bent, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
 
 
 def _same(one: WireState, other: WireState) -> bool:
@@ -237,9 +244,10 @@ def _set_up(test: MechanicalTest, law: MomentLaw) -> tuple[StringRig, Cantilever
 
 
 def _branch(
-    test: MechanicalTest, law: MomentLaw, rig: StringRig, state: WireState, goal: float
+    test: MechanicalTest, cycle: int, rig: StringRig, state: WireState, goal: float, *, bent: float
 ) -> Iterator[list[CantileverShape]]:
     """Walk to `goal`, giving the shapes of each stretch between events, ends included."""
+    law = _law_in(test, cycle, bent)
     here = bend_to_travel(law, state, test.length, rig, state.travel)
     event = _taut_travel(law, rig, here, test.length)
     if here.tension <= 0.0:  # slack: nothing bends until the string spans again
@@ -249,16 +257,22 @@ def _branch(
             yield [here, there]
             here = there
     if abs(goal - here.state.travel) > _SHORTEST:
-        yield from _taut(test, law, rig, here, goal)
+        yield from _taut(test, cycle, rig, here, goal, bent=bent)
 
 
 def _taut(
-    test: MechanicalTest, law: MomentLaw, rig: StringRig, here: CantileverShape, goal: float
+    test: MechanicalTest,
+    cycle: int,
+    rig: StringRig,
+    here: CantileverShape,
+    goal: float,
+    *,
+    bent: float,
 ) -> Iterator[list[CantileverShape]]:
     shapes = [here]
     share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
     for travel in here.state.travel + share * (goal - here.state.travel):
-        ahead = bend_to_travel(law, shapes[-1].state, test.length, rig, float(travel))
+        law, ahead, bent = _step(test, cycle, rig, shapes[-1], float(travel), bent=bent)
         if ahead.tension > 0.0:
             shapes.append(ahead)
             continue
@@ -271,6 +285,29 @@ def _taut(
             yield [slackened, bend_to_travel(law, slackened.state, test.length, rig, goal)]
         return
     yield shapes
+
+
+def _step(
+    test: MechanicalTest,
+    cycle: int,
+    rig: StringRig,
+    here: CantileverShape,
+    travel: float,
+    *,
+    bent: float,
+) -> tuple[MomentLaw, CantileverShape, float]:
+    """Go on to a travel under the law that belongs to the largest curvature reached there."""
+    for _ in range(_REPEATS):
+        law = _law_in(test, cycle, bent)
+        ahead = bend_to_travel(law, here.state, test.length, rig, travel)
+        reached = _most_bent([ahead], bent)
+        if not isinstance(test.wire, BundleModel) or reached == bent:
+            break
+        settled = abs(test.wire.held(reached) - test.wire.held(bent)) < _HELD
+        bent = reached
+        if settled:
+            break
+    return law, ahead, bent
 
 
 def _let_go(shape: CantileverShape) -> CantileverShape:
