@@ -148,8 +148,8 @@ def _tell(
         return
     known = 1.96e3 * at_turn[1]
     said = (
-        f"the {align.channel} turns {1e3 * at_turn[0]:.4g} ms after the motion, known to "
-        f"{known:.2g} ms"
+        f"the {align.channel} turns {abs(1e3 * at_turn[0]):.4g} ms "
+        f"{'after' if at_turn[0] >= 0.0 else 'before'} the motion, known to {known:.2g} ms"
     )
     if together:
         message = f"{said}; started together, so {1e3 * fit.offset:.4g} ms is taken at the start"

@@ -12,6 +12,8 @@ SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.
 """Directions (y, z) in which the markers may lie off the axis, by where they face."""
 _STEPS = 20
 _FEWEST_FRAMES = 3
+_MOVES = 1e-6
+"""m; no camera sees less."""
 _APART = 0.3
 """Distance of two markers in a section, in radii, below which they say nothing on its turning."""
 
@@ -110,7 +112,7 @@ def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
     far = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
     path = paths[int(np.argmax(far))]
     path = path[np.isfinite(path).all(axis=1)]
-    if not far.max() > 0.0 or not len(path):
+    if not far.max() > _MOVES or not len(path):
         message = "the markers do not move: expected a specimen that is bent"
         raise ValueError(message)
     main = np.linalg.svd(path, full_matrices=False)[2][0]

@@ -123,7 +123,7 @@ def curvature_at(deflection: float) -> float:
     known, loads, _, _, slopes = shapes()
     load = float(CubicSpline(known, loads)(deflection))
     slope = float(CubicSpline(known, slopes)(deflection))
-    return 0.5 * load * (0.5 * SPAN + deflection * np.tan(slope))
+    return float(0.5 * load * (0.5 * SPAN + deflection * np.tan(slope)))
 
 
 def recordings(record: BendingRecord) -> dict[str, Recording]:

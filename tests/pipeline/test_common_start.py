@@ -1,0 +1,100 @@
+"""Recorders that were started together, and some that were not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest
+
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.clocks import turning_points
+from labpipe.pipeline.common_start import start_together
+from labpipe.processing.strokes import find_strokes
+from labpipe.protocol.rig import AlignCommonStart
+from labpipe.records.curve import ClockFit
+
+ALIGN = AlignCommonStart.model_validate(
+    {"method": "common-start", "channel": "force", "max_offset": "100 ms"}
+)
+
+
+def bench(offset: float, *, noise: float = 0.01, seed: int = 0, drift: float = 0.0) -> Bench:
+    """30 s up and down again, the force bending over as it goes."""
+    random = np.random.default_rng(seed)
+    frame, force = np.arange(0.0, 62.0, 0.05), np.arange(0.0, 64.0, 0.005)
+
+    def path(time: np.ndarray[tuple[int], np.dtype[np.float64]]) -> Signal:
+        travel = 0.5e-3 * np.clip(30.0 - np.abs(time - 30.0), 0.0, None)
+        return Signal(time, travel, "m", "frame")
+
+    motion, pulled = path(frame), path((force - offset) / (1.0 + drift)).values
+    made = Bench()
+    made.raw["displacement"] = Signal(
+        frame, motion.values + random.normal(0.0, 2e-6, len(frame)), "m", "frame"
+    )
+    load = 4.0 * (pulled / 0.015) ** 0.7 + random.normal(0.0, noise, len(force))
+    made.raw["force"] = Signal(force, load, "N", "force")
+    return made
+
+
+def fitted(made: Bench) -> ClockFit:
+    motion = made.raw["displacement"]
+    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
+    turns = turning_points(motion, strokes, window=ALIGN.motion_window)
+    return start_together(made, ALIGN, strokes, turns)
+
+
+def test_a_sharp_corner_decides() -> None:
+    made = bench(0.04, noise=1e-3)
+    fit = fitted(made)
+
+    assert fit.offset_interval.lower < 0.04 < fit.offset_interval.upper
+    assert fit.offset == pytest.approx(0.04, abs=0.01)
+    assert fit.drift == pytest.approx(0.0, abs=1e-5)
+    assert fit.drift_interval.standard_error == pytest.approx(1e-4 / np.sqrt(3.0), rel=0.05)
+    assert [note.code for note in made.notes] == ["common_start"]
+    assert not made.doubts
+
+
+def test_a_force_without_corner_leaves_the_common_start() -> None:
+    made = bench(0.0)
+    made.raw["force"] = Signal(
+        made.raw["force"].time, np.linspace(0.0, 1.0, len(made.raw["force"].time)), "N", "force"
+    )
+    fit = fitted(made)
+
+    assert fit.offset == 0.0
+    assert fit.offset_interval.standard_error == pytest.approx(0.1 / np.sqrt(3.0))
+    (note,) = made.notes
+    assert note.code == "start_unchecked"
+    assert note.message == (
+        "the force shows no corner at a turn of the motion: the common start, within 100 ms, is "
+        "taken as it is"
+    )
+
+
+@pytest.mark.parametrize(("offset", "word"), [(0.8, "after"), (-0.8, "before")])
+def test_not_started_together(offset: float, word: str) -> None:
+    made = bench(offset, noise=1e-3)
+    fit = fitted(made)
+
+    assert fit.offset == pytest.approx(offset, abs=0.02)
+    assert set(made.doubts) == {"clock", "force"}
+    message = made.doubts["clock"]
+    assert message.startswith("not_started_together: the force turns ")
+    assert f" ms {word} the motion, known to " in message
+    assert message.endswith(
+        ": the recorders did not start within 100 ms of each other; the difference at the turn is "
+        "taken"
+    )
+
+
+def test_the_interval_covers_over_many_tests() -> None:
+    """Offsets drawn from what the trigger allows; the exact binomial test at 1 %."""
+    random = np.random.default_rng(5)
+    truths = random.uniform(-0.1, 0.1, 60)
+    hits = 0
+    for seed, truth in enumerate(truths):
+        interval = fitted(bench(float(truth), noise=0.02, seed=seed)).offset_interval
+        hits += interval.lower <= truth <= interval.upper
+    assert binomtest(hits, len(truths), 0.95).pvalue > 0.01

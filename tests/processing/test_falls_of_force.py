@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.processing.falls_of_force import sharpest_turn
+
+
+def test_the_corner_and_not_the_largest_value() -> None:
+    time = np.arange(0.0, 100.0, 0.01)
+    rise = np.sin(np.pi * np.clip(time, 0.0, 60.0) / 90.0)  # largest at 45 s, turns at 60 s
+    force = np.where(time < 60.0, rise, rise[6000] - 0.1 * (time - 60.0))
+
+    assert sharpest_turn(time, force, width=1.0) == pytest.approx(60.0, abs=0.2)
+
+
+def test_blanks_and_noise_do_not_matter() -> None:
+    time = np.arange(0.0, 40.0, 0.01)
+    force = 20.0 - np.abs(time - 20.0) + np.random.default_rng(1).normal(0.0, 0.05, len(time))
+    force[1500:1520] = np.nan
+
+    assert sharpest_turn(time, force, width=1.0) == pytest.approx(20.0, abs=0.2)
+
+
+def test_nothing_that_turns() -> None:
+    time = np.arange(0.0, 10.0, 0.01)
+
+    assert sharpest_turn(time, time, width=1.0) is None
+    assert sharpest_turn(time[:100], -np.abs(time[:100] - 0.5), width=1.0) is None
