@@ -22,6 +22,8 @@ ELSEWHERE = {
     "pipeline/comparison_json.py": "pipeline/test_third_curves.py",
     # Numbers of a cycle, through the results that are made of them.
     "pipeline/cycle_numbers.py": "pipeline/test_cycle_results.py",
+    # Columns of curves from elsewhere, through reading them.
+    "readers/curve_columns.py": "readers/test_curve_csv.py",
     # What reading checks, through reading.
     "store/checked.py": "store/test_read.py",
     # Frozen settings; the truth that is made of them is looked at.

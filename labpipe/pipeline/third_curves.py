@@ -12,7 +12,8 @@ from labpipe.errors import ReadError, UsageError, complaint, nearest
 from labpipe.pipeline.first_loadings import FirstLoading
 from labpipe.protocol.calibration_plan import CalibrationPlan
 from labpipe.protocol.comparison_plan import COPY_IT, Comparison
-from labpipe.readers.curve_csv import CurveColumn, read_curve
+from labpipe.readers.curve_columns import CurveColumn
+from labpipe.readers.curve_csv import read_curve
 from labpipe.records.agreement import Prediction
 from labpipe.records.calibration import Calibration
 from labpipe.records.comparison import CurveMatch, ThirdCurve, ThirdCurveComparison

@@ -18,19 +18,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import islice, pairwise
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint, nearest
 from labpipe.readers.calculix_dat import is_calculix, tip_rows
+from labpipe.readers.curve_columns import (
+    CurveColumn,
+    CurveTable,
+    fault,
+    find_column,
+    head_of,
+    unit_factor,
+)
 from labpipe.readers.load_frame.cells import (
     are_units,
     is_number,
-    is_unit,
-    name_and_unit,
     split_line,
     without_brackets,
 )
@@ -38,7 +42,8 @@ from labpipe.readers.load_frame.content import decode, is_binary, read_content
 from labpipe.readers.load_frame.place import lines_of
 from labpipe.readers.sheet_cells import Cell, Row, is_workbook, workbook_cells
 from labpipe.records.arrays import Floats
-from labpipe.units import si_factor
+
+__all__ = ["FEWEST", "CurveColumn", "read_curve"]
 
 FEWEST = 3
 """Points that make a curve."""
@@ -46,50 +51,7 @@ _SEPARATORS = ("\t", ";", ",", " ")
 _HEAD = 400
 """Lines in which the first row of numbers is looked for."""
 _ENCODINGS = ("utf-8", "latin-1")
-_USUAL = {
-    "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
-    "force": ("force", "tip force"),
-}
-"""What a column is called that nobody has to name."""
 _NOT_FINITE = frozenset({"nan", "inf", "infinity"})
-
-
-@dataclass(frozen=True, slots=True)
-class CurveColumn:
-    """A column that is asked for.
-
-    Parameters
-    ----------
-    what : ``deflection`` or ``force``
-    si_unit : of the answer
-    column : its name, or its number counted from 1; None for one that is called by its usual name
-    unit : in the file; None for what the heading says
-    sign : -1 where the file counts against the direction of bending
-    """
-
-    what: str
-    si_unit: str
-    column: str | None = None
-    unit: str | None = None
-    sign: int = 1
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    """Cells below their headings.
-
-    Parameters
-    ----------
-    path : of the file
-    names : of the columns, units taken off by those who look for them; empty without any
-    units : of the row of units; empty texts without one
-    rows : of numbers, and what is among them
-    """
-
-    path: Path
-    names: Row
-    units: tuple[str, ...]
-    rows: Sequence[Sequence[Cell]]
 
 
 def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple[Floats, Floats]:
@@ -112,11 +74,11 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     """
     table = _table(path)
     asked = (deflection, force)
-    columns = [_find(table, each) for each in asked]
+    columns = [find_column(table, each) for each in asked]
     if columns[0] == columns[1]:
         found = f"column {columns[0] + 1} for both"
-        raise _fault(path, _head(table), "two columns", found, "Name another one for the force.")
-    factors = [_factor(table, at, each) for at, each in zip(columns, asked, strict=True)]
+        raise fault(path, head_of(table), "two columns", found, "Name another one for the force.")
+    factors = [unit_factor(table, at, each) for at, each in zip(columns, asked, strict=True)]
     points = _points(table, columns)
     across, up = (
         each.sign * factor * np.array([_number(point[i], path) for point in points])
@@ -127,28 +89,24 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     return across, up
 
 
-def _fault(path: Path, place: str, expected: str, found: str, remedy: str) -> ReadError:
-    return ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))
-
-
-def _table(path: Path) -> _Table:
+def _table(path: Path) -> CurveTable:
     cells = workbook_cells(path) if is_workbook(path) else _text_cells(path)
     unread = next((cell for row in cells for cell in row if cell.unread), None)
     if unread is not None:
         remedy = "Correct the cell, and save the workbook in the spreadsheet program."
-        raise _fault(path, unread.place, "a value", unread.unread, remedy)
+        raise fault(path, unread.place, "a value", unread.unread, remedy)
     filled = [row for row in cells if any(cell.text for cell in row)]
     first = next((i for i, row in enumerate(filled) if _is_sample(row)), None)
     if first is None:
         remedy = "Give deflection and force in two columns, one row per point."
-        raise _fault(path, "", "rows of numbers", "none", remedy)
+        raise fault(path, "", "rows of numbers", "none", remedy)
     above = filled[:first]
     units: tuple[str, ...] = ()
     if len(above) > 1 and are_units([cell.text for cell in above[-1]]):
         units = tuple(without_brackets(cell.text) for cell in above.pop())
     names = _without_mark(above[-1]) if above else ()
     width = max(len(row) for row in filled[first:])
-    return _Table(path, names, (*units, *[""] * max(width, len(names))), filled[first:])
+    return CurveTable(path, names, (*units, *[""] * max(width, len(names))), filled[first:])
 
 
 def _without_mark(row: Sequence[Cell]) -> Row:
@@ -161,7 +119,7 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     content = read_content(path)
     if is_binary(content):
         remedy = "Save the curve as csv or xlsx."
-        raise _fault(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
+        raise fault(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
     lines = lines_of(decode(content.data, content, _ENCODINGS, path))
     if is_calculix(lines):
         return tip_rows(lines, path)
@@ -186,92 +144,7 @@ def _is_not_finite(text: str) -> bool:
     return text.lstrip("+-").casefold() in _NOT_FINITE
 
 
-def _head(table: _Table) -> str:
-    """Place of the names, or of the first row."""
-    row = table.names or table.rows[0]
-    return row[0].place.partition(",")[0]
-
-
-def _find(table: _Table, asked: CurveColumn) -> int:
-    """Number of the column, counted from 0."""
-    words = _USUAL[asked.what] if asked.column is None else (asked.column,)
-    wanted = {word.strip().casefold() for word in words}
-    found = [
-        i
-        for i, cell in enumerate(table.names)
-        if wanted & {cell.text.casefold(), _parted(cell.text, asked.si_unit)[0].casefold()}
-    ]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        said = f"{len(found)}: columns {', '.join(str(i + 1) for i in found)}"
-        remedy = "Give the number of the one that is meant."
-        raise _fault(table.path, _head(table), f"one column {words[0]!r}", said, remedy)
-    width = len(table.units)
-    if asked.column is not None and asked.column.isdecimal() and 1 <= int(asked.column) <= width:
-        return int(asked.column) - 1
-    raise _no_column(table, asked, words[0])
-
-
-def _no_column(table: _Table, asked: CurveColumn, word: str) -> ReadError:
-    place = _head(table)
-    remedy = f"Name it in the plan, such as {asked.what}: {{column: U2, unit: {_example(asked)}}}."
-    if not table.names:
-        remedy = f"Number it in the plan, such as {asked.what}: {{column: 1, unit: mm}}."
-        expected = f"a row of names above the numbers, with a column {word!r}"
-        return _fault(table.path, place, expected, "numbers alone", remedy)
-    known = [cell.text for cell in table.names if cell.text]
-    found = ", ".join(repr(name) for name in nearest(word, known))
-    return _fault(table.path, place, f"a column {word!r}", found, remedy)
-
-
-def _example(asked: CurveColumn) -> str:
-    return "mm" if asked.si_unit == "m" else "N"
-
-
-def _parted(text: str, si_unit: str) -> tuple[str, str]:
-    """Name and unit of a heading; the unit is empty where there is none.
-
-    Behind an underscore only a unit of the dimension wanted is one: ``deflection_mm``, but not
-    ``force_m``.
-    """
-    pair = name_and_unit(text)
-    if pair is not None and is_unit(pair[1]):
-        return pair
-    name, _, tail = text.rpartition("_")
-    return (name, tail) if name and _converts(tail, si_unit) else (text, "")
-
-
-def _converts(unit: str, si_unit: str) -> bool:
-    try:
-        si_factor(unit, si_unit)
-    except ValueError:
-        return False
-    return bool(unit)
-
-
-def _factor(table: _Table, at: int, asked: CurveColumn) -> float:
-    """From the unit of the file to SI."""
-    head = table.names[at].text if at < len(table.names) else ""
-    said = _parted(head, asked.si_unit)[1] or table.units[at]
-    place = f"{_head(table)}, column {at + 1}"
-    unit = asked.unit or said
-    if not unit:
-        expected = f"a unit of the {asked.what}"
-        remedy = f"Write it in the heading ({asked.what} / {_example(asked)}) or in the plan."
-        raise _fault(table.path, place, expected, f"none in {head!r}", remedy)
-    for each in {unit, said or unit}:
-        if not _converts(each, asked.si_unit):
-            expected = f"a unit of the {asked.what}, such as {_example(asked)}"
-            raise _fault(table.path, place, expected, f"{each!r}", "Correct the heading.")
-    factor = si_factor(unit, asked.si_unit)
-    if said and not math.isclose(si_factor(said, asked.si_unit), factor):
-        remedy = "Correct the one that is wrong."
-        raise _fault(table.path, place, f"{unit!r}, as in the plan", f"{said!r}", remedy)
-    return factor
-
-
-def _points(table: _Table, columns: Sequence[int]) -> list[list[Cell]]:
+def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
     """Two cells for each row that has some, numbers of one decimal sign."""
     points = []
     for row in table.rows:
@@ -281,14 +154,14 @@ def _points(table: _Table, columns: Sequence[int]) -> list[list[Cell]]:
             points.append(point)
     if len(points) < FEWEST:
         expected, remedy = f"{FEWEST} points at least", "Give more points of the curve."
-        raise _fault(table.path, "", expected, f"{len(points)}", remedy)
+        raise fault(table.path, "", expected, f"{len(points)}", remedy)
     texts = [cell for point in points for cell in point]
     if any("." in cell.text for cell in texts):
         for cell in texts:
             if "," in cell.text:
                 remedy = "Write the file anew with one decimal sign and no sign for thousands."
                 expected, found = "a decimal point, as elsewhere in the file", repr(cell.text)
-                raise _fault(table.path, cell.place, expected, found, remedy)
+                raise fault(table.path, cell.place, expected, found, remedy)
     return points
 
 
@@ -298,7 +171,7 @@ def _number(cell: Cell, path: Path) -> float:
         if math.isfinite(value):
             return value
     found = repr(cell.text) if cell.text else "a blank cell"
-    raise _fault(path, cell.place, "a finite number", found, "Correct the row, or take it out.")
+    raise fault(path, cell.place, "a finite number", found, "Correct the row, or take it out.")
 
 
 def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:
@@ -310,7 +183,7 @@ def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Float
                 remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
             expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
             found = f"{1e3 * here:.6g} mm"
-            raise _fault(path, points[number][0].place, expected, found, remedy)
+            raise fault(path, points[number][0].place, expected, found, remedy)
 
 
 def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> None:
@@ -319,4 +192,4 @@ def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> 
     if force[at] <= 0.0:
         expected, found = "a largest force above zero", f"{force[at]:.6g} N"
         remedy = "If the file counts downwards, write 'sign: -1' for the force."
-        raise _fault(path, points[at][1].place, expected, found, remedy)
+        raise fault(path, points[at][1].place, expected, found, remedy)

@@ -10,7 +10,8 @@ import openpyxl
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers.curve_csv import CurveColumn, read_curve
+from labpipe.readers.curve_columns import CurveColumn
+from labpipe.readers.curve_csv import read_curve
 
 ACROSS, UP = CurveColumn("deflection", "m"), CurveColumn("force", "N")
 MM, NEWTON = (
