@@ -221,7 +221,8 @@ OVERRIDES = {
     "within a block": (
         "results: {value: [{result: clock}, {result: enrgy}], because: x}",
         "test/test.yaml, line 7, column 47 (results.1.result): expected one of 'energy',"
-        " 'energy-to-break', 'hardening', 'moment-curvature', 'bending-stiffness', 'peak-force', ...,"
+        " 'energy-to-break', 'hardening', 'moment-curvature', 'bending-stiffness',"
+        " 'peak-force', ...,"
         " found 'enrgy'. Did you mean 'energy'?",
     ),
     "elsewhere": (
