@@ -231,7 +231,13 @@ def _simulate(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, default=Path("raw"), metavar="DIR", help="(default: raw)"
     )
     parser.add_argument("--name", default="synthetic-1", help="of the test (default: %(default)s)")
+    kind = "what is tested (default: %(default)s)"
+    kinds = ("wire", "taped-bundle", "conduit-bundle")
+    parser.add_argument("--kind", choices=kinds, default="wire", help=kind)
+    which = "of a bundle: TWB-B1-19-PVC, CWB-2a ... (default: the first with 19 wires)"
+    parser.add_argument("--type", default=None, metavar="TYPE", help=which)
     parser.add_argument("--rate", default="10 kHz", help="of the force (default: %(default)s)")
     parser.add_argument("--fps", default="50 Hz", help="of the cameras (default: %(default)s)")
-    parser.add_argument("--cycles", type=int, default=3, help="(default: %(default)s)")
+    cycles = "of a cantilever test (default: 3); a conduit bundle is bent once"
+    parser.add_argument("--cycles", type=int, default=None, help=cycles)
     parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")

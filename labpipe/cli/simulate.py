@@ -4,37 +4,87 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Container
 from dataclasses import replace
+from pathlib import Path
 
 from labpipe.errors import UsageError, complaint
 from labpipe.units import parse_quantity
-from labpipe.virtual_lab import CantileverScenario, simulate_test
+from labpipe.virtual_lab import (
+    CONDUIT_TYPES,
+    TAPED_TYPES,
+    CantileverScenario,
+    conduit_scenario,
+    simulate_conduit,
+    simulate_test,
+    taped_scenario,
+)
+
+_USUAL = {"taped-bundle": "TWB-B1-19-PVC", "conduit-bundle": "CWB-1"}
+_CYCLES = 3
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write the synthetic exports of one cantilever test, its sheet, and the truth."""
-    usual = CantileverScenario()
+    """Write the synthetic exports of one test, its sheet, and the truth."""
     try:
-        rate, fps = (parse_quantity(text, "1/s") for text in (options.rate, options.fps))
-        _check(rate=rate, fps=fps, cycles=options.cycles, name=options.name)
-        scenario = replace(
-            usual,
-            name=options.name,
-            mechanics=replace(usual.mechanics, cycles=options.cycles),
-            clocks=replace(usual.clocks, rate=rate, fps=fps),
-        )
-        folder = simulate_test(scenario, options.out / options.name, options.seed)
+        folder = _simulate(options)
     except ValueError as error:
         message = complaint(
             "options",
             "",
-            expected="--rate and --fps such as '10 kHz' and '50 Hz', a cycle, a plain name",
+            expected="--rate and --fps such as '10 kHz' and '50 Hz', a cycle, a plain name, a type that is known",
             found=str(error),
             remedy="See `labpipe simulate --help`.",
         )
         raise UsageError(message) from error
     print(f"wrote {folder}: exports, test.yaml, truth.json (synthetic, seed {options.seed})")
     return 0
+
+
+def _simulate(options: argparse.Namespace) -> Path:
+    rate, fps = (parse_quantity(text, "1/s") for text in (options.rate, options.fps))
+    cycles = _CYCLES if options.cycles is None else options.cycles
+    _check(rate=rate, fps=fps, cycles=cycles, name=options.name)
+    if options.kind == "conduit-bundle":
+        return _conduit(options, rate=rate, fps=fps)
+    scenario = _cantilever(options)
+    scenario = replace(
+        scenario,
+        name=options.name,
+        mechanics=replace(scenario.mechanics, cycles=cycles),
+        clocks=replace(scenario.clocks, rate=rate, fps=fps),
+    )
+    return simulate_test(scenario, options.out / options.name, options.seed)
+
+
+def _cantilever(options: argparse.Namespace) -> CantileverScenario:
+    """The usual wire, or the bundle that the options ask for."""
+    if options.kind == "wire":
+        if options.type is not None:
+            message = f"type={options.type} of a wire"
+            raise ValueError(message)
+        return CantileverScenario()
+    kind = _type(options, TAPED_TYPES)
+    scenario = taped_scenario(TAPED_TYPES[kind])
+    return replace(scenario, specimen_type=kind, spool=f"{kind}-s1")
+
+
+def _conduit(options: argparse.Namespace, *, rate: float, fps: float) -> Path:
+    if options.cycles is not None:
+        message = f"cycles={options.cycles} of a conduit bundle"
+        raise ValueError(message)
+    scenario = conduit_scenario(_type(options, CONDUIT_TYPES))
+    clocks = replace(scenario.clocks, rate=rate, fps=fps)
+    scenario = replace(scenario, name=options.name, clocks=clocks)
+    return simulate_conduit(scenario, options.out / options.name, options.seed)
+
+
+def _type(options: argparse.Namespace, known: Container[str]) -> str:
+    kind = _USUAL[options.kind] if options.type is None else str(options.type)
+    if kind not in known:
+        message = f"type={kind} of a {options.kind}"
+        raise ValueError(message)
+    return kind
 
 
 def _check(*, rate: float, fps: float, cycles: int, name: str) -> None:

@@ -19,6 +19,7 @@ PLATEAU_SHARE = 0.10
 _POINTS = 800
 _STEPS = 20_001
 _TANGENT_OVER = 1e-3
+_NEAR = 0.02e-3  # m: close enough to zero for the first tangent
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +49,10 @@ class LoadingTruth:
     secant_stiffness : N/m, force at 5 mm over 5 mm
     windowed_stiffness : N/m, slope of the least-squares line over `KINK_WINDOW`
     kink : within `KINK_WINDOW`
-    end_tangent : N/m, over the last millimetre
-    end_slope : the same as a share of the stiffness before the kink
+    end_tangent : N/m, slope of the least-squares line over the last 5 mm
+    end_slope : the same as a share of `windowed_stiffness`
     plateau_displacement, plateau_force : m, N, from where on the tangent over a millimetre stays
-        below `PLATEAU_SHARE` of the stiffness before the kink; None where it does not at the end
+        below `PLATEAU_SHARE` of `windowed_stiffness`; None where it does not at the end
     """
 
     tangent_at_zero: float
@@ -153,22 +154,20 @@ def tell_loading(displacement: Floats, force: Floats) -> LoadingTruth:
     -------
     The numbers.
     """
-    stiffness = line_slope(displacement, force, 0.0, STIFFNESS_RANGE)
-    grid, tangent = _tangents(displacement, force)
-    kink = find_kink(displacement, force, *KINK_WINDOW)
-    onset = _last_above(grid, tangent, PLATEAU_SHARE * kink.stiffness_before)
-    at_onset = None if onset is None else float(np.interp(onset, displacement, force))
-    near = float(min(0.02e-3, displacement[-1]))
+    windowed = line_slope(displacement, force, *KINK_WINDOW)
+    last = float(displacement[-1])
+    end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
+    onset = _last_above(*_tangents(displacement, force), PLATEAU_SHARE * windowed)
     return LoadingTruth(
-        tangent_at_zero=float(np.interp(near, displacement, force)) / near,
-        stiffness=stiffness,
+        tangent_at_zero=float(np.interp(_NEAR, displacement, force)) / _NEAR,
+        stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),
         secant_stiffness=float(np.interp(STIFFNESS_RANGE, displacement, force)) / STIFFNESS_RANGE,
-        windowed_stiffness=line_slope(displacement, force, *KINK_WINDOW),
-        kink=kink,
-        end_tangent=float(tangent[-1]),
-        end_slope=float(tangent[-1]) / kink.stiffness_before,
+        windowed_stiffness=windowed,
+        kink=find_kink(displacement, force, *KINK_WINDOW),
+        end_tangent=end,
+        end_slope=end / windowed,
         plateau_displacement=onset,
-        plateau_force=at_onset,
+        plateau_force=None if onset is None else float(np.interp(onset, displacement, force)),
     )
 
 
