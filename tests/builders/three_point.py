@@ -129,7 +129,7 @@ def curvature_at(deflection: float) -> float:
 def recordings(record: BendingRecord) -> dict[str, Recording]:
     """Force in volts, frame, markers, each on its own clock."""
     random = np.random.default_rng(record.seed)
-    time = np.arange(0.0, 2.0 * record.lasts + 3.0, 0.004)
+    time = np.arange(0.0, 2.0 * record.lasts + 8.0, 0.004)
     force = load_at(record, record.travel(time + record.force_late))
     volts = (force + random.normal(0.0, record.noise[0], len(time)) - OFFSET) / GAIN
     frame = np.arange(0.0, 2.0 * record.lasts + 2.0, 0.05)

@@ -1,0 +1,108 @@
+"""Bent axis, camera clock, curvature and twist of a rod whose elastica is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.pipeline.bench import Bench
+from labpipe.records.result import Result, Status
+from tests.builders.three_point import STROKE, BendingRecord, curvature_at, load_at, reduced
+
+NAMES = ("mid_span_bending_stiffness", "mid_span_curvature", "twist")
+
+
+@pytest.fixture(scope="module")
+def done() -> tuple[Bench, dict[str, Result]]:
+    return reduced(BendingRecord())
+
+
+def holds(result: Result, truth: float) -> bool:
+    interval = result.interval
+    return interval is not None and interval.lower <= truth <= interval.upper
+
+
+def test_every_number_holds_its_truth(done: tuple[Bench, dict[str, Result]]) -> None:
+    _, results = done
+    record = BendingRecord()
+
+    assert {each.status for each in results.values()} == {Status.OK}
+    assert holds(results["mid_span_bending_stiffness"], record.rigidity)
+    assert holds(results["mid_span_curvature"], curvature_at(STROKE))
+    assert holds(results["peak_force.1"], float(load_at(record, np.array([STROKE]))[0]))
+    assert holds(results["twist"], record.twist) or holds(results["twist"], -record.twist)
+    assert holds(results["clock_offset"], 0.0)
+
+
+def test_three_clocks_are_joined(done: tuple[Bench, dict[str, Result]]) -> None:
+    bench, _ = done
+    fit = bench.other_clocks["markers"]
+    shape = bench.shape
+
+    assert fit.offset == pytest.approx(3.2, abs=0.01)
+    assert shape is not None
+    assert bench.span is not None
+    assert shape.time[0] == pytest.approx(-3.2, abs=0.01)
+    assert bench.aligned is not None
+    seen = bench.aligned.series["mid_span"].values
+    way = bench.aligned.series["displacement"].values
+    # A rod on knife edges: mid-span goes where the load goes.
+    assert np.nanmax(np.abs(seen - way)) < 3e-4
+    (note,) = (note for note in bench.notes if note.code == "camera_clock")
+    assert note.message.startswith("the cameras are 3.19") or "3.20" in note.message
+
+
+def test_shape_of_the_store(done: tuple[Bench, dict[str, Result]]) -> None:
+    bench, _ = done
+    shape = bench.shape
+
+    assert shape is not None
+    assert shape.names[0] == "section 1"
+    assert shape.positions.shape[1:] == (15, 3)
+    assert shape.length == pytest.approx(14 * 0.0127, abs=1e-4)
+    top = int(np.nanargmax(shape.positions[:, 7, 1] - shape.positions[:, 1, 1]))
+    along = (shape.positions[top, :, 0] - shape.coefficients[top, 0, 0]) / shape.length
+    drawn = shape.coefficients[top, 1] @ along[None, :] ** np.arange(10)[:, None]
+    inside = (along > 0.0) & (along < 1.0)
+    assert np.abs(drawn - shape.positions[top, :, 1])[inside].max() < 3e-4
+
+
+def test_no_span() -> None:
+    _, results = reduced(BendingRecord(), change=(("span: 152.4 mm, ", ""),))
+
+    for name in NAMES:
+        assert results[name].status is Status.FAILED
+        assert results[name].reason == (
+            "no_span: specimen.span, the distance of the supports, is not given: write it into the "
+            "specimen of the test sheet, such as 'span: 152.4 mm'"
+        )
+    assert results["bending_stiffness"].reason.startswith("no_span: ")
+    assert results["peak_force.1"].status is Status.OK
+
+
+def test_too_few_markers_for_a_twist() -> None:
+    _, results = reduced(BendingRecord(angles=(float(np.radians(90.0)),)))
+
+    assert results["twist"].reason == (
+        "too_few_markers: twist needs two markers at different places around the axis in one "
+        "section, none of the 15 sections has them"
+    )
+    assert holds(results["mid_span_curvature"], curvature_at(STROKE))
+
+
+def test_a_window_that_is_not_reached() -> None:
+    old = "mid-span, from: 1 mm, to: 10 mm"
+    _, results = reduced(BendingRecord(), change=((old, "mid-span, from: 1 mm, to: 40 mm"),))
+
+    assert results["mid_span_bending_stiffness"].reason == (
+        "not_reached: the first loading reaches 29.38 mm, 40 mm is asked"
+    )
+    assert results["mid_span_curvature"].status is Status.OK
+
+
+def test_cameras_that_did_not_see_the_turn() -> None:
+    """They ran on a clock that began when the frame was on its way back."""
+    _, results = reduced(BendingRecord(cameras_early=-70.0))
+
+    for name in NAMES:
+        assert results[name].status is Status.FAILED

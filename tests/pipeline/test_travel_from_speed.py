@@ -1,0 +1,80 @@
+"""A displacement made from crosshead speed: what it is, what contradicts it."""
+
+from __future__ import annotations
+
+import pytest
+
+from labpipe.records.quality import Severity
+from labpipe.records.result import Status
+from tests.builders.three_point import STROKE, BendingRecord, load_at, reduced
+
+ALONE = ("frame", "markers")
+SPEED = "crosshead_speed: 0.5 mm/s"
+
+
+def test_it_ends_at_the_stroke_where_the_force_turns() -> None:
+    bench, results = reduced(BendingRecord(force_late=-3.0), without=ALONE)
+
+    peak = results["peak_displacement.1"]
+    assert peak.value == pytest.approx(STROKE, rel=1e-6)
+    assert peak.interval is not None
+    assert peak.interval.upper / STROKE - 1.0 == pytest.approx(0.01, abs=0.005)  # speed, 0.5 %
+    assert {each.status for each in results.values()} == {Status.OK}
+    assert bench.clock_fit is None
+    (note,) = (note for note in bench.notes if note.code == "displacement_from_speed")
+    assert note.severity is Severity.INFO
+    assert note.message.startswith(
+        "no export measured it: 0.5 mm/s over 58.8 s up to the force's corner at 61.8"
+    )
+
+
+def test_stiffness_and_peak_force_hold_the_truth() -> None:
+    record = BendingRecord(force_late=-3.0)
+    _, results = reduced(record, without=ALONE)
+
+    peak = results["peak_force.1"].interval
+    assert peak is not None
+    assert peak.lower < float(load_at(record, [STROKE])[0]) < peak.upper  # type: ignore[arg-type]
+
+
+def test_a_measured_displacement_goes_before_it() -> None:
+    bench, _ = reduced(BendingRecord(), without=("markers",))
+
+    assert "displacement_from_speed" not in {note.code for note in bench.notes}
+    assert bench.raw["displacement"].clock == "frame"
+
+
+@pytest.mark.parametrize("without", [("markers",), ALONE])
+def test_a_speed_that_contradicts(without: tuple[str, ...]) -> None:
+    record = BendingRecord(force_late=0.0 if "frame" not in without else -3.0)
+    slower = "0.45 mm/s" if "frame" in without else "0.38 mm/s"
+    change = ((SPEED, f"crosshead_speed: {slower}"),)
+    _, results = reduced(record, without=without, change=change)
+
+    reason = results["initial_stiffness"].reason
+    assert results["initial_stiffness"].status is Status.DOUBTFUL
+    expected = (
+        "speed_unexpected: 0.4996 mm/s measured over the first branch, 0.38 mm/s expected: look at "
+        "rig.crosshead_speed, and at unit and name of the displacement"
+    )
+    if "frame" in without:
+        expected = (
+            "speed_unexpected: the force rises for 58.82 s before it turns, speed and stroke of "
+            "the rig say 65.33 s: look at rig.crosshead_speed and rig.stroke"
+        )
+    assert expected in reason
+
+
+def test_a_start_that_nobody_saw_is_said() -> None:
+    bench, _ = reduced(BendingRecord(), without=ALONE)
+
+    (note,) = (note for note in bench.notes if note.code == "start_not_seen")
+    assert note.message == (
+        "the force was not seen to rise from rest, so that nothing checks the start"
+    )
+
+
+def test_a_force_that_never_turns() -> None:
+    with pytest.raises(Exception, match="no corner where it turns from rising to falling") as info:
+        reduced(BendingRecord(rigidity=0.0, noise=(1e-12, 0.0, 0.0)), without=ALONE)
+    assert "was the unloading recorded, and is the sign of the gain right?" in str(info.value)
