@@ -38,7 +38,12 @@ _LINE = 3.7
 _LETTERS = 145
 _LEFT = 0.012
 _COLUMNS = (0.0, 0.24, 0.34, 0.53, 0.60)
-_DOUBTFUL = {Identified.NOT, Identified.AT_BOUND, Identified.BY_PRIOR}
+_DOUBTFUL = {
+    Identified.NOT,
+    Identified.AT_BOUND,
+    Identified.BY_PRIOR,
+    Identified.AGAINST_PRIOR,
+}
 _POINTS_PER_MM = 72.0 / 25.4
 _NO_BAND = "Drawn without the band of the model."
 _RESIDUALS = "Residuals: every point faint, means over neighbouring points as lines."

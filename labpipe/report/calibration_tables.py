@@ -62,7 +62,7 @@ def _summary(calibration: Calibration) -> Sheet:
     heads = (
         "parameter", "name", "unit", "value", "lower", "upper", "open below", "open above",
         "standard error of its logarithm", "degrees of freedom", "verdict", "at bound",
-        "prior, centre", "prior, factor", "without the prior", "conflict (standard deviations)",
+        "prior, centre", "prior, factor", "without the prior", "conflict (standard errors)",
         "contradicts", "in words", "prior in words",
     )  # fmt: skip
     return Sheet(SUMMARY, heads, [_parameter(each) for each in calibration.parameters], "C2")

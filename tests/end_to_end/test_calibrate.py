@@ -195,7 +195,7 @@ def test_a_prior_that_contradicts_the_tests(
     asked = ("--plan", plan(tmp_path, text), "--out", str(tmp_path / "out"), "--no-figures")
     done = run("calibrate", str(campaign), "--wire", sheet, *asked)
     assert done.status == 0
-    assert "standard deviations" in done.out
+    assert "standard errors of both together below the prior" in done.out
 
 
 def test_a_curve_from_elsewhere_is_held_against_tests_and_model(

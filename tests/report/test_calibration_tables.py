@@ -48,9 +48,10 @@ def test_summary() -> None:
     conflict = troubled().parameter("copper_scale").conflict
     assert conflict is not None
     assert copper["prior, centre"] == pytest.approx(1.6)
-    assert copper["conflict (standard deviations)"] == conflict.size
+    assert copper["conflict (standard errors)"] == conflict.size
     assert (copper["contradicts"], friction["contradicts"]) == ("yes", "")
-    assert copper["prior in words"].endswith("at 95 %.")
+    assert copper["prior in words"].endswith("; the other values are drawn along with it.")
+    assert copper["verdict"] == "contradicts its prior"
 
 
 def test_numbers_of_the_fit_and_of_the_source() -> None:

@@ -101,7 +101,7 @@ def test_a_prior_that_contradicts() -> None:
     assert conflict.alone == pytest.approx(1.0, abs=0.25)
     note = next(note for note in found.notes if note.code == "prior_contradicts_data")
     assert "the prior of the strength of the copper, 1.6 within a factor of 1.05" in note.message
-    assert f"{conflict.size:.2f} standard deviations of both together" in note.message
+    assert f"{conflict.size:.2f} standard errors of both together" in note.message
 
 
 def test_bad_input() -> None:

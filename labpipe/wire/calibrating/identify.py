@@ -221,10 +221,11 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     contradicts = conflict.size > limit
     relation = "contradicts" if contradicts else "agrees with"
     side = "above" if conflict.alone > conflict.centre else "below"
+    others = "; the other values are drawn along with it" if contradicts else ""
     message = (
         f"the prior of {NAMES[name]}, {in_display_unit(name, conflict.centre)} within a factor of "
         f"{conflict.factor:.4g}, {relation} the tests, which by themselves say "
         f"{in_display_unit(name, conflict.alone)}: {conflict.size:.2f} standard errors of both "
-        f"together {side} the prior, {limit:.2f} would be a contradiction at 95 %"
+        f"together {side} the prior, {limit:.2f} would be a contradiction at 95 %{others}"
     )
     return replace(conflict, contradicts=contradicts, message=message)

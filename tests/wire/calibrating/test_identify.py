@@ -146,11 +146,12 @@ def test_priors_are_weighed() -> None:
     assert found.message == (
         "the prior of the strength of the copper, 1.5 within a factor of 1.1, contradicts the "
         "tests, which by themselves say 1: 3.00 standard errors of both together below the prior, "
-        "1.96 would be a contradiction at 95 %"
+        "1.96 would be a contradiction at 95 %; the other values are drawn along with it"
     )
     few = weigh_prior("copper_scale", replace(far, freedom=2.0))
     assert not few.contradicts
     assert "agrees with" in few.message
+    assert few.message.endswith("4.30 would be a contradiction at 95 %")
     over = weigh_prior("insulation_modulus", replace(far, centre=1e9, alone=1.2e9))
     assert "1000 MPa within a factor of 1.1, contradicts" in over.message
     assert "say 1200 MPa: 3.00 standard errors of both together above the prior" in over.message
