@@ -81,7 +81,7 @@ def pose(
     if problem.n_points <= needed:
         message = (
             f"{problem.n_points} points for {int(free.sum())} parameters and {problem.n_samples} "
-            f"samples; at least {needed + 1} are needed"
+            f"samples; at least {needed + 1} are needed: take more points, or hold a parameter"
         )
         return CalibrationFailure("too_few_points", message)
     return problem, logs, free
@@ -125,7 +125,7 @@ def _without_effect(name: str) -> CalibrationFailure:
 def _out_of_bounds(name: str, value: float, low: float, high: float) -> CalibrationFailure:
     message = (
         f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
-        f"{in_display_unit(name, low, high)}"
+        f"{in_display_unit(name, low, high)}: give a value between them"
     )
     return CalibrationFailure("value_out_of_bounds", message)
 

@@ -83,11 +83,14 @@ def test_what_does_not_act() -> None:
 
 def test_refused() -> None:
     assert refused({COPPER_SCALE: ParameterChoice(1.0, lower=1.2)}) == CalibrationFailure(
-        "value_out_of_bounds", "copper_scale starts at 1, outside its bounds, 1.2 and 20"
+        "value_out_of_bounds",
+        "copper_scale starts at 1, outside its bounds, 1.2 and 20: give a value between them",
     )
     few = pose(PARTS, measured(n=2), {}, 0.0)
     assert few == CalibrationFailure(
-        "too_few_points", "6 points for 3 parameters and 3 samples; at least 7 are needed"
+        "too_few_points",
+        "6 points for 3 parameters and 3 samples; at least 7 are needed: take more points, or "
+        "hold a parameter",
     )
 
 
