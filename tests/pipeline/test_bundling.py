@@ -126,8 +126,16 @@ def test_a_sheet_without_a_bundle(tmp_path: Path) -> None:
 
 
 def test_a_wire_that_cannot_be_built(tmp_path: Path) -> None:
+    """A hexagon of 19 strands that is 10 um too large for its bore, though the copper would fit."""
     wires = tmp_path / "wires.csv"
-    heading, row = "name,wire_diameter (mm),layers,strand_diameter (mm),lay_angle (deg)", ""
-    wires.write_text(f"{heading}\n{row}", encoding="utf-8")
-    with pytest.raises(LabpipeError, match=r"wires\.csv"):
-        model_bundle("7 B1", wires=wires, out=tmp_path / "out")
+    wires.write_text(
+        "wire,wire_diameter_mm,strands,strand_diameter_mm,lay_angles_deg,insulation_thickness_mm,"
+        "layout\nX1,1.78,19,0.24,12;-15,0.3,hexagonal\n",
+        encoding="utf-8",
+    )
+    words = (
+        r"wires\.csv, line 2.*: expected a wire 'X1' that can be modelled, found this: .*strands "
+        r"overlap the bore .* by 1e-05 m.*\. Check its row against the wire\.$"
+    )
+    with pytest.raises(ProcessingError, match=words):
+        model_bundle("7 X1", wires=wires, out=tmp_path / "out")

@@ -6,6 +6,8 @@ symmetric one, since stiffness grows with the distance from the neutral plane.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -70,6 +72,7 @@ def test_a_hexagon_is_as_stiff_in_every_direction(number: int) -> None:
     assert around == pytest.approx([model.high] * 13, rel=1e-9)
 
 
+@cache
 def mixed(number: tuple[int, int], arrangement: str, diameter: float | None = None) -> BundleModel:
     kinds = tuple(
         BundleWire(name, count, diameter) for name, count in zip(("B1", "B2"), number, strict=True)
