@@ -5,12 +5,12 @@ as a curve from elsewhere. Nothing in it is a beam: it solves for the displaceme
 with large rotations and a von Mises material.
 
 Mesh: six bricks across half the section and five along are enough. With an elastic material and
-loads to half the length, 10, 20 and 40 bricks along, and ten across, give loads 0.12 to 0.16 % below
-the elastica, alike within 0.03 %. Through the deck, whose material may not be quite elastic, 10 along
-are 0.19 to 0.25 % below it and 5 along -0.17 to 0.00 %. With the law of A2, 5, 8 and 10 along are
--0.13 to +0.15 %, -0.18 to 0.00 % and -0.20 to -0.04 % from labpipe, with that of A3 5 and 8 along
--0.12 to +0.94 % and -0.16 to +0.76 %: most of the 2 % asked for is left for the rounding of the law's
-first slope, see the head of a deck.
+loads to half the length, 10, 20 and 40 bricks along, and ten across, give loads 0.12 to 0.16 %
+below the elastica, alike within 0.03 %. Through the deck, whose material may not be quite elastic,
+10 along are 0.19 to 0.25 % below it and 5 along 0.17 % below to level. With the law of A2, 5, 8 and
+10 along are -0.13 to +0.15 %, -0.18 to 0.00 % and -0.20 to -0.04 % from labpipe; with that of A3, 5
+and 8 along are -0.12 to +0.94 % and -0.16 to +0.76 %. Most of the 2 % asked for is left for the
+rounding of the law's first slope, see the head of a deck.
 """
 
 from __future__ import annotations
