@@ -35,7 +35,7 @@ class Take:
     rate : frames per second
     names : of all measured markers, the body's first
     positions : shape (frames, markers, 3), m, NaN where not seen
-    body : the clamp; None where there is none
+    bodies : the clamp, where there is one
     fitted : shape (frames, 4, 3), m, where the fit of the body puts its markers; (frames, 0, 3)
         without a body
     quality : shape (frames, 4), Motive's figure for each of them, up to 1; (frames, 0) without
@@ -48,12 +48,17 @@ class Take:
     rate: float
     names: tuple[str, ...]
     positions: Floats
-    body: RigidBody | None
+    bodies: tuple[RigidBody, ...]
     fitted: Floats
     quality: Floats
     labels: tuple[str, ...]
     arc_lengths: Floats
     log: Log
+
+    @property
+    def body(self) -> RigidBody:
+        """The clamp."""
+        return self.bodies[0]
 
     def recording(self) -> Recording:
         """The take as a reader of the export would give it."""
@@ -63,7 +68,7 @@ class Take:
             rate=self.rate,
             names=self.names,
             positions=self.positions,
-            bodies=() if self.body is None else (self.body,),
+            bodies=self.bodies,
         )
         return Recording(reader="motive-csv", markers=tracks)
 
@@ -111,7 +116,7 @@ def record_take(
         rate=scenario.clocks.fps,
         names=names,
         positions=seen,
-        body=body,
+        bodies=(body,),
         fitted=fitted,
         quality=np.clip(1.0 - np.abs(0.01 * random.standard_normal(fitted.shape[:2])), 0.0, 1.0),
         labels=labels,

@@ -147,7 +147,7 @@ def film(
         rate=clocks.fps,
         names=tuple(f"Bundle:Marker{number + 1}" for number in numbers[order]),
         positions=seen[:, order],
-        body=None,
+        bodies=(),
         fitted=np.zeros((frames, 0, 3)),
         quality=np.zeros((frames, 0)),
         labels=tuple(f"Bundle:Marker{number + 1}" for number in numbers),

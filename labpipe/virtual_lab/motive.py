@@ -82,7 +82,7 @@ def _first_line(take: Take, word: str, started: datetime, take_name: str, seed: 
 
 def _groups(take: Take, seed: int) -> list[_Group]:
     random = np.random.default_rng([seed, 77])
-    groups = [] if take.body is None else _body_groups(take.body.name, random)
+    groups = [group for body in take.bodies for group in _body_groups(body.name, random)]
     place = tuple(("Position", axis) for axis in _AXES)
     for name in take.names:
         groups.append(_Group("Marker", name, f'"{random.bytes(3).hex().upper()}"', place))
@@ -122,17 +122,13 @@ def _table(take: Take, factor: float) -> Floats:
     """All data columns after the frame number, in the file's unit."""
     frames = len(take.time)
     fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
-    body = (
-        []
-        if take.body is None
-        else [
-            take.body.rotation,
-            take.body.position * factor,
-            take.body.error[:, None] * factor,
-        ]
-    )
+    poses = [
+        column
+        for body in take.bodies
+        for column in (body.rotation, body.position * factor, body.error[:, None] * factor)
+    ]
     seen = (take.positions * factor).reshape(frames, -1)
-    return np.hstack([take.time[:, None], *body, fitted.reshape(frames, -1), seen])
+    return np.hstack([take.time[:, None], *poses, fitted.reshape(frames, -1), seen])
 
 
 def _data_lines(take: Take, factor: float) -> Iterator[str]:

@@ -91,7 +91,9 @@ def test_what_does_not_scale_is_refused() -> None:
     with pytest.raises(ValueError, match=r"wire=WireModel, slack=0.0015: allowed are a Stranded"):
         observe_loading(CantileverScenario(), 1)
     slack = replace(usual, mechanics=replace(usual.mechanics, slack=0.001))
-    with pytest.raises(ValueError, match=r"slack=0.001: allowed are a StrandedWire or a BundleModel, and None"):
+    with pytest.raises(
+        ValueError, match=r"slack=0.001: allowed are a StrandedWire or a BundleModel, and None"
+    ):
         observe_loading(slack, 1)
     with pytest.raises(ValueError, match=r"factor=1.3: allowed are numbers from 0.8 to 1.25"):
         observe_loading(scenario(factor=1.3), 1)
