@@ -14,7 +14,7 @@ from labpipe.protocol.bundle_words import bundle_in_words
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet import SHEET_NAME
 from labpipe.readers.wire_sheet import read_wire_sheet
-from labpipe.records.bundle import PACKED, Bundle, BundleModel
+from labpipe.records.bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import save_bundle_figure
 from labpipe.store.lock import locked
@@ -104,6 +104,7 @@ def model_bundle(
         If the words, the test sheet or the wire sheet have faults, a wire is not in the sheet, or
         the bundle fits no conduit; earlier results are then as they were.
     """
+    _check_arrangement(arrangement)
     name, bundle = _bundle(what, arrangement)
     tables = _tables(bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
@@ -119,6 +120,18 @@ def model_bundle(
     ]
     modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
     return _write(modelled, figures=figures)
+
+
+def _check_arrangement(arrangement: str | None) -> None:
+    if arrangement not in (None, *ARRANGEMENTS):
+        message = complaint(
+            "--arrangement",
+            "",
+            expected=f"one of {', '.join(ARRANGEMENTS)}",
+            found=repr(arrangement),
+            remedy="Choose one, or leave it out.",
+        )
+        raise UsageError(message)
 
 
 def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:

@@ -104,6 +104,16 @@ def test_bundles_that_cannot_be(
     assert not (tmp_path / "out").exists()
 
 
+def test_an_arrangement_that_there_is_not(tmp_path: Path) -> None:
+    path = sheet(tmp_path, "{wires: {B1: 4, B2: 3}}")
+    words = (
+        r"^--arrangement: expected one of packed, symmetric, asymmetric, found 'round'\. "
+        r"Choose one, or leave it out\.$"
+    )
+    with pytest.raises(UsageError, match=words):
+        model_bundle(str(path), wires=EXAMPLES, arrangement="round", out=tmp_path / "out")
+
+
 def test_no_conduit_is_wide_enough(tmp_path: Path) -> None:
     words = (
         r"^7 B1: expected a bundle whose wires lie beside each other, inside its conduit, found "
