@@ -112,7 +112,7 @@ def test_an_error_in_a_process_comes_through(many: Path, monkeypatch: pytest.Mon
         message = "no room for the workbook"
         raise StoreError(message)
 
-    monkeypatch.setattr("labpipe.report.wire_workbook._book", fails)
+    monkeypatch.setattr("labpipe.report.wire_workbook._sheets", fails)
     out = many.parent / "out"
     with pytest.raises(StoreError, match=r"^no room for the workbook$"):
         model_wires(many, out=out, figures=False)
