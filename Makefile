@@ -12,6 +12,9 @@ BIN := .venv/bin
 demo: .venv/.ready  ## a synthetic campaign in real vendor formats, processed, with figures to look at
 	$(BIN)/labpipe demo
 
+# The matrices are small: more than one thread of BLAS only waits for the others.
+test test-slow: export OPENBLAS_NUM_THREADS = 1
+
 test: .venv/.ready  ## everything but the slow studies
 	$(BIN)/python -m pytest -n 2
 
