@@ -183,6 +183,14 @@ def _report(parser: argparse.ArgumentParser) -> None:
     where = "folder of the report (default: report, beside the tests)"
     parser.add_argument("--out", type=Path, metavar="DIR", help=where)
     parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
+    fields = (
+        "fields of the test sheets that groups are made by, such as wire,taping (default: type)"
+    )
+    parser.add_argument("--by", default="", metavar="FIELD[,FIELD...]", help=fields)
+    alone = "show only pairs of groups that differ in this field and no other, such as taping"
+    parser.add_argument("--compare", default="", metavar="FIELD", help=alone)
+    sheet = "wire sheet: shows where bundles lie between wires that slip and wires that stick"
+    parser.add_argument("--wire", type=Path, metavar="SHEET", help=sheet)
 
 
 def _model(parser: argparse.ArgumentParser) -> None:

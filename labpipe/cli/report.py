@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from labpipe.cli.telling import reading, report_table
-from labpipe.pipeline.reporting import Reported, report_tests
+from labpipe.pipeline.reporting import BY_TYPE, Reported, Wanted, report_tests
 from labpipe.pipeline.targets import find_results
 from labpipe.records.result import Status
 
@@ -15,9 +15,17 @@ def run(options: argparse.Namespace) -> int:
     """Put processed tests together into a page, figures and a workbook."""
     files = find_results(options.paths)
     with reading(len(files)) as say:
-        reported = report_tests(files, out=options.out, title=options.title, say=say)
+        reported = report_tests(
+            files, out=options.out, title=options.title, say=say, wanted=_wanted(options)
+        )
     print(report_table(reported))
     return status_of(reported)
+
+
+def _wanted(options: argparse.Namespace) -> Wanted:
+    """Groups and comparisons as they were typed."""
+    by = tuple(dict.fromkeys(filter(None, map(str.strip, options.by.split(",")))))
+    return Wanted(by or BY_TYPE.by, options.compare, options.wire)
 
 
 def status_of(reported: Reported) -> int:

@@ -58,9 +58,9 @@ def _bundles(group: Group) -> list[Bundle]:
 
 
 def _bundle(sample: Sample) -> Bundle | None:
-    """What bounds rest on: the bundle, whatever conduit or tape is around it."""
+    """What bounds rest on: the wires and where they lie, whatever holds them together."""
     own = sample.specimen.bundle
-    return None if own is None else replace(own, conduit_bore=None)
+    return None if own is None else Bundle(own.wires, own.arrangement, own.positions)
 
 
 def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bundle, _Bounds]:
@@ -120,7 +120,9 @@ def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
     model = bounds.model
     if model is None:
         return replace(place, reason=bounds.reason)
-    place = replace(place, low=model.low, high=model.high, principal=model.principal)
+    place = replace(
+        place, low=model.low, free=model.free, high=model.high, principal=model.principal
+    )
     if place.value is None:
         return place
     if not model.high > model.low:

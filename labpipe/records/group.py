@@ -261,8 +261,8 @@ class BundlePlace:
     group, test : of the sample; without a test, the mean of the group
     value : measured bending stiffness, N m^2; None where there is none
     interval : 95 %, of `value`
-    low, high : N m^2, of the bundle model: all slips, and nothing does, bent along y; NaN without
-        bounds
+    low, free, high : N m^2, of the bundle model: all slips; wires slip and the strands within them
+        stick; nothing slips, bent along y. NaN without bounds
     principal : N m^2, least and largest of all directions with nothing slipping
     share : of the way from `low` to `high`; NaN without both
     share_interval : 95 %, from that of `value`; the bounds are taken as known
@@ -274,6 +274,7 @@ class BundlePlace:
     value: float | None
     interval: Interval | None
     low: float = float("nan")
+    free: float = float("nan")
     high: float = float("nan")
     principal: tuple[float, float] = (float("nan"), float("nan"))
     share: float = float("nan")

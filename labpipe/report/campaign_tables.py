@@ -1,21 +1,18 @@
-"""The tables of a whole campaign: concerns, differences between groups, methods, the tests."""
+"""The tables of a whole campaign: concerns, methods, the tests."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 from labpipe.records.group import Campaign, Sample
-from labpipe.report.concerns import Concern, Kind, find_concerns, split_reason
+from labpipe.report.concerns import Concern, Kind, find_concerns
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.numbers import (
     display_of,
-    heading,
     in_words,
     shown_in,
     unit_words,
     with_names_in_words,
-    write_number,
 )
 
 _NO_METHOD = "No sample has this number."
@@ -36,30 +33,6 @@ def concern_tables(campaign: Campaign) -> list[Table]:
 def _concern_row(concern: Concern) -> tuple[Cell, ...]:
     test = Cell(concern.test or "the whole group", concern.group)
     return test, Cell(concern.what or DASH), Cell(concern.reason, concern.code)
-
-
-def difference_table(campaign: Campaign) -> Table | None:
-    """Make the table of differences between groups; None where there are none."""
-    displays = {group.name: display_of(group) for group in campaign.groups}
-    rows = []
-    for each in campaign.differences:
-        shown = shown_in(each.name, each.unit, displays.get(each.first, {}))
-        found = each.difference
-        written = write_number(found.mean, found.interval, shown.factor)
-        none = split_reason(found.reason)[1] or DASH
-        margin = math.nan if each.margin is None else each.margin
-        matters = write_number(margin, None, shown.factor, digits=3).value
-        rows.append(
-            (
-                Cell(heading(each.name, shown.unit), f"{each.second} minus {each.first}"),
-                Cell(written.value),
-                Cell(written.interval or none),
-                Cell(matters),
-                Cell(each.verdict),
-            )
-        )
-    heads = ("Number", "Difference", "95 % interval", "Does not matter below", "In words")
-    return Table("Differences between groups", heads, tuple(rows)) if rows else None
 
 
 def method_tables(campaign: Campaign) -> list[Table]:

@@ -1,4 +1,4 @@
-"""Figures over groups that differ in one field: mean curves over each other, and the main number."""
+"""Figures over groups that differ in one field: mean curves and the main number of each."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ _ROOM = 0.4
 _ROOM_FOR_INTERVALS = 1.5
 _BAND_LOOK: dict[str, Any] = {"alpha": 0.16, "linewidth": 0, "zorder": 1}
 _DASHES: tuple[Any, ...] = (
-    "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)), (0, (3, 1, 1, 1, 1, 1))
+    "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
+    (0, (3, 1, 1, 1, 1, 1)),
 )  # fmt: skip
 _SIGNS = "osD^vP"
 _LONGEST = 34

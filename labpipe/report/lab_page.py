@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +12,6 @@ from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.campaign_tables import (
     concern_tables,
-    difference_table,
     method_tables,
     table_of_tests,
 )
@@ -23,6 +24,9 @@ from labpipe.report.group_tables import (
     spool_means,
 )
 from labpipe.report.numbers import with_names_in_words
+from labpipe.report.place_tables import has_bundles, place_table
+from labpipe.report.question_tables import difference_table, question_table, remarks_on_pairs
+from labpipe.report.questions import answering_pairs, field_words
 from labpipe.report.saved_figures import SavedFigure
 
 if TYPE_CHECKING:
@@ -31,8 +35,30 @@ if TYPE_CHECKING:
 _TEMPLATE = "lab_report.html"
 
 
+@dataclass(frozen=True, slots=True)
+class FiguresBetween:
+    """Figures over several groups.
+
+    Parameters
+    ----------
+    questions : by the field that the groups differ in
+    places : of bundles between slipping and sticking
+    """
+
+    questions: Mapping[str, Sequence[SavedFigure]] = field(default_factory=dict)
+    places: Sequence[SavedFigure] = ()
+
+    @property
+    def every(self) -> list[SavedFigure]:
+        """All of them, in the order of the page."""
+        return [*self.places, *(each for own in self.questions.values() for each in own)]
+
+
 def render_page(
-    campaign: Campaign, stems: Sequence[str], figures: Sequence[Sequence[SavedFigure]]
+    campaign: Campaign,
+    stems: Sequence[str],
+    figures: Sequence[Sequence[SavedFigure]],
+    between: FiguresBetween | None = None,
 ) -> str:
     """Write the page of a campaign.
 
@@ -41,6 +67,7 @@ def render_page(
     campaign : all that is shown
     stems : one per group: its name in links
     figures : of each group
+    between : over several groups
 
     Returns
     -------
@@ -49,6 +76,7 @@ def render_page(
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+    between = between or FiguresBetween()
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
@@ -63,10 +91,15 @@ def render_page(
         concern_count=len(find_concerns(campaign)),
         groups=groups,
         differences=difference_table(campaign),
+        questions=_questions(campaign, between.questions),
+        remarks_on_pairs=remarks_on_pairs(campaign),
+        has_bundles=has_bundles(campaign),
+        places=place_table(campaign),
+        place_figures=_inline(between.places),
         protocols=", ".join(sorted({group.protocol for group in campaign.groups})) or "none",
         methods=method_tables(campaign),
         tests=table_of_tests(campaign),
-        classes=_classes(figures),
+        classes=_classes([*figures, between.every]),
     )
 
 
@@ -103,8 +136,6 @@ def _count(count: int, what: str) -> str:
 
 
 def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str, Any]:
-    from markupsafe import Markup
-
     return {
         "name": group.name,
         "stem": stem,
@@ -116,12 +147,31 @@ def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str,
         "spools": spool_means(group),
         "samples": sample_tables(group),
         "slips": slip_table(group),
-        # Made by matplotlib, with every text escaped: a drawing, not text to be shown.
-        "figures": [
-            {"svg": Markup(each.drawing.element), "caption": each.caption} for each in figures
-        ],
+        "figures": _inline(figures),
         "remarks": _remarks(group),
     }
+
+
+def _inline(figures: Sequence[SavedFigure]) -> list[dict[str, Any]]:
+    """Drawings made by matplotlib, with every text escaped: not text to be shown."""
+    from markupsafe import Markup
+
+    return [{"svg": Markup(each.drawing.element), "caption": each.caption} for each in figures]
+
+
+def _questions(
+    campaign: Campaign, figures: Mapping[str, Sequence[SavedFigure]]
+) -> list[dict[str, Any]]:
+    """What groups that differ in one field tell of it, field by field."""
+    pairs = groupby(answering_pairs(campaign), key=lambda pair: pair.field)
+    return [
+        {
+            "name": field_words(name),
+            "figures": _inline(figures.get(name, ())),
+            "tables": [question_table(pair) for pair in own],
+        }
+        for name, own in pairs
+    ]
 
 
 def _remarks(group: Group) -> list[str]:

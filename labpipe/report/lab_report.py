@@ -6,8 +6,11 @@ from pathlib import Path
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.group import Campaign
+from labpipe.report.comparison_figures import figures_of_families
 from labpipe.report.group_figures import save_drawings, stems
-from labpipe.report.lab_page import render_page
+from labpipe.report.lab_page import FiguresBetween, render_page
+from labpipe.report.place_figures import place_figures
+from labpipe.report.saved_figures import SavedFigure, save_figures
 from labpipe.report.workbook import save_workbook
 
 PAGE_FILE = "report.html"
@@ -25,7 +28,8 @@ def write_report(campaign: Campaign, folder: Path) -> list[Path]:
 
     Returns
     -------
-    The page, the workbook, then the figures of each group as SVG, PNG and PDF.
+    The page, the workbook, then as SVG, PNG and PDF the figures of each group, and those that
+    compare groups.
 
     Raises
     ------
@@ -41,7 +45,8 @@ def write_report(campaign: Campaign, folder: Path) -> list[Path]:
             for group, name in zip(campaign.groups, names, strict=True)
         ]
         page, tables = folder / PAGE_FILE, folder / TABLES_FILE
-        page.write_text(render_page(campaign, names, drawn), encoding="utf-8")
+        between = _between(campaign, figures)
+        page.write_text(render_page(campaign, names, drawn, between), encoding="utf-8")
         save_workbook(campaign, tables)
     except OSError as error:
         message = complaint(
@@ -52,4 +57,15 @@ def write_report(campaign: Campaign, folder: Path) -> list[Path]:
             remedy="Make room, or change the permissions, and make the report again.",
         )
         raise StoreError(message) from error
-    return [page, tables, *(file for each in drawn for figure in each for file in figure.files)]
+    every = [*(figure for each in drawn for figure in each), *between.every]
+    return [page, tables, *(file for figure in every for file in figure.files)]
+
+
+def _between(campaign: Campaign, folder: Path) -> FiguresBetween:
+    """Draw what compares groups."""
+    questions: dict[str, list[SavedFigure]] = {}
+    wanted = list(figures_of_families(campaign))
+    saved = save_figures([figure for _, figure in wanted], folder)
+    for (name, _), figure in zip(wanted, saved, strict=True):
+        questions.setdefault(name, []).append(figure)
+    return FiguresBetween(questions, save_figures(place_figures(campaign), folder))

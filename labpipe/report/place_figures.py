@@ -28,12 +28,16 @@ _LONGEST = 44
 _BOUNDS: dict[str, Any] = {
     "color": "#d5d5d5", "linewidth": 5.0, "solid_capstyle": "butt", "zorder": 1
 }  # fmt: skip
+_FREE: dict[str, Any] = {
+    "color": GREY, "marker": "|", "markersize": 6.0, "linestyle": "", "zorder": 2
+}  # fmt: skip
 _SAMPLE: dict[str, Any] = {"color": "#0072B2", "marker": "o", "markersize": 3.6}
 _MEAN: dict[str, Any] = {"color": "black", "marker": "D", "markersize": 4.2}
 _CAPTION = (
-    "Grey: from where every wire and strand slips to where nothing slips, by the bundle model of the"
-    " wire sheet, for wires alone. Dots: samples with their 95 % intervals; diamonds: means of the"
-    " groups. The axis is logarithmic; an interval that reaches zero ends at its left edge."
+    "Grey: from where every wire and strand slips to where nothing slips, by the bundle model of"
+    " the wire sheet, for wires alone; the tick: wires slip, the strands within them do"
+    " not. Dots: samples with their 95 % intervals; diamonds: means of the groups."
+    " The axis is logarithmic; an interval that reaches zero ends at its left edge."
 )
 
 
@@ -93,7 +97,13 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.set_xlabel(f"Bending stiffness ({unit_words(scale.unit)})")
     number_log(axes.xaxis)
+    axes.xaxis.set_major_formatter(_plain)
     return page
+
+
+def _plain(value: float, _: object = None) -> str:
+    """A number of an axis without a power of ten, in groups of three digits."""
+    return f"{value:,.0f}".replace(",", "\u2009") if value >= 1.0 else f"{value:g}"
 
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
@@ -116,6 +126,7 @@ def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
     look = _SAMPLE if place.test else _MEAN
     if not isnan(place.low):
         axes.plot([factor * place.low, factor * place.high], [row, row], **_BOUNDS)
+        axes.plot([factor * place.free], [row], **_FREE)
     left = axes.get_xlim()[0]
     if place.value is not None and place.value > 0.0:
         if place.interval is not None:
@@ -139,6 +150,7 @@ def _keys() -> list[Artist]:
 
     return [
         Line2D([], [], color=_BOUNDS["color"], linewidth=5.0, label="all slips to nothing slips"),
+        Line2D([], [], label="wires slip, strands stick", **_FREE),
         Line2D([], [], linewidth=1.0, label="sample, 95 %", **_SAMPLE),
         Line2D([], [], linewidth=1.0, label="mean of a group, 95 %", **_MEAN),
     ]

@@ -12,10 +12,11 @@ from labpipe.report.wording import Scale
 
 UNIT = "N*m^2"
 _NOTES = (
-    "All slips: every wire slips on its neighbours, and its strands on each other. Nothing slips:"
-    " the section stays plane, bent in the plane of the test; below it, the least and the largest of"
-    " all directions. Both are worked out from the wire sheet, for wires alone: what tape, conduit"
-    " and friction add is in the measured number only.",
+    "All slips: every wire slips on its neighbours, and its strands on each other. Wires slip: the"
+    " same with strands that stick. Nothing slips:"
+    " the section stays plane, bent in the plane of the test; below it, the least and the largest"
+    " of all directions. Both are worked out from the wire sheet, for wires alone: what tape,"
+    " conduit and friction add is in the measured number only.",
     "Share of the way: 0 % where all slips, 100 % where nothing does. Its interval is that of the"
     " measured number; how well the wire sheet knows the wires is not in it.",
 )
@@ -42,8 +43,8 @@ def place_table(campaign: Campaign) -> Table | None:
     units = dict.fromkeys(unit_words(scale.unit) for scale in scales.values())
     unit = next(iter(units)) if len(units) == 1 else "unit of the group"
     heads = (
-        "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Nothing slips ({unit})",
-        "Share of the way",
+        "Test", f"Bending stiffness ({unit})", f"All slips ({unit})", f"Wires slip ({unit})",
+        f"Nothing slips ({unit})", "Share of the way",
     )  # fmt: skip
     return Table("Between slipping and sticking", heads, rows, _NOTES)
 
@@ -63,10 +64,11 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
     written = write_number(value, place.interval, scale.factor)
     why = split_reason(place.reason)[1]
     if isnan(place.low):
-        return head, Cell(written.value, written.interval), Cell(DASH), Cell(DASH), Cell(DASH, why)
-    low, high, least, largest = (
+        none = Cell(DASH)
+        return head, Cell(written.value, written.interval), none, none, none, Cell(DASH, why)
+    low, free, high, least, largest = (
         write_number(each, None, scale.factor, digits=3).value
-        for each in (place.low, place.high, *place.principal)
+        for each in (place.low, place.free, place.high, *place.principal)
     )
     share = write_number(100.0 * place.share, None, digits=2)
     if place.share_interval is not None:
@@ -76,6 +78,7 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
         head,
         Cell(written.value, written.interval),
         Cell(low),
+        Cell(free),
         Cell(high, "" if least == largest else f"{least} to {largest}"),
         Cell(text, why or (f"{share.interval} %" if share.interval else "")),
     )

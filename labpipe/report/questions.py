@@ -196,13 +196,13 @@ def context_words(groups: Sequence[Group], field: str) -> str:
 
 
 def _made_of(alike: Mapping[str, str]) -> list[str]:
-    """Wires and how they lie; where all are of one kind, they can lie in one way only."""
+    """Wires, and of several kinds how they are spread."""
     wires = [alike["composition"]] if "composition" in alike else []
     if not wires and "wire" in alike:
         wires = [alike["wire"]]
     if not wires and "number" in alike:
         wires = [f"{alike['number']} wires"]
-    is_mixed = "&" in alike.get("wire", "&")
+    is_mixed = "&" in alike.get("wire", "")
     return [*wires, alike.get("arrangement", "") if is_mixed else ""]
 
 

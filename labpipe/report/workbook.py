@@ -7,11 +7,14 @@ from pathlib import Path
 from typing import TypeAlias
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Band, Campaign, Group, GroupNumber
+from labpipe.records.group import Band, BundlePlace, Campaign, Group, GroupNumber
 from labpipe.report.concerns import find_concerns
 from labpipe.report.group_look import group_scale
 from labpipe.report.numbers import display_of, in_words, shown_in
+from labpipe.report.place_tables import place_scales
+from labpipe.report.question_tables import fields_in_words
 from labpipe.report.sheets import Sheet, Value, save_sheets, sheet_name
+from labpipe.report.wording import Scale
 
 _ABOUT = (
     "Numbers are in the unit of their row or of their column's heading, with all digits.",
@@ -60,6 +63,8 @@ def _tables(campaign: Campaign) -> Iterator[tuple[str, _Table]]:
     yield "spools", _spools(campaign)
     yield "samples", _samples(campaign)
     yield "comparisons", _comparisons(campaign)
+    if campaign.places:
+        yield "slipping and sticking", _places(campaign)
     for group in campaign.groups:
         yield f"curve {group.name}", _curve(group, group.band, is_scaled=False)
         if group.band_scaled is not None:
@@ -148,6 +153,7 @@ def _comparisons(campaign: Campaign) -> _Table:
         "does not matter below", "equivalent, p", "verdict", "reason",
     )  # fmt: skip
     displays = {group.name: display_of(group) for group in campaign.groups}
+    has_fields = any(each.fields and "type" not in each.fields for each in campaign.differences)
     rows: list[Row] = []
     for each in campaign.differences:
         scale = shown_in(each.name, each.unit, displays.get(each.first, {}))
@@ -156,8 +162,28 @@ def _comparisons(campaign: Campaign) -> _Table:
         names = (in_words(each.name), each.name, each.first, each.second, scale.unit)
         ends = _ends(found.interval, scale.factor)
         about = (margin, each.p_equivalent, each.verdict, found.reason)
-        rows.append((*names, scale.factor * found.mean, *ends, *about))
+        fields = (each.question, fields_in_words(each)) if has_fields else ()
+        rows.append((*names, scale.factor * found.mean, *ends, *about, *fields))
+    return (*heads, *(("question", "differ in") if has_fields else ())), rows
+
+
+def _places(campaign: Campaign) -> _Table:
+    heads = (
+        "group", "test", "unit", "bending stiffness", "lower", "upper", "all slips",
+        "wires slip", "nothing slips", "least of all directions", "largest of all directions",
+        "share", "share lower", "share upper", "reason",
+    )  # fmt: skip
+    scales = place_scales(campaign)
+    rows = [_place(each, scales[each.group]) for each in campaign.places]
     return heads, rows
+
+
+def _place(place: BundlePlace, scale: Scale) -> Row:
+    up = scale.factor
+    value = None if place.value is None else up * place.value
+    bounds = (up * each for each in (place.low, place.free, place.high, *place.principal))
+    ends = (*_ends(place.interval, up), *bounds, place.share, *_ends(place.share_interval, 1.0))
+    return (place.group, place.test or "mean", scale.unit, value, *ends, place.reason)
 
 
 def _curve(group: Group, band: Band, *, is_scaled: bool) -> _Table:

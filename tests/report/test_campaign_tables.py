@@ -1,15 +1,11 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
-from labpipe.records.group import Campaign
 from labpipe.report.campaign_tables import (
     concern_tables,
-    difference_table,
     method_tables,
     table_of_tests,
 )
-from tests.builders.campaigns import build_campaign, build_difference
+from tests.builders.campaigns import build_campaign
 
 
 def test_concerns_are_counted_in_their_captions() -> None:
@@ -22,21 +18,6 @@ def test_concerns_are_counted_in_their_captions() -> None:
         "Slips in the grips (1)",
         "Warnings (2)",
     ]
-
-
-def test_differences() -> None:
-    table = difference_table(build_campaign())
-    assert table is not None
-    assert [cell.text for cell in table.rows[0]] == [
-        "Stiffness, first region (N/mm)", "-1.42", "-1.60 to -1.24", "0.500",
-        "They differ by more than the margin of 10 %.",
-    ]  # fmt: skip
-    unknown = replace(build_difference(), margin=None)
-    unknown = replace(unknown, difference=replace(unknown.difference, interval=None))
-    table = difference_table(Campaign("Synthetic", (), (unknown,)))
-    assert table is not None
-    assert [cell.text for cell in table.rows[0][2:4]] == ["\u2013", "\u2013"]
-    assert difference_table(Campaign("Synthetic", ())) is None
 
 
 def test_methods_and_tests() -> None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from labpipe.records.quality import Severity
 from labpipe.records.result import Status
+from labpipe.statistics.group_notes import grouping_notes, sample_notes
+from tests.builders.bundle_campaigns import bundle_of, bundle_sample
 from tests.builders.sloped_samples import built, said, samples, stiffness
 
 
@@ -63,3 +66,41 @@ def test_samples_of_other_size_are_said() -> None:
     assert said(built([one, longer]))["dimensions_differ"].startswith(
         "the samples differ in length: 300 mm to 400 mm"
     )
+
+
+def test_bundles_and_labels_that_differ_are_said() -> None:
+    members = [
+        bundle_sample(bundle_of("7 B1"), 1, labels={"cured": "24 h"}),
+        bundle_sample(bundle_of("12 B1"), 2, labels={"cured": "48 h"}),
+        bundle_sample(bundle_of("12 B1"), 3, labels={"cured": "48 h"}),
+    ]
+    notes = {note.code: note for note in sample_notes(members)}
+    first, second, third = (sample.test for sample in members)
+    assert notes["bundles_differ"].message == (
+        f"the samples differ in composition: 7 B1 ({first}) and 12 B1 ({second}, {third});"
+        " a mean over them mixes what this changes with scatter"
+    )
+    assert notes["bundles_differ"].severity is Severity.WARNING
+    assert notes["labels_differ"].message == (
+        f"the samples differ in cured: 24 h ({first}) and 48 h ({second}, {third})"
+    )
+    alike = [note.code for note in sample_notes(members[1:])]
+    assert not {"bundles_differ", "labels_differ"} & set(alike)
+
+
+def test_a_bundle_among_other_specimens_is_said() -> None:
+    members = [bundle_sample(bundle_of("7 B1"), 1), bundle_sample(None, 2)]
+    told = [note.message for note in sample_notes(members) if note.code == "bundles_differ"]
+    assert any("composition: 7 B1" in each and "not said (tube-2)" in each for each in told)
+
+
+def test_how_groups_were_made_is_said() -> None:
+    one, two = grouping_notes(["taping"], ["s1"])
+    assert (one.code, one.severity, one.message) == (
+        "field_not_said", Severity.WARNING, "the test sheets of these samples do not say taping"
+    )  # fmt: skip
+    assert two.message == (
+        "several types have a spool of the name s1: spools belong to a type, so they count as"
+        " several spools"
+    )
+    assert grouping_notes([], []) == []
