@@ -14,6 +14,8 @@ _SLOPES = 600
 _STEEPEST = 1.35
 """rad, slope at the supports up to which a path is followed: 77 deg."""
 _WINDOW = 200
+_LEAST = 0.5
+"""Share of the stiffness at small deflections; with less, geometry says more than the specimen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +90,8 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
 
     Returns
     -------
-    The ratio; a failure ``beyond_elastica`` where the beam would slip through before.
+    The ratio; a failure ``beyond_elastica`` where the beam would slip through before, or is less
+    than half as stiff as at first.
 
     Examples
     --------
@@ -107,4 +110,11 @@ def stiffness_ratio(rollers: Rollers, *, low: float, high: float) -> float | Fai
     at = np.linspace(low, high, _WINDOW)
     over = np.interp(at, deflection[: last + 1], load[: last + 1])
     slope = float(np.polynomial.Polynomial.fit(at, over, 1).convert().coef[1])
-    return slope * rollers.span**3 / 48.0
+    ratio = slope * rollers.span**3 / 48.0
+    if ratio < _LEAST:
+        return Failure(
+            "beyond_elastica",
+            f"from {1e3 * low:.4g} mm to {1e3 * high:.4g} mm the load on an elastic beam rises "
+            f"{ratio:.2g} times as fast as at first, {_LEAST} is the least that is corrected",
+        )
+    return ratio

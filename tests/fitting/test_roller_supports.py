@@ -41,3 +41,11 @@ def test_beyond_what_an_elastic_beam_can_do() -> None:
     assert found.message == (
         "an elastic beam on this span slips through at 61.76 mm, the stiffness goes up to 200 mm"
     )
+
+
+def test_a_stretch_in_which_geometry_decides() -> None:
+    found = stiffness_ratio(Rollers(0.1), low=0.01, high=0.03)
+    assert isinstance(found, Failure)
+    assert found.code == "beyond_elastica"
+    assert found.message.startswith("from 10 mm to 30 mm the load on an elastic beam rises 0.2")
+    assert found.message.endswith(" times as fast as at first, 0.5 is the least that is corrected")
