@@ -22,7 +22,7 @@ from labpipe.statistics.groups import build_group
 
 PROTOCOL = "taped-bundle"
 SPAN = 0.1143
-MAIN = ["bending_stiffness", "peak_force.1"]
+MAIN = ("bending_stiffness", "peak_force.1")
 DISPLAY = {
     "displacement": "mm", "force": "N", "stiffness": "N/m", "bending_stiffness": "N*mm^2"
 }  # fmt: skip
@@ -96,8 +96,8 @@ def bundle_campaign(
 ) -> Campaign:
     """A campaign with its differences."""
     groups = grouped(samples, *by)
-    wishes = {PROTOCOL: Groups(main=MAIN, margin=margin)}  # type: ignore[call-arg]
-    settings = {sample.source: {} for sample in samples}
+    wishes = {PROTOCOL: Groups(main=MAIN, margin=margin)}
+    settings: dict[str, dict[str, str]] = {sample.source: {} for sample in samples}
     found = find_differences(groups, wishes, settings, by=by or (TYPE,), alone=alone)
     campaign = Campaign("Synthetic bundles", tuple(groups), found.shown, labpipe_version="0.0")
     return replace(

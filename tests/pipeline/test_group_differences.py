@@ -53,8 +53,10 @@ def test_twenty_percent_apart_is_different() -> None:
 
 def test_only_one_question() -> None:
     groups = grouped(conduit_cases())
-    wishes = {PROTOCOL: Groups(main=MAIN)}  # type: ignore[call-arg]
-    settings = {sample.source: {} for group in groups for sample in group.samples}
+    wishes = {PROTOCOL: Groups(main=MAIN)}
+    settings: dict[str, dict[str, str]] = {
+        sample.source: {} for group in groups for sample in group.samples
+    }
     found = find_differences(groups, wishes, settings, by=("type",), alone="taping")
     assert {each.question for each in found.shown} == {"taping"}
     assert (len(found.shown), found.pairs_not_shown) == (6, 25)
@@ -63,7 +65,7 @@ def test_only_one_question() -> None:
 def test_tests_that_were_processed_otherwise_are_told() -> None:
     samples = [*three_of(NONE), *three_of(HALF_LAP)]
     groups = grouped(samples)
-    wishes = {PROTOCOL: Groups(main=MAIN)}  # type: ignore[call-arg]
+    wishes = {PROTOCOL: Groups(main=MAIN)}
     settings = {each.source: {"results.kink.to": "5 mm"} for each in samples}
     settings[samples[0].source] = {"results.kink.to": "4 mm"}
     found = find_differences(groups, wishes, settings, by=("type",))

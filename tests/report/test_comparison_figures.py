@@ -48,7 +48,7 @@ def test_the_curves_are_the_means_with_their_bands() -> None:
         plot_bands(TAPING, axes)
         assert len(axes.lines) == len(axes.collections) == 3
         for line, group in zip(axes.lines, TAPING.groups, strict=True):
-            x, y = line.get_xdata(), line.get_ydata()
+            x, y = (np.asarray(each, float) for each in (line.get_xdata(), line.get_ydata()))
             np.testing.assert_allclose(
                 y, np.interp(x, 1e3 * group.band.displacement, group.band.mean)
             )
@@ -61,7 +61,9 @@ def test_force_over_peak_force() -> None:
     with style():
         axes = Figure().subplots()
         plot_bands(TAPING, axes, is_scaled=True)
-        assert [float(np.max(line.get_ydata())) for line in axes.lines] == pytest.approx([1.0] * 3)
+        assert [float(np.asarray(line.get_ydata()).max()) for line in axes.lines] == pytest.approx(
+            [1.0] * 3
+        )
         assert axes.get_ylabel() == "Force / peak force"
 
 
@@ -80,7 +82,7 @@ def test_the_main_number_with_its_samples() -> None:
         axes = Figure().subplots()
         plot_means(TAPING, "bending_stiffness", axes)
         assert [label.get_text() for label in axes.get_yticklabels()] == list(TAPING.words)
-        means = [float(line.get_xdata()[0]) for line in axes.lines[2::3]]
+        means = [float(np.asarray(line.get_xdata())[0]) for line in axes.lines[2::3]]
         for mean, group in zip(means, TAPING.groups, strict=True):
             assert group.numbers[0].mean is not None
             assert mean == pytest.approx(1e6 * group.numbers[0].mean.chosen.mean)

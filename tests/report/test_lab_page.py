@@ -7,10 +7,11 @@ from html.parser import HTMLParser
 
 import pytest
 
-from labpipe.records.group import Campaign
+from labpipe.records.group import BundlePlace, Campaign
 from labpipe.report.inline_svg import Inline
-from labpipe.report.lab_page import render_page
+from labpipe.report.lab_page import FiguresBetween, render_page
 from labpipe.report.saved_figures import SavedFigure
+from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, conduit_cases, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
 
 FIGURE = SavedFigure(Inline("<svg></svg>", {"s1": "fill: none"}), "How to <read> it.", ())
@@ -104,3 +105,46 @@ def test_a_campaign_without_fault_says_so() -> None:
 def test_what_all_tests_share_is_not_in_an_interval_and_the_page_says_so(page: str) -> None:
     assert page.count("Errors that all tests on one machine share") == 1
     assert "A mean keeps three significant digits" in page
+
+
+def test_questions_stand_before_all_other_differences() -> None:
+    campaign = bundle_campaign(conduit_cases())
+    names = [f"g{number}" for number in range(len(campaign.groups))]
+    figures = [[FIGURE] for _ in campaign.groups]
+    page = render_page(campaign, names, figures, FiguresBetween({"taping": [FIGURE]}, []))
+    wanted = [
+        "<h2>Between slipping and sticking</h2>", "labpipe report ... --wire SHEET",
+        "<h2>Differences between groups</h2>", "all else being equal", "18 pairs are not shown",
+        "<h3>Wire</h3>", "Wire: B2 against B1, all else equal", "<h3>Number</h3>",
+        "<h3>Taping</h3>", "<figure>", "Taping: half-lap against none, all else equal",
+        "<h3>Conduit</h3>", "<h2>How the numbers were made</h2>",
+    ]  # fmt: skip
+    rest = page
+    for words in wanted:
+        before, found, rest = rest.partition(words)
+        assert found, (words, before[-200:])
+    outline = Outline(page)
+    assert outline.open == []
+    assert outline.tags["table"] == outline.tags["caption"]
+    assert set(re.findall(r'href="#([^"]+)"', page)) <= set(re.findall(r' id="([^"]+)"', page))
+
+
+def test_places_of_bundles_stand_on_the_page() -> None:
+    campaign = bundle_campaign(three_of(bundle_of("7 B1")))
+    place = BundlePlace(campaign.groups[0].name, "t-1", None, None, reason="x: no bounds: why")
+    page = render_page(
+        replace(campaign, places=(place,), wire_sheet="<wires>.xlsx"),
+        ["g"], [[]], FiguresBetween({}, [FIGURE]),
+    )  # fmt: skip
+    assert "--wire SHEET" not in page
+    assert "&lt;wires&gt;.xlsx" in page
+    assert "No bounds: why." in page
+    assert page.count("<figure>") == 1
+
+
+def test_groups_without_a_bundle_have_none_of_this(page: str) -> None:
+    assert "slipping and sticking" not in page
+    assert "all else" not in page
+    assert page.count("<h3>") == page.count("<h3>Samples") + page.count("<h3>Figures") + page.count(
+        "<h3>Remarks"
+    )

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from labpipe.records.curve import Interval
@@ -24,10 +25,10 @@ def test_rows_bars_and_dots() -> None:
     assert axes.get_xscale() == "log"
     assert [label.get_text() for label in axes.get_yticklabels()] == ["t-1", "mean of g"]
     bar, tick, ends, dot = axes.lines[:4]
-    assert list(bar.get_xdata()) == pytest.approx([1500.0, 150000.0])
-    assert list(tick.get_xdata()) == pytest.approx([4500.0])
-    assert list(ends.get_xdata()) == pytest.approx([axes.get_xlim()[0], 13000.0])
-    assert list(dot.get_xdata()) == pytest.approx([6000.0])
+    assert np.asarray(bar.get_xdata()) == pytest.approx([1500.0, 150000.0])
+    assert np.asarray(tick.get_xdata()) == pytest.approx([4500.0])
+    assert np.asarray(ends.get_xdata()) == pytest.approx([axes.get_xlim()[0], 13000.0])
+    assert np.asarray(dot.get_xdata()) == pytest.approx([6000.0])
     assert axes.get_xlabel() == "Bending stiffness (N\u00b7mm\u00b2)"
 
 

@@ -9,8 +9,10 @@ import pytest
 from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 
-from labpipe.records.group import Campaign
+from labpipe.records.curve import Interval
+from labpipe.records.group import BundlePlace, Campaign
 from labpipe.report.workbook import save_workbook
+from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, conduit_cases, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample
 
 
@@ -100,3 +102,36 @@ def test_text_stays_text(name: str, tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "tables.xlsx") as parts:
         for part in parts.namelist():
             assert b"<f>" not in parts.read(part)
+
+
+def test_what_groups_differ_in_stands_behind_the_comparison(tmp_path: Path) -> None:
+    rows = table(saved(bundle_campaign(conduit_cases()), tmp_path), "comparisons")
+    assert len(rows) == 28 * 2
+    taping = next(row for row in rows if row["question"] == "taping")
+    assert taping["differ in"] in {
+        "taping: coarse against none", "taping: half-lap against none",
+        "taping: half-lap against coarse",
+    }  # fmt: skip
+    several = [row for row in rows if row["question"] is None]
+    assert len(several) == 18 * 2
+    assert all("; " in row["differ in"] for row in several)
+
+
+def test_types_that_differ_have_no_column_for_it(book: Workbook) -> None:
+    assert "question" not in table(book, "comparisons")[0]
+
+
+def test_places_of_bundles(tmp_path: Path) -> None:
+    campaign = bundle_campaign(three_of(bundle_of("7 B1")))
+    name = campaign.groups[0].name
+    ends = Interval(0.0058, 0.0062)
+    place = BundlePlace(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
+    lacking = BundlePlace(name, "t-1", None, None, reason="no_model: no bounds: why")
+    book = saved(replace(campaign, places=(place, lacking)), tmp_path)
+    first, second = table(book, "slipping and sticking")
+    assert (first["test"], first["unit"], first["reason"]) == ("mean", "N*mm^2", None)
+    assert first["bending stiffness"] == pytest.approx(6000.0)
+    assert first["wires slip"] == pytest.approx(4500.0)
+    assert first["largest of all directions"] == pytest.approx(160000.0)
+    assert (first["share"], first["share lower"]) == (0.03, None)
+    assert (second["all slips"], second["reason"]) == (None, "no_model: no bounds: why")
