@@ -93,7 +93,7 @@ class TapedTruth:
     Parameters
     ----------
     loading : of the first cycle
-    bending_stiffness : N m^2, K L^3 / 3 with the slope K over the first 5 mm
+    bending_stiffness : N m^2, K L^3 / 3 with the slope K over `KINK_WINDOW`, uncorrected
     loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force leaves that at rest
     hardening : loading stiffnesses over that of the first cycle
     """
@@ -120,7 +120,7 @@ def tell_taped(path: MechanicalPath) -> TapedTruth:
     each = tuple(_take_up_slope(*_loading(path, n)) for n in range(1, path.test.cycles + 1))
     return TapedTruth(
         loading=loading,
-        bending_stiffness=loading.stiffness * path.test.length**3 / 3.0,
+        bending_stiffness=loading.windowed_stiffness * path.test.length**3 / 3.0,
         loading_stiffness=each,
         hardening=tuple(slope / each[0] for slope in each),
     )
