@@ -196,8 +196,12 @@ def _check_corner(bench: Bench, motion: Signal, turn: Turn) -> None:
     fall = (away[1] - away[0]) + (away[2] - away[3])  # m per second away from the corner
     noise = noise_level(motion.values)
     for width in _ROUNDED:
-        samples = max(1, int(np.count_nonzero(np.abs(motion.time - turn.middle) <= width)))
-        expected = turn.arrival.value - 0.5 * fall * width
+        apart = np.abs(motion.time - turn.middle)
+        near = apart[apart <= width]
+        if not len(near):
+            continue
+        samples = len(near)
+        expected = turn.arrival.value - fall * float(near.mean())
         cut = abs(_mean_near(motion, turn.middle, width) - expected)
         if cut > 6.0 * noise / np.sqrt(samples) + 5e-6:
             message = (

@@ -23,8 +23,8 @@ _STEEPEST = 0.97
 _NEWTON, _ROUNDS = 3, 3
 """Gauss-Newton steps from a straight line; rounds of shape and distances, one more step in each."""
 _LOOKED_AT = 30
-_CENTRE = 0.02
-"""Frames by which mid-span is found, and m on each side of a first guess that it is looked for."""
+_CENTRE = (5e-3, 1e-3, 2e-4)
+"""Frames by which mid-span is found; m on each side of a guess, for parabolas of the misfit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,8 +178,6 @@ def _taken(sections: Sections, frames: Ints) -> Sections:
 
 def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tuple[float, float]:
     """Place of mid-span on the x axis, m, and the misfit there."""
-    from scipy.optimize import minimize_scalar
-
     moved = few.markers[..., 1] - few.at_rest[:, 1]
     weight = np.clip(np.nanmean(moved, axis=0), 0.0, None) ** 4
     guess = float(np.average(few.at_rest[:, 0], weights=np.nan_to_num(weight) + 1e-30))
@@ -188,23 +186,36 @@ def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tup
         bent = _fit(few, axis, middle, span, radius).bent
         return float(np.nanmean(bent.residual**2))
 
-    found = minimize_scalar(
-        misfit, bounds=(guess - _CENTRE, guess + _CENTRE), method="bounded", options={"xatol": 2e-5}
-    )
-    return float(found.x), float(found.fun)
+    lowest = misfit(guess)
+    for reach in _CENTRE:
+        around = np.array([guess - reach, guess, guess + reach])
+        fits = np.array([misfit(around[0]), lowest, misfit(around[2])])
+        bend, slope, _ = np.polyfit(around - guess, fits, 2)
+        step = -0.5 * slope / bend if bend > 0.0 else reach * float(np.argmin(fits) - 1)
+        guess += float(np.clip(step, -2.0 * reach, 2.0 * reach))
+        lowest = misfit(guess)
+    return guess, lowest
 
 
 def _fit(sections: Sections, axis: Floats, middle: float, span: float, radius: float) -> SpanShape:
     here = np.array([middle, axis[0], axis[1]])
-    slope, bent = np.zeros((len(sections.markers), sections.count)), None
-    for _ in range(_ROUNDS):
-        twist, lever = section_twist(sections, slope, radius=radius)
-        centres = section_centres(sections, axis, slope, twist) - here
-        bent = fit_bent(centres, span=span, terms=TERMS, start=bent)
-        slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0])))
-    fewer = fit_bent(centres, span=span, terms=TERMS - 1)
-    last = fit_bent(centres, span=span, terms=TERMS, start=bent)
-    return SpanShape(last, middle, centres, twist, lever, fewer.mid_span, 0.0)
+    slope = np.zeros((len(sections.markers), sections.count))
+    centres, twist, lever = _placed(sections, axis, slope, radius)
+    bent = fit_bent(centres - here, span=span, terms=TERMS)
+    for _ in range(_ROUNDS - 1):
+        slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0] - middle)))
+        centres, twist, lever = _placed(sections, axis, slope, radius)
+        bent = fit_bent(centres - here, span=span, terms=TERMS, start=bent)
+    fewer = fit_bent(centres - here, span=span, terms=TERMS - 1)
+    return SpanShape(bent, middle, centres - here, twist, lever, fewer.mid_span, 0.0)
+
+
+def _placed(
+    sections: Sections, axis: Floats, slope: Floats, radius: float
+) -> tuple[Floats, Floats, Floats]:
+    """Points on the axis, twist and its lever, with the slope that is known so far."""
+    twist, lever = section_twist(sections, slope, radius=radius)
+    return section_centres(sections, axis, slope, twist), twist, lever
 
 
 def fit_bent(points: Floats, *, span: float, terms: int, start: Bent | None = None) -> Bent:
