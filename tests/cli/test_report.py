@@ -74,3 +74,19 @@ def test_no_path(run: Run) -> None:
     ran = run("report")
     assert ran.status == 2
     assert "PATH" in ran.err
+
+
+def test_groups_by_a_field(run: Run, processed: Path, tmp_path: Path) -> None:
+    goal = tmp_path / "told"
+    ran = run("report", processed, "--out", goal, "--by", "spool, length")
+    assert (ran.status, ran.err) == (0, "")
+    assert ran.out.splitlines()[0].startswith("spool 1, length 75 mm  (tensile): 2 samples")
+
+
+def test_a_field_that_no_sheet_has(run: Run, processed: Path) -> None:
+    ran = run("report", processed, "--by", "lenth")
+    assert (ran.status, ran.out) == (2, "")
+    assert ran.err == (
+        "labpipe report: --by: expected fields of these test sheets, which are type, spool, length,"
+        " found 'lenth'. Write length, or another of them.\n"
+    )

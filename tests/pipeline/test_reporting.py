@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.errors import UsageError
+from labpipe.errors import LabpipeError, UsageError
 from labpipe.pipeline.process import process_test
-from labpipe.pipeline.reporting import make_campaign, report_tests, sample_of
+from labpipe.pipeline.reporting import Wanted, make_campaign, report_tests, sample_of
 from labpipe.pipeline.targets import find_results
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
+from tests.builders.bundles import EXAMPLES
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
 
@@ -165,3 +166,74 @@ def test_unloading_grows_too(done: Path) -> None:
 def test_a_test_without_a_curve(done: Path) -> None:
     sample = sample_of(replace(read(done, "T-1"), curve=None), "")
     assert sample.loading == sample.unloading == ()
+
+
+def labelled(results: Path, labels: dict[str, str]) -> None:
+    """Let test sheets say a label, as the result files keep it."""
+    import h5py
+
+    for test, word in labels.items():
+        with h5py.File(results / "c" / test / "result.h5", "r+") as opened:
+            for name, said in (("labels", "cured"), ("label_words", word)):
+                data = np.array([said], dtype=object)
+                opened["specimen"].attrs.create(name, data, dtype=h5py.string_dtype())
+
+
+def test_groups_by_a_field_of_the_sheets(results: Path) -> None:
+    labelled(results, {"T-1": "24 h", "H-1": "24 h", "T-2": "48 h"})
+    stored_protocol(results, "main: []", "main: [stiffness]")
+    by_cure = make_campaign(find_results([results]), "", wanted=Wanted(by=("cured",)))
+    assert [group.name for group in by_cure.groups] == ["without cured", "cured 24 h", "cured 48 h"]
+    assert by_cure.by == ("cured",)
+    none, first, _ = by_cure.groups
+    assert first.fields["cured"] == "24 h"
+    assert none.notes[0].message == "the test sheets of these samples do not say cured"
+    assert [each.fields for each in by_cure.differences if each.question] == [
+        {"cured": ("not said", "24 h")},
+        {"cured": ("24 h", "48 h")},
+    ]
+    assert by_cure.differences[-1].fields == {
+        "type": ("hose", "tube"), "cured": ("not said", "48 h")
+    }  # fmt: skip
+
+
+def test_only_pairs_that_differ_in_one_field(results: Path) -> None:
+    labelled(results, {"T-1": "24 h", "T-2": "48 h"})
+    stored_protocol(results, "main: []", "main: [stiffness]")
+    wanted = Wanted(by=("type", "cured"), alone="cured")
+    campaign = make_campaign(find_results([results]), "", wanted=wanted)
+    assert [group.name for group in campaign.groups] == [
+        "hose, without cured", "tube, cured 24 h", "tube, cured 48 h"
+    ]  # fmt: skip
+    (difference,) = campaign.differences
+    assert difference.fields == {"cured": ("24 h", "48 h")}
+    assert (campaign.compared, campaign.pairs_not_shown) == ("cured", 2)
+
+
+def test_a_field_that_no_sheet_has(done: Path) -> None:
+    files = find_results([done])
+    for wanted, option in ((Wanted(by=("tipe",)), "--by"), (Wanted(alone="tipe"), "--compare")):
+        with pytest.raises(UsageError) as told:
+            make_campaign(files, "", wanted=wanted)
+        assert str(told.value).startswith(
+            f"{option}: expected fields of these test sheets, which are type, spool"
+        )
+        assert str(told.value).endswith("found 'tipe'. Write type, or another of them.")
+
+
+def test_a_wire_sheet_is_named_and_read_first(done: Path) -> None:
+    campaign = make_campaign(find_results([done]), "", wanted=Wanted(wires=EXAMPLES))
+    assert (campaign.wire_sheet, campaign.places) == ("wires.xlsx", ())
+    said: list[str] = []
+    with pytest.raises(LabpipeError, match=r"none\.xlsx"):
+        make_campaign(find_results([done]), "", said.append, Wanted(wires=Path("none.xlsx")))
+    assert not said
+
+
+def test_spools_of_several_types_are_told_apart(results: Path) -> None:
+    labelled(results, dict.fromkeys(KINDS, "24 h"))
+    (group,) = make_campaign(find_results([results]), "", wanted=Wanted(by=("cured",))).groups
+    spools = {sample.specimen.spool for sample in group.samples}
+    assert len(spools) == 2
+    assert all(spool.startswith(("hose ", "tube ")) for spool in spools)
+    assert "spools_renamed" in [note.code for note in group.notes]

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from labpipe.errors import StoreError
-from labpipe.records.group import Campaign
+from labpipe.records.group import BundlePlace, Campaign
 from labpipe.report.lab_report import write_report
+from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample
 
 
@@ -60,3 +62,18 @@ def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
     (tmp_path / "x").write_text("")
     with pytest.raises(StoreError, match=r"x: expected a folder that a report can be written to, "):
         write_report(Campaign("Synthetic", ()), tmp_path / "x")
+
+
+def test_figures_over_groups_are_saved_and_stand_on_the_page(tmp_path: Path) -> None:
+    bundles = [bundle_of("7 B1"), bundle_of("7 B2")]
+    campaign = bundle_campaign([each for bundle in bundles for each in three_of(bundle)])
+    place = BundlePlace(campaign.groups[0].name, "t-1", 0.006, None, 0.001, 0.004, 0.1, (0.1, 0.1))
+    files = write_report(replace(campaign, places=(place,)), tmp_path)
+    names = {file.name for file in files}
+    assert {
+        "difference-wire-7-wires-half-lap-pvc-length-114-3-mm.svg",
+        "between-slipping-and-sticking.pdf",
+    } <= names
+    page = files[0].read_text(encoding="utf-8")
+    assert page.count("<svg") == 2 * 3 + 2
+    assert len(files) == 2 + 3 * page.count("<svg")
