@@ -52,7 +52,7 @@ class LoadingTruth:
     end_tangent : N/m, slope of the least-squares line over the last 5 mm
     end_slope : the same as a share of `windowed_stiffness`
     plateau_displacement, plateau_force : m, N, from where on the tangent over a millimetre stays
-        below `PLATEAU_SHARE` of `windowed_stiffness`; None where it does not at the end
+        below `PLATEAU_SHARE` of `windowed_stiffness`; None where `end_slope` is not below it
     """
 
     tangent_at_zero: float
@@ -157,7 +157,9 @@ def tell_loading(displacement: Floats, force: Floats) -> LoadingTruth:
     windowed = line_slope(displacement, force, *KINK_WINDOW)
     last = float(displacement[-1])
     end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
-    onset = _last_above(*_tangents(displacement, force), PLATEAU_SHARE * windowed)
+    is_level = end < PLATEAU_SHARE * windowed
+    tangents = _tangents(displacement, force)
+    onset = _last_above(*tangents, PLATEAU_SHARE * windowed) if is_level else None
     return LoadingTruth(
         tangent_at_zero=float(np.interp(_NEAR, displacement, force)) / _NEAR,
         stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),

@@ -8,11 +8,12 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.bundle_truth import KINK_WINDOW, LoadingTruth, line_slope, tell_loading
+from labpipe.virtual_lab.bundle_truth import LoadingTruth, line_slope, tell_loading
 from labpipe.virtual_lab.conduit_bundle import ConduitScenario
 from labpipe.virtual_lab.conduit_record import ConduitSchedule, twist_at
 from labpipe.virtual_lab.three_point import ThreePointPath
 
+MIDDLE_WINDOW = (1e-3, 10e-3)
 _STEPS = 20_001
 
 
@@ -26,7 +27,7 @@ class MiddleTruth:
     moment : N m, in the bundle
     moment_of_force : N m, P L / 4, what a straight bundle on points would have
     bending_stiffness : N m^2, slope of moment over curvature while the displacement goes through
-        `KINK_WINDOW`, least squares over even steps of curvature
+        `MIDDLE_WINDOW`, least squares over even steps of curvature
     bending_stiffness_of_force : N m^2, the same with P L / 4
     twist : rad, right-handed about x
     """
@@ -47,7 +48,8 @@ class ConduitTruth:
     ----------
     loading : of the way down; displacement is that of the crosshead
     initial_bending_stiffness : N m^2, of the law before anything slips
-    bending_stiffness : N m^2, K L^3 / 48 with the slope K over `KINK_WINDOW`, uncorrected
+    bending_stiffness : N m^2, K L^3 / 48 with the slope K over
+        `bundle_truth.KINK_WINDOW`, uncorrected
     peak_force, peak_displacement : N, m
     residual_displacement : m, where the roller leaves the bundle on its way up
     energy : J, of the cycle
@@ -134,7 +136,7 @@ def _loading(path: ThreePointPath) -> LoadingTruth:
 
 def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
     stroke, span = scenario.test.stroke, scenario.test.span
-    first, last = KINK_WINDOW
+    first, last = MIDDLE_WINDOW
     _, moment, curvature = path.middle(np.linspace(first, last, _STEPS))
     of_force = 0.25 * span * path.force(np.linspace(first, last, _STEPS))
     slopes = [
