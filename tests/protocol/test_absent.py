@@ -132,3 +132,49 @@ def test_a_step_without_speed_where_no_source_measures(whole: Protocol) -> None:
         "expected 'rig.crosshead_speed' for 'travel-from-speed', found none. Add "
         "'rig.crosshead_speed', or a source that measures the displacement."
     ) in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "method: common-start",
+            "method: none",
+            "expected a method that joins the two clocks of the curve, found none",
+        ),
+        (
+            "  - {step: three-point-shape, over: 2 s, section: 4 mm, facing: side}\n",
+            "",
+            "expected the step 'three-point-shape' for 'twist', found no such step. Add the step "
+            "'three-point-shape'.",
+        ),
+        (
+            "  - {step: repair-markers, max_gap: 0.5 s, max_jump: 4 mm, frozen: 0.2 s}\n",
+            "",
+            "expected 'repair-markers' before 'three-point-shape', found no such step before. Put "
+            "the step 'repair-markers' before it.",
+        ),
+        (
+            "channel: displacement, force: force",
+            "channel: displacement, force: forze",
+            "found 'forze'. Did you mean 'force'?",
+        ),
+        (
+            "cycles: 1",
+            "cycles: 3",
+            "expected one cycle for 'travel-from-speed', found 3. Remove the step, or set "
+            "'rig.cycles' to 1.",
+        ),
+        (
+            "    optional: true\n    reader: load-frame",
+            "    reader: load-frame",
+            "expected a name that a step has not taken, found 'displacement'. Rename it.",
+        ),
+    ],
+)
+def test_parts_that_do_not_fit(old: str, new: str, told: str) -> None:
+    text = CONDUIT.read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    with pytest.raises(ProtocolError) as info:
+        parse_protocol(text.replace(old, new), "p.yaml")
+    assert told in str(info.value)
