@@ -9,6 +9,7 @@ from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
 from labpipe.pipeline.plausibility import GRAVITY
+from labpipe.pipeline.string_at_rest import AtRest, at_rest
 from labpipe.processing.bending_moments import TipPull, bent
 from labpipe.processing.bending_test import BendingErrors, BendingTest
 from labpipe.processing.law_table import law_points
@@ -23,10 +24,6 @@ from labpipe.records.curve import AT_REST, Branch, Curve, Shape
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
 
-_LAG = (0.5e-3, 3e-3)
-"""Deflections, m, over which it is seen how far the clamp is ahead of the tip."""
-_SLACK = 0.2e-3
-"""m; a clamp that is ahead by more has hung on a slack string before."""
 _MISFIT = (3.0, 2e-5)
 """Times the noise, and m on top, that markers may lie off the shapes of the law."""
 
@@ -151,30 +148,28 @@ def _pull(
         bench.note("force_taken_normal", Severity.INFO, "rig.string", message)
         return TipPull(None, 0.0, 0.0, tip), None
     weight = GRAVITY * string.counterweight
-    ahead = _ahead(bench)
-    if ahead > _SLACK or weight == 0.0:
+    before = _before(bench, shape, weight)
+    if weight == 0.0 or before.why_not_straight:
         return TipPull(string.length, weight, 0.0, tip), None
+    ahead = (
+        "" if np.isnan(before.ahead) else f"the clamp is {1e3 * before.ahead:.2g} mm ahead of it, "
+    )
     message = (
-        f"the clamp is {1e3 * ahead:.2g} mm ahead of the tip, so the string was taut at rest: it "
-        f"is taken to carry all of the counterweight, {weight:.3g} N; carrying nothing is in the "
-        "intervals"
+        f"at rest the tip stood {1e3 * before.sag:.2g} mm below the clamp's axis, {ahead}so the "
+        f"string was taut at rest: it is taken to carry all of the counterweight, {weight:.3g} N; "
+        "carrying nothing is in the intervals"
     )
     bench.note("tension_at_rest", Severity.INFO, "rig.string", message)
     return TipPull(string.length, weight, weight, tip), 0.0
 
 
-def _ahead(bench: Bench) -> float:
-    """How far the clamp is ahead of the tip's deflection early in the first loading, m."""
-    branch = loading_branch(bench)
-    travel, deflection = bench.signals.get("travel"), bench.signals.get("deflection")
-    if branch is None or travel is None or deflection is None:
-        return 0.0
-    time = deflection.time
-    early = (time >= branch.start_time) & (time < branch.stop_time)
-    early &= (deflection.values > _LAG[0]) & (deflection.values < _LAG[1])
-    lag = (travel.values - deflection.values)[early]
-    known = lag[~np.isnan(lag)]
-    return float(np.median(known)) if len(known) else 0.0
+def _before(bench: Bench, shape: Shape, weight: float) -> AtRest:
+    """String and wire before the first loading."""
+    curve, first = bench.curve, loading_branch(bench)
+    if curve is None or first is None:
+        message = "expected a curve with a loading branch"
+        raise ValueError(message)
+    return at_rest(bench.aligned, shape, curve, first, weight)
 
 
 def _tell(bench: Bench, bending: Bending) -> None:

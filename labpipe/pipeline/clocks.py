@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,15 +13,18 @@ from labpipe.fitting.repeats import fit_lag
 from labpipe.fitting.reversals import Reversal, fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
-from labpipe.processing.strokes import Stroke
+from labpipe.processing.strokes import Stroke, excursion
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
+from labpipe.records.quality import Severity
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""
 _SEEN = 0.5
 """s on each side of a turning point in which the motion must have been seen."""
+_CONTRADICTED = 4.0
+"""Standard errors by which the lag of the repeated cycle may differ from that of the corners."""
 _WORST_CORNER = 0.1
 """s; a corner of the force known no better than this says nothing about a clock."""
 
@@ -116,6 +119,8 @@ def align_clocks(
         message = f"the {align.channel} is constant at {level:.6g} {force.unit}"
         bench.block("constant_channel", message, where=align.channel)
         return None
+    if excursion(force.values) < 0.0:  # a reversed bridge turns when any other does
+        force = replace(force, values=-force.values)
     peaks = [turn for turn in turns if strokes[turn.stroke].sign > 0]
     seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
     pairs, is_ambiguous = match_peaks(np.array([peak.middle for peak in peaks]), seen)
@@ -138,7 +143,7 @@ def align_clocks(
         bench.doubt("clock", "alignment_ambiguous", message, where="align")
     fit = _fitted(events, None)
     if len(events) > 2:
-        fit = _fitted(events, _repeat(bench, strokes, force, fit))
+        fit = _fitted(events, _consistent(bench, _repeat(bench, strokes, force, fit), fit))
     _judge(bench, fit, align)
     return fit
 
@@ -227,6 +232,23 @@ def _repeat(
     if isinstance(moved, Failure) or isinstance(pulled, Failure):
         return None
     return Repeat(moved.value, pulled.value, float(np.hypot(moved.error, pulled.error)))
+
+
+def _consistent(bench: Bench, repeat: Repeat | None, fit: ClockFit) -> Repeat | None:
+    """The lag of the repeated cycle, unless the corners contradict it: cycles need not be alike."""
+    if repeat is None:
+        return None
+    expected = (1.0 + fit.drift) * repeat.motion
+    error = float(np.hypot(repeat.error, fit.drift_interval.standard_error * repeat.motion))
+    if abs(repeat.force - expected) <= _CONTRADICTED * error:
+        return repeat
+    message = (
+        f"the force of the last cycle lies {repeat.force:.3f} s behind that of the second, the "
+        f"turning points {expected:.3f} s: the cycles are not alike, and the turning points alone "
+        "join the clocks"
+    )
+    bench.note("cycles_not_alike", Severity.INFO, "align", message)
+    return None
 
 
 def _fitted(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:

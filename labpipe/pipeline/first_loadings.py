@@ -10,6 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
+from labpipe.pipeline.loading_errors import errors_of_rig, errors_of_test
 from labpipe.pipeline.string_at_rest import at_rest, notes_of
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -28,7 +29,7 @@ GRAVITY = 9.80665
 _FEWEST = 20
 """Points of a curve with which something can be said."""
 _TERMS = 5
-"""Of the polynomial that the slope of a first loading is read from, for the noise alone."""
+"""Of the polynomial that the slope of a first loading is read from, for its errors alone."""
 _SECOND_DIFFERENCE = np.sqrt(6.0)
 """Standard deviation of a second difference of white noise, over that of the noise."""
 
@@ -116,7 +117,8 @@ def first_loading(
     Notes
     -----
     The noise of a point is that of the second differences of the block means: of the force, and of
-    the deflection times the slope of the curve.
+    the deflection times the slope of the curve. What all points are off by together is apart from
+    it (`pipeline.loading_errors`).
     """
     _require_cantilever(protocol)
     curve, branch = _first_branch(result)
@@ -138,6 +140,7 @@ def first_loading(
             "deeper ones"
         )
         raise NotUsableError(message)
+    slope = _slope(deflection[usable], force[usable])[taken[usable]]
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
     measured = MeasuredCurve(
         wire=result.specimen.type,
@@ -146,8 +149,10 @@ def first_loading(
         length=length,
         deflection=deflection[taken],
         force=force[taken],
-        noise=_noise(deflection[usable], force[usable])[taken[usable]],
+        noise=np.hypot(noise_of(force[usable]), slope * noise_of(deflection[usable])),
         rig=_rig(protocol, length),
+        errors_of_test=errors_of_test(result, protocol, curve, branch, slope),
+        errors_of_rig=errors_of_rig(result, deflection[taken], slope),
     )
     notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
     return FirstLoading(measured, _gain(protocol), notes)
@@ -163,10 +168,9 @@ def noise_of(values: Floats) -> float:
     return float(np.std(np.diff(values, 2)) / _SECOND_DIFFERENCE)
 
 
-def _noise(deflection: Floats, force: Floats) -> Floats:
-    """Noise of the force at each point, that of the deflection in it, N."""
-    slope = Polynomial.fit(deflection, force, _TERMS).deriv()(deflection)
-    return np.hypot(noise_of(force), slope * noise_of(deflection))
+def _slope(deflection: Floats, force: Floats) -> Floats:
+    """Slope of the force at each point, N/m."""
+    return np.asarray(Polynomial.fit(deflection, force, _TERMS).deriv()(deflection))
 
 
 def _rest_notes(
@@ -176,7 +180,7 @@ def _rest_notes(
     string = protocol.rig.string
     if string is None or string.counterweight == 0.0:
         return ()
-    rest = at_rest(result, curve, branch, GRAVITY * string.counterweight)
+    rest = at_rest(result.aligned, result.shape, curve, branch, GRAVITY * string.counterweight)
     if rest.why_not_straight:
         raise NotUsableError(rest.why_not_straight)
     return tuple(notes_of(result.test, rest))

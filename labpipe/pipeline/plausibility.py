@@ -9,9 +9,8 @@ import numpy as np
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import Turn
 from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import Stroke, noise_level
+from labpipe.processing.strokes import Stroke, excursion, noise_level
 from labpipe.protocol.schema import Protocol
-from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Severity
 
@@ -141,7 +140,7 @@ def check_sign(bench: Bench, motion: Signal) -> None:
     """
     force = bench.signals[bench.force]
     known = force.values[~np.isnan(force.values)]
-    if len(known) < 2 or _excursion(motion.values) < 0.0 or _excursion(known) > 0.0:
+    if len(known) < 2 or excursion(motion.values) < 0.0 or excursion(known) > 0.0:
         return
     means = [float(block.mean()) for block in np.array_split(known, min(_BLOCKS, len(known)))]
     lowest, highest = min(means), max(*means, 0.0)
@@ -157,16 +156,6 @@ def check_sign(bench: Bench, motion: Signal) -> None:
     bench.doubt("force", "force_reversed", message, where=bench.force)
     if bench.clock_fit is not None:  # two clocks are joined at the peaks of the force
         bench.doubt("clock", "force_reversed", message, where=bench.force)
-
-
-def _excursion(values: Floats) -> float:
-    """Largest way from where a signal begins, negative where it goes further down than up."""
-    known = values[~np.isnan(values)]
-    if not len(known):
-        return 0.0
-    start = float(known[: max(1, len(known) // 100)].mean())
-    up, down = float(known.max()) - start, start - float(known.min())
-    return up if up >= down else -down
 
 
 def check_turns(

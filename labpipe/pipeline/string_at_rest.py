@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Branch, Curve
+from labpipe.records.curve import Aligned, Branch, Curve, Shape
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.result import TestResult
 from labpipe.statistics.bands import block_means
 
 EARLY = (0.5e-3, 3e-3)
@@ -74,13 +73,15 @@ class AtRest:
         return ""
 
 
-def at_rest(result: TestResult, curve: Curve, first: Branch, weight: float) -> AtRest:
+def at_rest(
+    aligned: Aligned | None, shape: Shape | None, curve: Curve, first: Branch, weight: float
+) -> AtRest:
     """Look at the string and the wire before a test.
 
     Parameters
     ----------
-    result : with aligned signals and shapes, where it has them
-    curve, first : of the result, and its first loading branch
+    aligned, shape : None where the test has none
+    curve, first : of the test, and its first loading branch
     weight : N, of the counterweight
     """
     part = slice(first.start, first.stop)
@@ -88,7 +89,7 @@ def at_rest(result: TestResult, curve: Curve, first: Branch, weight: float) -> A
     force = block_means(curve.force[part], _BLOCKS)
     reached = deflection[force >= weight]
     reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
-    return AtRest(_ahead(result, curve, part), _sag(result, first), reach, weight)
+    return AtRest(_ahead(aligned, curve, part), _sag(shape, first), reach, weight)
 
 
 def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
@@ -107,9 +108,8 @@ def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
         yield QualityNote("wire_not_straight", Severity.WARNING, test, message)
 
 
-def _ahead(result: TestResult, curve: Curve, part: slice) -> float:
+def _ahead(aligned: Aligned | None, curve: Curve, part: slice) -> float:
     """How far the clamp is ahead of the tip where the string has begun to pull, m."""
-    aligned = result.aligned
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is None or len(travel.values) != len(curve.displacement):
         return float("nan")
@@ -118,9 +118,8 @@ def _ahead(result: TestResult, curve: Curve, part: slice) -> float:
     return _median((travel.values[part] - deflection)[is_early])
 
 
-def _sag(result: TestResult, first: Branch) -> float:
+def _sag(shape: Shape | None, first: Branch) -> float:
     """How far the pull point stands below the clamped end before the first loading, m."""
-    shape = result.shape
     if shape is None or not len(shape.names):
         return float("nan")
     is_rest: Flags = np.asarray(shape.time < first.start_time, dtype=np.bool_)

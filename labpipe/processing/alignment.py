@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import find_strokes
+from labpipe.processing.strokes import Stroke, find_strokes
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import ClockFit, Interval
 
@@ -25,6 +25,12 @@ def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float)
     Returns
     -------
     Shape (peaks,), s; empty for a constant signal.
+
+    Notes
+    -----
+    Of a plateau that ends in a fall, its largest sample may lie anywhere; the turn is where the
+    slope changes most: where 2 y(t) - y(t - h) - y(t + h) is largest, with h four times
+    `smoothing`, or a quarter of the shorter stroke.
     """
     thin = max(1, seconds_to_window(smoothing, time) // 10)
     window = max(1, 2 * (seconds_to_window(smoothing, time) // thin // 2) + 1)
@@ -37,9 +43,23 @@ def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float)
     clock = time[:count].reshape(-1, thin).mean(axis=1)
     strokes = find_strokes(clock, smooth, min_stroke=share * span)
     turns = [
-        clock[first.stop] for first, second in pairwise(strokes) if first.sign > 0 > second.sign
+        clock[_sharpest(smooth, first, second, 2 * window)]
+        for first, second in pairwise(strokes)
+        if first.sign > 0 > second.sign
     ]
     return np.array(turns, dtype=np.float64)
+
+
+def _sharpest(values: Floats, rise: Stroke, fall: Stroke, reach: int) -> int:
+    """Sample at which a rise turns into a fall."""
+    reach = min(reach, (rise.stop - rise.start) // 4, (fall.stop - fall.start) // 4)
+    first, last = rise.start + reach, fall.stop - reach
+    if reach < 1 or last <= first:
+        return rise.stop
+    middle = values[first:last]
+    bend = 2.0 * middle - values[first - reach : last - reach]
+    bend -= values[first + reach : last + reach]
+    return first + int(np.nanargmax(bend)) if np.isfinite(bend).any() else rise.stop
 
 
 def match_peaks(motion: Floats, force: Floats) -> tuple[Ints, bool]:

@@ -30,6 +30,25 @@ class Stroke:
     sign: int
 
 
+def excursion(values: Floats) -> float:
+    """Find the largest way of a signal from where it begins.
+
+    Parameters
+    ----------
+    values : shape (n,), any unit; NaN are left out
+
+    Returns
+    -------
+    In the unit of `values`, negative where it goes further down than up; 0 without any value.
+    """
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return 0.0
+    start = float(known[: max(1, len(known) // 100)].mean())
+    up, down = float(known.max()) - start, start - float(known.min())
+    return up if up >= down else -down
+
+
 def noise_level(values: Floats) -> float:
     """Estimate the standard deviation of white noise on a smooth signal.
 

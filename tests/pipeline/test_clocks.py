@@ -9,6 +9,7 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import align_clocks, turning_points
+from labpipe.processing.alignment import Repeat
 from labpipe.processing.strokes import Stroke, find_strokes
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
@@ -158,3 +159,24 @@ def test_force_that_saw_only_the_last_cycles() -> None:
     fit = aligned(made).clock_fit
     assert fit is not None
     assert made.doubts["clock"].startswith("alignment_ambiguous: another pairing")
+
+
+@pytest.mark.parametrize(("lag", "is_used"), [(20.0, True), (20.2, False)])
+def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
+    monkeypatch: pytest.MonkeyPatch, lag: float, is_used: bool
+) -> None:
+    monkeypatch.setattr(
+        "labpipe.pipeline.clocks._repeat", lambda *_: Repeat(20.0, lag * (1.0 + DRIFT), 1e-3)
+    )
+    made = bench(3)
+    strokes = strokes_of(made)
+    turns = turning_points(made.raw["travel"], strokes, window=ALIGN.motion_window)
+    fit = align_clocks(made, ALIGN, strokes, turns)
+    assert fit is not None
+    assert ("repeated" in fit.method) is is_used
+    assert fit.offset == pytest.approx(OFFSET, abs=5e-3)
+    said = [note.message for note in made.notes if note.code == "cycles_not_alike"]
+    assert len(said) == (not is_used)
+    if said:
+        assert said[0].startswith("the force of the last cycle lies 20.202 s behind that of the")
+        assert said[0].endswith("not alike, and the turning points alone join the clocks")

@@ -64,7 +64,7 @@ def seen(*, ahead: float | None = None, sag: float | None = None) -> AtRest:
         results=(),
         quality=(),
     )
-    return at_rest(result, one, one.branches[0], WEIGHT)
+    return at_rest(result.aligned, result.shape, one, one.branches[0], WEIGHT)
 
 
 def test_a_taut_string_and_a_straight_wire() -> None:
@@ -118,18 +118,6 @@ def test_a_test_that_knows_nothing_of_it() -> None:
 
 def test_a_force_that_never_reaches_the_counterweight() -> None:
     one = curve()
-    weak = at_rest(
-        TestResult(
-            *("T1", Specimen("A2", "A2-s1", "3"), "wire-cantilever", "", "", "0", (), {}),
-            aligned=None,
-            curve=one,
-            shape=shape(30e-3),
-            results=(),
-            quality=(),
-        ),
-        one,
-        one.branches[0],
-        weight=1.0,
-    )
+    weak = at_rest(None, shape(30e-3), one, one.branches[0], weight=1.0)
     assert weak.reach == pytest.approx(DEEP, rel=0.01)
     assert weak.why_not_straight.startswith("its wire hung at rest: the tip stood 30 mm below")

@@ -89,3 +89,12 @@ def test_rough_peaks_of_a_noisy_force() -> None:
 
 def test_a_constant_force_has_no_peak() -> None:
     assert len(rough_peaks(np.arange(10.0), np.ones(10), smoothing=0.5, share=0.3)) == 0
+
+
+def test_the_turn_of_a_plateau_is_its_end() -> None:
+    """The force rests from 35 s on and is largest somewhere there; it turns at 58 s."""
+    time = np.arange(0.0, 120.0, 1e-2)
+    force = np.interp(time, [5.0, 35.0, 58.0, 70.0, 111.0], [0.0, 1.2, 1.21, 0.0, 0.0])
+    force += np.random.default_rng(7).normal(0, 0.02, len(time))
+    force += 0.04 * np.exp(-(((time - 38.0) / 3.0) ** 2))
+    assert rough_peaks(time, force, smoothing=0.5, share=0.3) == pytest.approx([58.0], abs=0.3)
