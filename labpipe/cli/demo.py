@@ -18,13 +18,14 @@ from labpipe.pipeline.process import Processed
 from labpipe.pipeline.reporting import report_tests
 from labpipe.pipeline.targets import find_tests
 from labpipe.protocol.load import load_test_sheet
-from labpipe.virtual_lab import simulate_tensile_campaign, wire_campaign
+from labpipe.virtual_lab import simulate_harness, simulate_tensile_campaign, wire_campaign
 from labpipe.virtual_lab.wire_sheet import write_wire_sheet
 
 WIRES = "wires"
 CAMPAIGNS: Mapping[str, Callable[[Path], object]] = {
     WIRES: partial(wire_campaign, cycles=2, fps=25.0),
     "tensile": simulate_tensile_campaign,
+    "harness": simulate_harness,
 }
 """By the folder that they go to."""
 PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are predicted\n"
