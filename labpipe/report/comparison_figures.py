@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.group import Band, Campaign, Group, GroupNumber
 from labpipe.report.group_figures import stems
 from labpipe.report.group_look import Look, group_scale
@@ -16,6 +17,7 @@ from labpipe.report.numbers import display_of, heading, in_words, shown_in
 from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter, say
 from labpipe.report.questions import Family, context_words, equal_words, families, field_words
 from labpipe.report.saved_figures import FigureToSave
+from labpipe.report.thinning import bends
 from labpipe.report.wire_look import Words, wire_page
 
 if TYPE_CHECKING:
@@ -25,8 +27,9 @@ if TYPE_CHECKING:
 
 MAIN = "bending_stiffness"
 _HEIGHT = 66.0
-_POINTS = 60
-"""Points of a mean curve, so that a page of eighteen groups is below 2 MB."""
+_POINTS, _UNSEEN = 40, 0.003
+"""Points of a curve at the most, and the share of its height by which it may be off, so that a
+page of eighteen groups is below 2 MB."""
 _ROOM = 0.4
 """Height left for bands above and below the mean curves, as a share of theirs."""
 _ROOM_FOR_INTERVALS = 1.5
@@ -166,17 +169,22 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
         say(axes, "No group has a mean curve.")
         return
     for look, band in drawn:
-        kept = np.unique(np.linspace(0, len(band.mean) - 1, _POINTS).round().astype(np.int64))
-        x = across.factor * band.displacement[kept]
-        axes.plot(x, up * band.mean[kept], color=look.colour, linestyle=look.dash, zorder=3)
+        x, kept = across.factor * band.displacement, _drawn(band, band.mean)
+        axes.plot(x[kept], up * band.mean[kept], color=look.colour, linestyle=look.dash, zorder=3)
         if np.isfinite(band.lower).any():
+            kept = np.union1d(_drawn(band, band.lower), _drawn(band, band.upper))
             edges = (up * band.lower[kept], up * band.upper[kept])
-            axes.fill_between(x, *edges, color=look.colour, **_BAND_LOOK)
+            axes.fill_between(x[kept], *edges, color=look.colour, **_BAND_LOOK)
     axes.set_ylim(*_seen([band for _, band in drawn], up))
     axes.set_xlabel(across.label("Displacement"))
     axes.set_ylabel(
         "Force / peak force" if is_scaled else group_scale(first, "force").label("Force")
     )
+
+
+def _drawn(band: Band, values: Floats) -> Ints:
+    """Points that a line through values of a band is drawn with."""
+    return bends(band.displacement, values, points=_POINTS, tolerance=_UNSEEN)
 
 
 def _seen(bands: Sequence[Band], up: float) -> tuple[float, float]:

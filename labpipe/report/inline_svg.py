@@ -11,7 +11,8 @@ _SVG = "http://www.w3.org/2000/svg"
 _LINK = "{http://www.w3.org/1999/xlink}href"
 _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _LONG_LINE = 20
-_STRAIGHT = re.compile(r"M[ML\d.\s-]*")
+_STRAIGHT = re.compile(r"M[ML\d.\s-]*z?")
+_NO_TURN = re.compile(r"rotate\(-?0 [^()]*\)")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
 _FAMILIES = re.compile(r"'STIXGeneral'(, ('[^']*'|[a-z-]+))*")
@@ -79,10 +80,13 @@ def _slim(element: ET.Element, wanted: set[str], prefix: str) -> None:
         own[_LINK] = f"#{prefix}-{own[_LINK][1:]}"
     for key, value in own.items():
         own[key] = _REFERENCE.sub(rf"url(#{prefix}-\1)", value)
+    if _NO_TURN.fullmatch(own.get("transform", "")):
+        del own["transform"]
     for key in own.keys() & _WITH_NUMBERS:
         own[key] = " ".join(_LONG_NUMBER.sub(_two_places, own[key]).split())
     if own.get("d", "").count("L") > _LONG_LINE and _STRAIGHT.fullmatch(own["d"]):
-        own["d"] = "".join(map(_steps, own["d"].split("M")[1:]))
+        strokes, closing, _ = own["d"].partition("z")
+        own["d"] = "".join(map(_steps, strokes.split("M")[1:])) + closing
     elif "d" in own:  # numbers that follow a line are ends of further lines
         own["d"] = re.sub(r"(?<=\d) L (?=[-\d])", " ", own["d"])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
@@ -23,7 +24,7 @@ class FigureToSave(NamedTuple):
 
     Parameters
     ----------
-    name : of its files, without the ending; begins its ids in the page
+    name : of its files, without the ending
     draw : makes it
     caption : how to read it
     alt : what a person who cannot see it is told
@@ -87,5 +88,7 @@ def _save(wanted: FigureToSave, folder: Path, packer: Executor) -> tuple[SavedFi
     pdf = folder / f"{wanted.name}.pdf"
     paper: Any = FigureCanvasPdf(page)
     paper.print_pdf(str(pdf), metadata={"CreationDate": None})
-    element = inline_svg(svg.read_bytes(), prefix=wanted.name, title=wanted.alt)
+    # A number in place of the name: it stands at every mark of a drawing.
+    prefix = f"f{zlib.crc32(wanted.name.encode()):x}"
+    element = inline_svg(svg.read_bytes(), prefix=prefix, title=wanted.alt)
     return SavedFigure(element, wanted.caption, (svg, png, pdf)), packing

@@ -67,3 +67,23 @@ def test_long_lines_are_steps_that_do_not_add_up_to_an_error() -> None:
     found = np.cumsum(np.array([*first, *steps], dtype=float).reshape(-1, 2), axis=0)
     np.testing.assert_allclose(found, np.column_stack([x, y]), atol=0.0551)  # to 0.01, then to 0.1
     assert other == "1.3 2l1.7 2"
+
+
+def test_an_area_is_as_short_as_a_line_and_stays_closed() -> None:
+    points = " L ".join(f"{n}.04 {n % 3}.04" for n in range(30))
+    drawing = f'<svg xmlns="http://www.w3.org/2000/svg"><path d="M {points} z"/></svg>'.encode()
+    element = inline_svg(drawing, prefix="p", title="t").element
+    path = element.partition(' d="')[2].partition('"')[0]
+    assert path.startswith("M0 0l1 1 1 1")
+    assert path.endswith("z")
+    assert path.count("z") == 1
+
+
+def test_a_turn_by_nothing_is_not_said() -> None:
+    text = '<text transform="rotate({} 12.3 4.5)">a</text>'
+    drawing = (
+        f'<svg xmlns="http://www.w3.org/2000/svg">{text.format("-0")}{text.format("-90")}</svg>'
+    )
+    element = inline_svg(drawing.encode(), prefix="p", title="t").element
+    assert element.count("rotate") == 1
+    assert "rotate(-90 12.3 4.5)" in element
