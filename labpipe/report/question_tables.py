@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from math import nan
 
 from labpipe.records.group import Campaign, Difference, Group
@@ -29,12 +30,23 @@ def question_table(pair: Pair) -> Table:
 
     Returns
     -------
-    A row per number, with the difference as a share of the first mean below it.
+    A row per number, with the difference as a share of the first mean below it. What the verdicts
+    of all numbers have in common, stands once, below the table.
     """
+    caveats = [each.verdict.split("; ")[1:] for each in pair.differences]
+    shared = [each for each in caveats[0] if all(each in own for own in caveats)]
     rows = [
-        _row(each, display_of(pair.first), _share_of(each, pair.first)) for each in pair.differences
+        _row(_without(each, shared), display_of(pair.first), _share_of(each, pair.first))
+        for each in pair.differences
     ]
-    return Table(question_words(pair), _HEADS, tuple(rows))
+    notes = [f"Every number: {'; '.join(shared)}."] if shared else []
+    return Table(question_words(pair), _HEADS, tuple(rows), tuple(notes))
+
+
+def _without(difference: Difference, caveats: Sequence[str]) -> Difference:
+    verdict, *rest = difference.verdict.split("; ")
+    kept = [verdict, *(each for each in rest if each not in caveats)]
+    return replace(difference, verdict="; ".join(kept))
 
 
 def _share_of(difference: Difference, first: Group) -> str:

@@ -35,7 +35,12 @@ def test_a_question_with_its_numbers() -> None:
         "Bending stiffness (N\u00b7mm\u00b2)", "Peak force, cycle 1 (N)",
     ]  # fmt: skip
     assert 50.0 < float(table.rows[0][0].small.removesuffix(" %")) < 60.0  # 1.4 / 0.9
-    assert table.rows[0][4].text.startswith("different: ")
+    assert [row[4].text for row in table.rows] == [
+        "different: the 95 % interval of the difference leaves zero out"
+    ] * 2
+    (note,) = table.notes
+    assert note.startswith("Every number: 7B1-packed-PVC-half-lap-none and 7B2-packed-PVC")
+    assert note.endswith(": one spool, so how spools differ is not in it.")
     assert difference_table(bundle_campaign(samples)) is None
 
 
@@ -79,3 +84,13 @@ def test_what_compare_leaves_out_is_told() -> None:
         "Only pairs of groups that differ in taping alone are shown (--compare taping);"
         " 0 pairs are left out.",
     ]
+
+
+def test_what_is_said_of_one_number_stays_with_it() -> None:
+    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
+    (pair,) = answering_pairs(bundle_campaign(samples))
+    first, second = pair.differences
+    odd = replace(first, verdict=f"{first.verdict}; not made alike: this against that")
+    table = question_table(replace(pair, differences=(odd, second)))
+    assert table.rows[0][4].text.endswith("leaves zero out; not made alike: this against that")
+    assert "not made alike" not in table.notes[0]
