@@ -201,7 +201,7 @@ def beam_results(bench: Bench, entry: BendingStiffness, protocol: Protocol) -> l
     specimen = protocol.specimen
     key = "length" if entry.support == "cantilever" else "span"
     formula = "L^3 / 3" if entry.support == "cantilever" else "L^3 / 48"
-    asked = Asked(entry.name, "N m^2", CURVE, f"{entry.of} x {formula}, L = specimen.{key}")
+    asked = Asked(entry.name, "N*m^2", CURVE, f"{entry.of} x {formula}, L = specimen.{key}")
     stiffness = bench.stiffnesses.get(entry.of)
     length = specimen.length if key == "length" else specimen.span
     outcome: _Number

@@ -228,12 +228,12 @@ class PointFlag(IntEnum):
 class Shape:
     """Points along the specimen in every frame, in the specimen frame.
 
-    The frame: x along the undeformed axis from the clamped end, y in the plane of bending
-    towards the pull, z out of it.
+    The frame: x along the undeformed axis, from the clamped end or, between two supports, from the
+    middle of the span; y in the plane of bending towards the pull, z out of it.
 
     Parameters
     ----------
-    time : shape (frames,), s, the marker clock
+    time : shape (frames,), s, the clock of the curve: the markers' own, but between two supports
     positions : shape (frames, points, 3), m; the first point is the clamped end and the last the
         pull point where the specimen has them
     names : one per point, in order along the specimen

@@ -52,6 +52,7 @@ _QUANTITIES = {
     "m/N": "compliance",
     "1/m": "curvature",
     "N*m^2": "bending_stiffness",
+    "rad": "angle",
 }
 """The quantity whose display unit a result of this SI unit takes."""
 _PER_PEAK = "_per_peak_force"

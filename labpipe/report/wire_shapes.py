@@ -108,7 +108,8 @@ def _way(result: TestResult, shape: Shape) -> tuple[Floats, str]:
     curve = result.curve
     way: Floats = np.interp(shape.time, curve.time, curve.displacement)
     way[(shape.time < loading[0]) | (shape.time > loading[1])] = np.nan
-    return way, "tip deflection"
+    is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
+    return way, "tip deflection" if is_clamped else "deflection"
 
 
 def _last_seen(shape: Shape) -> int:

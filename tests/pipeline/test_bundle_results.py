@@ -145,7 +145,7 @@ def test_bending_stiffness(usual: tuple[Bench, dict[str, Result]]) -> None:
     """The length is uncertain by 1 %, which counts three times."""
     _, results = usual
     found = results["bending_stiffness"]
-    holds(found, FIRST * 0.1**3 / 3.0, "N m^2")
+    holds(found, FIRST * 0.1**3 / 3.0, "N*m^2")
     assert found.value is not None
     assert width(found) > 2 * 1.96 * 0.03 * found.value
     assert found.method == "initial_stiffness x L^3 / 3, L = specimen.length"
@@ -154,7 +154,7 @@ def test_bending_stiffness(usual: tuple[Bench, dict[str, Result]]) -> None:
 def test_three_point_takes_the_span() -> None:
     text = ASKED.replace("support: cantilever", "support: three-point")
     _, results = asked(cycles(noise=NOISE), "specimen: {span: 100 mm}\n" + text)
-    holds(results["bending_stiffness"], FIRST * 0.1**3 / 48.0, "N m^2")
+    holds(results["bending_stiffness"], FIRST * 0.1**3 / 48.0, "N*m^2")
     assert results["bending_stiffness"].method.endswith("x L^3 / 48, L = specimen.span")
 
 

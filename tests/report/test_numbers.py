@@ -127,3 +127,9 @@ def test_a_mean_keeps_three_digits_however_wide_its_interval(
 def test_a_mean_has_the_decimals_of_the_coarsest_spool_mean() -> None:
     spools = [mean(57.44, 0.26), mean(47.1234, 0.0026)]
     assert write_mean(mean(52.28, 65.6), 1.0, spools).text == "52.28 (-13.32 to 117.88)"
+
+
+def test_angles_and_stiffnesses_take_their_display_units() -> None:
+    display = {"angle": "deg", "bending_stiffness": "N*mm^2"}
+    assert shown_in("twist", "rad", display).factor == pytest.approx(57.29578, rel=1e-6)
+    assert shown_in("bending_stiffness", "N*m^2", display) == (1e6, "N*mm^2")

@@ -30,6 +30,13 @@ def test_steps_are_equal_round_and_of_the_first_loading(result: TestResult) -> N
     assert steps.word == "tip deflection"
 
 
+def test_between_two_supports_nothing_is_a_tip(result: TestResult) -> None:
+    assert result.shape is not None
+    flags = result.shape.flags.copy()
+    flags[:, 0] = PointFlag.MEASURED
+    assert choose_frames(result, replace(result.shape, flags=flags)).word == "deflection"
+
+
 def test_curves_and_signs(result: TestResult) -> None:
     assert result.shape is not None
     shape = result.shape
