@@ -10,7 +10,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
-from labpipe.pipeline.loading_errors import errors_of_rig, errors_of_test
+from labpipe.pipeline.loading_errors import force_zero_error, place_error, scale_error
 from labpipe.pipeline.string_at_rest import at_rest, notes_of
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -29,7 +29,7 @@ GRAVITY = 9.80665
 _FEWEST = 20
 """Points of a curve with which something can be said."""
 _TERMS = 5
-"""Of the polynomial that the slope of a first loading is read from, for its errors alone."""
+"""Of the polynomial that the slope of a first loading is read from, for the noise alone."""
 _SECOND_DIFFERENCE = np.sqrt(6.0)
 """Standard deviation of a second difference of white noise, over that of the noise."""
 
@@ -140,7 +140,6 @@ def first_loading(
             "deeper ones"
         )
         raise NotUsableError(message)
-    slope = _slope(deflection[usable], force[usable])[taken[usable]]
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
     measured = MeasuredCurve(
         wire=result.specimen.type,
@@ -149,10 +148,11 @@ def first_loading(
         length=length,
         deflection=deflection[taken],
         force=force[taken],
-        noise=np.hypot(noise_of(force[usable]), slope * noise_of(deflection[usable])),
+        noise=_noise(deflection[usable], force[usable])[taken[usable]],
         rig=_rig(protocol, length),
-        errors_of_test=errors_of_test(result, protocol, curve, branch, slope),
-        errors_of_rig=errors_of_rig(result, deflection[taken], slope),
+        zero_error=force_zero_error(protocol, curve, branch),
+        place_error=place_error(result, protocol, curve, branch),
+        scale_error=scale_error(result),
     )
     notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
     return FirstLoading(measured, _gain(protocol), notes)
@@ -168,9 +168,10 @@ def noise_of(values: Floats) -> float:
     return float(np.std(np.diff(values, 2)) / _SECOND_DIFFERENCE)
 
 
-def _slope(deflection: Floats, force: Floats) -> Floats:
-    """Slope of the force at each point, N/m."""
-    return np.asarray(Polynomial.fit(deflection, force, _TERMS).deriv()(deflection))
+def _noise(deflection: Floats, force: Floats) -> Floats:
+    """Noise of the force at each point, that of the deflection in it, N."""
+    slope = Polynomial.fit(deflection, force, _TERMS).deriv()(deflection)
+    return np.hypot(noise_of(force), slope * noise_of(deflection))
 
 
 def _rest_notes(

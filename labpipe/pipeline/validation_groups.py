@@ -54,7 +54,7 @@ def _compared(
 ) -> ValidationGroup:
     curves = [each.curve for each in loadings]
     deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
-    noise = float(np.mean([np.mean(curve.noise) for curve in curves]))
+    noise = float(np.mean([curve.read_error for curve in curves]))
     first = curves[0]
     prediction, errors, reason = None, None, ""
     try:

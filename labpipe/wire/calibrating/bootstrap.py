@@ -15,7 +15,7 @@ from labpipe.records.calibration import (
     CalibrationFailure,
 )
 from labpipe.records.curve import Interval
-from labpipe.wire.calibrating.data import MeasuredCurve
+from labpipe.wire.calibrating.data import MeasuredCurve, shared_errors
 from labpipe.wire.calibrating.finding import Found, Settings, Wire, find
 from labpipe.wire.calibrating.mixture import mix, quantiles
 from labpipe.wire.calibrating.search import Fit, P, Point, Problem, search
@@ -92,7 +92,8 @@ def _draw(found: Found, generator: np.random.Generator) -> Problem:
     curves = tuple(
         replace(
             curve,
-            force=np.exp(gain + offsets[sample]) * model.force + _noise(found, curve, generator),
+            force=np.exp(gain + offsets[sample]) * model.force
+            + _noise(found, curve, model.slope, generator),
         )
         for curve, model, sample in zip(
             problem.curves, found.fit.models, problem.sample, strict=True
@@ -103,12 +104,17 @@ def _draw(found: Found, generator: np.random.Generator) -> Problem:
     return replace(problem, curves=curves, centre=centre)
 
 
-def _noise(found: Found, curve: MeasuredCurve, generator: np.random.Generator) -> Floats:
+def _noise(
+    found: Found, curve: MeasuredCurve, slope: Floats, generator: np.random.Generator
+) -> Floats:
+    """Noise of the points, and errors that they share, N."""
     factor = found.levels.correlation
     kicks = generator.normal(size=len(curve.force)) * np.sqrt(1.0 - factor**2)
     kicks[0] /= np.sqrt(1.0 - factor**2)
     white: Floats = np.asarray(lfilter([1.0], [1.0, -factor], kicks), dtype=np.float64)
-    return np.asarray(white * np.sqrt(found.levels.noise) * np.asarray(curve.noise))
+    errors = shared_errors(curve, slope)
+    shared = generator.normal(size=len(errors)) @ errors
+    return np.asarray(np.sqrt(found.levels.noise) * (white * np.asarray(curve.noise) + shared))
 
 
 def _fit_draw(found: Found, problem: Problem) -> _Draw | None:

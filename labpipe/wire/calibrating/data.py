@@ -28,6 +28,11 @@ class MeasuredCurve:
     noise : standard deviation of the force, N, one number or shape (n,); noise of the deflection
         is to be in it, as the slope of the curve times that noise
     rig : the string and what hangs on it; None for an end load normal to the undeformed axis
+    zero_error : N, standard error of the zero of the force
+    place_error : m, standard error of what all deflections are off by: their zero, and a clock
+        that runs late or early
+    scale_error : standard error of the deflection's scale, as a ratio; all curves of a calibration
+        are off alike
     """
 
     wire: str
@@ -38,6 +43,9 @@ class MeasuredCurve:
     force: Floats
     noise: float | Floats
     rig: StringRig | None = None
+    zero_error: float = 0.0
+    place_error: float = 0.0
+    scale_error: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
@@ -50,17 +58,50 @@ class MeasuredCurve:
         """The largest force, N."""
         return float(np.nanmax(np.abs(self.force)))
 
+    @property
+    def read_error(self) -> float:
+        """Standard deviation, N, of what one point is off by, rms over the curve, about.
+
+        The slope that makes a force of what a deflection is off by is that from rest to the peak.
+        """
+        slope = self.peak / float(np.nanmax(np.abs(self.deflection)))
+        shared = shared_errors(self, np.full(len(self.force), slope))
+        return float(np.sqrt(np.nanmean(np.asarray(self.noise) ** 2 + np.sum(shared**2, axis=0))))
+
+
+def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
+    """What one standard deviation of each error that all points share makes of the force.
+
+    Parameters
+    ----------
+    curve : measured
+    slope : shape (n,), N/m, of the force over the deflection
+
+    Returns
+    -------
+    Shape (3, n), N: zero of the force, place and scale of the deflection.
+    """
+    zero = np.full(len(slope), curve.zero_error)
+    return np.stack([zero, curve.place_error * slope, curve.scale_error * curve.deflection * slope])
+
 
 def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | CalibrationFailure:
     """Leave out points without a number, and curves without points; refuse what cannot be fitted.
 
     Returns
     -------
-    The curves, or a failure ``no_sample_usable``, ``wires_mixed``, ``noise_not_positive`` or
-    ``deflection_too_large``.
+    The curves, errors of the scale counted as each curve's own; or a failure ``no_sample_usable``,
+    ``wires_mixed``, ``noise_not_positive`` or ``deflection_too_large``.
+
+    Notes
+    -----
+    Of n curves that are all off by the same e, the mean is off by e. As n independent errors of
+    n^(1/2) e it is, too; only what curves differ by then counts for less than it might.
     """
     known = tuple(_known(curve) for curve in curves)
     known = tuple(curve for curve in known if len(curve.force))
+    each = np.sqrt(len(known))
+    known = tuple(replace(curve, scale_error=each * curve.scale_error) for curve in known)
     if not known:
         message = f"none of {len(curves)} curves has a point with deflection and force"
         return CalibrationFailure("no_sample_usable", message)

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import PARAMETERS
-from labpipe.wire.calibrating.data import MeasuredCurve, whiten
+from labpipe.wire.calibrating.data import MeasuredCurve, shared_errors, whiten
 from labpipe.wire.calibrating.parts import WireParts, loading_law
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
@@ -22,10 +22,11 @@ COLUMNS = len(PARAMETERS) + 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelForce:
-    """Forces of one curve: shape (n,), N, and their derivatives, shape (3, n), N."""
+    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m."""
 
     force: Floats
     change: Floats
+    slope: Floats
 
 
 def loading_curve(
@@ -74,9 +75,10 @@ def model_forces(
         curve = loading_curve(parts, values, first.length, first.rig, deepest)
         force, change = force_at(curve, every)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
-        pieces = zip(numbers, np.split(force, ends), np.split(change, ends, axis=1), strict=True)
-        for number, part, slopes in pieces:
-            found[number] = ModelForce(part, slopes)
+        rise = np.interp(np.abs(every), curve.deflection, curve.stiffness)
+        parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
+        for number, *part in zip(numbers, *parts_of, strict=True):
+            found[number] = ModelForce(*part)
     return [force for force in found if force is not None]
 
 
@@ -95,10 +97,21 @@ def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: fl
     curve, model : measured and modelled
     factor : of the sample and the load cell on the model's force
     correlation : of neighbouring points
+
+    Notes
+    -----
+    Errors N that the points share make the covariance R + N N', R being that of the noise. With
+    whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
+    were fitted with its own standard deviation for a prior. They are in units of the stated noise:
+    where residuals show more noise, the shared errors count for as much more.
     """
     columns = np.empty((len(curve.force), COLUMNS))
     columns[:, _J] = factor * model.change.T
     columns[:, _M] = factor * model.force
     columns[:, _R] = curve.force - columns[:, _M]
-    white = whiten(columns / np.asarray(curve.noise)[:, None], correlation)
-    return np.asarray(white.T @ white)
+    noise = np.asarray(curve.noise)[:, None]
+    white = whiten(columns / noise, correlation)
+    shared = whiten(shared_errors(curve, model.slope).T / noise, correlation)
+    seen = shared.T @ white
+    held = np.eye(shared.shape[1]) + shared.T @ shared
+    return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))

@@ -17,7 +17,7 @@ from scipy.optimize import minimize_scalar
 from scipy.special import stdtrit
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.wire.calibrating.data import MeasuredCurve
+from labpipe.wire.calibrating.data import MeasuredCurve, shared_errors
 from labpipe.wire.calibrating.model import ModelForce
 from labpipe.wire.calibrating.search import Fit, Levels, P, Problem
 
@@ -61,6 +61,8 @@ def correlation_of(
 ) -> float:
     """Correlation of neighbouring residuals over all curves, at least 0.
 
+    What an error that all points of a curve share most likely made of them is taken out first.
+
     Parameters
     ----------
     curves, models : measured and modelled
@@ -68,7 +70,11 @@ def correlation_of(
     """
     above = below = 0.0
     for curve, model, factor in zip(curves, models, factors, strict=True):
-        left = (curve.force - factor * model.force) / np.asarray(curve.noise)
+        noise = np.asarray(curve.noise)
+        left = (curve.force - factor * model.force) / noise
+        shared = shared_errors(curve, model.slope) / noise
+        held = np.eye(len(shared)) + shared @ shared.T
+        left -= np.linalg.solve(held, shared @ left) @ shared
         above += float(left[1:] @ left[:-1])
         below += float(left @ left)
     return float(np.clip(above / below, 0.0, _HIGHEST_CORRELATION)) if below > 0.0 else 0.0

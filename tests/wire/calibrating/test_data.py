@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.calibration import CalibrationFailure
-from labpipe.wire.calibrating.data import MeasuredCurve, usable, whiten
+from labpipe.wire.calibrating.data import MeasuredCurve, shared_errors, usable, whiten
 from tests.builders.loading_tests import memory_noise
 
 CURVE = MeasuredCurve("A2", "t", "s", 0.085, np.linspace(0, 0.05, 5), np.arange(5.0), 0.002)
@@ -62,3 +62,27 @@ def test_whitening_undoes_memory() -> None:
     assert float(white[1:] @ white[:-1]) / float(white @ white) == pytest.approx(0.0, abs=0.015)
     assert white.std() == pytest.approx(1.0, abs=0.015)
     assert whiten(noise, 0.0) is noise
+
+
+def test_errors_that_all_points_share() -> None:
+    curve = replace(CURVE, zero_error=0.1, place_error=2e-3, scale_error=0.01)
+    slope = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
+    zero, place, scale = shared_errors(curve, slope)
+    assert zero == pytest.approx(np.full(5, 0.1))
+    assert place == pytest.approx(2e-3 * slope)
+    assert scale == pytest.approx(0.01 * curve.deflection * slope)
+    assert not shared_errors(CURVE, slope).any()
+
+
+def test_what_one_point_is_off_by() -> None:
+    assert CURVE.read_error == pytest.approx(0.002)
+    assert replace(CURVE, zero_error=0.1).read_error == pytest.approx(np.hypot(0.1, 0.002))
+    moved = replace(CURVE, place_error=1e-3).read_error
+    assert moved == pytest.approx(np.hypot(1e-3 * 4.0 / 0.05, 0.002))
+
+
+def test_a_scale_that_all_curves_share_does_not_average_out() -> None:
+    one = replace(CURVE, scale_error=0.01)
+    found = usable((one, one, one, one))
+    assert isinstance(found, tuple)
+    assert [curve.scale_error for curve in found] == pytest.approx([0.02] * 4)

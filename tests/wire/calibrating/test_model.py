@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.wire.calibrating.data import shared_errors
 from labpipe.wire.calibrating.model import gram, loading_curve, model_forces
 from labpipe.wire.calibrating.parts import take_apart
 from tests.builders.loading_tests import TRUTH, exact_curve, measured, rig_of, wire_of
@@ -42,3 +43,27 @@ def test_gram_is_of_weighted_columns() -> None:
     left = (curve.force - 1.1 * model.force) / 0.002
     assert products[4, 4] == pytest.approx(float(left @ left))
     assert products[3, 0] == pytest.approx(1.21 * float(model.force @ model.change[0]) / 0.002**2)
+
+
+def test_errors_that_points_share_make_a_covariance() -> None:
+    """Against the inverse of the whole matrix."""
+    curve = replace(
+        measured(samples=1, n=30)[0], zero_error=2e-3, place_error=1e-3, scale_error=0.02
+    )
+    model = model_forces(PARTS, TRUTH, (curve,))[0]
+    shared = shared_errors(curve, model.slope)
+    lags = np.abs(np.subtract.outer(np.arange(30), np.arange(30)))
+    weight = np.linalg.inv(0.002**2 * 0.4**lags + shared.T @ shared)
+    left = curve.force - 1.1 * model.force
+    products = gram(curve, model, 1.1, 0.4)
+    assert products[4, 4] == pytest.approx(float(left @ weight @ left), rel=1e-6)
+    assert products[0, 4] == pytest.approx(float(1.1 * model.change[0] @ weight @ left), rel=1e-6)
+
+
+def test_the_slope_is_that_of_the_curve() -> None:
+    curve, step = measured(samples=1, n=30)[0], 1e-5
+    ahead = replace(curve, deflection=curve.deflection + step)
+    behind = replace(curve, deflection=curve.deflection - step)
+    model, more, less = (model_forces(PARTS, TRUTH, (each,))[0] for each in (curve, ahead, behind))
+    wanted = (more.force - less.force) / (2.0 * step)
+    assert model.slope[1:] == pytest.approx(wanted[1:], rel=0.02)

@@ -86,10 +86,20 @@ def test_offsets_that_the_fit_took_out_are_put_back() -> None:
 def test_correlation_of_neighbours(correlation: float) -> None:
     noise = memory_noise(np.random.default_rng(0), 20_000, correlation)
     curve = MeasuredCurve("A2", "t", "s", 1.0, np.zeros(20_000), 1.2 + 0.1 * noise, 0.1)
-    model = ModelForce(np.ones(20_000), np.zeros((3, 20_000)))
+    model = ModelForce(np.ones(20_000), np.zeros((3, 20_000)), np.zeros(20_000))
     found = correlation_of((curve,), [model], np.array([1.2]))
     assert found == pytest.approx(correlation, abs=0.02)
-    assert correlation_of((curve,), [ModelForce(curve.force, model.change)], np.ones(1)) == 0.0
+    exact = replace(model, force=curve.force)
+    assert correlation_of((curve,), [exact], np.ones(1)) == 0.0
+
+
+def test_what_points_share_is_no_correlation_of_neighbours() -> None:
+    noise = memory_noise(np.random.default_rng(0), 20_000, 0.0)
+    curve = MeasuredCurve("A2", "t", "s", 1.0, np.zeros(20_000), 1.1 + 0.1 * noise, 0.1)
+    model = ModelForce(np.ones(20_000), np.zeros((3, 20_000)), np.zeros(20_000))
+    assert correlation_of((curve,), [model], np.ones(1)) == pytest.approx(0.5, abs=0.02)
+    known = replace(curve, zero_error=0.1)
+    assert correlation_of((known,), [model], np.ones(1)) == pytest.approx(0.0, abs=0.02)
 
 
 def test_one_sample_has_no_scatter() -> None:
