@@ -11,11 +11,11 @@ from pathlib import Path
 from labpipe.cli.calibration_lines import calibration_table
 from labpipe.cli.process import process_all
 from labpipe.cli.report import status_of
-from labpipe.cli.telling import headline, report_table, table
+from labpipe.cli.telling import from_here, headline, table
 from labpipe.pipeline.calibrating import Calibrated, calibrate_tests
 from labpipe.pipeline.many import run_jobs
 from labpipe.pipeline.process import Processed
-from labpipe.pipeline.reporting import report_tests
+from labpipe.pipeline.reporting import Wanted, report_tests
 from labpipe.pipeline.targets import find_tests
 from labpipe.protocol.load import load_test_sheet
 from labpipe.virtual_lab import simulate_harness, simulate_tensile_campaign, wire_campaign
@@ -34,16 +34,27 @@ PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are p
 def run(options: argparse.Namespace) -> int:
     """Make synthetic campaigns in vendor formats, process, report and calibrate, and say where."""
     raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
-    print(f"making a synthetic campaign in {raw}", file=sys.stderr)
+    print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_jobs([partial(make, raw / name) for name, make in CAMPAIGNS.items()], jobs=options.jobs)
     processed, refused = _processed(raw, out, options)
     print(_told(processed))
-    reported = report_tests([each.folder for each in processed], title="Synthetic demo campaign")
-    print(f"\n{report_table(reported)}")
-    calibrated = _calibrated(raw / WIRES, out / WIRES, is_drawn=not options.no_figures)
+    wires = write_wire_sheet(raw / WIRES)
+    print(f"reports of {', '.join(CAMPAIGNS)}", file=sys.stderr)
+    reports = run_jobs(
+        [partial(_report, out / name, wires) for name in CAMPAIGNS], jobs=options.jobs
+    )
+    calibrated = _calibrated(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
     print(f"\n{calibration_table(calibrated)}")
-    _name_figures([path for each in _firsts(processed) for path in each.figures], calibrated)
-    return 2 if refused else max(status_of(reported), int(any(each.n_failed for each in processed)))
+    _name_files([page for page, _ in reports], processed, calibrated)
+    failed = int(any(each.n_failed for each in processed))
+    return 2 if refused else max(failed, *(status for _, status in reports))
+
+
+def _report(folder: Path, wires: Path) -> tuple[Path, int]:
+    """Report a campaign; its page, and what became of it."""
+    title = f"Synthetic demo campaign: {folder.name}"
+    reported = report_tests([folder], title=title, wanted=Wanted(wires=wires))
+    return reported.files[0], status_of(reported)
 
 
 def _processed(raw: Path, out: Path, options: argparse.Namespace) -> tuple[list[Processed], int]:
@@ -67,18 +78,23 @@ def _first_of_each_type(tests: Sequence[Path]) -> set[Path]:
     return set(firsts.values())
 
 
-def _calibrated(raw: Path, out: Path, *, is_drawn: bool) -> Calibrated:
-    """Calibrate one of the wires, with the sheet and the plan that a person would write."""
+def _calibrated(raw: Path, out: Path, wires: Path, *, is_drawn: bool) -> Calibrated:
+    """Calibrate one of the wires, with the plan that a person would write."""
     plan = raw / "plan.yaml"
     plan.write_text(PLAN, encoding="utf-8")
-    return calibrate_tests([out], wires=write_wire_sheet(raw), plan=plan, figures=is_drawn)
+    return calibrate_tests([out], wires=wires, plan=plan, figures=is_drawn)
 
 
-def _name_figures(figures: Sequence[Path], calibrated: Calibrated) -> None:
-    drawn = [path for path in (*figures, *calibrated.files) if path.suffix == ".png"]
+def _name_files(
+    pages: Sequence[Path], processed: Sequence[Processed], calibrated: Calibrated
+) -> None:
+    print("\nreports, one page each:")
+    print("\n".join(f"  {from_here(page)}" for page in pages))
+    firsts = [path for each in _firsts(processed) for path in each.figures]
+    drawn = [path for path in (*firsts, *calibrated.files) if path.suffix == ".png"]
     if drawn:
         print("\nfigures to look at, of the first test of each kind and of the calibration:")
-        print("\n".join(f"  {path}" for path in drawn))
+        print("\n".join(f"  {from_here(path)}" for path in drawn))
 
 
 def _told(processed: Sequence[Processed]) -> str:

@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 from labpipe.errors import LabpipeError
 from labpipe.pipeline.process import Processed, process_test
 
 Say = Callable[[str], None]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,21 +69,23 @@ def process_tests(
             pool.shutdown(cancel_futures=True)
 
 
-def run_jobs(calls: Sequence[Callable[[], object]], *, jobs: int) -> None:
+def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     """Call functions, several at a time in processes of their own.
 
     Parameters
     ----------
     calls : partials of functions at the top of a module, with their arguments
     jobs : how many at a time
+
+    Returns
+    -------
+    What they gave, in their order.
     """
     if jobs == 1:
-        for call in calls:
-            call()
-        return
+        return [call() for call in calls]
     with _workers(min(jobs, len(calls))) as pool:
-        for each in [pool.submit(call) for call in calls]:
-            each.result()
+        waiting = [pool.submit(call) for call in calls]
+        return [each.result() for each in waiting]
 
 
 def _workers(jobs: int) -> ProcessPoolExecutor:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,7 +16,9 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two small tests and two pulls in place of the campaigns, which take a while."""
 
     def simulate(folder: Path) -> None:
-        made = make_lab(folder.parent.parent / "made", small_scenario())
+        small = small_scenario()
+        straight = replace(small.mechanics, slack=None)
+        made = make_lab(folder.parent.parent / "made", replace(small, mechanics=straight))
         for name in ("T1", "T2"):
             goal = folder / name
             goal.mkdir(parents=True)
@@ -32,34 +35,29 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
             write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
             shutil.copytree(lab.raw, folder / name)
 
-    small = {"wires": simulate, "tensile": simulate_tensile}
-    monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", small)
+    campaigns = {"wires": simulate, "tensile": simulate_tensile}
+    monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", campaigns)
 
 
 @pytest.mark.usefixtures("quick_campaign")
-def test_processes_all_and_says_where(run: Run, tmp_path: Path) -> None:
+def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--no-figures", "--jobs", 1)
     assert ran.status == 0
-    assert "T1  (wire-cantilever): " in ran.out
-    assert "T2  (wire-cantilever): " in ran.out
+    assert ran.err.startswith("making synthetic campaigns in ")
+    done = tmp_path / "processed" / "demo"
     for name in ("wires/T1", "wires/T2", "tensile/P-1", "tensile/P-2"):
-        assert (tmp_path / "processed" / "demo" / name / "summary.json").is_file()
-    assert ran.err.startswith("making a synthetic campaign in ")
+        assert (done / name / "summary.json").is_file()
+        assert f"{name.partition('/')[2]}  (" in ran.out
+    one, other = (ran.out.index(f"{name}  (tensile): ") for name in ("P-1", "P-2"))
+    assert "failure_displacement" in ran.out[one:other]
+    assert "failure_displacement" not in ran.out[other:]
+    for name in ("wires", "tensile"):
+        page = done / name / "report" / "report.html"
+        assert f"Synthetic demo campaign: {name}" in page.read_text(encoding="utf-8")
+        assert f"  {page}\n" in ran.out
+    assert "radial_friction" in ran.out
+    assert (done / "wires" / "calibration" / "calibration.json").is_file()
     assert "figures to look at" not in ran.out
-
-
-@pytest.mark.usefixtures("quick_campaign")
-def test_the_first_of_each_kind_is_told_in_full_and_all_are_reported(
-    run: Run, tmp_path: Path
-) -> None:
-    out = run("demo", tmp_path, "--no-figures", "--jobs", 1).out
-    one, other = (out.index(f"{name}  (tensile): ") for name in ("P-1", "P-2"))
-    assert "failure_displacement" in out[one:other]
-    assert "failure_displacement" not in out[other : out.index("A2  (wire-cantilever): ")]
-    assert "synthetic  (tensile): 2 samples from 1 spool\n" in out
-    page = tmp_path / "processed" / "demo" / "report" / "report.html"
-    assert "Synthetic demo campaign" in page.read_text(encoding="utf-8")
-    assert "report.html" in out
 
 
 @pytest.mark.usefixtures("quick_campaign")
@@ -71,14 +69,18 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
             path.write_text("drawn", encoding="utf-8")
         return drawn
 
+    def card(report: object, folder: Path, **more: object) -> list[Path]:
+        return [folder / "calibration.svg", folder / "calibration.png"]
+
     monkeypatch.setattr("labpipe.report.figures.save_figures", one)
+    monkeypatch.setattr("labpipe.pipeline.calibrating.save_calibration_figures", card)
     ran = run("demo", tmp_path, "--jobs", 1)
     folder = tmp_path / "processed" / "demo"
     _, _, told = ran.out.partition(
         "\nfigures to look at, of the first test of each kind and of the calibration:\n"
     )
     names = [line.strip().rpartition("/")[2] for line in told.splitlines()]
-    assert names[:3] == ["timeline.png", "timeline.png", "calibration.png"]
+    assert names == ["timeline.png", "timeline.png", "calibration.png"]
     assert (folder / "wires" / "T1" / "figures" / "timeline.png").is_file()
     assert not (folder / "wires" / "T2" / "figures").exists()
     for name in ("P-1", "T1"):
