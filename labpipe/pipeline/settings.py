@@ -15,6 +15,8 @@ _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """What makes numbers of a recording; the rest of a protocol speaks of the sample and its files."""
 
 _ABSENT = "none"
+_MOST_KEYS = 3
+"""Settings that a verdict names one by one."""
 
 Settings = Mapping[str, str]
 
@@ -126,8 +128,15 @@ def unlike_words(settings: Mapping[str, Settings]) -> str:
     Parameters
     ----------
     settings : by test
+
+    Returns
+    -------
+    Of more than `_MOST_KEYS` settings, the blocks of the protocol that they stand in: the notes of
+    the groups have them all.
     """
     keys = list(differing(settings))
+    if len(keys) > _MOST_KEYS:
+        keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
     return f"; the tests were processed otherwise: {', '.join(keys)} differ" if keys else ""
 
 

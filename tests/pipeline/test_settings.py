@@ -42,6 +42,10 @@ def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
         "; the tests were processed otherwise: curve.failure.force_below differ"
     )
     assert not unlike_words({"a": own, "b": own})
+    bare = settings_of(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
+    assert unlike_words({"a": own, "b": bare}) == (
+        "; the tests were processed otherwise: steps, branches, results differ"
+    )
 
 
 def test_what_is_told_of_a_result_is_not_told_again(tube: Protocol) -> None:
