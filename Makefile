@@ -9,7 +9,7 @@ BIN := .venv/bin
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mf4]'
 	touch $@
 
-demo: .venv/.ready  ## a synthetic campaign in real vendor formats, processed, with figures to look at
+demo: .venv/.ready  ## synthetic campaigns in real vendor formats, processed, with figures to look at
 	$(BIN)/labpipe demo
 
 # The matrices are small: more than one thread of BLAS only waits for the others.
