@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
@@ -11,7 +10,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import Fault, error_of
 from labpipe.protocol.quantities import Length
-from labpipe.protocol.words import Text
+from labpipe.protocol.words import Text, file_inside
 from labpipe.units import si_factor
 
 
@@ -30,18 +29,6 @@ def _sign(value: object) -> int:
     if str(value) not in ("1", "+1", "-1"):
         raise error_of(expected="1 or -1", found=value)
     return int(str(value))
-
-
-def _beside(value: object) -> str:
-    """Take the name of a file in the folder of the plan, or below it."""
-    name = str(value)
-    if not isinstance(value, str) or not name.strip():
-        raise error_of(expected="the name of a file", found=value)
-    is_absolute = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
-    if is_absolute or ".." in PureWindowsPath(name).parts:
-        expected = "a file inside the folder of the plan"
-        raise error_of(expected=expected, found=value, remedy=COPY_IT)
-    return name
 
 
 COPY_IT = "Copy the curve into the folder of the plan and name it from there."
@@ -76,7 +63,7 @@ class Comparison(Block):
     """A curve from elsewhere: finite elements, a digitised figure, another lab."""
 
     name: Text
-    file: Annotated[str, BeforeValidator(_beside)] = Field(
+    file: Annotated[str, file_inside("the folder of the plan", COPY_IT)] = Field(
         description="csv or xlsx in the folder of the plan, or below it"
     )
     wire: Text = Field(description="Wire of the sheet that it is of")

@@ -6,7 +6,6 @@ import difflib
 import re
 from collections.abc import Mapping
 from datetime import date
-from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
@@ -18,7 +17,7 @@ from labpipe.protocol.quantities import (
     Length,
 )
 from labpipe.protocol.source import Role
-from labpipe.protocol.words import FileStem, Remark, Snake, Text
+from labpipe.protocol.words import FileStem, Remark, Snake, Text, file_inside
 from labpipe.records.result import Specimen
 
 SHEET_NAME = "test.yaml"
@@ -88,17 +87,6 @@ def _taken(key: str) -> Fault:
     )
 
 
-def _inside(value: object) -> str:
-    """Take the name of a file in the folder of the test, or below it."""
-    name = str(value)
-    roots = PurePosixPath(name).is_absolute() or PureWindowsPath(name).anchor
-    if not isinstance(value, str) or not name.strip():
-        raise error_of(expected="the name of a file", found=value)
-    if roots or ".." in PureWindowsPath(name).parts:
-        raise error_of(expected="a file inside the folder of the test", found=value, remedy=COPY_IT)
-    return name
-
-
 COPY_IT = "Copy the export into the folder of the test and name it from there."
 
 
@@ -107,7 +95,7 @@ def _listed(value: object) -> object:
 
 
 FileNames = Annotated[
-    tuple[Annotated[str, BeforeValidator(_inside)], ...],
+    tuple[Annotated[str, file_inside("the folder of the test", COPY_IT)], ...],
     BeforeValidator(_listed),
     Field(min_length=1),
     WithJsonSchema(

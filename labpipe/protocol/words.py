@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated
 
 from pydantic import BeforeValidator, WithJsonSchema
@@ -22,6 +23,31 @@ def _word(pattern: str, meaning: str) -> BeforeValidator:
         if re.fullmatch(pattern, _text(value)) is None:
             raise error_of(expected=meaning, found=value)
         return str(value)
+
+    return BeforeValidator(check)
+
+
+def file_inside(folder: str, remedy: str) -> BeforeValidator:
+    """Take the name of a file that is in a folder or below it.
+
+    Parameters
+    ----------
+    folder : in words, such as ``the folder of the test``
+    remedy : what to do about a file elsewhere
+
+    Returns
+    -------
+    Validator that refuses what is no text, a path from the root (of POSIX or of Windows, on either
+    system), and one with ``..``.
+    """
+
+    def check(value: object) -> str:
+        if not isinstance(value, str) or not value.strip():
+            raise error_of(expected="the name of a file", found=value)
+        roots = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
+        if roots or ".." in PureWindowsPath(value).parts:
+            raise error_of(expected=f"a file inside {folder}", found=value, remedy=remedy)
+        return value
 
     return BeforeValidator(check)
 
