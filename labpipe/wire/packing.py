@@ -44,16 +44,33 @@ def overlap_energy(flat: Floats, strand_radius: float, bore_radius: float) -> tu
     Sum over strands of squared overlaps, m^2, eq. (3.4); gradient, shape (2 n,), m.
     """
     centres = flat.reshape(-1, 2)
-    apart = centres[:, None] - centres[None]
-    distance = np.hypot(apart[..., 0], apart[..., 1])
-    np.fill_diagonal(distance, np.inf)
-    depth = np.maximum(2.0 * strand_radius - distance, 0.0)
+    pairs, push = squared_overlaps(centres, 2.0 * strand_radius)
     radius = np.hypot(*centres.T)
     beyond = np.maximum(radius + strand_radius - bore_radius, 0.0)
     pull = 2.0 * beyond / np.where(radius == 0.0, 1.0, radius)
-    push = -4.0 * depth / np.where(distance == 0.0, 1.0, distance)
-    gradient = pull[:, None] * centres + np.einsum("ij,ijk->ik", push, apart)
-    return float(np.sum(depth**2) + np.sum(beyond**2)), gradient.ravel()
+    gradient = pull[:, None] * centres + 2.0 * push
+    return float(2.0 * pairs + np.sum(beyond**2)), gradient.ravel()
+
+
+def squared_overlaps(centres: Floats, touching: Floats | float) -> tuple[float, Floats]:
+    """Sum of squared overlaps of circles, each pair once, and its gradient.
+
+    Parameters
+    ----------
+    centres : shape (n, 2), m
+    touching : m, distance at which two circles touch: of all pairs, or shape (n, n)
+
+    Returns
+    -------
+    Sum, m^2, and gradient, shape (n, 2), m. Circles that lie on one another know no way apart:
+    they do not push.
+    """
+    apart = centres[:, None] - centres[None]
+    distance = np.hypot(apart[..., 0], apart[..., 1])
+    np.fill_diagonal(distance, np.inf)
+    depth = np.maximum(touching - distance, 0.0)
+    push = depth / np.where(distance == 0.0, 1.0, distance)
+    return float(0.5 * np.sum(depth**2)), -2.0 * np.einsum("ij,ijk->ik", push, apart)
 
 
 def packed(

@@ -15,6 +15,7 @@ from scipy.optimize import minimize
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.cross_section import largest_overlap
+from labpipe.wire.packing import squared_overlaps
 
 _PULLS = (0.1, 1e-2)
 """Weights of the pull against squared overlaps, one after the other."""
@@ -118,15 +119,10 @@ def pulled_overlap_energy(flat: Floats, diameters: Floats, pull: float) -> tuple
     origin; gradient, shape (2 n,).
     """
     centres = flat.reshape(-1, 2)
-    apart = centres[:, None] - centres[None]
-    distance = np.hypot(apart[..., 0], apart[..., 1])
-    np.fill_diagonal(distance, np.inf)
-    depth = np.maximum(0.5 * (diameters[:, None] + diameters) - distance, 0.0)
-    push = depth / np.where(distance == 0.0, 1.0, distance)
+    pairs, push = squared_overlaps(centres, 0.5 * (diameters[:, None] + diameters))
     weight = pull * diameters[:, None] ** 2
-    energy = 0.5 * np.sum(depth**2) + np.sum(weight * centres**2)
-    gradient = 2.0 * weight * centres - 2.0 * np.einsum("ij,ijk->ik", push, apart)
-    return float(energy), gradient.ravel()
+    gradient = 2.0 * weight * centres + push
+    return float(pairs + np.sum(weight * centres**2)), gradient.ravel()
 
 
 def _spread(centres: Floats, diameters: Floats) -> float:
