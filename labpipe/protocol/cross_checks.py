@@ -58,7 +58,6 @@ _NEEDS_OF_CURVE = {
     "slack": "slack",
 }
 """Results that are read from what a correction of the curve finds."""
-_FIGURES_OF_CURVE = ("force-displacement", "stiffness-lines", "timeline")
 
 
 def cross_faults(data: Values) -> list[Fault]:

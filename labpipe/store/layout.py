@@ -64,7 +64,6 @@ WIRE_POSITION: Final = Field(("wire", "xy"), "m")
 # /raw/<role>
 RAW: Final = "raw"
 RECORDING_TEXTS: Final = ("reader", "program", "program_version")
-INPUT_FIELDS: Final = ("file", "sha256", "bytes")
 INPUT_ORDER: Final = "input_order"
 METADATA: Final = "metadata"
 NOTES: Final = "notes"

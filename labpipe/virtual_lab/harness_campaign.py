@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.virtual_lab.campaign import simulate_test
 from labpipe.virtual_lab.conduit_bundle import (
     CONDUIT_TYPES,
     LOAD_CELL,
@@ -28,7 +27,7 @@ from labpipe.virtual_lab.conduit_exports import (
     simulate_conduit,
 )
 from labpipe.virtual_lab.scenario import Pose
-from labpipe.virtual_lab.taped_bundle import TapedCampaign, taped_scenarios
+from labpipe.virtual_lab.taped_bundle import TapedCampaign, simulate_taped
 
 _WITHOUT_FRAME = 3
 
@@ -76,11 +75,7 @@ def simulate_harness(
     """
     usual_taped, usual_conduits = small_campaigns(samples)
     taped, conduits = taped or usual_taped, conduits or usual_conduits
-    folders = [
-        simulate_test(scenario, folder / scenario.name, seed=own)
-        for scenario, own in taped_scenarios(taped, seed)
-    ]
-    return folders + [
+    return simulate_taped(taped, folder, seed) + [
         simulate_conduit(scenario, folder / scenario.name, seed=own)
         for scenario, own in conduit_scenarios(conduits, seed)
     ]
