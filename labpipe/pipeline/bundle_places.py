@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 
 from labpipe.records.bundle import Bundle, BundleModel
@@ -12,6 +13,7 @@ from labpipe.records.group import BundlePlace, Group, Sample
 from labpipe.records.result import Result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.wire.bundle.model import bundle_model
+from labpipe.wire.bundle.stiffness import share_of_bounds
 from labpipe.wire.wire_table import wire_table
 
 STIFFNESS = "bending_stiffness"
@@ -40,9 +42,8 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
 
     Notes
     -----
-    The share is (EI - low) / (high - low), which is what layered beams call the degree of composite
-    action (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75): 0
-    where every wire slips on its neighbours and its strands slip too, 1 where nothing slips.
+    The share is 0 where every wire slips on its neighbours and its strands slip too, 1 where
+    nothing slips: see `share_of_bounds`.
     """
     with_bundles = [group for group in groups if _bundles(group)]
     every = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
@@ -127,9 +128,7 @@ def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
         return place
     if not model.high > model.low:
         return replace(place, reason="one_bound: no share: the two bounds are the same")
-    span = model.high - model.low
-    ends = None
-    if place.interval is not None:
-        own = place.interval
-        ends = Interval((own.lower - model.low) / span, (own.upper - model.low) / span, own.level)
-    return replace(place, share=(place.value - model.low) / span, share_interval=ends)
+    share = partial(share_of_bounds, low=model.low, high=model.high)
+    own = place.interval
+    ends = None if own is None else Interval(share(own.lower), share(own.upper), own.level)
+    return replace(place, share=share(place.value), share_interval=ends)

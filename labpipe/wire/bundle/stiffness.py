@@ -13,8 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.bundle import BundleModel
-from labpipe.records.curve import Interval
 from labpipe.records.wire import WireTable
 
 _ROUND = 1e-6
@@ -76,18 +74,6 @@ def _half_turn(axis: Floats) -> float:
     return angle + np.pi if angle <= -np.pi / 2.0 + _ROUND else angle
 
 
-def in_direction(tensor: Floats, angle: float) -> float:
-    """Bending stiffness along a direction, kept in its plane, N m^2.
-
-    Parameters
-    ----------
-    tensor : shape (2, 2), N m^2, see `sticking`
-    angle : rad, from the x axis
-    """
-    along = np.array([np.cos(angle), np.sin(angle)])
-    return float(along @ tensor @ along)
-
-
 def common_curvature(tables: Sequence[WireTable]) -> Floats:
     """Curvatures at which all laws are known, 1/m: those of all tables, up to the shortest range.
 
@@ -118,91 +104,29 @@ def slipping_moment(
     return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
 
 
-def secant_bounds(model: BundleModel, curvature: float) -> tuple[float, float]:
-    """Secant stiffnesses M / kappa of the bounds at a curvature, N m^2: wires slip, wires stick.
+def share_of_bounds(value: float, low: float, high: float) -> float:
+    """Tell where a stiffness lies between the bounds of the model: 0 at the lower, 1 at the upper.
 
     Parameters
     ----------
-    model : of the bundle
-    curvature : 1/m, above 0, within the range of the model
-
-    Raises
-    ------
-    ValueError
-        If the curvature is outside the range: nothing is said there.
-
-    Notes
-    -----
-    Between the points of the model, straight lines of the moments.
-    """
-    end = float(model.curvature[-1])
-    if not 0.0 < curvature <= end:
-        message = f"curvature={curvature:.6g} 1/m: allowed are curvatures in (0, {end:.6g}] 1/m"
-        raise ValueError(message)
-    slip, stick = (
-        float(np.interp(curvature, model.curvature, moment)) / curvature
-        for moment in (model.moment_slip, model.moment_stick)
-    )
-    return slip, stick
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """Where a stiffness lies between two bounds: 0 at the lower, 1 at the upper.
-
-    Parameters
-    ----------
-    linear : (value - low) / (high - low)
-    logarithmic : log(value / low) / log(high / low): tells more where the bounds are decades apart
-    linear_interval, logarithmic_interval : of the value's interval; None where it has none
-    """
-
-    linear: float
-    logarithmic: float
-    linear_interval: Interval | None = None
-    logarithmic_interval: Interval | None = None
-
-
-def share_of_bounds(
-    value: float, low: float, high: float, *, interval: Interval | None = None
-) -> Share:
-    """Tell where a measured stiffness lies between the bounds of the model.
-
-    Parameters
-    ----------
-    value : N m^2, positive
-    low, high : N m^2, 0 < low < high
-    interval : of the value; its ends are carried through. An end at or below zero stands at minus
-        infinity on the logarithmic scale
+    value : N m^2
+    low, high : N m^2, 0 < low < high; taken as exact
 
     Returns
     -------
-    The share; below 0 or above 1 where the value lies outside the bounds, which are taken as exact.
+    The share; below 0 or above 1 where the value lies outside the bounds.
 
     Raises
     ------
     ValueError
-        If the bounds are not 0 < low < high, or the value is not positive.
+        If the bounds are not 0 < low < high.
+
+    Notes
+    -----
+    (value - low) / (high - low), which is what layered beams call the degree of composite action
+    (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
     """
     if not 0.0 < low < high:
         message = f"low={low:.6g}, high={high:.6g} N m^2: allowed are bounds with 0 < low < high"
         raise ValueError(message)
-    if not value > 0.0:
-        message = f"value={value:.6g} N m^2: allowed are stiffnesses > 0"
-        raise ValueError(message)
-
-    def linear(at: float) -> float:
-        return (at - low) / (high - low)
-
-    def logarithmic(at: float) -> float:
-        return float(np.log(at / low) / np.log(high / low)) if at > 0.0 else float("-inf")
-
-    if interval is None:
-        return Share(linear(value), logarithmic(value))
-    ends = (interval.lower, interval.upper)
-    return Share(
-        linear(value),
-        logarithmic(value),
-        Interval(linear(ends[0]), linear(ends[1]), interval.level),
-        Interval(logarithmic(ends[0]), logarithmic(ends[1]), interval.level),
-    )
+    return (value - low) / (high - low)
