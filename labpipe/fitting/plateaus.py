@@ -119,6 +119,9 @@ def find_onset(
     test of "the tangent is as steep as that here", inverted. A kink is smeared over the length of
     the line, which moves the onset by about twice what half that length changes: the interval is
     stretched that far, to the side to which it changes.
+    The force at the onset is that of the parabola over half of `over`. A parabola cuts a corner by
+    as much as it is long; what the other half would change is in the interval as the half width of
+    a rectangle.
 
     Examples
     --------
@@ -230,8 +233,12 @@ def _finer(d: Floats, f: Floats, place: float, over: float, slope: float) -> flo
 
 
 def _force_at(d: Floats, f: Floats, at: Estimate, over: float) -> Estimate | Failure:
-    """Force at a place that is itself uncertain."""
-    tangent = _tangent_at(d, f, at.value, over)
+    """Force at a place that is itself uncertain, by half the line: a parabola cuts corners."""
+    whole, tangent = (_tangent_at(d, f, at.value, each) for each in (over, 0.5 * over))
+    if isinstance(whole, Failure):
+        return whole
     if isinstance(tangent, Failure):
         return tangent
-    return widened(tangent.level, tangent.slope.value * at.error)
+    # What half the line cuts off a corner is half of what the whole one does: their difference.
+    cut = abs(tangent.level.value - whole.level.value) / np.sqrt(3.0)
+    return widened(tangent.level, whole.slope.value * at.error, cut)

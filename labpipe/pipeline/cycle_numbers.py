@@ -29,6 +29,8 @@ _PEAK_WINDOW = 2.0
 """s on each side of a turning point that a peak is read from."""
 _FORCE_WINDOW = 1.0
 """As much for a force, which bends more than a displacement does."""
+_SURELY = 4.0
+"""Standard errors by which a top before the turn is larger than the force at the turn."""
 
 
 def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
@@ -53,7 +55,8 @@ def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
         found = fit_reversal(force.time[near], force.values[near], near=at, window=window)
         if found is None:
             return Failure("no_corner", f"the force has no corner near {at:.3f} s of its clock")
-        return Estimate(found.corner.value, found.corner.value_error, found.corner.n)
+        corner = Estimate(found.corner.value, found.corner.value_error, found.corner.n)
+        return _or_larger_before(bench, branches, corner)
     curve, stretch = curve_of(bench), _cycle(branches)
     # One sense for all cycles: the force may run ahead of the motion by a quarter of a cycle.
     sense = _sense(curve.force, slice(curve.branches[0].start, None))
@@ -61,6 +64,26 @@ def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
     if isinstance(top, Failure):
         return top
     return Estimate(sense * top.value, top.error, top.n)
+
+
+def _or_larger_before(bench: Bench, branches: list[Branch], corner: Estimate) -> Estimate:
+    """The force at the turn, or the top that it had surely passed on the way there."""
+    curve, first = curve_of(bench), bench.within(branches[0]).start
+    last = int(np.searchsorted(curve.time, branches[0].stop_time - 2.0 * _FORCE_WINDOW))
+    sense = -1.0 if corner.value < 0.0 else 1.0
+    early = sense * curve.force[first : max(first, last)]
+    if not np.isfinite(early).any():
+        return corner
+    at = float(curve.time[first + int(np.nanargmax(early))])
+    at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
+    force = bench.raw[bench.force]
+    # A tape that lets go leaves a corner, which a parabola would cut.
+    top = value_at_turn(force.time, sense * force.values, at=at, window=_FORCE_WINDOW, degree=2)
+    if isinstance(top, Failure):
+        return corner
+    if not top.value - sense * corner.value > _SURELY * np.hypot(top.error, corner.error):
+        return corner
+    return replace(top, value=sense * top.value)
 
 
 def peak_displacement_of(

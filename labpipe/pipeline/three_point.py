@@ -8,7 +8,7 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.fitting.corners import value_at_turn
+from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.loops import secant_stiffness
 from labpipe.fitting.noise import long_run_variance
@@ -37,6 +37,8 @@ _WINDOW = 25.0
 """s on each side of a turn of mid-span."""
 _AT_TURN = 2.0
 """s on each side of the turn that a value there is read from."""
+_BESIDE, _LEAST = 8.0, 5
+"""s on each side beyond that, which speak of the noise; frames that each side needs."""
 _DRIFT = 1e-4 / sqrt(3.0)
 """Standard uncertainty of the rate of the cameras' clock, which one turn does not show."""
 _DRAWN = 9
@@ -264,12 +266,25 @@ def _at_turn(values: Floats, rest: Flags, branch: Branch, time: Floats) -> Estim
     if len(still) < 8:
         return Failure("no_rest", f"{len(still)} frames before the loading show it, 8 are needed")
     window = min(_AT_TURN, 0.4 * (branch.stop_time - branch.start_time))
-    found = value_at_turn(time, values, at=branch.stop_time, window=window, degree=2)
+    found = _height_of_turn(time - branch.stop_time, values - still.mean(), window)
     if isinstance(found, Failure):
         return found
     zero = float(np.sqrt(long_run_variance(still, parameters=1) / len(still)))
-    level = float(still.mean())
-    return widened(Estimate(found.value - level, found.error, found.n), zero)
+    return widened(found, zero)
+
+
+def _height_of_turn(time: Floats, values: Floats, window: float) -> Estimate | Failure:
+    """Where two parabolas meet at time zero; few frames know little of their noise, hence t."""
+    known = np.isfinite(values)
+    near = known & (np.abs(time) <= window)
+    t, y = time[near], values[near]
+    if min((t <= 0.0).sum(), (t > 0.0).sum()) < _LEAST:
+        return Failure("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
+    ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
+    design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
+    stretches = [(time > low) & (time <= low + _BESIDE) for low in (-window - _BESIDE, window)]
+    beside = [values[each] for each in stretches if each.sum() >= 8 and known[each].all()]
+    return fit_linear(design, y, beside=beside).estimate(0)
 
 
 def twist_result(bench: Bench) -> list[Result]:

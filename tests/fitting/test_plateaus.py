@@ -55,6 +55,20 @@ def test_a_kink_is_held_by_the_interval() -> None:
     assert found.displacement.value == pytest.approx(0.03, abs=0.5 * OVER)
 
 
+def test_force_at_a_corner_is_not_cut_off() -> None:
+    """A parabola over the whole stretch would lie below the corner."""
+    force = np.where(D < 0.03, 4.5 + 100.0 * (D - 0.03), 4.5 - 10.0 * (D - 0.03))
+    found = onset(force, Estimate(450.0, 2.0, 50))
+    assert isinstance(found, Onset)
+    at = found.displacement.value
+    stretch = np.abs(D - at) <= 0.5 * OVER
+    whole = float(np.polynomial.Polynomial.fit(D[stretch], force[stretch], 2)(at))
+    cut = float(np.interp(at, D, force)) - whole
+    assert cut > 0.01
+    assert found.force.value - whole > 0.3 * cut
+    assert holds(found.force, 4.5)
+
+
 def test_flat_from_the_last_time_on() -> None:
     """A flat stretch halfway is no plateau, if the curve gets steep again."""
     force = np.interp(D, [0.0, 0.01, 0.02, 0.03, 0.05], [0.0, 4.0, 4.1, 8.0, 8.1])
