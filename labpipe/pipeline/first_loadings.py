@@ -28,7 +28,7 @@ GRAVITY = 9.80665
 """m/s^2, standard acceleration of free fall."""
 _FEWEST = 20
 """Points of a curve with which something can be said."""
-_TERMS = 5
+_TERMS = 7
 """Of the polynomial that the slope of a first loading is read from, for the noise alone."""
 _SECOND_DIFFERENCE = np.sqrt(6.0)
 """Standard deviation of a second difference of white noise, over that of the noise."""
@@ -169,8 +169,14 @@ def noise_of(values: Floats) -> float:
 
 
 def _noise(deflection: Floats, force: Floats) -> Floats:
-    """Noise of the force at each point, that of the deflection in it, N."""
-    slope = Polynomial.fit(deflection, force, _TERMS).deriv()(deflection)
+    """Noise of the force at each point, that of the deflection in it, N.
+
+    The slope is that of a polynomial in the root of the deflection: strands that still stick make
+    the first points several times as steep as the next, and what they say of friction as doubtful.
+    """
+    first = float(np.ptp(deflection)) / len(deflection)
+    root = np.sqrt(np.maximum(deflection, 0.5 * first))
+    slope = Polynomial.fit(root, force, _TERMS).deriv()(root) / (2.0 * root)
     return np.hypot(noise_of(force), slope * noise_of(deflection))
 
 
