@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from labpipe.pipeline.first_loadings import FirstLoading
 from labpipe.records.agreement import CurveErrors, Prediction
+from labpipe.records.arrays import Floats
 from labpipe.records.calibration import Calibration
 from labpipe.records.group import Band, SampleCurve
 from labpipe.report.calibration_shown import ValidationGroup
@@ -17,8 +19,8 @@ from labpipe.wire.calibrating.data import MeasuredCurve
 from labpipe.wire.calibrating.prediction import predict
 from labpipe.wire.calibration import Wire
 
-_GRID = 200
-"""Deflections of a prediction."""
+_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
+"""Deflections of a prediction, over the deepest: closer where the curve begins, and is bent."""
 _BLOCKS = 50
 """Means of each curve, at least, that the mean curve is made of: of single points its band would
 show how they scatter by their noise, and not how the samples do."""
@@ -62,7 +64,7 @@ def _compared(
             calibration,
             wire,
             first.length,
-            np.linspace(0.0, deepest, _GRID),
+            deepest * _GRID,
             rig=first.rig,
             noise=noise,
         )
@@ -75,17 +77,31 @@ def _compared(
         length=first.length,
         is_calibrated=first.wire == calibration.wire,
         samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
-        band=_band(curves),
+        band=_band(curves, prediction),
         prediction=prediction,
         errors=errors,
         reason=reason,
     )
 
 
-def _band(curves: Sequence[MeasuredCurve]) -> Band:
-    """Mean of some curves, each of block means."""
-    means = [(block_means(c.deflection, _BLOCKS), block_means(c.force, _BLOCKS)) for c in curves]
-    return mean_band(common_curves(means, [curve.test for curve in curves]))
+def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
+    """Mean of some curves, each of block means.
+
+    A block mean of a curve that is bent lies beside it, near the start by 8 % of the force. So the
+    model is taken off first and put back last; where there is none, the curve is taken as it is.
+    """
+
+    def shape(deflection: Floats) -> Floats:
+        if prediction is None:
+            return np.zeros_like(deflection)
+        return np.interp(deflection, prediction.deflection, prediction.force)
+
+    means = [
+        (block_means(c.deflection, _BLOCKS), block_means(c.force - shape(c.deflection), _BLOCKS))
+        for c in curves
+    ]
+    common = common_curves(means, [curve.test for curve in curves])
+    return mean_band(replace(common, force=common.force + shape(common.displacement)))
 
 
 def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:

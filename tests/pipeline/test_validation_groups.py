@@ -82,3 +82,18 @@ def test_the_band_is_one_of_means_and_not_of_noise(calibration: Calibration) -> 
 
 def roughness(band: Band) -> float:
     return float(np.std(np.diff(band.upper - band.lower, 2)))
+
+
+def test_the_mean_lies_among_its_samples_where_they_are_bent(calibration: Calibration) -> None:
+    curve = exact_curve("A2", 0.085)
+    deflection = np.linspace(1.5e-4, 0.05, 272)
+    exact = [
+        replace(
+            each, deflection=deflection, force=factor * curve(deflection), noise=each.noise[:272]
+        )
+        for each, factor in zip(CURVES, (0.98, 1.0, 1.02), strict=True)
+    ]
+    tests = [FirstLoading(each, 0.0, ()) for each in exact]
+    (group,) = compare(calibration, {"A2": wire_of("A2")}, tests)
+    share = group.band.mean / curve(group.band.displacement)
+    assert np.all((share > 0.98) & (share < 1.02))
