@@ -91,7 +91,8 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_the_whole_demo(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--jobs", 1)
     assert ran.status == 0
-    assert ran.out.count("wire-shapes.png") == 1
-    assert len(list((tmp_path / "raw" / "demo").iterdir())) == 24
-    page = tmp_path / "processed" / "demo" / "report" / "report.html"
-    assert page.stat().st_size < 1_000_000
+    assert ran.out.count("wire-shapes.png") == 3  # a wire, a bundle in tape, one in a conduit
+    assert len(list((tmp_path / "raw" / "demo").glob("*/*/test.yaml"))) == 99
+    for name in ("wires", "tensile", "harness"):
+        page = tmp_path / "processed" / "demo" / name / "report" / "report.html"
+        assert page.stat().st_size < 2_000_000
