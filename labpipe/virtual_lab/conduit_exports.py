@@ -5,9 +5,7 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +17,8 @@ from labpipe.virtual_lab.conduit_bundle import ConduitScenario
 from labpipe.virtual_lab.conduit_record import film, plan_conduit, record_force, record_travel
 from labpipe.virtual_lab.conduit_sheet import write_conduit_sheet
 from labpipe.virtual_lab.conduit_truth import ConduitTruth, tell_conduit_truth
-from labpipe.virtual_lab.control_desk import write_control_desk
-from labpipe.virtual_lab.exports import SHEET_FILE, TRUTH_FILE
+from labpipe.virtual_lab.exports import started_on, write_recorders, write_sheet_and_truth
 from labpipe.virtual_lab.load_cell import TriggeredRecord
-from labpipe.virtual_lab.motive import write_motive
 from labpipe.virtual_lab.mts_suite import write_test_suite
 from labpipe.virtual_lab.sheet import FORCE_FILE, MARKER_FILE
 from labpipe.virtual_lab.tensile_record import FrameRecord
@@ -130,25 +126,22 @@ def simulate_conduit(scenario: ConduitScenario, folder: Path, seed: int) -> Path
     with storing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         files = _write_exports(observation, folder)
-        (folder / SHEET_FILE).write_text(write_conduit_sheet(scenario, files), encoding="utf-8")
-        text = json.dumps(conduit_truth_as_json(observation))
-        (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
+        sheet, truth = write_conduit_sheet(scenario, files), conduit_truth_as_json(observation)
+        write_sheet_and_truth(folder, sheet, truth)
     return folder
 
 
 def _write_exports(observation: ConduitObservation, folder: Path) -> dict[str, str]:
     """Write what the programs export; the names of the files by role."""
     scenario, seed = observation.scenario, observation.seed
-    started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
-    record = observation.force_record
-    saved = started + timedelta(seconds=round(float(record.clock[-1])))
-    write_control_desk(folder / FORCE_FILE, record, saved=saved, seed=seed)
-    write_motive(
-        folder / MARKER_FILE,
+    started = started_on(scenario.date)
+    write_recorders(
+        folder,
+        observation.force_record,
         observation.take,
-        unit=scenario.length_unit,
+        name=scenario.name,
         started=started,
-        take_name=scenario.name,
+        unit=scenario.length_unit,
         seed=seed,
     )
     files = {"force": FORCE_FILE, "markers": MARKER_FILE}

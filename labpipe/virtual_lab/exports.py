@@ -7,6 +7,7 @@ frames) is for checking; the processing never reads it.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -17,8 +18,10 @@ from labpipe.records.arrays import Floats
 from labpipe.store.replace import storing
 from labpipe.virtual_lab.bundle_truth import tell_taped
 from labpipe.virtual_lab.bundles import BundleModel
+from labpipe.virtual_lab.cameras import Take
 from labpipe.virtual_lab.control_desk import write_control_desk
 from labpipe.virtual_lab.instruments import Observation
+from labpipe.virtual_lab.load_cell import ForceRecord, TriggeredRecord
 from labpipe.virtual_lab.mechanics import solve_path
 from labpipe.virtual_lab.motive import write_motive
 from labpipe.virtual_lab.scenario import MechanicalTest, VirtualWire
@@ -54,22 +57,61 @@ def write_exports(observation: Observation, folder: Path) -> Path:
 
 
 def _write(observation: Observation, folder: Path) -> None:
-    scenario, seed = observation.scenario, observation.seed
-    started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
-    saved = started + timedelta(seconds=round(float(observation.force_record.clock[-1])))
-    record = observation.force_record
-    write_control_desk(folder / FORCE_FILE, record, saved=saved, seed=seed)
-    write_motive(
-        folder / MARKER_FILE,
+    scenario = observation.scenario
+    write_recorders(
+        folder,
+        observation.force_record,
         observation.take,
+        name=scenario.name,
+        started=started_on(scenario.date),
         unit=scenario.length_unit,
-        started=started,
-        take_name=scenario.name,
-        seed=seed,
+        seed=observation.seed,
     )
-    (folder / SHEET_FILE).write_text(write_sheet(scenario), encoding="utf-8")
-    text = json.dumps(truth_as_json(observation), indent=None)
-    (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
+    write_sheet_and_truth(folder, write_sheet(scenario), truth_as_json(observation))
+
+
+def started_on(date: str) -> datetime:
+    """When a test of a day was started: every virtual test is, at five past ten."""
+    return datetime.fromisoformat(f"{date}T10:05:00")
+
+
+def write_recorders(
+    folder: Path,
+    record: ForceRecord | TriggeredRecord,
+    take: Take,
+    *,
+    name: str,
+    started: datetime,
+    unit: str,
+    seed: int,
+) -> None:
+    """Write what the programs of force recorder and cameras export.
+
+    Parameters
+    ----------
+    folder : of the test, which is there
+    record, take : of force recorder and cameras
+    name : of the take
+    started : when both were
+    unit : of the exported lengths: m, cm or mm
+    seed : for the notes that the files are synthetic
+    """
+    saved = started + timedelta(seconds=round(float(record.clock[-1])))
+    write_control_desk(folder / FORCE_FILE, record, saved=saved, seed=seed)
+    write_motive(folder / MARKER_FILE, take, unit=unit, started=started, take_name=name, seed=seed)
+
+
+def write_sheet_and_truth(folder: Path, sheet: str, truth: Mapping[str, object]) -> None:
+    """Write the test sheet and the truth of a test.
+
+    Parameters
+    ----------
+    folder : of the test, which is there
+    sheet : text of ``test.yaml``
+    truth : numbers, lists and text only
+    """
+    (folder / SHEET_FILE).write_text(sheet, encoding="utf-8")
+    (folder / TRUTH_FILE).write_text(json.dumps(truth) + "\n", encoding="utf-8")
 
 
 def truth_as_json(observation: Observation) -> dict[str, object]:

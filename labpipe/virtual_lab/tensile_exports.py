@@ -5,15 +5,13 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, dataclass
-from datetime import datetime
 from pathlib import Path
 
 import numpy as np
 
 from labpipe.store.replace import storing
-from labpipe.virtual_lab.exports import SHEET_FILE, TRUTH_FILE
+from labpipe.virtual_lab.exports import started_on, write_sheet_and_truth
 from labpipe.virtual_lab.mts_suite import write_test_suite
 from labpipe.virtual_lab.r_controller import write_r_controller
 from labpipe.virtual_lab.tensile_path import TensilePath
@@ -88,15 +86,14 @@ def simulate_tensile(scenario: TensileScenario, folder: Path, seed: int) -> Path
     with storing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         files = _write_export(observation, folder)
-        (folder / SHEET_FILE).write_text(write_tensile_sheet(scenario, files), encoding="utf-8")
-        text = json.dumps(tensile_truth_as_json(observation))
-        (folder / TRUTH_FILE).write_text(text + "\n", encoding="utf-8")
+        sheet, truth = write_tensile_sheet(scenario, files), tensile_truth_as_json(observation)
+        write_sheet_and_truth(folder, sheet, truth)
     return folder
 
 
 def _write_export(observation: TensileObservation, folder: Path) -> tuple[str, ...]:
     scenario, record, seed = observation.scenario, observation.record, observation.seed
-    started = datetime.fromisoformat(f"{scenario.date}T10:05:00")
+    started = started_on(scenario.date)
     if scenario.export.program is Program.R_CONTROLLER:
         file = f"{scenario.name}.xlsx"
         write_r_controller(folder / file, record, name=scenario.name, started=started, seed=seed)
