@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import numpy as np
@@ -13,7 +13,7 @@ from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import Turn, force_corner
 from labpipe.processing.alignment import match_peaks, rough_peaks
 from labpipe.processing.falls_of_force import sharpest_turn
-from labpipe.processing.strokes import Stroke
+from labpipe.processing.strokes import Stroke, goes_down
 from labpipe.protocol.rig import AlignCommonStart
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit, Interval
@@ -53,6 +53,13 @@ def start_together(
     limits of the start, a blurred one leaves what the start says. Where the corner contradicts the
     start by more than its own 95 % interval, the start is left out and the clocks are doubtful.
     """
+    level = bench.raw[align.channel].values
+    if not np.nanmax(level) > np.nanmin(level):
+        message = (
+            f"the {align.channel} is constant at {float(np.nanmean(level)):.6g} "
+            f"{bench.raw[align.channel].unit}: is it the right channel, and is the cell connected?"
+        )
+        bench.block("constant_channel", message, where=align.channel)
     seen = _seen(bench, align, strokes, turns)
     at_turn = _weighted(seen)
     together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
@@ -66,6 +73,8 @@ def _seen(
 ) -> list[Seen]:
     """Turns at the top of loading that the force has seen as well."""
     force = bench.raw[align.channel]
+    if goes_down(force.values):  # a reversed bridge turns when any other does
+        force = replace(force, values=-force.values)
     peaks = [turn for turn in turns if strokes[turn.stroke].sign == strokes[0].sign]
     found = []
     for peak, near in _paired(force, peaks, align.force_window):
@@ -146,9 +155,10 @@ def _tell(
         )
         bench.note("start_unchecked", Severity.INFO, "align", message)
         return
-    known = 1.96e3 * at_turn[1]
+    known, apart = 1.96e3 * at_turn[1], abs(at_turn[0])
+    far = f"{apart:.2f} s" if apart > 1.0 else f"{1e3 * apart:.4g} ms"
     said = (
-        f"the {align.channel} turns {abs(1e3 * at_turn[0]):.4g} ms "
+        f"the {align.channel} turns {far} "
         f"{'after' if at_turn[0] >= 0.0 else 'before'} the motion, known to {known:.2g} ms"
     )
     if together:

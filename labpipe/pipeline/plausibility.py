@@ -6,11 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.fitting.estimates import Failure
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import Turn
 from labpipe.processing.filtering import moving_average, seconds_to_window
 from labpipe.processing.strokes import Stroke, excursion, noise_level
 from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
 from labpipe.records.quality import Severity
 
@@ -21,8 +23,13 @@ _ROUNDED = (0.05, 0.25)
 """s on each side of a turning point that are held against the corner."""
 _SETTLED = 0.25
 """s by which a zero may reach into the motion before it is doubted."""
+_PULLED = 0.02
+"""Share of the largest force below zero that is taken for the zero of a load that only presses."""
 _BLOCKS = 200
 """Means that a record of the force is looked at in, to tell a load from noise."""
+_SUNK = 0.2
+"""Share by which mid-span may sink otherwise than the displacement says. Round rollers alone make
+up to a tenth: the specimen rolls up on them, and lies below them at the nominal supports."""
 
 
 def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) -> None:
@@ -47,6 +54,8 @@ def check_rig(bench: Bench, protocol: Protocol, branches: tuple[Branch, ...]) ->
     if rig.string is not None and protocol.curve is not None:
         weight = rig.string.counterweight * GRAVITY
         _check_pull(bench, bench.signals[protocol.curve.force], weight)
+    if protocol.specimen.span is not None and protocol.curve is not None:
+        _check_push(bench, bench.signals[protocol.curve.force])
     if protocol.specimen.length is not None and protocol.markers is not None:
         _check_length(bench, protocol.specimen.length, has_clamp=protocol.markers.clamp is not None)
 
@@ -75,10 +84,7 @@ def _check_speed(bench: Bench, motion: Signal, expected: float, first: Branch) -
 
 def _check_pull(bench: Bench, force: Signal, weight: float) -> None:
     """A string does not push: below zero the force can fall by the counterweight, no further."""
-    size = max(1, seconds_to_window(0.1, force.time))  # a tenth of a second says it as well
-    blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
-    window = max(1, seconds_to_window(1.0, force.time[::size]))
-    smooth = moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
+    smooth = _per_second(force)
     lowest = float(np.nanmin(smooth))
     if lowest < -1.2 * weight - 5.0 * noise_level(smooth) - 2e-3:
         message = (
@@ -86,6 +92,28 @@ def _check_pull(bench: Bench, force: Signal, weight: float) -> None:
             "drifts"
         )
         bench.doubt("force", "force_negative", message, where="force")
+
+
+def _check_push(bench: Bench, force: Signal) -> None:
+    """What presses on a specimen between two supports does not pull at it."""
+    if not force.has_time:
+        return
+    smooth = _per_second(force)
+    lowest, highest = float(np.nanmin(smooth)), float(np.nanmax(smooth))
+    if lowest < -_PULLED * highest - 5.0 * noise_level(smooth):
+        message = (
+            f"the force falls to {lowest:.4g} N, but what presses on a specimen between supports "
+            "cannot pull at it: the zero is wrong or drifts"
+        )
+        bench.doubt("force", "force_negative", message, where="force")
+
+
+def _per_second(force: Signal) -> Floats:
+    """Means over a second, moving by a tenth of it."""
+    size = max(1, seconds_to_window(0.1, force.time))  # a tenth of a second says it as well
+    blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
+    window = max(1, seconds_to_window(1.0, force.time[::size]))
+    return moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
 
 
 def _check_length(bench: Bench, expected: float, *, has_clamp: bool) -> None:
@@ -128,6 +156,41 @@ def _on_motion_clock(bench: Bench, name: str, at: float) -> float:
     if fit is None or bench.raw[name].clock == bench.signals[bench.displacement].clock:
         return at
     return (at - fit.offset) / (1.0 + fit.drift)
+
+
+def check_mid_span(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -> None:
+    """Give up cameras that began under load; doubt a displacement that is not what they see.
+
+    Parameters
+    ----------
+    bench : its ``mid_span`` is used, where there is one and its clock is known
+    motion : the displacement
+    branches : of the motion
+    """
+    seen, span = bench.raw.get("mid_span"), bench.span
+    if seen is None or span is None or isinstance(span, Failure) or not branches:
+        return
+    fit, rested = bench.other_clocks.get(seen.clock), span.time[span.rest]
+    late = (rested if fit is None else fit.to_marker_time(rested))[-1] - branches[0].start_time
+    if late > _SETTLED:
+        message = (
+            f"the shape at rest was taken up to {late:.2f} s after loading began: look at the "
+            "cameras' start, and at 'over' of the step three-point-shape"
+        )
+        bench.span = Failure("no_rest", message)
+        bench.note("no_rest", Severity.ERROR, "markers", message)
+        return
+    sunk, moved = (
+        float(np.nanmax(each) - np.nanmin(each)) for each in (seen.values, motion.values)
+    )
+    if abs(sunk - moved) <= _SUNK * moved:
+        return
+    message = (
+        f"cameras see mid-span sink by {1e3 * sunk:.4g} mm, the displacement is {1e3 * moved:.4g} "
+        "mm: look at specimen.span, at the units of both exports, at rig.crosshead_speed and "
+        "rig.stroke where no frame measured it, and at how far the load was from the specimen"
+    )
+    bench.doubt("displacement", "mid_span_differs", message, where="mid_span")
 
 
 def check_sign(bench: Bench, motion: Signal) -> None:

@@ -30,7 +30,13 @@ from labpipe.pipeline.cycle_results import (
     unloading_stiffness,
 )
 from labpipe.pipeline.layout import lay_out
-from labpipe.pipeline.plausibility import check_rest, check_rig, check_sign, check_turns
+from labpipe.pipeline.plausibility import (
+    check_mid_span,
+    check_rest,
+    check_rig,
+    check_sign,
+    check_turns,
+)
 from labpipe.pipeline.steps import take_step
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
@@ -45,7 +51,13 @@ from labpipe.pipeline.tensile_results import (
     slack_result,
     slip_results,
 )
-from labpipe.processing.strokes import Stroke, branch_numbers, find_strokes, split_branches
+from labpipe.processing.strokes import (
+    Stroke,
+    branch_numbers,
+    find_strokes,
+    noise_level,
+    split_branches,
+)
 from labpipe.protocol.results import (
     BendingStiffness,
     ClockResult,
@@ -80,6 +92,9 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Series
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
+
+_FAR_OFF = 5.0
+"""Standard deviations that noise alone may reach."""
 
 
 def reduce_recordings(
@@ -125,8 +140,16 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         return
     bench.force, bench.displacement = protocol.curve.force, protocol.curve.displacement
     motion = bench.raw[protocol.branches.channel]
-    strokes = find_strokes(motion.time, motion.values, min_stroke=protocol.branches.min_stroke)
-    if not strokes:
+    least, noise = protocol.branches.min_stroke, noise_level(motion.values)
+    strokes = find_strokes(motion.time, motion.values, min_stroke=least)
+    if _FAR_OFF * noise > least:
+        message = (
+            f"the motion scatters by {1e3 * noise:.3g} mm from sample to sample, too much to tell "
+            f"strokes of min_stroke, {1e3 * least:.3g} mm: is it the right channel?"
+        )
+        bench.block("no_motion", message, where=protocol.branches.channel)
+        strokes = ()
+    elif not strokes:
         span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
         message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
         bench.block("no_motion", message, where=protocol.branches.channel)
@@ -143,6 +166,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         from labpipe.pipeline.three_point import align_cameras  # loaded by these tests alone
 
         align_cameras(bench, motion, strokes, min_stroke=protocol.branches.min_stroke)
+        check_mid_span(bench, motion, branches)
     check_rig(bench, protocol, branches)
     check_sign(bench, motion)
     check_rest(bench, branches)

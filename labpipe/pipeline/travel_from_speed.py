@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,7 @@ from labpipe.fitting.reversals import fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.falls_of_force import sharpest_turn
 from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import noise_level
+from labpipe.processing.strokes import goes_down, noise_level
 from labpipe.protocol.rig import Rig
 from labpipe.protocol.steps import TravelFromSpeed
 from labpipe.records.arrays import Floats
@@ -71,6 +71,8 @@ def travel_from_speed(bench: Bench, step: TravelFromSpeed, rig: Rig) -> None:
         message = "expected rig.crosshead_speed and rig.stroke"
         raise ValueError(message)
     force, lasts = bench.raw[step.force], rig.stroke / rig.crosshead_speed
+    if goes_down(force.values):  # a reversed bridge turns when any other does
+        force = replace(force, values=-force.values)
     corner = _turn(force, step)
     drive = Drive(corner.time - lasts, corner.time, rig.crosshead_speed)
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
@@ -86,6 +88,9 @@ def travel_from_speed(bench: Bench, step: TravelFromSpeed, rig: Rig) -> None:
     )
     bench.note("displacement_from_speed", Severity.INFO, step.channel, said)
     _check_start(bench, force, drive, step.channel)
+    _check_rest(
+        bench, force, drive, 2.0 * np.hypot(corner.time_error, step.speed_uncertainty * lasts)
+    )
 
 
 def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
@@ -100,8 +105,9 @@ def _turn(force: Signal, step: TravelFromSpeed) -> Corner:
         found = fit_reversal(*inside, near=near, window=step.window)
     if found is None or not found.corner.time_error < _WORST:
         message = (
-            f"{step.force}: no corner where it turns from rising to falling, so that nobody knows "
-            "when the frame turned: was the unloading recorded, and is the sign of the gain right?"
+            f"{step.force}: expected a corner where it turns from rising to falling, which says "
+            "when the frame turned, found none: look whether it is the right channel, and whether "
+            "the unloading was recorded"
         )
         raise ValueError(message)
     return found.corner
@@ -123,6 +129,18 @@ def _check_start(bench: Bench, force: Signal, drive: Drive, channel: str) -> Non
     )
     for quantity in ("displacement", "force"):
         bench.doubt(quantity, "speed_unexpected", message, where="rig.crosshead_speed")
+
+
+def _check_rest(bench: Bench, force: Signal, drive: Drive, known_to: float) -> None:
+    """Doubt a force whose record begins when the specimen was loaded: nobody knows its zero."""
+    missed = float(force.time[0]) - drive.start
+    if missed <= known_to:
+        return
+    message = (
+        f"the record of the force begins {missed:.2f} s after the motion, known to {known_to:.2f} s"
+        ": its zero was taken under load, so that forces are too small"
+    )
+    bench.doubt("force", "start_missed", message, where="force")
 
 
 def _take_off(force: Signal, turn: float) -> Corner | None:

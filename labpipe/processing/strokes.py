@@ -49,6 +49,28 @@ def excursion(values: Floats) -> float:
     return up if up >= down else -down
 
 
+def goes_down(values: Floats) -> bool:
+    """Tell whether a signal that leaves its level and comes back does so downwards.
+
+    Parameters
+    ----------
+    values : shape (n,), any unit; NaN are left out
+
+    Returns
+    -------
+    Whether it lies further below the lower one of its two ends (a hundredth of it each) than above
+    the higher one, by five standard deviations of its noise or more. So a record that begins
+    halfway up is none that goes down, nor is one that ends there. False without any value.
+    """
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return False
+    size = max(1, len(known) // 100)
+    ends = float(known[:size].mean()), float(known[-size:].mean())
+    up, down = float(known.max()) - max(ends), min(ends) - float(known.min())
+    return down - up > 5.0 * noise_level(known)
+
+
 def noise_level(values: Floats) -> float:
     """Estimate the standard deviation of white noise on a smooth signal.
 
@@ -176,7 +198,10 @@ def _trimmed(
         0.0 if outermost[1] else shortest,
     )
     begin = int(np.searchsorted(time, time[first] + start))
-    return Stroke(begin, int(np.searchsorted(time, time[last] - stop)), sign)
+    end = int(np.searchsorted(time, time[last] - stop))
+    if begin >= end:  # it moves no further than its noise: nobody can tell a dwell from that
+        begin, end = first, last
+    return Stroke(begin, end, sign)
 
 
 def _dwell(time: Floats, motion: Floats, tolerance: float, shortest: float) -> float:

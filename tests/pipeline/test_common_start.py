@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest
@@ -54,6 +56,32 @@ def test_a_sharp_corner_decides() -> None:
     assert fit.drift_interval.standard_error == pytest.approx(1e-4 / np.sqrt(3.0), rel=0.05)
     assert [note.code for note in made.notes] == ["common_start"]
     assert not made.doubts
+
+
+def test_a_constant_force_is_said_by_its_cause() -> None:
+    made = bench(0.0)
+    flat = made.raw["force"]
+    made.raw["force"] = replace(flat, values=0.0 * flat.values + 0.25)
+    fitted(made)
+    assert made.blocked == (
+        "constant_channel: the force is constant at 0.25 N: is it the right channel, and is the "
+        "cell connected?"
+    )
+
+
+def test_a_start_that_is_far_off_is_told_in_seconds() -> None:
+    made = bench(3.0)
+    fitted(made)
+    assert made.doubts["clock"].startswith(
+        "not_started_together: the force turns 2.99 s after the motion, known to "
+    )
+
+
+def test_a_reversed_bridge_turns_at_the_same_time() -> None:
+    made, other = bench(0.04, noise=1e-3), bench(0.04, noise=1e-3)
+    other.raw["force"] = replace(other.raw["force"], values=-other.raw["force"].values)
+    assert fitted(other).offset == pytest.approx(fitted(made).offset, abs=1e-9)
+    assert not other.doubts
 
 
 def test_a_force_without_corner_leaves_the_common_start() -> None:

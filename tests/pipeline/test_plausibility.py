@@ -142,6 +142,23 @@ def test_motion_that_nobody_saw_tells_no_sign() -> None:
     assert not made.doubts
 
 
+def test_what_presses_on_two_supports_cannot_pull(repository: Path) -> None:
+    path = repository / "protocols" / "conduit-bundle.yaml"
+    text = path.read_text(encoding="utf-8").replace("speed: 0.5 mm/s", "speed: 1 mm/s")
+    bending = parse_protocol(text, "conduit-bundle.yaml")
+    load = np.clip(200.0 * (SHARP - 0.005), 0.0, None)
+    for drift, doubtful in ((-1e-4, False), (-0.01, True)):
+        made = bench(SHARP, load + drift * TIME)
+        made.raw["displacement"] = made.raw["travel"]
+        check_rig(made, bending, branches(SHARP))
+        assert ("force" in made.doubts) is doubtful
+    assert re.fullmatch(
+        r"force_negative: the force falls to -0\.4\d+ N, but what presses on a specimen between "
+        r"supports cannot pull at it: the zero is wrong or drifts",
+        made.doubts["force"],
+    )
+
+
 def test_a_slack_string_may_lose_the_counterweight(protocol: Protocol) -> None:
     made = bench(SHARP, 20.0 * SHARP - np.where(TIME > 46.0, 0.026, 0.0))
     check_rig(made, protocol, branches(SHARP))

@@ -22,6 +22,17 @@ def test_stages_of_one_clock() -> None:
     assert bench.curve.branches[0].stop_time == pytest.approx(12.0, abs=0.03)
 
 
+def test_a_column_of_noise_is_no_motion() -> None:
+    time, path, force = loop(cycles=3, noise=1e-3)
+    noise = 2e-3 * np.random.default_rng(0).standard_normal(len(time))
+    bench, results = reduced(time, path + noise, force)
+    assert bench.curve is None
+    assert results["initial_stiffness"].reason == (
+        "no_motion: the motion scatters by 1.97 mm from sample to sample, too much to tell strokes "
+        "of min_stroke, 1 mm: is it the right channel?"
+    )
+
+
 def test_results_are_in_the_order_of_the_protocol() -> None:
     _, results = reduced(*loop())
     assert [name.partition(".")[0] for name in results][::2] == [

@@ -80,6 +80,54 @@ def test_no_span() -> None:
     assert results["peak_force.1"].status is Status.OK
 
 
+def test_a_span_of_another_rig_is_doubted_by_the_cameras() -> None:
+    wrong = (("span: 152.4 mm, ", "span: 120 mm, "),)
+    _, results = reduced(BendingRecord(), change=wrong)
+
+    assert results["bending_stiffness"].status is Status.DOUBTFUL
+    said = results["bending_stiffness"].reason
+    assert said.startswith("mid_span_differs: cameras see mid-span sink by 19.9")
+    assert said.endswith(
+        " mm, the displacement is 29.41 mm: look at specimen.span, at the units of both exports, "
+        "at rig.crosshead_speed and rig.stroke where no frame measured it, and at how far the "
+        "load was from the specimen"
+    )
+    assert results["peak_force.1"].status is Status.OK
+
+
+def test_cameras_that_began_under_load() -> None:
+    _, results = reduced(BendingRecord(cameras_early=-2.0))
+
+    assert results["twist"].status is Status.FAILED
+    assert results["twist"].reason.startswith("no_rest: the shape at rest was taken up to 3.9")
+    assert results["twist"].reason.endswith(
+        " s after loading began: look at the cameras' start, and at 'over' of the step "
+        "three-point-shape"
+    )
+    assert results["bending_stiffness"].status is Status.OK
+
+
+def test_a_speed_and_a_stroke_that_are_both_wrong_are_doubted_by_the_cameras() -> None:
+    twice = (
+        ("crosshead_speed: 0.5 mm/s", "crosshead_speed: 1 mm/s"),
+        ("stroke: 29.4 mm", "stroke: 58.8 mm"),
+    )
+    bench, _ = reduced(BendingRecord(force_late=-3.0), without=("frame",), change=twice)
+
+    assert bench.doubts["displacement"].startswith("mid_span_differs: cameras see mid-span sink by")
+    assert ", the displacement is 58.8 mm: " in bench.doubts["displacement"]
+
+
+def test_supports_closer_than_the_markers() -> None:
+    wrong = (("span: 152.4 mm, ", "span: 15.24 mm, "),)
+    _, results = reduced(BendingRecord(), change=wrong)
+
+    assert results["twist"].reason == (
+        "too_few_markers: of 15 sections with markers 2 lie between supports 15.24 mm apart: "
+        "expected at least 5; look at specimen.span and at the unit of the markers"
+    )
+
+
 def test_too_few_markers_for_a_twist() -> None:
     _, results = reduced(BendingRecord(angles=(float(np.radians(90.0)),)))
 

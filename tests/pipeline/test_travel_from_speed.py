@@ -74,7 +74,31 @@ def test_a_start_that_nobody_saw_is_said() -> None:
     )
 
 
+def test_a_zero_that_was_taken_under_load() -> None:
+    bench, results = reduced(BendingRecord(force_late=2.0), without=ALONE)
+
+    assert bench.doubts["force"] == (
+        "start_missed: the record of the force begins 2.02 s after the motion, known to 0.59 s: "
+        "its zero was taken under load, so that forces are too small"
+    )
+    assert results["peak_force.1"].status is Status.DOUBTFUL
+    assert results["peak_displacement.1"].status is Status.OK
+
+
+def test_a_reversed_bridge() -> None:
+    change = (("gain: -0.21082 N/V", "gain: 0.21082 N/V"),)
+    bench, results = reduced(BendingRecord(force_late=-3.0), without=ALONE, change=change)
+
+    assert results["peak_displacement.1"].value == pytest.approx(STROKE, rel=1e-6)
+    assert set(bench.doubts) == {"force"}
+    assert bench.doubts["force"].startswith("force_reversed: the force goes to -")
+
+
 def test_a_force_that_never_turns() -> None:
-    with pytest.raises(Exception, match="no corner where it turns from rising to falling") as info:
+    with pytest.raises(Exception, match="expected a corner where it turns from rising") as info:
         reduced(BendingRecord(rigidity=0.0, noise=(1e-12, 0.0, 0.0)), without=ALONE)
-    assert "was the unloading recorded, and is the sign of the gain right?" in str(info.value)
+    assert str(info.value).startswith(
+        "steps.1 (travel-from-speed): force: expected a corner where it turns from rising to "
+        "falling, which says when the frame turned, found none: look whether it is the right "
+        "channel, and whether the unloading was recorded. Look at the exports with"
+    )

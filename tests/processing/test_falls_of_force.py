@@ -22,6 +22,22 @@ def test_blanks_and_noise_do_not_matter() -> None:
     assert sharpest_turn(time, force, width=1.0) == pytest.approx(20.0, abs=0.2)
 
 
+def test_a_record_that_ends_under_load_has_no_turn() -> None:
+    """The head of a load frame touches at 2 s, which is no turn, nor is the noise at rest."""
+    time = np.arange(0.0, 40.0, 0.01)
+    force = np.clip(time - 5.0, 0.0, None) + 0.5 * np.exp(-(((time - 2.0) / 0.3) ** 2))
+    force += np.random.default_rng(1).normal(0.0, 0.02, len(time))
+
+    assert sharpest_turn(time, force, width=1.0) is None
+
+
+def test_noise_has_no_turn() -> None:
+    time = np.arange(0.0, 40.0, 0.01)
+    noise = np.random.default_rng(1).normal(0.0, 1.0, len(time))
+
+    assert sharpest_turn(time, noise, width=1.0) is None
+
+
 def test_nothing_that_turns() -> None:
     time = np.arange(0.0, 10.0, 0.01)
 

@@ -14,6 +14,7 @@ from labpipe.processing.strokes import (
     branch_numbers,
     excursion,
     find_strokes,
+    goes_down,
     noise_level,
     split_branches,
 )
@@ -45,6 +46,37 @@ def test_any_number_of_cycles(cycles: int) -> None:
     starts = [float(time[stroke.start]) for stroke in strokes]
     assert starts == pytest.approx([5.0 + 53.0 * i for i in range(2 * cycles)], abs=0.1)
     assert time[strokes[-1].stop] == pytest.approx(5.0 + 106.0 * cycles, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("corners", "down"),
+    [
+        (((0, 0), (5, 0), (35, 6), (65, 0), (70, 0)), False),
+        (((0, 0), (5, 0), (35, -6), (65, 0), (70, 0)), True),
+        (((0, 3.7), (15, 6), (45, 0), (70, 0)), False),  # begins under load
+        (((0, -3.7), (15, -6), (45, 0), (70, 0)), True),
+        (((0, 0), (5, 0), (35, 6)), False),  # breaks off
+    ],
+    ids=["up", "down", "begins halfway up", "begins halfway down", "ends at the top"],
+)
+def test_which_way_a_signal_goes(corners: tuple[tuple[float, float], ...], *, down: bool) -> None:
+    _, signal = ramps(*corners, noise=1e-5)
+    assert goes_down(signal) is down
+    signal[::7] = np.nan
+    assert goes_down(signal) is down
+
+
+def test_a_signal_without_values_goes_nowhere() -> None:
+    assert not goes_down(np.full(5, np.nan))
+
+
+def test_noise_makes_no_stroke_that_ends_before_it_begins() -> None:
+    """As a column of force makes that was taken for the displacement."""
+    time = np.arange(0.0, 120.0, 0.1)
+    noise = 1.5e-3 * np.random.default_rng(2).standard_normal(len(time))
+    strokes = find_strokes(time, noise, min_stroke=5e-3)
+    assert strokes
+    assert all(stroke.start < stroke.stop for stroke in strokes)
 
 
 def test_neighbours_share_their_turning_sample() -> None:
