@@ -22,6 +22,8 @@ _STEEPEST = 0.97
 """Sine of the steepest slope that a shape can have."""
 _NEWTON, _ROUNDS = 3, 3
 """Gauss-Newton steps from a straight line; rounds of shape and distances, one more step in each."""
+_REACH = 0.6
+"""Share of half the span that markers must cover on both sides of mid-span."""
 _LOOKED_AT = 30
 _CENTRE = (5e-3, 1e-3, 2e-4)
 """Frames by which mid-span is found; m on each side of a guess, for parabolas of the misfit."""
@@ -155,8 +157,12 @@ def fit_span(
     bent shape is symmetric: least squares over some frames.
     """
     if sections.count < TERMS + 3:
-        message = f"{sections.count} sections with markers: expected at least {TERMS + 3}"
+        message = (
+            f"{sections.count} sections with markers: expected at least {TERMS + 3}; look at "
+            "markers.along, at the step's section and at the unit of the markers"
+        )
         raise ValueError(message)
+    _check_span(sections, span)
     bent = np.flatnonzero(bent_most)
     some = bent[np.linspace(0, len(bent) - 1, min(_LOOKED_AT, len(bent))).astype(int)]
     few = _taken(sections, some)
@@ -168,8 +174,34 @@ def fit_span(
         tried.append((misfit, axis, middle, seen))
     tried.sort(key=lambda each: each[0])
     _, axis, middle, seen = tried[0]
+    _check_reach(sections.x - middle, span)
     other_side = tried[-1][3] / seen - 1.0
     return replace(_fit(sections, axis, middle, span, radius), side_share=abs(other_side))
+
+
+def _check_span(sections: Sections, span: float) -> None:
+    """The supports must have enough sections between them, wherever they stand."""
+    x = np.sort(sections.x)
+    between = max(int(np.sum((x >= left) & (x <= left + span))) for left in x)
+    if between < TERMS + 2:
+        message = (
+            f"of {sections.count} sections with markers {between} lie between supports "
+            f"{1e3 * span:.4g} mm apart: expected at least {TERMS + 2}; look at specimen.span and "
+            "at the unit of the markers"
+        )
+        raise ValueError(message)
+
+
+def _check_reach(x: Floats, span: float) -> None:
+    """What lies far from all markers is not seen, and mid-span only by both sides of it."""
+    least = _REACH * 0.5 * span
+    if x.min() > -least or x.max() < least:
+        message = (
+            f"sections with markers from {1e3 * x.min():+.4g} mm to {1e3 * x.max():+.4g} mm of "
+            f"mid-span: expected some {1e3 * least:.4g} mm away on both sides, which is "
+            f"{1e2 * _REACH:g} % of half the span"
+        )
+        raise ValueError(message)
 
 
 def _taken(sections: Sections, frames: Ints) -> Sections:

@@ -77,6 +77,23 @@ def test_a_bent_rod_with_two_rows_of_markers(facing: str) -> None:
     assert found.side_share < 0.02
 
 
+def test_markers_on_one_side_of_mid_span_alone() -> None:
+    made = tracks(BendingRecord(), np.random.default_rng(0))
+    rest = np.asarray(made.time < 2.0)
+    sections = find_sections(made.positions[:, :16], rest=rest, apart=0.004)
+    said = (
+        r"mm of mid-span: expected some 45.72 mm away on both sides, which is 60 % of half the span"
+    )
+    with pytest.raises(ValueError, match=said):
+        fit_span(
+            sections,
+            span=SPAN,
+            radius=RADIUS,
+            facing="side",
+            bent_most=np.asarray(np.abs(made.time - 62.0) < 20.0),
+        )
+
+
 def test_too_few_sections() -> None:
     made = tracks(BendingRecord(), np.random.default_rng(0))
     rest = np.asarray(made.time < 2.0)
