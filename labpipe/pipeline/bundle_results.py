@@ -21,7 +21,7 @@ from labpipe.pipeline.beam_corrections import corrected
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of, stiffness_over
-from labpipe.pipeline.cycle_results import per_cycle, with_shape_error
+from labpipe.pipeline.cycle_results import broken_off, per_cycle, with_shape_error
 from labpipe.pipeline.outcomes import (
     CURVE,
     NO_BRANCH,
@@ -97,9 +97,8 @@ def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
         return [to_result(bench, share, end)]
     bench.lines.append(FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop))
     moved = other if isinstance(other, EndSlope) else end
-    found = to_result(
-        bench, share, _changed(end.share, moved.share), doubt=doubt_of(bench, entry.of)
-    )
+    doubt = doubt_of(bench, entry.of) or broken_off(bench, bench.cycles()[0][:1])
+    found = to_result(bench, share, _changed(end.share, moved.share), doubt=doubt)
     return [found, *_onset_results(bench, entry, initial, found)]
 
 

@@ -199,6 +199,15 @@ def test_nothing_moves() -> None:
     assert "hardening.2" in results
 
 
+def test_the_slope_at_the_end_of_a_record_that_breaks_off() -> None:
+    time, path, force = cycles(noise=NOISE)
+    part = time < 23.0
+    _, results = asked((time[part], path[part], force[part]))
+    assert results["end_slope"].reason.startswith("partial_cycle: the record ends at 22.98")
+    assert results["end_slope"].reason.endswith(", while still loading")
+    assert results["initial_stiffness"].status is Status.OK
+
+
 def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
     time, path, force = cycles(noise=NOISE)
     bench, results = asked((time, path, -force))
