@@ -10,8 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import re
-import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -41,6 +40,7 @@ from labpipe.readers.wire_columns import (
     default_words,
     numbers_in,
 )
+from labpipe.readers.wire_names import check_names
 from labpipe.readers.wire_stress import read_stress_table
 from labpipe.records.wire import LAYOUTS, WireSpec
 
@@ -48,9 +48,6 @@ WIRES_SHEET = "wires"
 AREAS_AGREE = 0.02
 """Share by which a conductor area may differ from that of the strands' diameters."""
 _TOUCHING = 1e-3  # of the bore: less is rounding of the sheet
-_NOT_IN_NAMES = re.compile(r'[\\/:*?"<>|\x00-\x1f]|^[. ]|[. ]$')
-_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", flags=re.IGNORECASE)
-_LONGEST_NAME = 100
 _WITH_DEFAULT = (
     *("insulation_modulus", "conductor_modulus", "poisson", "copper_k", "copper_n"),
     *("friction_strand", "friction_insulation", "radial_force", "length", "tension"),
@@ -88,7 +85,7 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
         raise ReadError("\n".join(faults.told))
     names = [column_name(cell) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    _check_names([row[NAME] for row in rows], faults)
+    check_names([row[NAME] for row in rows], faults)
     curves: dict[str, _Curve] = {}
     specs = [_wire(_Row(row, faults, curves)) for row in rows]
     if faults.told:
@@ -112,44 +109,6 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
         for row in workbook_cells(path, name)
     ]
     return cells, where
-
-
-def _check_names(cells: Sequence[Cell], faults: Faults) -> None:
-    """Tell names that are missing, cannot be the name of a file, or come again."""
-    seen: dict[str, Cell] = {}
-    for cell in cells:
-        place, name = f"{cell.place} ({NAME})", cell.text
-        if not name:
-            faults.add(place, expected="a name", found="a blank cell", remedy="Name the wire.")
-        elif _NOT_IN_NAMES.search(name) or _RESERVED.fullmatch(name) or len(name) > _LONGEST_NAME:
-            expected = "a name that a file can have"
-            remedy = (
-                'Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at most.'
-            )
-            found = f"{name[:20]!r}... of {len(name)} letters"
-            found = found if len(name) > _LONGEST_NAME else repr(name)
-            faults.add(place, expected=expected, found=found, remedy=remedy)
-        elif _as_file(name) in seen:
-            expected, found = _name_again(cell, seen[_as_file(name)])
-            remedy = "Give each wire a name of its own."
-            faults.add(place, expected=expected, found=found, remedy=remedy)
-        seen.setdefault(_as_file(name), cell)
-
-
-def _as_file(name: str) -> str:
-    """What is left of a name where letters' case, and how an accent is written, do not count.
-
-    So it is with files on some systems, and with the case of Abaqus's labels.
-    """
-    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
-
-
-def _name_again(cell: Cell, first: Cell) -> tuple[str, str]:
-    """What was expected and found where a name comes again, the first place named."""
-    if cell.text == first.text:
-        return "each wire once", f"{cell.text!r} again, as in {first.place}"
-    expected = "names that differ in more than the case of letters, which files and labels ignore"
-    return expected, f"{cell.text!r}, and {first.text!r} in {first.place}"
 
 
 _Curve: TypeAlias = tuple[tuple[float, ...], tuple[float, ...]] | None

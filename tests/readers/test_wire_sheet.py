@@ -273,42 +273,6 @@ def test_rows_that_are_refused(sheet: Path, cells: Row, message: str) -> None:
     assert fault(sheet, **cells) == message
 
 
-@pytest.mark.parametrize("name", ["A/2", "..", "a.", "con", "NUL.csv", "a\tb"])
-def test_names_that_no_file_can_have(sheet: Path, name: str) -> None:
-    assert fault(sheet, wire=name) == (
-        f"cell A2 (wire): expected a name that a file can have, found {name!r}."
-        ' Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at most.'
-    )
-
-
-def test_a_name_that_is_too_long(sheet: Path) -> None:
-    assert fault(sheet, wire="a" * 101) == (
-        "cell A2 (wire): expected a name that a file can have, found 'aaaaaaaaaaaaaaaaaaaa'... of"
-        ' 101 letters. Leave out \\ / : * ? " < > |, and dots at either end; use 100 letters at'
-        " most."
-    )
-
-
-def test_a_name_that_comes_again_is_told_with_both_cells(sheet: Path) -> None:
-    assert faults(sheet, A2, A2 | {"wire": "A3"}, A2) == [
-        "cell A4 (wire): expected each wire once, found 'A2' again, as in sheet 'wires', cell A2."
-        " Give each wire a name of its own."
-    ]
-
-
-@pytest.mark.parametrize(
-    ("first", "second"), [("A2", "a2"), ("STRASSE", "straße"), ("caf\u00e9", "CAFE\u0301")]
-)
-def test_names_that_share_a_file_are_told_with_both_cells(
-    sheet: Path, first: str, second: str
-) -> None:
-    assert faults(sheet, A2 | {"wire": first}, A2 | {"wire": second}) == [
-        f"cell A3 (wire): expected names that differ in more than the case of letters, which"
-        f" files and labels ignore, found {second!r}, and {first!r} in sheet 'wires', cell A2."
-        f" Give each wire a name of its own."
-    ]
-
-
 def test_all_faults_are_told_at_once(sheet: Path) -> None:
     rows = [A2, A2 | {"wire": "a2"}, A2 | {"wire": "A3", "strands": 8, "lay_angles_deg": "x"}]
     rows.append(A2 | {"wire": "A4", "strands": 8})
