@@ -44,6 +44,8 @@ MODELLED = {
 """Where a model, not noise, makes the interval: a line through a bend, a curve through markers."""
 STARTED = {"clock_offset", "clock_drift"}
 """Of recorders with a common start: mostly the bounds that the protocol states of them."""
+DOUBTS = RUNS // 40
+"""Reasons of which a study may have that many: labels that change, a bundle too weak to tell."""
 MISSES = 4.5
 """Standard errors beyond which chance is no explanation in some hundred intervals."""
 
@@ -101,10 +103,13 @@ def test_the_largest_force_may_come_before_the_turn(repository: Path, tmp_path: 
 @pytest.mark.slow
 def test_intervals_cover(bench: Bench) -> None:
     hits: dict[str, list[bool]] = {}
+    not_sure: list[str] = []
     for results, checked in bench.run(RUNS, 6):
-        assert {each.status for each in results} == {Status.OK}, results
+        not_sure += {each.reason for each in results if each.status is not Status.OK}
         for each in checked:
-            hits.setdefault(each.result.name, []).append(each.is_covered)
+            if each.result.status is Status.OK:  # an interval does not cover a doubt
+                hits.setdefault(each.result.name, []).append(each.is_covered)
+    assert len(not_sure) <= DOUBTS, not_sure
     unsound = {
         name: (sum(found), len(found))
         for name, found in hits.items()
