@@ -58,7 +58,8 @@ def _direction(modelled: ModelledBundle) -> str:
 
 def _conduits(modelled: ModelledBundle) -> Iterator[str]:
     words = f"bore for a packing fraction of {WANTED:g}"
-    yield f"  {words:<{_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm"
+    mark = "  the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
+    yield f"  {words:<{_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm{mark}"
     chosen = modelled.model.bundle.conduit_bore
     for conduit in modelled.conduits:
         words = f"packing fraction in a bore of {1e3 * conduit.bore:.4g} mm"

@@ -201,7 +201,11 @@ def _note(model: BundleModel) -> str:
         f"{_digits(model.free)} with wires slipping, {_digits(model.high)} with nothing slipping "
         f"({directions})."
     )
-    limits = [note.message for note in model.notes if note.code == "copper_yields"]
+    limits = [
+        note.message.replace("N mm^2", "N\u00b7mm\u00b2")
+        for note in model.notes
+        if note.code == "copper_yields"
+    ]
     return " ".join([said, *(f"{limit[0].upper()}{limit[1:]}." for limit in limits)])
 
 

@@ -35,3 +35,11 @@ def test_lines_of_a_mixture_in_a_conduit() -> None:
     assert "in the stiffest (0 deg from x)" in lines[5] or "90 deg from x" in lines[5]
     assert lines[8].split()[-6:] == ["1.05", "the", "wires", "do", "not", "fit"]
     assert lines[9].split()[-2:] == ["0.38", "chosen"]
+
+
+def test_a_bore_for_the_wanted_fraction_that_is_too_small() -> None:
+    assert said(B1=7)[7].endswith("3.478 mm")
+    model = bundle_model(bundle(("B1", 2)), example_wires())
+    lines = bundle_table(ModelledBundle("T2", model, (), 1.859e-3, Path("out"))).splitlines()
+    assert lines[6].endswith("2.2 mm")
+    assert lines[7].endswith("1.859 mm  the wires do not fit")

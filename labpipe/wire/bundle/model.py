@@ -23,6 +23,8 @@ from labpipe.wire.bundle.tightening import holding_circle
 
 _OTHER_DIAMETER = 0.05
 """Of a diameter: how far the test sheet may be from the wire sheet without a note."""
+_MOSTLY_STRETCHED = 2.0
+"""Of the stiffness of wires that slip: above it, more than half is stretching."""
 _OBLIQUE = 0.01
 """Of the stiffness along y: what a bundle may lose by moving aside without a note."""
 
@@ -94,7 +96,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
             *_other_diameters(bundle, kinds),
             *notes,
             *_oblique(stuck),
-            *_yielding(high, curvature, stick),
+            *_yielding(high, free, curvature, stick),
         ),
     )
 
@@ -163,18 +165,25 @@ def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
         message = (
             f"the principal axes are oblique ({np.degrees(stuck.angle):.3g} deg from x to the "
             f"stiffest direction): bent along y, a sticking bundle that may move aside is "
-            f"{100.0 * lost:.2g} % less stiff than the {along:.4g} N m^2 of one kept in its "
+            f"{100.0 * lost:.2g} % less stiff than the {_stiffness(along)} of one kept in its "
             f"plane"
         )
         yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
 
 
-def _yielding(high: float, curvature: Floats, stick: Floats) -> Iterator[QualityNote]:
-    """Say where a sticking bundle has half its first stiffness."""
+def _yielding(high: float, free: float, curvature: Floats, stick: Floats) -> Iterator[QualityNote]:
+    """Say where a sticking bundle whose wires are stretched has half its first stiffness."""
+    if high < _MOSTLY_STRETCHED * free:  # what it loses then are strands that slip
+        return
     below = np.flatnonzero(stick[1:] < 0.5 * high * curvature[1:]) + 1
     if len(below):
         message = (
             f"copper that is stretched yields: a sticking bundle, bent along y, has less than half "
-            f"of its {high:.4g} N m^2 beyond {curvature[below[0]]:.3g} 1/m"
+            f"of its {_stiffness(high)} beyond {curvature[below[0]]:.3g} 1/m"
         )
         yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
+
+
+def _stiffness(value: float) -> str:
+    """A stiffness as the lines of a bundle have it, four digits and never a power of ten."""
+    return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"

@@ -78,7 +78,7 @@ def test_a_single_wire_is_itself() -> None:
     assert model.low == table.slip_stiffness
     assert model.moment_stick == pytest.approx(model.moment_slip)
     assert model.moment_slip == pytest.approx(table.moment)
-    assert codes(model) == ["copper_yields"]
+    assert codes(model) == []
 
 
 def test_wires_of_one_kind_under_two_names() -> None:
@@ -157,8 +157,15 @@ def test_copper_yields_where_it_says() -> None:
     at = model.curvature[1:][secant < 0.5 * model.high][0]
     assert note.message == (
         f"copper that is stretched yields: a sticking bundle, bent along y, has less than half of "
-        f"its {model.high:.4g} N m^2 beyond {at:.3g} 1/m"
+        f"its {float(f'{1e6 * model.high:.4g}'):.10g} N mm^2 beyond {at:.3g} 1/m"
     )
+
+
+def test_no_copper_is_stretched_in_wires_beside_each_other() -> None:
+    """What two wires in a row lose, bent out of it, is their strands' friction."""
+    model = bundle_model(bundle(("B1", 2)), example_wires())
+    assert model.high == pytest.approx(model.free)
+    assert codes(model) == []
 
 
 def test_moments_end_with_the_stress_table() -> None:
