@@ -21,6 +21,7 @@ from labpipe.pipeline.tested_wires import (
     require_known,
     usual_sheet,
     wire_to_calibrate,
+    without_copies,
 )
 from labpipe.pipeline.third_curves import hold_third_curves, read_third_curves
 from labpipe.pipeline.validation_groups import compare
@@ -52,6 +53,9 @@ MODEL_FILE = "calibration.json"
 WORKBOOK_FILE = "calibration.xlsx"
 FIGURES_FOLDER = "figures"
 DEFAULT_FOLDER = "calibration"
+_REMEDY = (
+    "Check the values and units that the plan fixes or believes, and the wire's row in the sheet."
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,6 +123,7 @@ def calibrate_tests(
     loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
+    loadings, copies = without_copies(loadings)
     name = wire_to_calibrate(loadings, asked, plan)
     require_known(loadings, specs, wires)
     tested = {each.curve.wire for each in loadings}
@@ -133,7 +138,7 @@ def calibrate_tests(
         calibration=calibration,
         source=_as_source(built[name], own, asked),
         groups=groups,
-        left_out=left_out,
+        left_out=left_out | copies,
         files=(),
         comparisons=hold_third_curves(curves, calibration, built, groups, own + loadings),
     )
@@ -175,7 +180,10 @@ def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan
     )
     found = calibrate(wire, [each.curve for each in own], settings)
     if isinstance(found, CalibrationFailure):
-        message = f"the calibration of {own[0].curve.wire} failed, {found.code}: {found.message}"
+        message = (
+            f"the calibration of {own[0].curve.wire} failed ({found.code}): {found.message}. "
+            f"{_REMEDY}"
+        )
         raise ProcessingError(message)
     notes = (*found.notes, *(note for each in own for note in each.notes))
     return replace(found, notes=notes)

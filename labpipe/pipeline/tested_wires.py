@@ -73,6 +73,34 @@ def wire_to_calibrate(
     raise UsageError(message)
 
 
+def without_copies(
+    loadings: Sequence[FirstLoading],
+) -> tuple[list[FirstLoading], dict[str, str]]:
+    """Take each first loading once: a copy of a test would count as one more.
+
+    Parameters
+    ----------
+    loadings : of all tests
+
+    Returns
+    -------
+    Those that differ, the first of its copies each, and by file why a copy was left out.
+    """
+    first: dict[tuple[bytes, bytes], FirstLoading] = {}
+    left_out: dict[str, str] = {}
+    for each in loadings:
+        kept = first.setdefault((each.curve.deflection.tobytes(), each.curve.force.tobytes()), each)
+        if kept is not each:
+            left_out[str(each.file)] = complaint(
+                each.file,
+                "",
+                expected="each test once",
+                found=f"the same first loading as in {kept.file}",
+                remedy="Leave the copy away.",
+            )
+    return list(first.values()), left_out
+
+
 def require_known(
     loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
 ) -> None:

@@ -10,13 +10,14 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 from labpipe.protocol.block import Block
 from labpipe.protocol.comparison_plan import Comparison, same_names
 from labpipe.protocol.faults import Fault
-from labpipe.protocol.quantities import Length, Quantity, Ratio, Whole
+from labpipe.protocol.quantities import Length, Quantity, Whole
 from labpipe.protocol.schema import known_version
 from labpipe.protocol.words import Remark, Text
 
 Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
 Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]
 Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
+Scatter = Annotated[float, Quantity("1", "%", "3 %", least=0.0, most=0.5)]
 Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 
 _NEEDS_VALUE = "What would it be held to, or lie about?"
@@ -92,7 +93,7 @@ class CalibrationPlan(Block):
         description="source: beside it, the source's three friction numbers and one stiffness",
     )
     parameters: Parameters = Parameters()
-    scatter: Ratio | None = Field(
+    scatter: Scatter | None = Field(
         None, description="Standard deviation between samples, where it is known"
     )
     points: Annotated[int, Whole(20, 5000)] = Field(272, description="Points of each curve")

@@ -9,7 +9,13 @@ import pytest
 
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.pipeline.first_loadings import FirstLoading
-from labpipe.pipeline.tested_wires import built_wire, require_known, usual_sheet, wire_to_calibrate
+from labpipe.pipeline.tested_wires import (
+    built_wire,
+    require_known,
+    usual_sheet,
+    wire_to_calibrate,
+    without_copies,
+)
 from labpipe.protocol.calibration_plan import CalibrationPlan
 from tests.builders.loading_tests import measured
 from tests.builders.wire_tables import wire_table
@@ -55,3 +61,14 @@ def test_a_wire_that_cannot_be_built() -> None:
     thin = replace(spec, wire_diameter=0.5 * spec.wire_diameter)
     with pytest.raises(ProcessingError, match="expected a wire that can be built, found this: "):
         built_wire(thin, SHEET)
+
+
+def test_a_copy_of_a_test_does_not_count() -> None:
+    own, other = loadings("A2", "A1")
+    one, two = replace(own, file=Path("x/T1/result.h5")), replace(own, file=Path("y/T1/result.h5"))
+    kept, left_out = without_copies([one, other, two])
+    assert kept == [one, other]
+    assert left_out == {
+        str(two.file): f"{two.file}: expected each test once, found the same first loading as in "
+        f"{one.file}. Leave the copy away."
+    }

@@ -78,3 +78,8 @@ def test_unknown_keys_come_with_the_nearest(tmp_path: Path) -> None:
 
 def test_a_newer_version_is_refused(tmp_path: Path) -> None:
     assert "version 1" in told(tmp_path, "version: 2\n")
+
+
+def test_a_scatter_that_forgot_its_percent(tmp_path: Path) -> None:
+    said = told(tmp_path, "version: 1\nscatter: 3\n")
+    assert said.endswith("(also in % or ppm) from 0 % up, at most 50 %, found '3'.")
