@@ -29,6 +29,7 @@ _MODEL: dict[str, Any] = {"color": MODEL, "linewidth": 1.3, "zorder": 2}
 _AROUND = 14.0
 """mm, of the numbers and labels of the panel."""
 _MARGIN = 0.06
+_NOTE = "Markers sit on the surface of the wire; the curves are its axis."
 _FLATTEST, _STEEPEST = 0.35, 1.1
 
 
@@ -48,7 +49,9 @@ def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
     low, high = _box(shapes)
     across, up = (high - low).tolist()
     share = min(max(up / across, _FLATTEST), _STEEPEST)
-    page = wire_page(Words(title, "", _keys(shapes)), height_mm=_AROUND + (WIDTH - _AROUND) * share)
+    page = wire_page(
+        Words(title, _NOTE, _keys(shapes)), height_mm=_AROUND + (WIDTH - _AROUND) * share
+    )
     plot_shapes(shapes, page.subplots())
     return page
 

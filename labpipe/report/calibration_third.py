@@ -39,7 +39,7 @@ _COLUMNS, _ROW = 2, 70.0
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
 _ROOM, _LINE, _MARKED = 1.08, 44, 14
-_FREE_ROWS, _ROOM_PER_ROW = 4, 0.06
+_FREE_ROWS, _ROOM_PER_ROW, _ROW_PER_ROW = 4, 0.06, 4.0
 """Rows of a key that fit above most curves, and the room that each further one takes."""
 
 
@@ -102,7 +102,8 @@ def third_figure(panels: Sequence[ThirdPanel]) -> Figure:
     columns = min(_COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
     words = Words("Curves from elsewhere, tests and model", _note(panels), _keys(panels))
-    page = wire_page(words, height_mm=_ROW * rows, width_mm=DOUBLE_COLUMN)
+    row = _ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
+    page = wire_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
     drawn = page.subplots(rows, columns, squeeze=False).ravel()
     for letter, panel, axes in zip("abcdef", panels, drawn, strict=False):
         plot_third(panel, axes)
@@ -134,12 +135,16 @@ def plot_third(panel: ThirdPanel, axes: Axes) -> None:
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
     lines = [_draw(each, number, axes) for number, each in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
-    rows = sum(1 + str(line.get_label()).count("\n") for line in lines)
-    room = _ROOM + _ROOM_PER_ROW * max(0, rows - _FREE_ROWS)
+    room = _ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
     axes.legend(handles=lines, loc="upper left", fontsize=7, handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(FORCE.label("Force"))
+
+
+def _key_rows(panel: ThirdPanel) -> int:
+    """Lines of text in the key of a panel."""
+    return sum(1 + match_words(each).count("\n") for each in panel.comparisons)
 
 
 def _draw(each: ThirdCurveComparison, number: int, axes: Axes) -> Artist:

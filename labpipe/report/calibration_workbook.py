@@ -18,8 +18,9 @@ _ABOUT = (
     "Sheet 'fit': what the calibration rests on, and what 'method: source' makes of the tests.",
     "Sheet 'identified': a combination with singular value s is known to 1 / s in logarithms; below"
     " 1 the tests do not determine it.",
-    "Sheet 'agreement': model against the mean of the samples, for wires and lengths that it was"
-    " calibrated by and for others that it foretells. SSE grows with the number of points.",
+    "Sheet 'agreement': model against all points of the samples, for wires and lengths that it was"
+    " calibrated by and for others that it foretells. SSE grows with the number of points; the band"
+    " is that of one more sample.",
     "Sheet 'curves': each test against the model without the sample's own factor. A sheet for each"
     " wire and length holds mean, model and samples; 'lower' and 'upper' of the mean are its 95 %"
     " band by Student's t with n - 1 degrees of freedom.",
