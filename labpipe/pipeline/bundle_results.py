@@ -39,6 +39,8 @@ from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
 
+_LOST = 3
+"""Samples at the end of a branch that the joining of two clocks may cost."""
 _NO_LENGTH = Failure(
     "no_length",
     "nobody says specimen.length: write it into the test sheet, such as 'length: 114.3 mm'",
@@ -97,9 +99,24 @@ def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
         return [to_result(bench, share, end)]
     bench.lines.append(FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop))
     moved = other if isinstance(other, EndSlope) else end
-    doubt = doubt_of(bench, entry.of) or broken_off(bench, bench.cycles()[0][:1])
+    first = bench.cycles()[0][:1]
+    doubt = doubt_of(bench, entry.of) or broken_off(bench, first) or _unseen_end(bench, first[0])
     found = to_result(bench, share, _changed(end.share, moved.share), doubt=doubt)
     return [found, *_onset_results(bench, entry, initial, found)]
+
+
+def _unseen_end(bench: Bench, branch: Branch) -> str:
+    """Why the end of a loading branch is doubtful: its force was not recorded up to there."""
+    curve = curve_of(bench)
+    d, f = (each[branch.start : branch.stop] for each in (curve.displacement, curve.force))
+    known = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
+    if not len(known) or known[-1] >= len(d) - _LOST:
+        return ""
+    end = 1e3 * float(d[known[-1]])
+    return (
+        f"gap: force and displacement are known up to {end:.4g} mm of the first loading alone, "
+        f"{len(d) - 1 - known[-1]} samples before its end"
+    )
 
 
 def _onset_results(bench: Bench, entry: Plateau, initial: Estimate, end: Result) -> list[Result]:
@@ -115,7 +132,8 @@ def _onset_results(bench: Bench, entry: Plateau, initial: Estimate, end: Result)
     moved = other if isinstance(other, Onset) else onset
     place = _place(bench, onset.displacement, moved.displacement)
     level = _level(bench, onset.force, moved.force)
-    doubt = doubt_of(bench, entry.of)
+    first = bench.cycles()[0][0]
+    doubt = doubt_of(bench, entry.of) or _unseen_end(bench, first)
     return [
         to_result(bench, Asked("plateau_displacement", "m", CURVE, method), place, doubt=doubt),
         to_result(bench, Asked("plateau_force", "N", CURVE, method), level, doubt=doubt),

@@ -96,7 +96,7 @@ def _check_pull(bench: Bench, force: Signal, weight: float) -> None:
 
 def _check_push(bench: Bench, force: Signal) -> None:
     """What presses on a specimen between two supports does not pull at it."""
-    if not force.has_time:
+    if not force.has_time or bench.blocked:
         return
     smooth = _per_second(force)
     lowest, highest = float(np.nanmin(smooth)), float(np.nanmax(smooth))
@@ -187,8 +187,9 @@ def check_mid_span(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -
         return
     message = (
         f"cameras see mid-span sink by {1e3 * sunk:.4g} mm, the displacement is {1e3 * moved:.4g} "
-        "mm: look at specimen.span, at the units of both exports, at rig.crosshead_speed and "
-        "rig.stroke where no frame measured it, and at how far the load was from the specimen"
+        "mm: look at specimen.span, at markers that are not on the specimen, at the units of both "
+        "exports, at rig.crosshead_speed and rig.stroke where no frame measured it, and at how far "
+        "the load was from the specimen"
     )
     bench.doubt("displacement", "mid_span_differs", message, where="mid_span")
 
@@ -201,9 +202,14 @@ def check_sign(bench: Bench, motion: Signal) -> None:
     bench : gets the doubt, in place of that of a string that pushes
     motion : that the curve is split by; a motion that goes down may well load downwards
     """
-    force = bench.signals[bench.force]
+    force, raw = bench.signals[bench.force], bench.raw[bench.force].values
     known = force.values[~np.isnan(force.values)]
-    if len(known) < 2 or excursion(motion.values) < 0.0 or excursion(known) > 0.0:
+    if (
+        len(known) < 2
+        or not np.nanmax(raw) > np.nanmin(raw)
+        or excursion(motion.values) < 0.0
+        or excursion(known) > 0.0
+    ):
         return
     means = [float(block.mean()) for block in np.array_split(known, min(_BLOCKS, len(known)))]
     lowest, highest = min(means), max(*means, 0.0)

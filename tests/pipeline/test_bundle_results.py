@@ -208,6 +208,13 @@ def test_the_slope_at_the_end_of_a_record_that_breaks_off() -> None:
     assert results["initial_stiffness"].status is Status.OK
 
 
+def test_the_slope_at_the_end_without_its_force() -> None:
+    time, path, force = cycles(noise=NOISE)
+    _, results = asked((time, path, np.where((time > 40.0) & (time < 60.0), np.nan, force)))
+    assert "gap: force and displacement are known up to " in results["end_slope"].reason
+    assert results["end_slope"].status is Status.DOUBTFUL
+
+
 def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
     time, path, force = cycles(noise=NOISE)
     bench, results = asked((time, path, -force))

@@ -88,9 +88,9 @@ def test_a_span_of_another_rig_is_doubted_by_the_cameras() -> None:
     said = results["bending_stiffness"].reason
     assert said.startswith("mid_span_differs: cameras see mid-span sink by 19.9")
     assert said.endswith(
-        " mm, the displacement is 29.41 mm: look at specimen.span, at the units of both exports, "
-        "at rig.crosshead_speed and rig.stroke where no frame measured it, and at how far the "
-        "load was from the specimen"
+        " mm, the displacement is 29.41 mm: look at specimen.span, at markers that are not on the "
+        "specimen, at the units of both exports, at rig.crosshead_speed and rig.stroke where no "
+        "frame measured it, and at how far the load was from the specimen"
     )
     assert results["peak_force.1"].status is Status.OK
 
