@@ -10,6 +10,7 @@ from pathlib import Path
 from labpipe.errors import ProtocolError, ReadError, complaint, nearest
 from labpipe.pipeline.exports import is_empty
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
+from labpipe.protocol.results import BendingStiffness, MidSpan, Twist
 from labpipe.protocol.rig import Markers
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import SHEET_NAME, TestSheet
@@ -119,10 +120,30 @@ def _test_faults(path: Path, protocols: Path | None) -> Iterator[str]:
     except ProtocolError as error:
         yield from str(error).splitlines()
         protocol = None
+    if protocol is not None:
+        yield from _span_faults(path, protocol)
     for role, names in sheet.files.items():
         source = protocol.sources[role] if protocol else None
         for name in names:
             yield from _export_faults(path.parent / name, source, protocol)
+
+
+def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
+    """Find a test on two supports whose distance nobody says."""
+    asked = [
+        entry.result
+        for entry in protocol.results
+        if isinstance(entry, MidSpan | Twist)
+        or (isinstance(entry, BendingStiffness) and entry.support == "three-point")
+    ]
+    if asked and protocol.specimen.span is None:
+        yield complaint(
+            path,
+            "specimen.span",
+            expected=f"the distance of the supports (for {', '.join(asked)})",
+            found="nothing",
+            remedy="Write it into the specimen, such as 'span: 152.4 mm'.",
+        )
 
 
 def _export_faults(path: Path, source: Source | None, protocol: Protocol | None) -> Iterator[str]:

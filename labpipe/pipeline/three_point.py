@@ -289,7 +289,10 @@ def _height_of_turn(time: Floats, values: Floats, window: float) -> Estimate | F
 
 def twist_result(bench: Bench) -> list[Result]:
     """``twist`` (rad): how far the section at mid-span has turned about the axis at the turn."""
-    method = "turn of the markers of a section about the axis, where the motion turns"
+    method = (
+        "size of the turn of the markers of the section nearest to mid-span about the axis, where "
+        "the motion turns"
+    )
     asked, parts = Asked("twist", "rad", ("displacement", "clock"), method), _at_hand(bench)
     if isinstance(parts, Failure):
         return [to_result(bench, asked, parts)]
@@ -304,5 +307,14 @@ def twist_result(bench: Bench) -> list[Result]:
         return [to_result(bench, asked, Failure("too_few_markers", message))]
     x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
     number = int(able[np.argmin(np.abs(x[able]))])
-    asked = replace(asked, method=f"{method}; section {1e3 * x[number]:+.1f} mm from mid-span")
-    return [to_result(bench, asked, _at_turn(shape.twist[:, number], bend.rest, branch, time))]
+    bench.note(
+        "twist_section",
+        Severity.INFO,
+        "markers",
+        f"twist is that of the section {1e3 * x[number]:+.1f} mm from mid-span",
+    )
+    turned = _at_turn(shape.twist[:, number], bend.rest, branch, time)
+    if isinstance(turned, Estimate) and turned.value < 0.0:
+        # which way it turns is only a matter of which end of the conduit is called the first
+        turned = _at_turn(-shape.twist[:, number], bend.rest, branch, time)
+    return [to_result(bench, asked, turned)]

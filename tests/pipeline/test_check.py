@@ -300,3 +300,25 @@ overrides:
     assert len(messages) == 2
     assert all("expected one of the 10 channels of the file" in message for message in messages)
     assert "Nearest: 'Model Root/Harware/Subsystem1/load raw/In1'" in messages[0]
+
+
+@pytest.mark.parametrize(("span", "is_said"), [("", False), (", span: 40 mm", True)])
+def test_a_test_on_two_supports_whose_distance_nobody_says(
+    lab: Path, span: str, is_said: bool
+) -> None:
+    folder = lab / "raw" / "campaign" / "B1"
+    folder.mkdir()
+    sheet = SHEET.replace("test: A1\nprotocol: wire", "test: B1\nprotocol: three-point-bend")
+    sheet = sheet.replace("sample: 1}", f"sample: 1{span}}}")
+    sheet = sheet.replace("force: force.mat, markers: take.csv", "frame: bend.txt")
+    (folder / "test.yaml").write_text(sheet, encoding="utf-8")
+    said = [each.message for each in check_paths([folder]).findings if "span" in each.message]
+    assert said == (
+        []
+        if is_said
+        else [
+            f"{folder / 'test.yaml'}, specimen.span: expected the distance of the supports (for "
+            "bending-stiffness), found nothing. Write it into the specimen, such as "
+            "'span: 152.4 mm'."
+        ]
+    )
