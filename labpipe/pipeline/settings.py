@@ -70,15 +70,29 @@ def setting_notes(settings: Mapping[str, Settings], told: Sequence[str] = ()) ->
 
     Returns
     -------
-    One note ``protocols_differ`` per setting, at its key.
+    One note ``protocols_differ`` per setting, at its key; of a block of the protocol in which more
+    than `_MOST_KEYS` settings differ, as where a test lacks an optional export, one for the block.
     """
-    return [
-        QualityNote(
-            PROTOCOLS_DIFFER, Severity.WARNING, key, f"set otherwise from test to test: {said}"
-        )
-        for key, said in differing(settings).items()
-        if not _is_told(key, told)
-    ]
+    blocks: dict[str, dict[str, str]] = {}
+    for key, said in differing(settings).items():
+        if not _is_told(key, told):
+            blocks.setdefault(key.partition(".")[0], {})[key] = said
+    notes = []
+    for block, own in blocks.items():
+        shown = own if len(own) <= _MOST_KEYS else {block: _of_block(own)}
+        notes += [
+            QualityNote(
+                PROTOCOLS_DIFFER, Severity.WARNING, key, f"set otherwise from test to test: {said}"
+            )
+            for key, said in shown.items()
+        ]
+    return notes
+
+
+def _of_block(own: Mapping[str, str]) -> str:
+    """How a block differs, by the first of its settings."""
+    key, said = next(iter(own.items()))
+    return f"{len(own)} settings, the first {key}: {said}"
 
 
 def differing(settings: Mapping[str, Settings]) -> dict[str, str]:

@@ -59,3 +59,16 @@ def test_a_result_that_is_missing_is_told_once(tube: Protocol) -> None:
     less = tube.model_copy(update={"results": tube.results[:-1]})
     found = setting_notes({"a": settings_of(tube), "b": settings_of(less)})
     assert [note.where for note in found] == ["results"]
+
+
+def test_a_block_that_differs_in_many_settings_is_told_once(tube: Protocol) -> None:
+    """A conduit bundle without the frame's export has other steps and another way to align."""
+    own = settings_of(tube)
+    less = {key: said for key, said in own.items() if not key.startswith("curve.")}
+    other = less | {f"align.a{number}": "x" for number in range(5)}
+    notes = setting_notes({"with": own | {f"align.a{k}": "y" for k in range(5)}, "without": other})
+    (align,) = [note for note in notes if note.where == "align"]
+    assert align.message == (
+        "set otherwise from test to test: 5 settings, the first align.a0: y (with) and x (without)"
+    )
+    assert not [note for note in notes if note.where.startswith("align.")]
