@@ -33,7 +33,7 @@ def test_windows_go_by_the_name_of_their_result(tube: Protocol) -> None:
 
 
 def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
-    own = settings_of(tube)
+    own = dict(settings_of(tube))
     other = settings_of(changed(tube, "force_below: 50 %", "force_below: 20 %"))
     (note,) = setting_notes({"a": own, "b": own, "c": other})
     assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
@@ -63,7 +63,7 @@ def test_a_result_that_is_missing_is_told_once(tube: Protocol) -> None:
 
 def test_a_block_that_differs_in_many_settings_is_told_once(tube: Protocol) -> None:
     """A conduit bundle without the frame's export has other steps and another way to align."""
-    own = settings_of(tube)
+    own = dict(settings_of(tube))
     less = {key: said for key, said in own.items() if not key.startswith("curve.")}
     other = less | {f"align.a{number}": "x" for number in range(5)}
     notes = setting_notes({"with": own | {f"align.a{k}": "y" for k in range(5)}, "without": other})
