@@ -3,11 +3,14 @@
 Seeded campaigns of the virtual lab go through the same reduction as exports do: force in volts on
 a clock of its own, markers at 25 frames per second with gaps and mistaken labels. Three samples of
 A2 calibrate; a sample of A1, and one of B1 on another length, are foretold. Counts are held
-against 95 % by an exact two-sided binomial test at 1 %, which the numbers of the study share.
+against 95 % by an exact two-sided binomial test at 1 %, which the numbers of the study share. A
+campaign of which a test is refused, as the command would with a reason, is not counted; hardly any
+may be.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -19,6 +22,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from labpipe.pipeline.first_loadings import NotUsableError
 from labpipe.pipeline.validation_groups import compare
 from labpipe.records.calibration import PARAMETERS, Calibration
 from labpipe.report.calibration_shown import ValidationGroup
@@ -27,6 +31,7 @@ from labpipe.wire.calibration import Settings, calibrate
 from tests.builders.wire_chain import CALIBRATED, UNUSED, gain_read, loadings_of, mean_curve, wires
 
 FIRST_SEED, RUNS, WORKERS = 2001, 200, 2
+MOST_REFUSED = 4
 TRUTH = np.array([WIRES[CALIBRATED].parameters[name] for name in PARAMETERS])
 AT = np.array([0.005, 0.02, 0.05])
 """Deflections, m, at which bands are looked at."""
@@ -36,17 +41,22 @@ NUMBERS = len(PARAMETERS) + 2 * len(UNUSED) * len(AT)
 
 @dataclass(frozen=True)
 class Hits:
-    """What held: parameters (3,); bands of the mean, and of one more sample (wires, 3)."""
+    """What held: parameters (3,); bands of the mean, and of one more sample (wires, 3).
+
+    Of so many campaigns.
+    """
 
     parameters: np.ndarray
     mean: np.ndarray
     sample: np.ndarray
+    campaigns: int = 1
 
 
 def study(seeds: Sequence[int], protocols: Path) -> Hits:
     """Hits of some campaigns."""
     with TemporaryDirectory() as folder:
-        return together([campaign(seed, protocols, Path(folder)) for seed in seeds])
+        found = [campaign(seed, protocols, Path(folder)) for seed in seeds]
+        return together([each for each in found if each is not None])
 
 
 def together(hits: Sequence[Hits]) -> Hits:
@@ -54,12 +64,16 @@ def together(hits: Sequence[Hits]) -> Hits:
         sum((each.parameters for each in hits), np.zeros(3, np.int64)),
         sum((each.mean for each in hits), np.zeros((len(UNUSED), len(AT)), np.int64)),
         sum((each.sample for each in hits), np.zeros((len(UNUSED), len(AT)), np.int64)),
+        sum(each.campaigns for each in hits),
     )
 
 
-def campaign(seed: int, protocols: Path, folder: Path) -> Hits:
+def campaign(seed: int, protocols: Path, folder: Path) -> Hits | None:
     """Calibrate one campaign as the command does, and see what its intervals and bands hold."""
-    loadings = list(loadings_of(seed, protocols, folder))
+    try:
+        loadings = list(loadings_of(seed, protocols, folder))
+    except NotUsableError:
+        return None
     own = [each for each in loadings if each.curve.wire == CALIBRATED]
     built = wires(folder)
     settings = Settings(gain=max(each.gain for each in own))
@@ -100,6 +114,7 @@ def in_bands(group: ValidationGroup, gain: float) -> tuple[np.ndarray, np.ndarra
 
 def assert_covers(hits: np.ndarray, runs: int, numbers: int) -> None:
     """Hold each count against 95 %, at 1 % over all numbers of the study."""
+    logging.getLogger(__name__).info("%s of %d", hits.tolist(), runs)
     for count in hits.ravel():
         chance = binomtest(int(count), runs, 0.95).pvalue
         assert chance > 0.01 / numbers, f"{count} of {runs}: {hits.tolist()}"
@@ -114,17 +129,16 @@ def hits(repository: Path) -> Hits:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="held in 84 % before the first points were weighed anew")
-def test_friction_is_covered(hits: Hits) -> None:
-    assert_covers(hits.parameters[:1], RUNS, NUMBERS)
+def test_hardly_any_test_is_refused(hits: Hits) -> None:
+    assert hits.campaigns >= RUNS - MOST_REFUSED
 
 
 @pytest.mark.slow
-def test_insulation_and_copper_are_covered(hits: Hits) -> None:
-    assert_covers(hits.parameters[1:], RUNS, NUMBERS)
+def test_parameters_are_covered(hits: Hits) -> None:
+    assert_covers(hits.parameters, hits.campaigns, NUMBERS)
 
 
 @pytest.mark.slow
 def test_bands_hold(hits: Hits) -> None:
-    assert_covers(hits.mean, RUNS, NUMBERS)
-    assert_covers(hits.sample, RUNS, NUMBERS)
+    assert_covers(hits.mean, hits.campaigns, NUMBERS)
+    assert_covers(hits.sample, hits.campaigns, NUMBERS)
