@@ -152,11 +152,12 @@ def test_a_parameter_at_its_bound(campaign: Path, calibrate: Callable[..., Ran])
 
 
 def test_a_value_outside_the_bounds(campaign: Path, calibrate: Callable[..., Ran]) -> None:
+    """The cause, and what to look at."""
     plan = "parameters:\n  copper_scale: {enters: prior, value: 100, factor: 2, because: a slip}\n"
     done = calibrate(campaign / "A2-085-1", plan=plan)
     assert done.status == 2
     assert (
-        "the calibration of A2 failed, value_out_of_bounds: copper_scale starts at 100, outside "
+        "the calibration of A2 failed (value_out_of_bounds): copper_scale starts at 100, outside "
         "its bounds, 0.05 and 20" in done.err
     )
 
