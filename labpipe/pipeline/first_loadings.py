@@ -19,7 +19,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
-from labpipe.statistics.bands import block_means
+from labpipe.statistics.block_means import block_means
 from labpipe.store.read import read_stages
 from labpipe.wire.calibrating.data import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig

@@ -32,7 +32,7 @@ from labpipe.records.group import Campaign, Group, Sample, SampleCurve
 from labpipe.records.result import TestResult
 from labpipe.report.lab_report import write_report
 from labpipe.report.numbers import is_main
-from labpipe.statistics.bands import block_means
+from labpipe.statistics.block_means import block_means
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group

@@ -16,7 +16,7 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Aligned, Branch, Curve, Shape
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.statistics.bands import block_means
+from labpipe.statistics.block_means import block_means
 
 EARLY = (0.5e-3, 3e-3)
 """Deflections, m, over which it is seen how far the clamp is ahead of the tip."""

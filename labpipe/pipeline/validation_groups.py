@@ -13,7 +13,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.calibration import Calibration
 from labpipe.records.group import Band, SampleCurve
 from labpipe.report.calibration_shown import ValidationGroup
-from labpipe.statistics.bands import block_means, common_curves, mean_band
+from labpipe.statistics.bands import common_curves, mean_band
+from labpipe.statistics.block_means import block_means
 from labpipe.wire.calibrating.agreement import curve_errors
 from labpipe.wire.calibrating.data import MeasuredCurve
 from labpipe.wire.calibrating.prediction import predict

@@ -22,7 +22,7 @@ from labpipe.report.calibration_look import (
 )
 from labpipe.report.group_look import Look
 from labpipe.report.thinning import extremes
-from labpipe.statistics.bands import block_means
+from labpipe.statistics.block_means import block_means
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

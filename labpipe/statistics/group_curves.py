@@ -9,7 +9,8 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, NestedMean, Sample
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.statistics.bands import CommonCurves, block_means, common_curves, mean_band
+from labpipe.statistics.bands import CommonCurves, common_curves, mean_band
+from labpipe.statistics.block_means import block_means
 from labpipe.statistics.group_notes import group_note, sample_keys
 from labpipe.statistics.nested import USUAL, PoolingLimits, nested_mean
 

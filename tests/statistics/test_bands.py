@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
 from labpipe.statistics.bands import (
-    block_means,
     common_curves,
     mean_band,
     misfit,
@@ -142,11 +141,3 @@ def test_misfit_of_curves_that_share_nothing() -> None:
     assert np.isnan([found.rmse, found.relative]).all()
     flat = misfit(line(1.0), line(0.0))
     assert np.isnan(flat.relative)
-
-
-def test_block_means() -> None:
-    assert block_means(np.arange(6.0), 3).tolist() == [0.5, 2.5, 4.5]
-    assert block_means(np.arange(7.0), 3).tolist() == [0.5, 2.5, 5.0]
-    assert block_means(np.arange(4.0), 9).tolist() == [0.0, 1.0, 2.0, 3.0]
-    assert block_means(np.zeros(0), 9).tolist() == []
-    assert np.isnan(block_means(np.array([1.0, np.nan, 2.0, 4.0]), 2)).tolist() == [True, False]
