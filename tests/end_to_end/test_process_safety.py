@@ -94,7 +94,8 @@ def test_real_interrupt(lab: Lab) -> None:
         "import labpipe.pipeline.process as process\n"
         "def wait(*arguments):\n"
         "    print('here', flush=True)\n"
-        "    time.sleep(60)\n"
+        "    for _ in range(600):\n"  # a signal that another thread is given ends no long sleep
+        "        time.sleep(0.1)\n"
         "process.write_summary = wait\n"
         "from labpipe.cli import main\n"
         "sys.exit(main(sys.argv[1:]))\n"
