@@ -33,13 +33,6 @@ _SURELY = 4.0
 """Standard errors by which a top before the turn is larger than the force at the turn."""
 
 
-def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
-    """Force where the motion turns from loading to unloading, or before the specimen broke, N."""
-    del displacement
-    found = unscaled_peak(bench, branches)
-    return found if isinstance(found, Failure) else _scaled(found, bench.raw[bench.force])
-
-
 def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
     """Largest force of a cycle, N, without the uncertainty of zero and scale."""
     force, failure = bench.raw[bench.force], bench.failure
@@ -50,9 +43,8 @@ def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
     if _is_sharp(bench, branches):
         at = branches[0].stop_time
         at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
-        near = slice(*np.searchsorted(force.time, [at - 2 * _PEAK_WINDOW, at + 2 * _PEAK_WINDOW]))
         window = min(_FORCE_WINDOW, _window(branches))
-        found = fit_reversal(force.time[near], force.values[near], near=at, window=window)
+        found = fit_reversal(*_around(force, at), near=at, window=window)
         if found is None:
             return Failure("no_corner", f"the force has no corner near {at:.3f} s of its clock")
         corner = Estimate(found.corner.value, found.corner.value_error, found.corner.n)
@@ -66,6 +58,13 @@ def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
     return Estimate(sense * top.value, top.error, top.n)
 
 
+def _around(signal: Signal, at: float) -> tuple[Floats, Floats]:
+    """Times and values of a signal that a peak at a time can be read from."""
+    reach = 2.0 * _PEAK_WINDOW
+    near = slice(*np.searchsorted(signal.time, [at - reach, at + reach]))
+    return signal.time[near], signal.values[near]
+
+
 def _or_larger_before(bench: Bench, branches: list[Branch], corner: Estimate) -> Estimate:
     """The force at the turn, or the top that it had surely passed on the way there."""
     curve, first = curve_of(bench), bench.within(branches[0]).start
@@ -76,9 +75,9 @@ def _or_larger_before(bench: Bench, branches: list[Branch], corner: Estimate) ->
         return corner
     at = float(curve.time[first + int(np.nanargmax(early))])
     at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
-    force = bench.raw[bench.force]
+    time, values = _around(bench.raw[bench.force], at)
     # A tape that lets go leaves a corner, which a parabola would cut.
-    top = value_at_turn(force.time, sense * force.values, at=at, window=_FORCE_WINDOW, degree=2)
+    top = value_at_turn(time, sense * values, at=at, window=_FORCE_WINDOW, degree=2)
     if isinstance(top, Failure):
         return corner
     if not top.value - sense * corner.value > _SURELY * np.hypot(top.error, corner.error):
