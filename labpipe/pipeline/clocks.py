@@ -13,7 +13,7 @@ from labpipe.fitting.repeats import fit_lag
 from labpipe.fitting.reversals import Reversal, fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
-from labpipe.processing.strokes import Stroke, excursion
+from labpipe.processing.strokes import Stroke, goes_down
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
@@ -119,7 +119,7 @@ def align_clocks(
         message = f"the {align.channel} is constant at {level:.6g} {force.unit}"
         bench.block("constant_channel", message, where=align.channel)
         return None
-    if excursion(force.values) < 0.0:  # a reversed bridge turns when any other does
+    if goes_down(force.values):  # a reversed bridge turns when any other does
         force = replace(force, values=-force.values)
     peaks = [turn for turn in turns if strokes[turn.stroke].sign > 0]
     seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)

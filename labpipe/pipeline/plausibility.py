@@ -10,7 +10,7 @@ from labpipe.fitting.estimates import Failure
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import Turn
 from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import Stroke, excursion, noise_level
+from labpipe.processing.strokes import Stroke, goes_down, noise_level
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
@@ -202,15 +202,10 @@ def check_sign(bench: Bench, motion: Signal) -> None:
     bench : gets the doubt, in place of that of a string that pushes
     motion : that the curve is split by; a motion that goes down may well load downwards
     """
-    force, raw = bench.signals[bench.force], bench.raw[bench.force].values
-    known = force.values[~np.isnan(force.values)]
-    if (
-        len(known) < 2
-        or not np.nanmax(raw) > np.nanmin(raw)
-        or excursion(motion.values) < 0.0
-        or excursion(known) > 0.0
-    ):
+    force = bench.signals[bench.force].values
+    if not goes_down(force) or goes_down(motion.values):
         return
+    known = force[~np.isnan(force)]
     means = [float(block.mean()) for block in np.array_split(known, min(_BLOCKS, len(known)))]
     lowest, highest = min(means), max(*means, 0.0)
     if lowest >= -2.0 * highest - 5.0 * noise_level(known):

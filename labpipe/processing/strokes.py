@@ -30,25 +30,6 @@ class Stroke:
     sign: int
 
 
-def excursion(values: Floats) -> float:
-    """Find the largest way of a signal from where it begins.
-
-    Parameters
-    ----------
-    values : shape (n,), any unit; NaN are left out
-
-    Returns
-    -------
-    In the unit of `values`, negative where it goes further down than up; 0 without any value.
-    """
-    known = values[~np.isnan(values)]
-    if not len(known):
-        return 0.0
-    start = float(known[: max(1, len(known) // 100)].mean())
-    up, down = float(known.max()) - start, start - float(known.min())
-    return up if up >= down else -down
-
-
 def goes_down(values: Floats) -> bool:
     """Tell whether a signal that leaves its level and comes back does so downwards.
 
@@ -68,7 +49,7 @@ def goes_down(values: Floats) -> bool:
     size = max(1, len(known) // 100)
     ends = float(known[:size].mean()), float(known[-size:].mean())
     up, down = float(known.max()) - max(ends), min(ends) - float(known.min())
-    return down - up > 5.0 * noise_level(known)
+    return down > up and down - up > 5.0 * noise_level(known)  # noise takes longer to find
 
 
 def noise_level(values: Floats) -> float:

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from labpipe.processing.strokes import (
     Stroke,
     branch_numbers,
-    excursion,
     find_strokes,
     goes_down,
     noise_level,
@@ -177,9 +176,3 @@ def test_branches_count_cycles_and_cover_every_stroke() -> None:
 def test_a_downward_first_stroke_is_loading() -> None:
     branches = split_branches(np.arange(3.0), (Stroke(0, 1, -1), Stroke(1, 2, 1)))
     assert [branch.direction for branch in branches] == [Direction.LOADING, Direction.UNLOADING]
-
-
-def test_excursion_is_the_larger_way_from_the_beginning() -> None:
-    assert excursion(np.array([1.0, 3.0, -0.5, np.nan])) == 2.0
-    assert excursion(np.array([1.0, 2.0, -0.5])) == -1.5
-    assert excursion(np.full(3, np.nan)) == 0.0
