@@ -70,6 +70,30 @@ class SpanBend:
     rest: Flags
 
 
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why results that rest on a quantity are doubtful.
+
+    Parameters
+    ----------
+    quantity : ``force``, ``displacement``, ``clock``, or the name of a channel beside them
+    code, message : of the reason
+    during : s, stretch of the record that is touched, on the clock `clock`; None for all
+    clock : that `during` is counted on
+    """
+
+    quantity: str
+    code: str
+    message: str
+    during: tuple[float, float] | None = None
+    clock: str = ""
+
+    @property
+    def reason(self) -> str:
+        """Code and sentence."""
+        return f"{self.code}: {self.message}"
+
+
 @dataclass(slots=True)
 class Bench:
     """The stages of one test, filled in from left to right.
@@ -84,8 +108,7 @@ class Bench:
         x time of the curve; all others are that of the force
     turning_times : shape (branches, 2), s, ends of the branches on the clock of the curve
     blocked : why the stages after the last one reached are missing: code and sentence
-    doubts : why results that rest on a quantity (``clock``, ``force``, ``displacement``) are
-        doubtful
+    doubts : why results are doubtful, in the order in which it was found
     zeroed : by signal, the stretch (s, on its own clock) that its zero was taken from
     failure : where the specimen broke; None where it did not, or nobody asked
     slips : the slip ledger
@@ -108,7 +131,7 @@ class Bench:
     aligned: Aligned | None = None
     curve: Curve | None = None
     blocked: str = ""
-    doubts: dict[str, str] = field(default_factory=dict)
+    doubts: list[Doubt] = field(default_factory=list)
     zeroed: dict[str, tuple[float, float]] = field(default_factory=dict)
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
@@ -126,10 +149,69 @@ class Bench:
         if note not in self.notes:
             self.notes.append(note)
 
-    def doubt(self, quantity: str, code: str, message: str, *, where: str) -> None:
-        """Write down a warning and mark all results that rest on a quantity as doubtful."""
+    def doubt(
+        self,
+        quantity: str,
+        code: str,
+        message: str,
+        *,
+        where: str,
+        during: tuple[float, float] | None = None,
+        clock: str = "",
+    ) -> None:
+        """Write down a warning and mark the results that rest on a quantity as doubtful.
+
+        Parameters
+        ----------
+        quantity, code, message : of the doubt
+        where : for the quality note
+        during : s, the stretch that is touched, on the clock named `clock`; None for the whole
+            record. Results of other stretches are left alone, unless the zero was taken there.
+        clock : role of the recording whose clock `during` is on
+        """
         self.note(code, Severity.WARNING, where, message)
-        self.doubts.setdefault(quantity, f"{code}: {message}")
+        doubt = Doubt(quantity, code, message, during, clock)
+        if doubt not in self.doubts:
+            self.doubts.append(doubt)
+
+    def why_doubtful(
+        self, quantity: str, during: tuple[float, float] | None = None
+    ) -> tuple[str, ...]:
+        """Tell why a number is doubtful that rests on a stretch of a quantity.
+
+        Parameters
+        ----------
+        quantity : as `Doubt` has it
+        during : s, on the clock of the curve; None where the number rests on the whole record
+
+        Returns
+        -------
+        Codes and sentences: of each code the first that touches the stretch, or the stretch that
+        the zero of the quantity was taken from.
+        """
+        found: dict[str, str] = {}
+        for doubt in self.doubts:
+            if doubt.quantity == quantity and self._touches(doubt, during):
+                found.setdefault(doubt.code, doubt.reason)
+        return tuple(found.values())
+
+    def _touches(self, doubt: Doubt, during: tuple[float, float] | None) -> bool:
+        if doubt.during is None or during is None:
+            return True
+        touched = [self.on_curve_clock(at, doubt.clock) for at in doubt.during]
+        name = {"force": self.force, "displacement": self.displacement}.get(doubt.quantity, "")
+        zero = [self.on_curve_clock(at, self.raw[name].clock) for at in self.zeroed.get(name, ())]
+        return any(
+            touched[0] <= stop and start <= touched[1]
+            for start, stop in ([during, tuple(zero)] if zero else [during])
+        )
+
+    def on_curve_clock(self, at: float, clock: str) -> float:
+        """Put a time of a recording on the clock of the curve; as it is while none are joined."""
+        fit = self.other_clocks.get(clock, self.clock_fit)
+        if fit is None or not clock or clock == self.signals[self.displacement].clock:
+            return at
+        return (at - fit.offset) / (1.0 + fit.drift)
 
     def block(self, code: str, message: str, *, where: str) -> None:
         """Write down an error after which later stages cannot be had; the first one counts."""

@@ -48,7 +48,13 @@ def blocked_or(bench: Bench, otherwise: Failure) -> Failure:
 
 
 def to_result(
-    bench: Bench, asked: Asked, outcome: Estimate | Failure, *, part: str = "", doubt: str = ""
+    bench: Bench,
+    asked: Asked,
+    outcome: Estimate | Failure,
+    *,
+    part: str = "",
+    doubt: str = "",
+    during: tuple[float, float] | None = None,
 ) -> Result:
     """Word an outcome as a result, with what makes it doubtful.
 
@@ -60,6 +66,7 @@ def to_result(
         gets the normal one
     part : of the name, such as ``.1``
     doubt : one more reason to doubt it
+    during : s, on the clock of the curve, the stretch that the number was read from; None for all
     """
     name = asked.name + part
     if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
@@ -68,7 +75,7 @@ def to_result(
         reason = f"{outcome.code}: {outcome.message}"
         return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
     method = f"{asked.method}{_added_back(bench)}" if asked.name in _TO_THE_TOP else asked.method
-    doubts = [bench.doubts[quantity] for quantity in asked.quantities if quantity in bench.doubts]
+    doubts = [why for each in asked.quantities for why in bench.why_doubtful(each, during)]
     doubts += [doubt] if doubt else []
     return Result(
         name=name,

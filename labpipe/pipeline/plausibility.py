@@ -141,7 +141,7 @@ def check_rest(bench: Bench, branches: tuple[Branch, ...]) -> None:
         return
     begins, ends = branches[0].start_time, branches[-1].stop_time
     for name, stretch in bench.zeroed.items():
-        start, stop = (_on_motion_clock(bench, name, at) for at in stretch)
+        start, stop = (bench.on_curve_clock(at, bench.raw[name].clock) for at in stretch)
         if stop > begins + _SETTLED and start < ends - _SETTLED:
             message = (
                 f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
@@ -149,13 +149,6 @@ def check_rest(bench: Bench, branches: tuple[Branch, ...]) -> None:
             )
             quantity = "force" if name == bench.force else "displacement"
             bench.doubt(quantity, "zero_not_at_rest", message, where=name)
-
-
-def _on_motion_clock(bench: Bench, name: str, at: float) -> float:
-    fit = bench.clock_fit
-    if fit is None or bench.raw[name].clock == bench.signals[bench.displacement].clock:
-        return at
-    return (at - fit.offset) / (1.0 + fit.drift)
 
 
 def check_mid_span(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -> None:
@@ -215,8 +208,7 @@ def check_sign(bench: Bench, motion: Signal) -> None:
         "or the gain has the wrong sign; give its calibration a gain of the other sign"
     )
     bench.notes[:] = [note for note in bench.notes if note.code != "force_negative"]
-    if bench.doubts.get("force", "").startswith("force_negative: "):
-        del bench.doubts["force"]
+    bench.doubts[:] = [doubt for doubt in bench.doubts if doubt.code != "force_negative"]
     bench.doubt("force", "force_reversed", message, where=bench.force)
     if bench.clock_fit is not None:  # two clocks are joined at the peaks of the force
         bench.doubt("clock", "force_reversed", message, where=bench.force)

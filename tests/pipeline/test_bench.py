@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.pipeline.bench import Bench, rms
-from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.pipeline.bench import Bench, Signal, rms
+from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.quality import Severity
+from tests.builders.doubts import doubted
 
 
 def test_notes_are_written_down_once() -> None:
@@ -21,10 +22,43 @@ def test_first_doubt_and_first_block_count() -> None:
     bench.doubt("clock", "b", "two", where="align")
     bench.block("c", "three", where="align")
     bench.block("d", "four", where="align")
-    assert bench.doubts == {"clock": "a: one"}
+    assert doubted(bench) == {"clock": "a: one"}
     assert bench.blocked == "c: three"
     severities = [note.severity for note in bench.notes]
     assert severities == [Severity.WARNING, Severity.WARNING, Severity.ERROR, Severity.ERROR]
+
+
+def located() -> Bench:
+    """A force of 100 s on a clock that is 10 s ahead of the motion's, in doubt from 40 s to 42 s."""
+    time = np.arange(0.0, 100.0)
+    bench = Bench()
+    for name, clock in (("force", "force"), ("displacement", "markers")):
+        bench.raw[name] = bench.signals[name] = Signal(time, time, "N", clock)
+    bench.doubt("force", "frozen", "stands", where="force", during=(40.0, 42.0), clock="force")
+    return bench
+
+
+def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
+    bench = located()
+    assert bench.why_doubtful("force", (41.0, 60.0)) == ("frozen: stands",)
+    assert bench.why_doubtful("force", (0.0, 39.0)) == ()
+    assert bench.why_doubtful("displacement", (41.0, 60.0)) == ()
+    assert bench.why_doubtful("force") == ("frozen: stands",)
+
+
+def test_an_event_is_looked_for_on_the_clock_of_the_curve() -> None:
+    bench = located()
+    at = np.array([20.0])
+    known = Interval(9.9, 10.1)
+    bench.clock_fit = ClockFit(10.0, 0.0, known, known, 0.0, at, at + 10.0, at * 0.0 + 0.1, "")
+    assert bench.why_doubtful("force", (29.0, 31.0)) == ("frozen: stands",)
+    assert bench.why_doubtful("force", (41.0, 60.0)) == ()
+
+
+def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
+    bench = located()
+    bench.zeroed["force"] = (39.0, 41.0)
+    assert bench.why_doubtful("force", (60.0, 70.0)) == ("frozen: stands",)
 
 
 def test_branches_by_cycle() -> None:

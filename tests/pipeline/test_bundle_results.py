@@ -22,6 +22,7 @@ from tests.builders.bundle_loops import (
     cycles,
     first_loading,
 )
+from tests.builders.doubts import doubted
 from tests.builders.reduced import reduced
 
 ASKED = """\
@@ -218,7 +219,7 @@ def test_the_slope_at_the_end_without_its_force() -> None:
 def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
     time, path, force = cycles(noise=NOISE)
     bench, results = asked((time, path, -force))
-    assert bench.doubts["force"].startswith("force_reversed: the force goes to -1")
+    assert doubted(bench)["force"].startswith("force_reversed: the force goes to -1")
     assert results["initial_stiffness"].status is Status.DOUBTFUL
     assert results["kink_displacement"].status is Status.FAILED
 

@@ -13,6 +13,7 @@ from labpipe.processing.alignment import Repeat
 from labpipe.processing.strokes import Stroke, find_strokes
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
+from tests.builders.doubts import doubted
 
 OFFSET, DRIFT = 1.25, 80e-6
 ALIGN = AlignTurningPoints.model_validate(
@@ -99,7 +100,7 @@ def test_offset_and_drift(cycles: int) -> None:
     assert fit.drift == pytest.approx(DRIFT, abs=6e-5)
     assert len(fit.event_times_motion) == cycles
     assert ("repeated cycle" in fit.method) == (cycles > 2)
-    assert not made.doubts
+    assert not doubted(made)
 
 
 def aligned(made: Bench, align: AlignTurningPoints = ALIGN) -> Bench:
@@ -111,26 +112,26 @@ def aligned(made: Bench, align: AlignTurningPoints = ALIGN) -> Bench:
 
 def test_drift_that_is_too_large() -> None:
     made = aligned(bench(3, drift=2e-3))
-    assert made.doubts["clock"].startswith("alignment_drift: the clocks drift by ")
-    assert made.doubts["clock"].endswith("the protocol allows 500 ppm")
+    assert doubted(made)["clock"].startswith("alignment_drift: the clocks drift by ")
+    assert doubted(made)["clock"].endswith("the protocol allows 500 ppm")
 
 
 def test_drift_that_noise_explains_is_not_doubted() -> None:
     made = aligned(bench(2, noise=0.05))
     assert made.clock_fit is not None
-    assert "alignment_drift" not in str(made.doubts)
+    assert "alignment_drift" not in str(doubted(made))
 
 
 def test_residual_that_is_too_large() -> None:
     made = aligned(bench(3), ALIGN.model_copy(update={"max_residual": 1e-9}))
-    assert made.doubts["clock"].startswith("alignment_residual: the clocks agree to ")
+    assert doubted(made)["clock"].startswith("alignment_residual: the clocks agree to ")
 
 
 def test_one_event() -> None:
     made = aligned(bench(1))
     assert made.clock_fit is not None
     assert made.clock_fit.drift == 0.0
-    assert made.doubts["clock"].startswith("alignment_one_event: ")
+    assert doubted(made)["clock"].startswith("alignment_one_event: ")
 
 
 def test_constant_force() -> None:
@@ -158,7 +159,7 @@ def test_force_that_saw_only_the_last_cycles() -> None:
     made.raw["force"] = replace(force, time=force.time[late], values=force.values[late])
     fit = aligned(made).clock_fit
     assert fit is not None
-    assert made.doubts["clock"].startswith("alignment_ambiguous: another pairing")
+    assert doubted(made)["clock"].startswith("alignment_ambiguous: another pairing")
 
 
 @pytest.mark.parametrize(("lag", "is_used"), [(20.0, True), (20.2, False)])

@@ -14,6 +14,7 @@ from labpipe.pipeline.common_start import start_together
 from labpipe.processing.strokes import find_strokes
 from labpipe.protocol.rig import AlignCommonStart
 from labpipe.records.curve import ClockFit
+from tests.builders.doubts import doubted
 
 ALIGN = AlignCommonStart.model_validate(
     {"method": "common-start", "channel": "force", "max_offset": "100 ms"}
@@ -55,7 +56,7 @@ def test_a_sharp_corner_decides() -> None:
     assert fit.drift == pytest.approx(0.0, abs=1e-5)
     assert fit.drift_interval.standard_error == pytest.approx(1e-4 / np.sqrt(3.0), rel=0.05)
     assert [note.code for note in made.notes] == ["common_start"]
-    assert not made.doubts
+    assert not doubted(made)
 
 
 def test_a_constant_force_is_said_by_its_cause() -> None:
@@ -72,7 +73,7 @@ def test_a_constant_force_is_said_by_its_cause() -> None:
 def test_a_start_that_is_far_off_is_told_in_seconds() -> None:
     made = bench(3.0)
     fitted(made)
-    assert made.doubts["clock"].startswith(
+    assert doubted(made)["clock"].startswith(
         "not_started_together: the force turns 2.99 s after the motion, known to "
     )
 
@@ -107,8 +108,8 @@ def test_not_started_together(offset: float, word: str) -> None:
     fit = fitted(made)
 
     assert fit.offset == pytest.approx(offset, abs=0.02)
-    assert set(made.doubts) == {"clock", "force"}
-    message = made.doubts["clock"]
+    assert set(doubted(made)) == {"clock", "force"}
+    message = doubted(made)["clock"]
     assert message.startswith("not_started_together: the force turns ")
     assert f" ms {word} the motion, known to " in message
     assert message.endswith(

@@ -12,6 +12,7 @@ from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch, loading_stretch
 from labpipe.records.quality import Severity
 from labpipe.records.slips import SlipDecision
+from tests.builders.doubts import doubted
 from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
 
 LINE = "stiffness, from: 2 mm, to: 10 mm"
@@ -149,7 +150,7 @@ def test_a_curve_without_a_toe_is_not_moved() -> None:
     assert "before the first sample at 1 mm and " in results["slack"].reason
     assert bench.curve is not None
     np.testing.assert_allclose(bench.curve.displacement, travel + 0.001)
-    assert not bench.doubts
+    assert not doubted(bench)
     (note,) = (each for each in bench.notes if each.code == "no_toe")
     assert note.severity is Severity.WARNING
 

@@ -10,6 +10,7 @@ from labpipe.pipeline.layout import lay_out
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from tests.builders.doubts import doubted
 
 PROTOCOL = parse_protocol(
     "version: 1\nname: p\nsources:\n"
@@ -57,7 +58,7 @@ def test_missing_samples_are_doubted() -> None:
     values = np.arange(10.0)
     values[3] = np.nan
     bench, _ = lay_out(force(values), PROTOCOL)
-    assert bench.doubts == {
+    assert doubted(bench) == {
         "force": "missing_samples: 1 of 10 samples are blank or not finite",
     }
 
@@ -105,7 +106,7 @@ PEAK = parse_protocol(
 @pytest.mark.parametrize("peak", [20.0, -150.0, 2000.0])
 def test_a_plausible_peak(peak: float) -> None:
     bench, _ = lay_out(force(peak * np.arange(10.0) / 9.0), PEAK)
-    assert not bench.doubts
+    assert not doubted(bench)
     assert len(bench.notes) == 1
 
 
@@ -118,7 +119,7 @@ def test_an_implausible_peak(peak: float, said: str) -> None:
         f"the largest value is {said}, plausible are 20 to 2000 N: is the unit right, and is it "
         "this channel?"
     )
-    assert bench.doubts == {"force": f"implausible_peak: {message}"}
+    assert doubted(bench) == {"force": f"implausible_peak: {message}"}
     note = QualityNote("implausible_peak", Severity.WARNING, "force", message)
     assert note in bench.notes
 
@@ -127,7 +128,7 @@ def test_a_plausible_peak_beside_blanks() -> None:
     values = np.full(10, np.nan)
     values[5] = 100.0
     bench, _ = lay_out(force(values), PEAK)
-    assert bench.doubts["force"].startswith("missing_samples: 9 of 10")
+    assert doubted(bench)["force"].startswith("missing_samples: 9 of 10")
     assert not [note for note in bench.notes if note.code == "implausible_peak"]
 
 
@@ -181,8 +182,8 @@ def test_a_converter_at_its_end_is_noticed() -> None:
     time = np.arange(2000) * 1e-3
     volts = np.minimum(2.0 * np.sin(np.pi * time / 2.0) + noisy(2000), 1.9)
     bench, _ = lay_out(force(volts, time), PROTOCOL)
-    assert set(bench.doubts) == {"force", "clock"}
-    assert "samples in a row stand at 1.9 V, the end of the channel" in bench.doubts["force"]
+    assert set(doubted(bench)) == {"force", "clock"}
+    assert "samples in a row stand at 1.9 V, the end of the channel" in doubted(bench)["force"]
 
 
 def test_a_quiet_channel_is_not_saturated() -> None:
@@ -190,7 +191,7 @@ def test_a_quiet_channel_is_not_saturated() -> None:
     at_rest = np.where(time < 1.0, 0.0, np.sin(np.pi * time) + noisy(2000))
     for volts in (noisy(2000), np.maximum(at_rest, 0.0), np.zeros(2000)):
         bench, _ = lay_out(force(volts, time), PROTOCOL)
-        assert not bench.doubts
+        assert not doubted(bench)
 
 
 def test_a_doubt_holds_for_the_curve_whatever_the_channel_is_called() -> None:
@@ -210,5 +211,5 @@ def test_a_doubt_holds_for_the_curve_whatever_the_channel_is_called() -> None:
     clock = Clock("time", np.asarray(TIME, dtype=np.float64))
     recording = Recording("dspace-mat", clocks=(clock,), channels=channels)
     bench, _ = lay_out({"force": recording}, pull)
-    assert set(bench.doubts) == {"force"}
+    assert set(doubted(bench)) == {"force"}
     assert [note.where for note in bench.notes if note.code == "implausible_peak"] == ["pull"]

@@ -23,6 +23,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.steps import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.records.recording import MarkerTracks
 from labpipe.virtual_lab import Observation, observe
+from tests.builders.doubts import doubted
 from tests.builders.small_tests import small_scenario
 
 
@@ -81,7 +82,7 @@ def test_travel_and_deflection(
     assert deflection.alternative is not None
     assert np.nanmax(np.abs(deflection.alternative - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in bench.notes}
-    assert not bench.doubts
+    assert not doubted(bench)
 
 
 def test_markers_of_the_clamp_are_not_along_the_wire(
@@ -150,7 +151,7 @@ def test_markers_off_their_plane_leave_the_deflection_in_doubt(
     repair(bench, markers, mend, protocol.markers)
     strict = turn.model_copy(update={"max_out_of_plane": 1e-7})
     turn_into_specimen(bench, markers, strict, protocol.markers)
-    assert bench.doubts["displacement"].startswith("out_of_plane: ")
+    assert doubted(bench)["displacement"].startswith("out_of_plane: ")
 
 
 def test_travel_of_the_tip(tracks: MarkerTracks, protocol: Protocol) -> None:
@@ -179,7 +180,9 @@ def test_a_stale_pose_of_the_clamp_is_not_believed(
     tracks: MarkerTracks, protocol: Protocol
 ) -> None:
     bench, markers = done(with_clamp(tracks, slice(400, 440), stale=True), protocol)
-    assert bench.doubts["displacement"].startswith("clamp_frozen: Clamp holds its last pose in 40")
+    assert doubted(bench)["displacement"].startswith(
+        "clamp_frozen: Clamp holds its last pose in 40"
+    )
     assert markers.clamp is not None
     assert np.isnan(markers.clamp[400:440]).all()
 
@@ -213,7 +216,7 @@ def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protoco
     mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
     found = observe(replace(usual, mechanics=mechanics), 3).markers.markers
     assert found is not None
-    assert "displacement" not in done(found, protocol)[0].doubts
+    assert "displacement" not in doubted(done(found, protocol)[0])
     bench, _ = done(found, protocol, grip_offset=0.016)
-    assert bench.doubts["displacement"].startswith("shape_misfit: markers lie ")
-    assert "look at grip_offset, centre_offset and terms" in bench.doubts["displacement"]
+    assert doubted(bench)["displacement"].startswith("shape_misfit: markers lie ")
+    assert "look at grip_offset, centre_offset and terms" in doubted(bench)["displacement"]

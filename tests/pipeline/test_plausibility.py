@@ -22,6 +22,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Interval, Shape
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
+from tests.builders.doubts import doubted
 
 TIME = np.arange(0.0, 50.0, 0.02)
 
@@ -75,7 +76,7 @@ def test_all_well(protocol: Protocol) -> None:
     made.zeroed["force"] = (0.0, 2.0)
     check_rig(made, protocol, branches(SHARP))
     check_rest(made, branches(SHARP))
-    assert not made.doubts
+    assert not doubted(made)
     assert not made.notes
 
 
@@ -87,14 +88,14 @@ def test_stroke_and_cycles(protocol: Protocol) -> None:
     assert cycles == "2 cycles measured, the protocol expects 1"
     assert stroke.startswith("a stroke of 10.0")
     assert stroke.endswith("mm measured, 20 mm expected")
-    assert not made.doubts
+    assert not doubted(made)
 
 
 def test_a_string_cannot_push(protocol: Protocol) -> None:
     made = bench(SHARP, 20.0 * SHARP - np.where(TIME > 30.0, 0.25, 0.0))
     check_rig(made, protocol, branches(SHARP))
-    assert made.doubts["force"].startswith("force_negative: the force falls to -0.2")
-    assert "a string cannot push: the zero is wrong or drifts" in made.doubts["force"]
+    assert doubted(made)["force"].startswith("force_negative: the force falls to -0.2")
+    assert "a string cannot push: the zero is wrong or drifts" in doubted(made)["force"]
 
 
 def test_a_reversed_bridge(protocol: Protocol) -> None:
@@ -102,7 +103,7 @@ def test_a_reversed_bridge(protocol: Protocol) -> None:
     made = bench(SHARP, -160.0 * SHARP)
     check_rig(made, protocol, branches(SHARP))
     check_sign(made, made.raw["travel"])
-    assert made.doubts["force"] == (
+    assert doubted(made)["force"] == (
         "force_reversed: the force goes to -3.19 N while the specimen is loaded: the bridge is "
         "reversed, or the gain has the wrong sign; give its calibration a gain of the other sign"
     )
@@ -124,7 +125,7 @@ def test_a_reversed_bridge(protocol: Protocol) -> None:
 def test_no_reversed_bridge(motion: Floats, force: Floats) -> None:
     made = bench(motion, force)
     check_sign(made, made.raw["travel"])
-    assert not made.doubts
+    assert not doubted(made)
 
 
 def test_a_reversed_bridge_leaves_no_peaks_to_join_clocks_by() -> None:
@@ -133,13 +134,13 @@ def test_a_reversed_bridge_leaves_no_peaks_to_join_clocks_by() -> None:
     clocks = Interval(-1.0, 1.0)
     made.clock_fit = ClockFit(0.0, 0.0, clocks, clocks, 0.0, nothing, nothing, nothing, "")
     check_sign(made, made.raw["travel"])
-    assert made.doubts["clock"] == made.doubts["force"]
+    assert doubted(made)["clock"] == doubted(made)["force"]
 
 
 def test_motion_that_nobody_saw_tells_no_sign() -> None:
     made = bench(np.full(len(TIME), np.nan), 20.0 * SHARP)
     check_sign(made, made.raw["travel"])
-    assert not made.doubts
+    assert not doubted(made)
 
 
 def test_what_presses_on_two_supports_cannot_pull(repository: Path) -> None:
@@ -152,18 +153,18 @@ def test_what_presses_on_two_supports_cannot_pull(repository: Path) -> None:
         made = bench(SHARP, load + drift * TIME)
         made.raw["displacement"] = made.raw["travel"]
         check_rig(made, bending, branches(SHARP))
-        assert ("force" in made.doubts) is doubtful
+        assert ("force" in doubted(made)) is doubtful
     assert re.fullmatch(
         r"force_negative: the force falls to -0\.4\d+ N, but what presses on a specimen between "
         r"supports cannot pull at it: the zero is wrong or drifts",
-        made.doubts["force"],
+        doubted(made)["force"],
     )
 
 
 def test_a_slack_string_may_lose_the_counterweight(protocol: Protocol) -> None:
     made = bench(SHARP, 20.0 * SHARP - np.where(TIME > 46.0, 0.026, 0.0))
     check_rig(made, protocol, branches(SHARP))
-    assert "force" not in made.doubts
+    assert "force" not in doubted(made)
 
 
 def shape(length: float) -> Shape:
@@ -179,15 +180,15 @@ def shape(length: float) -> Shape:
     )
 
 
-@pytest.mark.parametrize(("length", "doubted"), [(0.0851, False), (0.1, True), (0.075, True)])
-def test_length_of_the_specimen(protocol: Protocol, length: float, doubted: bool) -> None:
+@pytest.mark.parametrize(("length", "off"), [(0.0851, False), (0.1, True), (0.075, True)])
+def test_length_of_the_specimen(protocol: Protocol, length: float, off: bool) -> None:
     made = bench(SHARP)
     made.shape = shape(length)
     check_rig(made, protocol, branches(SHARP))
-    assert ("displacement" in made.doubts) == doubted
-    if doubted:
-        assert made.doubts["displacement"].startswith("length_unexpected: ")
-        assert "the sheet says 85 mm" in made.doubts["displacement"]
+    assert ("displacement" in doubted(made)) == off
+    if off:
+        assert doubted(made)["displacement"].startswith("length_unexpected: ")
+        assert "the sheet says 85 mm" in doubted(made)["displacement"]
 
 
 def driven(speed: str, *, scale: float = 1.0) -> Bench:
@@ -217,7 +218,7 @@ def test_another_speed_than_that_of_the_rig() -> None:
     assert re.fullmatch(
         r"speed_unexpected: (0\.99|1\.0)\d* mm/s measured over the first branch, 1\.3 mm/s "
         r"expected: look at rig\.crosshead_speed, and at unit and name of the displacement",
-        made.doubts["displacement"],
+        doubted(made)["displacement"],
     )
     assert [(note.code, note.where) for note in made.notes] == [
         ("speed_unexpected", "rig.crosshead_speed")
@@ -226,7 +227,8 @@ def test_another_speed_than_that_of_the_rig() -> None:
 
 @pytest.mark.parametrize("scale", [1e-3, 1 / 25.4, 25.4, 1e3])
 def test_another_unit_than_that_of_the_export(scale: float) -> None:
-    assert driven("1 mm/s", scale=scale).doubts["displacement"].startswith("speed_unexpected: ")
+    made = driven("1 mm/s", scale=scale)
+    assert doubted(made)["displacement"].startswith("speed_unexpected: ")
 
 
 def test_rows_without_time_have_no_speed() -> None:
@@ -239,7 +241,7 @@ def test_rows_without_time_have_no_speed() -> None:
         "branches: {channel: travel, min_stroke: 1 mm}\n"
     )
     check_rig(made, parse_protocol(text, "p.yaml"), branches(SHARP))
-    assert not made.doubts
+    assert not doubted(made)
 
 
 FRAME = """\
@@ -334,7 +336,7 @@ def test_a_zero_taken_in_motion(name: str, quantity: str) -> None:
     made = bench(SHARP)
     made.zeroed[name] = (4.0, 6.0)
     check_rest(made, branches(SHARP))
-    assert made.doubts[quantity].startswith(
+    assert doubted(made)[quantity].startswith(
         "zero_not_at_rest: zeroed from 4.00 s to 6.00 s of the motion's clock, but the clamp moves"
     )
 
@@ -344,21 +346,23 @@ def test_zero_on_another_clock_without_a_fit_is_taken_as_it_stands() -> None:
     made.raw["force"] = replace(made.raw["force"], clock="force")
     made.zeroed["force"] = (4.0, 6.0)
     check_rest(made, branches(SHARP))
-    assert "force" in made.doubts
+    assert "force" in doubted(made)
 
 
 def test_a_turn_that_was_not_seen() -> None:
     made = turned(np.where((TIME > 24.5) & (TIME < 25.5), np.nan, SHARP))
-    assert set(made.doubts) == {"displacement", "force", "clock"}
-    assert made.doubts["clock"].startswith("turn_not_seen: the motion was not seen to turn near 2")
+    assert set(doubted(made)) == {"displacement", "force", "clock"}
+    assert doubted(made)["clock"].startswith(
+        "turn_not_seen: the motion was not seen to turn near 2"
+    )
 
 
 @pytest.mark.parametrize("wait", [0.15, 0.2])
 def test_a_turn_that_is_no_corner(wait: float) -> None:
     half = wait / 2
     made = turned(travel((0, 0), (5, 0), (25 - half, 20), (25 + half, 20), (45 + half, 0), (50, 0)))
-    assert set(made.doubts) == {"displacement", "clock"}
-    assert made.doubts["clock"].startswith("turn_rounded: the travel turns ")
+    assert set(doubted(made)) == {"displacement", "clock"}
+    assert doubted(made)["clock"].startswith("turn_rounded: the travel turns ")
 
 
 def test_noise_alone_rounds_no_turn() -> None:

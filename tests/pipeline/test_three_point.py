@@ -9,6 +9,7 @@ import pytest
 
 from labpipe.pipeline.bench import Bench
 from labpipe.records.result import Result, Status
+from tests.builders.doubts import doubted
 from tests.builders.three_point import STROKE, BendingRecord, curvature_at, load_at, reduced
 
 NAMES = ("mid_span_bending_stiffness", "mid_span_curvature", "twist")
@@ -116,8 +117,10 @@ def test_a_speed_and_a_stroke_that_are_both_wrong_are_doubted_by_the_cameras() -
     )
     bench, _ = reduced(BendingRecord(force_late=-3.0), without=("frame",), change=twice)
 
-    assert bench.doubts["displacement"].startswith("mid_span_differs: cameras see mid-span sink by")
-    assert ", the displacement is 58.8 mm: " in bench.doubts["displacement"]
+    assert doubted(bench)["displacement"].startswith(
+        "mid_span_differs: cameras see mid-span sink by"
+    )
+    assert ", the displacement is 58.8 mm: " in doubted(bench)["displacement"]
 
 
 def test_supports_closer_than_the_markers() -> None:

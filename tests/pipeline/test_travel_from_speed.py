@@ -6,6 +6,7 @@ import pytest
 
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
+from tests.builders.doubts import doubted
 from tests.builders.three_point import STROKE, BendingRecord, load_at, reduced
 
 ALONE = ("frame", "markers")
@@ -77,7 +78,7 @@ def test_a_start_that_nobody_saw_is_said() -> None:
 def test_a_zero_that_was_taken_under_load() -> None:
     bench, results = reduced(BendingRecord(force_late=2.0), without=ALONE)
 
-    assert bench.doubts["force"] == (
+    assert doubted(bench)["force"] == (
         "start_missed: the record of the force begins 2.02 s after the motion, known to 0.59 s: "
         "its zero was taken under load, so that forces are too small"
     )
@@ -90,8 +91,8 @@ def test_a_reversed_bridge() -> None:
     bench, results = reduced(BendingRecord(force_late=-3.0), without=ALONE, change=change)
 
     assert results["peak_displacement.1"].value == pytest.approx(STROKE, rel=1e-6)
-    assert set(bench.doubts) == {"force"}
-    assert bench.doubts["force"].startswith("force_reversed: the force goes to -")
+    assert set(doubted(bench)) == {"force"}
+    assert doubted(bench)["force"].startswith("force_reversed: the force goes to -")
 
 
 def test_a_force_that_never_turns() -> None:
