@@ -29,7 +29,7 @@ def test_first_doubt_and_first_block_count() -> None:
 
 
 def located() -> Bench:
-    """A force of 100 s on a clock that is 10 s ahead of the motion's, in doubt from 40 s to 42 s."""
+    """A force on a clock 10 s ahead of the motion's, in doubt from 40 s to 42 s."""
     time = np.arange(0.0, 100.0)
     bench = Bench()
     for name, clock in (("force", "force"), ("displacement", "markers")):
