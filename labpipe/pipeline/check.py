@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ProtocolError, ReadError, complaint, nearest
-from labpipe.pipeline.exports import is_empty
+from labpipe.pipeline.channel_units import unit_fault
+from labpipe.pipeline.exports import is_empty, where_to_name
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import BendingStiffness, MidSpan, Twist
 from labpipe.protocol.rig import Markers
@@ -16,9 +17,8 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export, recognise_export
-from labpipe.readers.channels import select_channel
-from labpipe.records.recording import Channel, MarkerTracks, Recording
-from labpipe.units import si_factor
+from labpipe.readers.channels import NoChannelError, select_channel
+from labpipe.records.recording import MarkerTracks, Recording
 
 _YAML = (".yaml", ".yml")
 _INSPECT = "`labpipe inspect` shows what the file holds."
@@ -158,39 +158,22 @@ def _export_faults(path: Path, source: Source | None, protocol: Protocol | None)
         return
     if is_empty(recording):
         return  # one of several parts; a test of nothing else is told when it is processed
-    for name, channel in source.all_channels.items():
-        yield from _channel_faults(recording, name, channel, path)
+    for channel in source.all_channels.values():
+        yield from _channel_faults(recording, channel, source, path)
     if recording.markers is not None and protocol.markers is not None:
         yield from _marker_faults(recording.markers, protocol.markers, path)
 
 
 def _channel_faults(
-    recording: Recording, name: str, source: ChannelSource, path: Path
+    recording: Recording, wanted: ChannelSource, source: Source, path: Path
 ) -> Iterator[str]:
     try:
-        channel = select_channel(recording, source.channel, path)
-    except ReadError as error:
-        yield str(error)
+        channel = select_channel(recording, wanted.channel, path)
+    except NoChannelError as error:
+        yield where_to_name(error, source)
         return
-    yield from _unit_faults(channel, name, source, path)
-
-
-def _unit_faults(channel: Channel, name: str, source: ChannelSource, path: Path) -> Iterator[str]:
-    """Find a unit that neither file nor protocol says, or that they say in two ways."""
-    place = f"channel {channel.path!r}"
-    wanted = source.channel_unit or source.target_unit
-    units = [unit for unit in (source.unit, channel.unit_in_file) if unit]
-    if not units:
-        remedy = f"Add 'unit' to the channel {name!r} in the protocol or the test sheet."
-        found = "none in the file and none in the protocol"
-        yield complaint(path, place, expected="a unit", found=found, remedy=remedy)
-    for unit in units:
-        try:
-            si_factor(unit, wanted)
-        except ValueError:
-            expected = f"a unit of the dimension of {wanted}"
-            remedy = "Name another channel, or give its calibration."
-            yield complaint(path, place, expected=expected, found=repr(unit), remedy=remedy)
+    if fault := unit_fault(channel, wanted, path):
+        yield fault
 
 
 def _marker_faults(tracks: MarkerTracks, markers: Markers, path: Path) -> Iterator[str]:

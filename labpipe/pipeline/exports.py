@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.pipeline.channel_units import unit_factor, unit_fault, unit_notes
+from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
-from labpipe.readers.channels import select_channel
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.readers.channels import NoChannelError, select_channel
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
-from labpipe.units import si_factor
 
 
 def read_inputs(
@@ -106,10 +106,26 @@ def read_role(path: Path, source: Source) -> Recording:
         As `read_inputs`; also when neither file nor protocol says a unit, or they contradict.
     """
     wanted = [channel.channel for channel in source.all_channels.values()]
-    recording = read_export(
-        path, source.reader, channels=wanted, dialect=source.dialect, part=source.part
-    )
-    return recording if is_empty(recording) else name_channels(recording, source, path)
+    try:
+        recording = read_export(
+            path, source.reader, channels=wanted, dialect=source.dialect, part=source.part
+        )
+        return recording if is_empty(recording) else name_channels(recording, source, path)
+    except NoChannelError as error:
+        raise ReadError(where_to_name(error, source)) from error
+
+
+def where_to_name(error: NoChannelError, source: Source) -> str:
+    """Say with which key a test sheet names a channel that was not found.
+
+    Parameters
+    ----------
+    error : of the channel
+    source : of the protocol
+    """
+    keys = [each.key for each in source.all_channels.values() if each.channel == error.wanted]
+    name = in_test_sheet(f"{keys[0]}.channel", "...") if keys else ""
+    return f"{error} Name the right one with {name}." if keys else str(error)
 
 
 def name_channels(recording: Recording, source: Source, path: Path) -> Recording:
@@ -137,22 +153,8 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     clocks = {channel.clock for channel in channels}
     kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
     named = zip(channels, source.all_channels.values(), strict=True)
-    notes = [note for channel, said in named for note in _unit_notes(channel, said)]
+    notes = [note for channel, said in named for note in unit_notes(channel, said)]
     return replace(recording, channels=channels, clocks=kept, notes=(*recording.notes, *notes))
-
-
-def _unit_notes(channel: Channel, source: ChannelSource) -> list[QualityNote]:
-    """Say where the protocol's unit goes before another one that the export states."""
-    said, stated = source.unit, channel.unit_in_file
-    if said is None or not stated or said == stated or channel.unit is None:
-        return []
-    try:
-        if si_factor(said, channel.unit) == si_factor(stated, channel.unit):
-            return []
-    except ValueError:
-        pass  # a unit of another dimension is no reason to say less
-    message = f"the export says {stated!r}, the protocol {said!r}: the protocol was followed"
-    return [QualityNote("unit_overridden", Severity.WARNING, channel.name, message)]
 
 
 def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:
@@ -225,32 +227,13 @@ def _refuse_overlap(first: Recording, second: Recording, one: str, other: str) -
 
 def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Channel:
     """Rename a channel and turn its numbers into SI, once."""
-    unit = source.unit or channel.unit_in_file
-    si_unit = source.channel_unit or source.target_unit
-    if not unit:
-        message = complaint(
-            path,
-            f"channel {channel.path!r}",
-            expected="a unit",
-            found="none in the file and none in the protocol",
-            remedy=f"Write unit: under the channel {name} in the protocol or the test sheet.",
-        )
-        raise ReadError(message)
-    try:
-        factor = si_factor(unit, si_unit)
-    except ValueError as error:
-        message = complaint(
-            path,
-            f"channel {channel.path!r}",
-            expected=f"a unit of the dimension of {si_unit}",
-            found=repr(unit),
-            remedy=f"Write unit: under the channel {name} in the protocol or the test sheet, name "
-            "another channel, or give its calibration.",
-        )
-        raise ReadError(message) from error
+    if fault := unit_fault(channel, source, path):
+        raise ReadError(fault)
+    factor = unit_factor(channel, source)
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
-    return replace(channel, name=name, values=values, unit=si_unit, calibration=calibration)
+    unit = source.channel_unit or source.target_unit
+    return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
 
 
 def _fingerprint(path: Path, role: str, name: str) -> InputFile:

@@ -17,7 +17,10 @@ from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
 
 Values: TypeAlias = Mapping[str, object]
 
-CHANNEL_KEYS = ("channel", "unit", "calibration", "quantity", "plausible_peak", "scale_uncertainty")
+CHANNEL_KEYS = (
+    *("channel", "unit", "wrong_unit_in_file", "calibration"),
+    *("quantity", "plausible_peak", "scale_uncertainty"),
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,6 +95,9 @@ class ChannelSource(Block):
         description="Name or full path in the export, as `labpipe inspect` says; or a list of names"
     )
     unit: Text | None = Field(None, description="Unit in the export, where the export is silent")
+    wrong_unit_in_file: Text | None = Field(
+        None, description="The unit that the export states, where that is wrong and 'unit' is right"
+    )
     calibration: Calibration | None = None
     quantity: Snake | None = Field(None, description="Needed where the name does not say it")
     plausible_peak: PlausiblePeak | None = None
@@ -102,6 +105,12 @@ class ChannelSource(Block):
         0.0, description="Standard uncertainty of the scale, as the certificate of a load cell says"
     )
     _name: str = PrivateAttr("")
+    _key: str = PrivateAttr("")
+
+    @property
+    def key(self) -> str:
+        """Dotted key of the channel, as an override begins: ``sources.frame.channels.force``."""
+        return self._key
 
     @property
     def target_unit(self) -> str:
@@ -144,10 +153,10 @@ class ChannelSource(Block):
         least, most = (parse_quantity(end, self.target_unit) for end in ends)
         return least, most
 
-    def named(self, name: str) -> ChannelSource:
-        """Give back the same channel under the name that labpipe uses for it."""
+    def named(self, name: str, key: str) -> ChannelSource:
+        """Give back the same channel under the name that labpipe uses for it, and its key."""
         channel = self.model_copy()
-        channel._name = name
+        channel._name, channel._key = name, key
         return channel
 
 
@@ -166,6 +175,7 @@ class Source(Block):
     )
     channel: Names | None = Field(None, description="Short for one channel named like the role")
     unit: Text | None = None
+    wrong_unit_in_file: Text | None = None
     calibration: Calibration | None = None
     quantity: Snake | None = None
     plausible_peak: PlausiblePeak | None = None
@@ -176,17 +186,20 @@ class Source(Block):
     @property
     def all_channels(self) -> dict[str, ChannelSource]:
         """The channels by name, however they were written; empty for marker tracks."""
+        key = f"sources.{self._role}"
         if self.channel is not None:
             single = ChannelSource(
                 channel=self.channel,
                 unit=self.unit,
+                wrong_unit_in_file=self.wrong_unit_in_file,
                 calibration=self.calibration,
                 quantity=self.quantity,
                 plausible_peak=self.plausible_peak,
                 scale_uncertainty=self.scale_uncertainty or 0.0,
             )
-            return {self._role: single.named(self._role)}
-        return {name: each.named(name) for name, each in (self.channels or {}).items()}
+            return {self._role: single.named(self._role, key)}
+        several = (self.channels or {}).items()
+        return {name: each.named(name, f"{key}.channels.{name}") for name, each in several}
 
     def in_role(self, role: str) -> Source:
         """Give back the same source, knowing its role."""

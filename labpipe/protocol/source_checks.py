@@ -83,6 +83,11 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
         return
     yield from _peak_faults(channel, target)
     calibration, unit = channel.values.get("calibration"), channel.values.get("unit")
+    if unit is None and channel.values.get("wrong_unit_in_file") is not None:
+        remedy = "Add the key 'unit', such as N."
+        yield Fault(
+            (*channel.path, "wrong_unit_in_file"), "the right unit beside it", "none", remedy
+        )
     if unit is None:
         if calibration is not None:
             remedy = "Add the key 'unit', such as V."

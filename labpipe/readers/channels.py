@@ -14,6 +14,24 @@ Wanted: TypeAlias = str | tuple[str, ...]
 _INSPECT = "`labpipe inspect` lists them all."
 
 
+class NoChannelError(ReadError):
+    """No channel of an export, or more than one, is meant by a name.
+
+    Parameters
+    ----------
+    message : for people
+    wanted : the names that were asked for
+    """
+
+    def __init__(self, message: str, wanted: tuple[str, ...]) -> None:
+        super().__init__(message)
+        self.wanted = wanted
+
+    def __reduce__(self) -> tuple[type[NoChannelError], tuple[str, tuple[str, ...]]]:
+        """Let it pass from one process to another."""
+        return type(self), (str(self), self.wanted)
+
+
 def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channel:
     """Find the one channel that a name stands for.
 
@@ -31,7 +49,7 @@ def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channe
 
     Raises
     ------
-    ReadError
+    NoChannelError
         If no channel is meant by that name (the nearest are listed), or more than one.
     """
     known = [(channel.name, channel.path) for channel in recording.channels]
@@ -53,7 +71,7 @@ def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object)
 
     Raises
     ------
-    ReadError
+    NoChannelError
         If it stands for none of them, or for more than one.
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
@@ -63,8 +81,8 @@ def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object)
         if len(found) == 1:
             return found[0]
         if found:
-            raise ReadError(_ambiguous(name, [paths[i] for i in found], file))
-    raise ReadError(_unknown(names, paths, file))
+            raise NoChannelError(_ambiguous(name, [paths[i] for i in found], file), names)
+    raise NoChannelError(_unknown(names, paths, file), names)
 
 
 def _meant(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:

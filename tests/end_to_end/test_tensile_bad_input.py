@@ -149,6 +149,24 @@ def test_kilonewtons_taken_for_newtons(told: Told) -> None:
     assert set(found.values()) == {"ok", "doubtful"}
 
 
+def test_a_unit_that_contradicts_the_export(refused: Refused) -> None:
+    message = refused(lambda lab: lab.override("sources.frame.channels.force.unit", "N"))
+    assert "expected the unit that the export states, 'kN', found " in message
+    assert "'sources.frame.channels.force.unit: N'. Write kN there. Only if the export's" in message
+
+
+def test_a_unit_in_the_export_that_is_said_to_be_wrong(told: Told) -> None:
+    def change(lab: TensileLab) -> None:
+        lab.override("sources.frame.channels.force.unit", "lbf")
+        lab.override("sources.frame.channels.force.wrong_unit_in_file", "kN")
+
+    usual = told(lambda _: None, 0).results["peak_force.1"]["value"]
+    lab = told(change)
+    pounds = lab.results["peak_force.1"]["value"]
+    assert pounds == pytest.approx(usual * 4.4482216152605 / 1e3, rel=0.01)
+    assert lab.notes["unit_overridden"].startswith("the export says 'kN', the protocol 'lbf'")
+
+
 def without_units(lab: TensileLab) -> None:
     """A table of three columns whose names do not belong to the numbers below them."""
     lines = lab.export.read_text("utf-8-sig").splitlines()[HEAD:]

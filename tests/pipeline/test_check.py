@@ -177,29 +177,40 @@ def test_swapped_columns(lab: Path, say: Say) -> None:
     messages = say((WIRE, "channel: Model/Load/Out1, unit: N", channels))
 
     assert [message.split(": expected ")[1] for message in messages] == [
-        f"a unit of the dimension of {unit}, found '{found}'. Name another channel, or give its"
-        " calibration."
-        for unit, found in (("N", "mm"), ("m", "N"))
+        f"a unit of the dimension of {unit}, found '{found}'. Name another channel with"
+        f" 'sources.force.channels.{name}.channel: {{value: ..., because: ...}}' under 'overrides'"
+        f" in test.yaml, or give 'sources.force.channels.{name}.calibration'."
+        for name, unit, found in (("force", "N", "mm"), ("displacement", "m", "N"))
     ]
 
 
 def test_a_unit_that_nobody_says(say: Say) -> None:
     assert say((WIRE, ", unit: N", "")) == [
         f"{FOLDER / 'force.mat'}, channel 'Model/Load/Out1': expected a unit, found none in the"
-        " file and none in the protocol. Add 'unit' to the channel 'force' in the protocol or the"
-        " test sheet."
+        " file and none in the protocol. Write the unit of its numbers, such as"
+        " 'sources.force.unit: {value: N, because: ...}' under 'overrides' in test.yaml."
     ]
 
 
-def test_a_unit_of_the_export_that_does_not_fit(lab: Path, say: Say) -> None:
+@pytest.mark.parametrize("unit", ["mm", "kN"])
+def test_a_unit_of_the_export_that_contradicts_the_protocol(lab: Path, say: Say, unit: str) -> None:
     time = np.arange(50) * 0.001
     path = FOLDER / "force.mat"
-    write_mat_v5(lab / path, [Axis(time)], [Signal("Model/Load", "Out1", time, unit="mm")])
+    write_mat_v5(lab / path, [Axis(time)], [Signal("Model/Load", "Out1", time, unit=unit)])
 
-    assert say() == [
-        f"{path}, channel 'Model/Load/Out1': expected a unit of the dimension of N, found 'mm'."
-        " Name another channel, or give its calibration."
-    ]
+    (message,) = say()
+    assert message.startswith(
+        f"{path}, channel 'Model/Load/Out1': expected the unit that the export states, '{unit}',"
+        " found 'sources.force.unit: N'. "
+    )
+
+
+def test_the_key_of_a_channel_that_is_not_there_is_named(say: Say) -> None:
+    (message,) = say((WIRE, "Model/Load/Out1", "Model/Load/Out"))
+    assert message.endswith(
+        "Name the right one with 'sources.force.channel: {value: ..., because: ...}' under"
+        " 'overrides' in test.yaml."
+    )
 
 
 def test_a_rigid_body_and_markers_that_the_take_does_not_have(say: Say) -> None:

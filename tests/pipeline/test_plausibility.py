@@ -308,8 +308,9 @@ def test_swapped_columns_that_say_their_units_are_refused(name: str) -> None:
     }[name]
     said = (
         rf"^frame\.csv, channel '{column}': expected a unit of the dimension of {si_unit}, found"
-        rf" '{unit}'\. Write unit: under the channel \w+ in the protocol or the test sheet, name "
-        r"another channel, or give its calibration\.$"
+        rf" '{unit}'\. Name another channel with 'sources\.frame\.channels\.{name}\.channel: "
+        r"\{value: \.\.\., because: \.\.\.\}' under 'overrides' in test\.yaml, or give "
+        rf"'sources\.frame\.channels\.{name}\.calibration'\.$"
     )
     with pytest.raises(ReadError, match=said):
         name_channels(recording, protocol.sources["frame"], Path("frame.csv"))

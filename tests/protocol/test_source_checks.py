@@ -32,6 +32,14 @@ CASES = {
         "p.yaml, line 5, column 5 (sources.force): expected the unit that the calibration starts"
         " from, found none. Add the key 'unit', such as V.",
     ),
+    "a wrong unit without the right one": (
+        (
+            "    unit: V\n    calibration: {gain: 0.5 N/V, offset: 0 N, gain_uncertainty: 0.2 %}\n",
+            "    wrong_unit_in_file: kN\n",
+        ),
+        "p.yaml, line 7, column 25 (sources.force.wrong_unit_in_file): expected the right unit"
+        " beside it, found none. Add the key 'unit', such as N.",
+    ),
     "unknown unit": (
         ("    unit: V\n", "    unit: Volts per N\n"),
         "p.yaml, line 7, column 11 (sources.force.unit): expected a unit such as V, found"
