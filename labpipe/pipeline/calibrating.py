@@ -15,7 +15,7 @@ from labpipe.pipeline.bent_shapes import bent_shapes
 from labpipe.pipeline.calibration_json import calibration_json
 from labpipe.pipeline.comparison_json import comparison_json
 from labpipe.pipeline.first_loadings import FirstLoading, read_first_loadings
-from labpipe.pipeline.targets import find_results, shared_folder
+from labpipe.pipeline.targets import find_results, refuse_repeated, shared_folder
 from labpipe.pipeline.tested_wires import (
     built_wire,
     require_known,
@@ -112,8 +112,8 @@ def calibrate_tests(
     Raises
     ------
     LabpipeError
-        If a file is wrong, no test can be used, tests of several wires leave open which to
-        calibrate, or the calibration fails; earlier results are then as they were.
+        If a file is wrong, no test can be used, two have one name, tests of several wires leave
+        open which to calibrate, or the calibration fails; earlier results are then as they were.
     """
     asked = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
     wires = usual_sheet() if wires is None else wires
@@ -123,6 +123,7 @@ def calibrate_tests(
     loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
     if not loadings:
         raise ProcessingError("\n".join(left_out.values()))
+    refuse_repeated([(each.curve.test, each.file) for each in loadings], "name")
     loadings, copies = without_copies(loadings)
     name = wire_to_calibrate(loadings, asked, plan)
     require_known(loadings, specs, wires)

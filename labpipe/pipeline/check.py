@@ -10,6 +10,7 @@ from pathlib import Path
 from labpipe.errors import ProtocolError, ReadError, complaint, nearest
 from labpipe.pipeline.channel_units import unit_fault
 from labpipe.pipeline.exports import is_empty, where_to_name
+from labpipe.pipeline.targets import files_below
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import BendingStiffness, MidSpan, Twist
 from labpipe.protocol.rig import Markers
@@ -82,7 +83,7 @@ def check_paths(paths: Sequence[Path] = (), *, protocols: Path | None = None) ->
 
 def _yaml_files(path: Path) -> list[Path]:
     if path.is_dir():
-        return sorted(file for file in path.rglob("*") if file.suffix in _YAML and file.is_file())
+        return [file for file in files_below(path) if file.suffix in _YAML and file.is_file()]
     return [path] if path.suffix in _YAML and path.is_file() else []
 
 

@@ -6,12 +6,15 @@ import multiprocessing
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 from labpipe.errors import LabpipeError
-from labpipe.pipeline.process import Processed, process_test
+from labpipe.pipeline.process import Processed, goal_of, name_of, process_test
+from labpipe.pipeline.targets import refuse_repeated
 
 Say = Callable[[str], None]
 T = TypeVar("T")
@@ -54,7 +57,13 @@ def process_tests(
     ------
     Each test without its recordings and stages, which are in its result.h5: hundreds of tests
     would not go into memory.
+
+    Raises
+    ------
+    UsageError
+        If results of two tests would go to one folder; nothing is processed then.
     """
+    _refuse_one_goal(tests, out)
     if jobs == 1:
         for test in tests:
             yield _process(test, out, figures(test), begin(test))
@@ -67,6 +76,15 @@ def process_tests(
                 yield each.result()
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _refuse_one_goal(tests: Sequence[Path], out: Path | None) -> None:
+    """Refuse tests of which one would overwrite the results of another."""
+    goals = []
+    for test in tests:
+        with suppress(LabpipeError):  # one that cannot be read is refused when its turn comes
+            goals.append((str(goal_of(test, out, partial(name_of, test)).absolute()), test))
+    refuse_repeated(goals, "folder of results")
 
 
 def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:

@@ -17,7 +17,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.bending import Bending
 from labpipe.records.result import Status, TestResult
 from labpipe.store.lock import locked
-from labpipe.store.read import RawTest, read_raw
+from labpipe.store.read import RawTest, read_name, read_raw
 from labpipe.store.replace import replacing_together
 from labpipe.store.summary import write_summary
 from labpipe.store.write import write_result
@@ -77,7 +77,7 @@ def process_test(
     raw, protocol = _stored(source) if again else _exported(source)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = source.parent if again and out is None else _folder(source, out, result.test)
+    folder = goal_of(source, out, lambda: result.test)
     with locked(folder), replacing_together(folder) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
@@ -132,6 +132,21 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     )
 
 
+def name_of(source: Path) -> str:
+    """Read the name of a test alone.
+
+    Parameters
+    ----------
+    source : its test.yaml or result.h5
+
+    Raises
+    ------
+    LabpipeError
+        If it cannot be read.
+    """
+    return read_name(source) if source.suffix == ".h5" else load_test_sheet(source).test
+
+
 def _exported(sheet_path: Path) -> tuple[RawTest, Protocol]:
     """A test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
@@ -156,14 +171,27 @@ def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
     return raw, parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
 
 
-def _folder(sheet: Path, out: Path | None, test: str) -> Path:
-    """Where the results of a test go: beside `raw` in `processed`, at the same depth."""
+def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
+    """Find where the results of a test go.
+
+    Parameters
+    ----------
+    source, out : see `process_test`
+    name : gives the name of the test, where it matters
+
+    Returns
+    -------
+    ``out/<test>``; else the folder of the result.h5 itself, or beside ``raw`` in ``processed`` at
+    the same depth, or ``processed/<test>`` in the working folder.
+    """
     if out is not None:
-        return out / test
-    folder = sheet.resolve().parent
+        return out / name()
+    if source.suffix == ".h5":
+        return source.parent
+    folder = source.resolve().parent
     above = [parent for parent in folder.parents if parent.name == "raw"]
     if not above:
-        return Path("processed") / test
+        return Path("processed") / name()
     return above[0].parent / "processed" / folder.relative_to(above[0])
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,6 +11,7 @@ import numpy as np
 from labpipe import __version__
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.pipeline.bundle_places import find_places
+from labpipe.pipeline.copies import find_copies, recording_of
 from labpipe.pipeline.group_differences import find_differences
 from labpipe.pipeline.grouping import (
     Key,
@@ -22,7 +23,7 @@ from labpipe.pipeline.grouping import (
     without,
 )
 from labpipe.pipeline.settings import Settings, setting_notes, settings_by_test, settings_of
-from labpipe.pipeline.targets import find_results, shared_folder
+from labpipe.pipeline.targets import find_results, refuse_repeated, shared_folder
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.rig import Groups
 from labpipe.readers.wire_sheet import read_wire_sheet
@@ -106,9 +107,9 @@ def report_tests(
     Raises
     ------
     LabpipeError
-        If there is no processed test, none can be read, no test sheet has a field that is wanted,
-        the wire sheet has faults, or the report cannot be written; an earlier report is then as it
-        was.
+        If there is no processed test, none can be read, two have one name, no test sheet has a
+        field that is wanted, the wire sheet has faults, or the report cannot be written; an earlier
+        report is then as it was.
     """
     files = find_results(targets)
     shared = shared_folder(files)
@@ -130,7 +131,8 @@ def make_campaign(
 
     Parameters
     ----------
-    files : result.h5 files; one that cannot be read is left out, with the reason
+    files : result.h5 files; one that cannot be read, or is made of the same recording as another,
+        is left out, with the reason
     title : of the report
     say : told the name of each test as it is read
     wanted : groups and comparisons
@@ -142,8 +144,8 @@ def make_campaign(
     Raises
     ------
     LabpipeError
-        If no file can be read, no test sheet has a field that is wanted, or the wire sheet has
-        faults.
+        If no file can be read, two tests have one name, no test sheet has a field that is wanted,
+        or the wire sheet has faults.
     """
     wires = None if wanted.wires is None else read_wire_sheet(wanted.wires)
     read = _read(files, say)
@@ -179,6 +181,7 @@ class _Read:
 
 def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
     read = _Read([], {}, {}, {})
+    recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
         try:
@@ -190,10 +193,14 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
             continue
         read.wishes[result.protocol] = protocol.groups
         read.settings[str(file)] = settings_of(protocol)
+        recordings.append((file, recording_of(result, protocol)))
         read.samples.append(sample_of(result, str(file)))
     if not read.samples:
         raise UsageError("\n".join(read.left_out.values()))
-    return read
+    refuse_repeated([(each.test, Path(each.source)) for each in read.samples], "name")
+    copies = find_copies(recordings)
+    samples = [each for each in read.samples if each.source not in copies]
+    return replace(read, samples=samples, left_out=read.left_out | copies)
 
 
 def _groups(read: _Read, by: Sequence[str]) -> list[Group]:

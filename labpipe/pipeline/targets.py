@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from labpipe.errors import UsageError, complaint
 from labpipe.protocol.sheet import SHEET_NAME
+from labpipe.store.replace import STAGES
 
 RESULT_FILE = "result.h5"
 _A_TEST = "a test.yaml, a folder that holds one, or a result.h5"
@@ -22,12 +23,12 @@ def find_tests(targets: Sequence[Path]) -> list[Path]:
 
     Returns
     -------
-    test.yaml and result.h5 files, sorted, each once.
+    test.yaml and result.h5 files, sorted, each once; none out of a hidden folder.
 
     Raises
     ------
     UsageError
-        If a path does not exist or holds no test.
+        If a path does not exist, holds no test, or lies in a folder that labpipe was writing.
     """
     for target in targets:
         if target.is_file() and target.suffix not in {".yaml", ".yml", ".h5"}:
@@ -47,12 +48,13 @@ def find_results(targets: Sequence[Path]) -> list[Path]:
 
     Returns
     -------
-    result.h5 files, sorted, each once.
+    result.h5 files, sorted, each once; none out of a hidden folder.
 
     Raises
     ------
     UsageError
-        If a path does not exist or holds no processed test.
+        If a path does not exist, holds no processed test, or lies in a folder that labpipe was
+        writing.
     """
     expected = f"a {RESULT_FILE}, or a folder with processed tests"
     remedy = "`labpipe process` makes them from the exports of a test."
@@ -70,18 +72,67 @@ def shared_folder(files: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([os.path.abspath(folder) for folder in tests]))  # noqa: PTH100
 
 
+def files_below(folder: Path, name: str = "") -> list[Path]:
+    """List files below a folder, but none that are hidden or in a hidden folder.
+
+    Parameters
+    ----------
+    folder : searched through and through; links to folders are not followed
+    name : of the files that are wanted; all of them if empty
+
+    Returns
+    -------
+    The files, sorted. What labpipe was writing when it was killed is in a hidden folder.
+    """
+    found: list[Path] = []
+    for place, folders, files in os.walk(folder):
+        folders[:] = [each for each in folders if not each.startswith(".")]
+        wanted = [name] if name else [each for each in files if not each.startswith(".")]
+        found += [Path(place, each) for each in wanted if each in files]
+    return sorted(found)
+
+
+def refuse_repeated(marked: Iterable[tuple[str, Path]], what: str) -> None:
+    """Refuse two tests that share what each has for itself, but for the case of letters.
+
+    Parameters
+    ----------
+    marked : of each test its name, or where its results go, and its file
+    what : which of these it is
+
+    Raises
+    ------
+    UsageError
+        If one occurs twice; each repetition is told with both files.
+    """
+    first: dict[str, Path] = {}
+    faults = []
+    for mark, file in marked:
+        earlier = first.setdefault(mark.casefold(), file)
+        if earlier != file:
+            expected, found = f"one test for each {what}", f"a second for {mark!r}"
+            remedy = f"{earlier} is the first: rename one of them in its test.yaml, or leave it out."
+            faults.append(complaint(file, "", expected=expected, found=found, remedy=remedy))
+    if faults:
+        raise UsageError("\n".join(faults))
+
+
 def _files(
     targets: Sequence[Path], name: str, *, expected: str, none: str, remedy: str
 ) -> list[Path]:
     """Files among some paths, and those of a name below them; `none` where a folder holds none."""
-    found: list[Path] = []
+    found: dict[Path, Path] = {}
     for target in targets:
-        below = [target] if target.is_file() else sorted(target.rglob(name))
+        if set(target.resolve().parts) & set(STAGES):
+            unfinished = "one that labpipe was writing when it was stopped"
+            raise _unfit(target, expected, unfinished, "Process the test again.")
+        below = [target] if target.is_file() else files_below(target, name)
         if not below:
             missing = none if target.exists() else "nothing of that name"
             raise _unfit(target, expected, missing, remedy)
-        found.extend(below)
-    return list(dict.fromkeys(found))
+        for file in below:
+            found.setdefault(file.resolve(), file)
+    return list(found.values())
 
 
 def _unfit(target: Path, expected: str, found: str, remedy: str) -> UsageError:

@@ -92,8 +92,8 @@ def read_outcome(path: Path) -> TestResult:
 
     Returns
     -------
-    The test with empty recordings and inputs; the aligned signals only where slips were repaired,
-    so that the force as measured can be shown.
+    The test with empty recordings; the aligned signals only where slips were repaired, so that the
+    force as measured can be shown.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def read_stages(path: Path) -> TestResult:
 
     Returns
     -------
-    The test with empty recordings and inputs, and without its measured moment-curvature.
+    The test with empty recordings, and without its measured moment-curvature.
 
     Raises
     ------
@@ -149,6 +149,22 @@ def read_raw(path: Path) -> RawTest:
         return RawTest(**_head(root))
 
 
+def read_name(path: Path) -> str:
+    """Read the name of the test alone.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+
+    Raises
+    ------
+    StoreError
+        As `read_result`.
+    """
+    with opened(path) as root:
+        return text(root, "test")
+
+
 def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share."""
     group = root[layout.RAW]
@@ -156,7 +172,7 @@ def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     return {
         **{name: text(root, name) for name in layout.ROOT_TEXTS},
         "specimen": read_specimen(root),
-        "inputs": _inputs(group) if raw else (),
+        "inputs": _inputs(group),
         "recordings": {role: read_recording(group[role]) for role in roles},
     }
 

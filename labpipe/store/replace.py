@@ -54,6 +54,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 _STAGE = ".labpipe.new"
+STAGES = (_STAGE,)
+"""Folders in which labpipe writes; what a killed process left there is no result."""
 
 
 @contextmanager

@@ -194,3 +194,28 @@ def test_friction_numbers_are_said_not_to_be_known_apart(
     found = json.loads((tmp_path / "out" / "calibration.json").read_text("utf-8"))
     assert found["friction_separability"]["words"].startswith(told)
     assert set(found["friction_separability"]["identified"].values()) == {False}
+
+
+def test_two_tests_of_one_name(
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
+) -> None:
+    again = changed(campaign / "A2-085-1", tmp_path, lambda result: result)
+    done = calibrate(campaign / "A2-085-1", campaign / "A2-085-2", again)
+    assert (done.status, done.out) == (2, "")
+    assert (
+        f"{again / 'result.h5'}: expected one test for each name, found a second for 'A2-085-1'. "
+        f"{campaign / 'A2-085-1' / 'result.h5'} is the first" in done.err
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_half_of_a_test_that_was_killed(
+    campaign: Path, tmp_path: Path, calibrate: Callable[..., Ran]
+) -> None:
+    test = changed(campaign / "A2-085-1", tmp_path, lambda result: result)
+    half = test / ".labpipe.new" / "result.h5"
+    half.parent.mkdir()
+    half.write_bytes((test / "result.h5").read_bytes()[:1000])
+    done = calibrate(test)
+    assert (done.status, done.err) == (0, "")
+    assert " points of 1 sample, rms" in done.out

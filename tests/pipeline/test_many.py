@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.errors import UsageError
 from labpipe.pipeline.many import Refused, process_tests, run_jobs
 from labpipe.pipeline.process import Processed
 from labpipe.virtual_lab.wire_sheet import write_wire_sheet
@@ -64,3 +65,25 @@ def test_jobs_are_run_and_their_errors_raised(tmp_path: Path, jobs: int) -> None
     (tmp_path / "c").write_text("a file", encoding="utf-8")
     with pytest.raises(FileExistsError):
         run_jobs([partial(write_wire_sheet, tmp_path / "c")], jobs=jobs)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_two_tests_that_would_go_to_one_folder(
+    tests: list[Path], tmp_path: Path, jobs: int
+) -> None:
+    text = tests[2].read_text("utf-8").replace("test: P-3", "test: p-1")
+    tests[2].write_text(text, "utf-8")
+    out = tmp_path / "out"
+    said = "P-3.test.yaml: expected one test for each folder of results, found a second for .*out.p-1"
+    with pytest.raises(UsageError, match=said):
+        list(process_tests(tests, out=out, jobs=jobs))
+    assert not out.exists()
+    done = list(process_tests(tests[:1] + tests[2:], figures=lambda _: False, jobs=jobs))
+    assert [type(each) for each in done] == [Processed, Processed]  # each beside its exports
+
+
+def test_a_test_and_its_own_result(tests: list[Path]) -> None:
+    (done,) = process_tests(tests[:1], figures=lambda _: False)
+    assert isinstance(done, Processed)
+    with pytest.raises(UsageError, match="result.h5: expected one test for each folder of results"):
+        list(process_tests([tests[0], done.folder / "result.h5"]))

@@ -237,3 +237,40 @@ def test_spools_of_several_types_are_told_apart(results: Path) -> None:
     assert len(spools) == 2
     assert all(spool.startswith(("hose ", "tube ")) for spool in spools)
     assert "spools_renamed" in [note.code for note in group.notes]
+
+
+def test_what_a_killed_process_left_is_no_sample(results: Path) -> None:
+    test = results / "c" / "T-1"
+    (test / ".labpipe.new").mkdir()
+    shutil.copy(test / "result.h5", test / ".labpipe.new")
+    campaign = make_campaign(find_results([results]), "")
+    assert [len(group.samples) for group in campaign.groups] == [2, 2]
+
+
+def test_two_tests_of_one_name_are_refused(results: Path, tmp_path: Path) -> None:
+    shutil.copytree(results / "c" / "T-1", results / "d" / "T-1")
+    said = r"d.T-1.result\.h5: expected one test for each name, found a second for 'T-1'\. .*c.T-1.res"
+    with pytest.raises(UsageError, match=said):
+        report_tests([results], out=tmp_path / "report")
+    assert not (tmp_path / "report").exists()
+
+
+def renamed(file: Path, name: str) -> None:
+    import h5py
+
+    with h5py.File(file, "r+") as opened:
+        opened.attrs["test"] = name
+
+
+def test_a_recording_is_counted_once(results: Path) -> None:
+    """Two sheets that name the same export, as where a line was not changed after copying."""
+    copy = results / "c" / "T-1x" / "result.h5"
+    shutil.copytree(results / "c" / "T-1", copy.parent)
+    renamed(copy, "T-1x")
+    campaign = make_campaign(find_results([results]), "")
+    assert [len(group.samples) for group in campaign.groups] == [2, 2]
+    assert campaign.left_out == {
+        str(copy): f"{copy}: expected each recording once, found the same exports, byte for byte, as"
+        f" in {results / 'c' / 'T-1' / 'result.h5'}. Look at `files` in both test sheets, or leave"
+        " the copy out."
+    }

@@ -5,7 +5,12 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import UsageError
-from labpipe.pipeline.targets import find_results, find_tests
+from labpipe.pipeline.targets import (
+    files_below,
+    find_results,
+    find_tests,
+    refuse_repeated,
+)
 
 
 def test_tests_below_folders(tmp_path: Path) -> None:
@@ -53,3 +58,56 @@ def test_no_results(tmp_path: Path) -> None:
         find_results([tmp_path])
     with pytest.raises(UsageError, match=r"found nothing of that name\. `labpipe process` makes"):
         find_results([tmp_path / "nowhere"])
+
+
+@pytest.mark.parametrize("hidden", [".labpipe.new", ".trash", "T-1/.labpipe.new"])
+def test_what_is_hidden_is_no_input(tmp_path: Path, hidden: str) -> None:
+    """A process that was killed leaves its half of a result in a hidden folder."""
+    for folder in ("T-1", hidden):
+        (tmp_path / folder).mkdir(parents=True, exist_ok=True)
+        (tmp_path / folder / "result.h5").touch()
+        (tmp_path / folder / "test.yaml").touch()
+    assert find_results([tmp_path]) == [tmp_path / "T-1" / "result.h5"]
+    assert find_tests([tmp_path]) == [tmp_path / "T-1" / "test.yaml"]
+    (tmp_path / "T-1" / ".hidden.yaml").touch()
+    names = [path.name for path in files_below(tmp_path)]
+    assert names == ["result.h5", "test.yaml"]
+
+
+def test_a_folder_that_is_hidden_itself_may_be_named(tmp_path: Path) -> None:
+    (tmp_path / ".lab" / "T-1").mkdir(parents=True)
+    result = tmp_path / ".lab" / "T-1" / "result.h5"
+    result.touch()
+    assert find_results([tmp_path / ".lab"]) == [result]
+
+
+def test_what_labpipe_was_writing_is_refused(tmp_path: Path) -> None:
+    stage = tmp_path / "T-1" / ".labpipe.new"
+    stage.mkdir(parents=True)
+    (stage / "result.h5").touch()
+    said = "found one that labpipe was writing when it was stopped. Process the test again."
+    for target in (stage, stage / "result.h5"):
+        with pytest.raises(UsageError, match=said):
+            find_results([target])
+
+
+def test_one_file_by_two_ways_is_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "T-1").mkdir()
+    (tmp_path / "T-1" / "result.h5").touch()
+    (tmp_path / "again").symlink_to(tmp_path / "T-1")
+    monkeypatch.chdir(tmp_path)
+    found = find_results([Path("T-1"), tmp_path / "T-1", Path("again/result.h5")])
+    assert found == [Path("T-1/result.h5")]
+
+
+def test_two_tests_that_share_a_name(tmp_path: Path) -> None:
+    files = [tmp_path / name / "result.h5" for name in "abc"]
+    refuse_repeated(zip(("T-1", "T-2", "T-3"), files, strict=True), "name")
+    with pytest.raises(UsageError) as told:
+        refuse_repeated(zip(("T-1", "T-2", "t-1"), files, strict=True), "name")
+    assert str(told.value) == (
+        f"{files[2]}: expected one test for each name, found a second for 't-1'. {files[0]} is the"
+        " first: rename one of them in its test.yaml, or leave it out."
+    )

@@ -44,12 +44,12 @@ def test_outcome_is_the_result_without_what_only_processing_needs(
     result = result if decision is None else with_slips(result, decision)
     write_result(result, tmp_path / "result.h5")
     kept = result.aligned if decision is SlipDecision.REPAIRED else None
-    wanted = replace(result, inputs=(), recordings={}, shape=None, aligned=kept)
+    wanted = replace(result, recordings={}, shape=None, aligned=kept)
     assert differences(wanted, read_outcome(tmp_path / "result.h5")) == []
 
 
 def test_stages_are_the_result_without_recordings(written: Path) -> None:
-    wanted = replace(read_result(written), inputs=(), recordings={}, bending=None)
+    wanted = replace(read_result(written), recordings={}, bending=None)
     assert differences(wanted, read_stages(written)) == []
 
 
