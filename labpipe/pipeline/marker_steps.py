@@ -9,12 +9,12 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, complaint, nearest
 from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.fitting.noise import long_run_variance
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, rms
-from labpipe.processing.frames import specimen_frame
+from labpipe.pipeline.zeros import LEAST, mean_level
+from labpipe.processing.frames import SpecimenFrame, specimen_frame
 from labpipe.processing.rings import ring_centres, rings_by_body
 from labpipe.processing.shape import ShapeFit, deflection, fit_shape
-from labpipe.processing.strokes import noise_level
+from labpipe.processing.strokes import find_strokes, noise_level
 from labpipe.processing.tracklets import frozen_samples
 from labpipe.processing.tracks import RepairedTracks, repair_tracks
 from labpipe.protocol.rig import Markers
@@ -24,6 +24,8 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 
+_MOVES = 0.1
+"""Share of its stroke by which the clamp has moved when it has begun to."""
 UNLABELLED = ("Unlabeled", "Unlabelled")
 _DOUBTFUL = {
     "label_ambiguous",
@@ -74,13 +76,16 @@ def turn_into_specimen(
         message = "expected repair-markers before it"
         raise ValueError(message)
     markers.rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
-    markers.frame = specimen_frame(
-        markers.clamp,
-        markers.repaired.positions,
-        rest=markers.rest,
-        moving=None,
-        out_of_plane_limit=step.max_out_of_plane,
-    )
+    markers.frame = _frame(markers.clamp, markers.repaired, markers.rest, step)
+    still = _still(tracks.time, markers.frame, markers.clamp)
+    if LEAST <= (markers.rest & still).sum() < markers.rest.sum():
+        markers.rest &= still
+        markers.frame = _frame(markers.clamp, markers.repaired, markers.rest, step)
+        message = (
+            f"the clamp rests for {float(np.ptp(tracks.time[markers.rest])):.2f} s, less than the "
+            f"{step.over:g} s of 'over': these are taken as the rest"
+        )
+        bench.note("short_rest", Severity.INFO, markers.role, message)
     _take_notes(bench, markers.frame.notes)
     said = (
         f"markers lie {1e3 * markers.frame.out_of_plane:.3g} mm rms off their plane, the clamp "
@@ -92,6 +97,28 @@ def turn_into_specimen(
         travel = travel - np.nanmean(travel[markers.rest])
         signal = Signal(tracks.time, travel, "m", markers.role)
         bench.raw["travel"] = bench.signals["travel"] = signal
+
+
+def _frame(
+    clamp: Floats | None, repaired: RepairedTracks, rest: Flags, step: SpecimenFrameStep
+) -> SpecimenFrame:
+    return specimen_frame(
+        clamp,
+        repaired.positions,
+        rest=rest,
+        moving=None,
+        out_of_plane_limit=step.max_out_of_plane,
+    )
+
+
+def _still(time: Floats, frame: SpecimenFrame, clamp: Floats | None) -> Flags:
+    """Frames before the clamp begins to move; all of a take without a clamp."""
+    if clamp is None:
+        return np.ones(len(time), dtype=np.bool_)
+    travel = frame.to_specimen(clamp)[:, 1]
+    least = _MOVES * float(np.nanmax(travel) - np.nanmin(travel))
+    strokes = find_strokes(time, travel, min_stroke=least)
+    return np.asarray(time < (time[strokes[0].start] if strokes else np.inf), dtype=np.bool_)
 
 
 def fit_shapes(bench: Bench, markers: MarkerBench, step: FitShape, words: Markers | None) -> None:
@@ -140,8 +167,8 @@ def fit_shapes(bench: Bench, markers: MarkerBench, step: FitShape, words: Marker
 def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
     """Deflection of the pull point, with what one more term of the shape would make of it."""
     values = deflection(fit.shape, rest=rest)
-    known = values[rest & ~np.isnan(values)]
-    error = float(np.sqrt(long_run_variance(known, parameters=1) / len(known)))
+    seen = ~np.isnan(values)
+    _, error = mean_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
     usable = not np.isnan(change[rest]).all()
     other = values + change - np.nanmean(change[rest]) if usable else None

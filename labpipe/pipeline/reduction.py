@@ -51,6 +51,7 @@ from labpipe.pipeline.tensile_results import (
     slack_result,
     slip_results,
 )
+from labpipe.pipeline.zeros import use_rest_there_is
 from labpipe.processing.strokes import (
     Stroke,
     branch_numbers,
@@ -167,6 +168,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
 
         align_cameras(bench, motion, strokes, min_stroke=protocol.branches.min_stroke)
         check_mid_span(bench, motion, branches)
+    use_rest_there_is(bench, branches)
     check_rig(bench, protocol, branches)
     check_sign(bench, motion)
     check_rest(bench, branches)

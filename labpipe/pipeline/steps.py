@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
 
-from labpipe.fitting.correlated import fit_linear
-from labpipe.fitting.noise import long_run_variance
-from labpipe.fitting.noise_spectra import smooth_stretches
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
+from labpipe.pipeline.zeros import LEAST, end_level, mean_level
 from labpipe.processing.filtering import (
     decimate,
     low_pass,
@@ -33,12 +30,8 @@ from labpipe.protocol.steps import (
     TravelFromSpeed,
     Zero,
 )
-from labpipe.records.arrays import Floats, median
-from labpipe.records.curve import Interval
+from labpipe.records.arrays import median
 from labpipe.records.quality import Severity
-
-_SHORT = 100
-"""Samples of a stretch below which the rest of the record says what its noise is like."""
 
 
 def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol) -> None:
@@ -109,22 +102,21 @@ def _zero(bench: Bench, step: Zero) -> None:
     last = int(np.searchsorted(signal.time, start + step.over, side="right"))
     rest = signal.values[first:last]
     known = rest[~np.isnan(rest)]
-    # A stretch of a few samples cannot tell how far its noise remembers; the record can.
     beside = signal.values[last:] if step.at == "start" else signal.values[:first]
-    stretches = smooth_stretches(beside) if len(known) < _SHORT else ()
-    if len(known) < 8:
+    if len(known) < LEAST:
         apart = median(np.diff(signal.time))
         message = (
-            f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, 8 are needed:"
-            f" at {1.0 / apart:.4g} per second 'over' must be {8.5 * apart:.2g} s or more"
+            f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, {LEAST} are "
+            f"needed: at {1.0 / apart:.4g} per second 'over' must be "
+            f"{(LEAST + 0.5) * apart:.2g} s or more"
         )
         raise ValueError(message)
     if step.by == "mean":
         bench.zeroed[step.channel] = (start, start + step.over)
-        level, error = _mean_level(known, stretches)
+        level, error = mean_level(known, beside)
     else:
         values = known if step.at == "start" else known[::-1]
-        level, error = _end_level(values, stretches)
+        level, error = end_level(values, beside)
     zeroed = replace(signal, values=signal.values - level, zero_error=error)
     raw = bench.raw[step.channel]
     bench.raw[step.channel] = (
@@ -138,41 +130,11 @@ def _zero(bench: Bench, step: Zero) -> None:
     bench.note("zeroed", Severity.INFO, step.channel, said)
 
 
-def _mean_level(values: Floats, beside: Sequence[Floats]) -> tuple[float, float]:
-    """Mean with its standard error."""
-    if beside:
-        fit = fit_linear(np.ones((len(values), 1)), values, beside=beside)
-        half = float(fit.half_widths[0])
-        return float(fit.coefficients[0]), Interval(-half, half).standard_error
-    blocks = _blocks(values)
-    error = float(np.sqrt(long_run_variance(blocks, parameters=1) / len(blocks)))
-    return float(values.mean()), error
-
-
-def _end_level(values: Floats, beside: Sequence[Floats]) -> tuple[float, float]:
-    """First value of a straight line through evenly sampled values, with its standard error."""
-    blocks = _blocks(values)
-    size = len(values) // len(blocks)
-    middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
-    design = np.column_stack([np.ones(len(blocks)), middles])
-    fit = fit_linear(design, blocks, beside=beside)
-    # As wide as the t-based interval: a stretch for a zero holds few samples.
-    interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
-    return float(fit.coefficients[0]), interval.standard_error
-
-
 def _need_time(signal: Signal, name: str, what: str) -> None:
     """Refuse a length in seconds where the export has rows but no time."""
     if not signal.has_time:
         message = f"{name}: {what} needs times, and the export has none"
         raise ValueError(message)
-
-
-def _blocks(values: Floats) -> Floats:
-    """Averages over at most 1000 blocks: as good for a mean, and quick to correlate."""
-    size = max(1, len(values) // 1000)
-    means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
-    return means
 
 
 def _smooth(bench: Bench, step: Smooth, protocol: Protocol) -> None:

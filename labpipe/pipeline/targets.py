@@ -111,7 +111,9 @@ def refuse_repeated(marked: Iterable[tuple[str, Path]], what: str) -> None:
         earlier = first.setdefault(mark.casefold(), file)
         if earlier != file:
             expected, found = f"one test for each {what}", f"a second for {mark!r}"
-            remedy = f"{earlier} is the first: rename one of them in its test.yaml, or leave it out."
+            remedy = (
+                f"{earlier} is the first: rename one of them in its test.yaml, or leave it out."
+            )
             faults.append(complaint(file, "", expected=expected, found=found, remedy=remedy))
     if faults:
         raise UsageError("\n".join(faults))

@@ -50,7 +50,12 @@ def test_names_of_test_and_files_do_not_matter() -> None:
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [("Specimen 1", "Specimen 2"), ("channel: F", "channel: F2"), ("wire 1", "w 2"), ("Base", "B2")],
+    [
+        ("Specimen 1", "Specimen 2"),
+        ("channel: F", "channel: F2"),
+        ("wire 1", "w 2"),
+        ("Base", "B2"),
+    ],
 )
 def test_one_export_may_hold_several_specimens(old: str, new: str) -> None:
     assert recording_of(RESULT, protocol()) != recording_of(RESULT, protocol(old, new))

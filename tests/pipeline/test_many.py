@@ -74,7 +74,9 @@ def test_two_tests_that_would_go_to_one_folder(
     text = tests[2].read_text("utf-8").replace("test: P-3", "test: p-1")
     tests[2].write_text(text, "utf-8")
     out = tmp_path / "out"
-    said = "P-3.test.yaml: expected one test for each folder of results, found a second for .*out.p-1"
+    said = (
+        "P-3.test.yaml: expected one test for each folder of results, found a second for .*out.p-1"
+    )
     with pytest.raises(UsageError, match=said):
         list(process_tests(tests, out=out, jobs=jobs))
     assert not out.exists()

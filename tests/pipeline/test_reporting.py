@@ -249,7 +249,9 @@ def test_what_a_killed_process_left_is_no_sample(results: Path) -> None:
 
 def test_two_tests_of_one_name_are_refused(results: Path, tmp_path: Path) -> None:
     shutil.copytree(results / "c" / "T-1", results / "d" / "T-1")
-    said = r"d.T-1.result\.h5: expected one test for each name, found a second for 'T-1'\. .*c.T-1.res"
+    said = (
+        r"d.T-1.result\.h5: expected one test for each name, found a second for 'T-1'\. .*c.T-1.res"
+    )
     with pytest.raises(UsageError, match=said):
         report_tests([results], out=tmp_path / "report")
     assert not (tmp_path / "report").exists()
@@ -270,7 +272,9 @@ def test_a_recording_is_counted_once(results: Path) -> None:
     campaign = make_campaign(find_results([results]), "")
     assert [len(group.samples) for group in campaign.groups] == [2, 2]
     assert campaign.left_out == {
-        str(copy): f"{copy}: expected each recording once, found the same exports, byte for byte, as"
+        str(
+            copy
+        ): f"{copy}: expected each recording once, found the same exports, byte for byte, as"
         f" in {results / 'c' / 'T-1' / 'result.h5'}. Look at `files` in both test sheets, or leave"
         " the copy out."
     }

@@ -91,9 +91,7 @@ def test_what_labpipe_was_writing_is_refused(tmp_path: Path) -> None:
             find_results([target])
 
 
-def test_one_file_by_two_ways_is_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_file_by_two_ways_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "T-1").mkdir()
     (tmp_path / "T-1" / "result.h5").touch()
     (tmp_path / "again").symlink_to(tmp_path / "T-1")

@@ -1,0 +1,122 @@
+"""The level that a signal stands at while the machine rests: what its zero is taken from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.fitting.correlated import fit_linear
+from labpipe.fitting.noise import long_run_variance
+from labpipe.fitting.noise_spectra import smooth_stretches
+from labpipe.pipeline.bench import Bench, Signal
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Interval
+from labpipe.records.quality import Severity
+
+LEAST = 8
+"""Samples below which a stretch says nothing of its level."""
+SHORT = 100
+"""Samples of a stretch below which the rest of the record says what its noise is like."""
+
+
+def mean_level(values: Floats, beside: Floats) -> tuple[float, float]:
+    """Mean of a stretch, with its standard error.
+
+    Parameters
+    ----------
+    values : shape (n,), the stretch, evenly sampled, without NaN
+    beside : shape (m,), the rest of the record: a stretch of a few samples cannot tell how far its
+        noise remembers
+    """
+    stretches = _stretches(values, beside)
+    if stretches:
+        fit = fit_linear(np.ones((len(values), 1)), values, beside=stretches)
+        half = float(fit.half_widths[0])
+        return float(fit.coefficients[0]), Interval(-half, half).standard_error
+    blocks = _blocks(values)
+    error = float(np.sqrt(long_run_variance(blocks, parameters=1) / len(blocks)))
+    return float(values.mean()), error
+
+
+def end_level(values: Floats, beside: Floats) -> tuple[float, float]:
+    """First value of a straight line through a stretch, with its standard error.
+
+    Parameters
+    ----------
+    values, beside : as for `mean_level`
+    """
+    blocks = _blocks(values)
+    size = len(values) // len(blocks)
+    middles = np.arange(len(blocks)) + 0.5 * (size - 1) / size  # in blocks from the first sample
+    design = np.column_stack([np.ones(len(blocks)), middles])
+    fit = fit_linear(design, blocks, beside=_stretches(values, beside))
+    # As wide as the t-based interval: a stretch for a zero holds few samples.
+    interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
+    return float(fit.coefficients[0]), interval.standard_error
+
+
+def _stretches(values: Floats, beside: Floats) -> Sequence[Floats]:
+    return smooth_stretches(beside) if len(values) < SHORT else ()
+
+
+def _blocks(values: Floats) -> Floats:
+    """Averages over at most 1000 blocks: as good for a mean, and quick to correlate."""
+    size = max(1, len(values) // 1000)
+    means: Floats = values[: len(values) // size * size].reshape(-1, size).mean(axis=1)
+    return means
+
+
+def use_rest_there_is(bench: Bench, branches: tuple[Branch, ...]) -> None:
+    """Take zeros again whose stretch reaches into the motion: from its part at rest.
+
+    Parameters
+    ----------
+    bench : its zeroed signals are used and shifted; gets a note for each
+    branches : of the motion, on the clock of the curve
+
+    Notes
+    -----
+    What is known of a zero from a shorter stretch is in its standard error. A part at rest of
+    fewer than `LEAST` samples says nothing: then the zero stays, to be doubted.
+    """
+    if not branches:
+        return
+    for name, (start, stop) in list(bench.zeroed.items()):
+        signal = bench.raw[name]
+        begins, ends = (
+            _on_own_clock(bench, signal, at)
+            for at in (branches[0].start_time, branches[-1].stop_time)
+        )
+        if start < begins < stop:
+            _zero_again(bench, name, (start, begins), wanted=stop - start)
+        elif start < ends < stop:
+            _zero_again(bench, name, (ends, stop), wanted=stop - start)
+
+
+def _on_own_clock(bench: Bench, signal: Signal, at: float) -> float:
+    """Put a time of the curve on the clock of a signal."""
+    fit = bench.other_clocks.get(signal.clock, bench.clock_fit)
+    if fit is None or signal.clock == bench.signals[bench.displacement].clock:
+        return at
+    return fit.to_force_seconds(at)
+
+
+def _zero_again(bench: Bench, name: str, rest: tuple[float, float], *, wanted: float) -> None:
+    raw = bench.raw[name]
+    inside = (raw.time >= rest[0]) & (raw.time <= rest[1])
+    known = raw.values[inside & ~np.isnan(raw.values)]
+    if len(known) < LEAST:
+        return
+    level, error = mean_level(known, raw.values[~inside])
+    for signals in (bench.raw, bench.signals):
+        old = signals[name]
+        signals[name] = replace(old, values=old.values - level, zero_error=error)
+    bench.zeroed[name] = rest
+    lasts = rest[1] - rest[0]
+    message = (
+        f"the machine rests for {lasts:.2f} s, less than the {wanted:g} s to zero on: the zero is "
+        f"the mean over these {lasts:.2f} s"
+    )
+    bench.note("short_rest", Severity.INFO, name, message)
