@@ -87,5 +87,5 @@ def test_two_tests_that_would_go_to_one_folder(
 def test_a_test_and_its_own_result(tests: list[Path]) -> None:
     (done,) = process_tests(tests[:1], figures=lambda _: False)
     assert isinstance(done, Processed)
-    with pytest.raises(UsageError, match="result.h5: expected one test for each folder of results"):
+    with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder of results"):
         list(process_tests([tests[0], done.folder / "result.h5"]))
