@@ -124,7 +124,7 @@ def test_several_tests_as_json(run: Run, lab: Lab) -> None:
     one = lab.raw / "test.yaml"
     out = lab.home / "out"
     run("process", one, "--out", out, "--no-figures")
-    ran = run("process", one, out / "T1" / "result.h5", "--out", out, "--no-figures", "--json")
+    ran = run("process", one, out / "T1" / "result.h5", "--no-figures", "--json")
     assert [each["test"] for each in json.loads(ran.out)] == ["T1", "T1"]
 
 

@@ -18,8 +18,9 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
     def simulate(folder: Path) -> None:
         small = small_scenario()
         straight = replace(small.mechanics, slack=None)
-        made = make_lab(folder.parent.parent / "made", replace(small, mechanics=straight))
-        for name in ("T1", "T2"):
+        for seed, name in enumerate(("T1", "T2"), start=1):
+            home = folder.parent.parent / "made" / name
+            made = make_lab(home, replace(small, mechanics=straight), seed)
             goal = folder / name
             goal.mkdir(parents=True)
             for path in made.raw.iterdir():
