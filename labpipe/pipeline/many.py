@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
+import traceback
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from labpipe.errors import LabpipeError
+from labpipe.errors import LabpipeError, ProcessingError, complaint
 from labpipe.pipeline.process import Processed, goal_of, name_of, process_test
 from labpipe.pipeline.targets import refuse_repeated
+from labpipe.pipeline.workers import Died, in_processes
 
 Say = Callable[[str], None]
 T = TypeVar("T")
@@ -68,14 +67,12 @@ def process_tests(
         for test in tests:
             yield _process(test, out, figures(test), begin(test))
         return
-    with _workers(min(jobs, len(tests))) as pool:
-        waiting = [pool.submit(_process, test, out, figures(test)) for test in tests]
-        try:
-            for test, each in zip(tests, waiting, strict=True):
-                begin(test)("wait")
-                yield each.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
+    calls = [partial(_process, test, out, figures(test)) for test in tests]
+    with closing(in_processes(calls, jobs=jobs)) as outcomes:
+        for test in tests:
+            begin(test)("wait")
+            done = next(outcomes)
+            yield Refused(test, _ended(test, done)) if isinstance(done, Died) else done
 
 
 def _refuse_one_goal(tests: Sequence[Path], out: Path | None) -> None:
@@ -98,23 +95,20 @@ def run_jobs(calls: Sequence[Callable[[], T]], *, jobs: int) -> list[T]:
     Returns
     -------
     What they gave, in their order.
+
+    Raises
+    ------
+    ProcessingError
+        If a process ended before its call did.
     """
     if jobs == 1:
         return [call() for call in calls]
-    with _workers(min(jobs, len(calls))) as pool:
-        waiting = [pool.submit(call) for call in calls]
-        return [each.result() for each in waiting]
-
-
-def _workers(jobs: int) -> ProcessPoolExecutor:
-    # Spawned: a copy of a process that has threads may wait for locks that nobody holds.
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(max(jobs, 1), mp_context=context, initializer=_leave_interrupts)
-
-
-def _leave_interrupts() -> None:
-    """Only the process that was started by hand says so; tests that were begun are ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    given: list[T] = []
+    for outcome in in_processes(calls, jobs=jobs):
+        if isinstance(outcome, Died):
+            raise ProcessingError(_ended("labpipe", outcome))
+        given.append(outcome)
+    return given
 
 
 def _say_nothing(_: str) -> None:
@@ -128,5 +122,40 @@ def _process(
         done = process_test(test, out=out, figures=is_drawn, say=say)
     except LabpipeError as error:
         return Refused(test, str(error))
+    except MemoryError:
+        return Refused(test, _too_large(test))
+    except Exception as error:  # noqa: BLE001  the other tests do not suffer for it
+        return Refused(test, _own_fault(test, error))
     result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
     return replace(done, result=result)
+
+
+def _ended(test: object, died: Died) -> str:
+    return complaint(
+        test,
+        "",
+        expected="a process that comes to its end",
+        found=f"that it was ended {died.how}",
+        remedy="Often the memory was used up: close other programs, or choose fewer --jobs.",
+    )
+
+
+def _too_large(test: Path) -> str:
+    return complaint(
+        test,
+        "",
+        expected="a test that goes into the memory",
+        found="that the memory was used up",
+        remedy="Close other programs, choose fewer --jobs, or leave the test out.",
+    )
+
+
+def _own_fault(test: Path, error: Exception) -> str:
+    """Word an error that is none of the user's, with the line of labpipe that it came from."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = [frame for frame in frames if "labpipe" in Path(frame.filename).parts]
+    at = own[-1] if own else frames[-1]
+    said = " ".join(str(error).split())
+    found = f"a fault of labpipe itself ({type(error).__name__}: {said})"
+    remedy = f"Report it with the exports of the test ({Path(at.filename).name}, line {at.lineno})."
+    return complaint(test, "", expected="to get through", found=found, remedy=remedy)

@@ -1,14 +1,19 @@
 from __future__ import annotations
 
 import json
+import os
+import re
+import signal
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from labpipe.errors import UsageError
+from labpipe.errors import ProcessingError, UsageError
 from labpipe.pipeline.many import Refused, process_tests, run_jobs
-from labpipe.pipeline.process import Processed
+from labpipe.pipeline.process import Processed, process_test
 from labpipe.virtual_lab.wire_sheet import write_wire_sheet
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -87,5 +92,81 @@ def test_two_tests_that_would_go_to_one_folder(
 def test_a_test_and_its_own_result(tests: list[Path]) -> None:
     (done,) = process_tests(tests[:1], figures=lambda _: False)
     assert isinstance(done, Processed)
-    with pytest.raises(UsageError, match=r"result\.h5: expected one test for each folder of results"):
+    with pytest.raises(
+        UsageError, match=r"result\.h5: expected one test for each folder of results"
+    ):
         list(process_tests([tests[0], done.folder / "result.h5"]))
+
+
+class There:
+    """A function that a process makes from its text."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return eval, (self.text,)
+
+    def __call__(self, *_: object) -> None:
+        """Not here."""
+
+
+def test_a_process_that_is_killed_costs_one_test(
+    tests: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    killed = There(
+        "lambda test, out, drawn: __import__('os').kill(__import__('os').getpid(), 9)"
+        " if test.parent.name == 'P-1' else"
+        " __import__('labpipe.pipeline.many').pipeline.many._process(test, out, drawn)"
+    )
+    monkeypatch.setattr("labpipe.pipeline.many._process", killed)
+    first, second, third = process_tests(tests, figures=lambda _: False, jobs=2)
+    assert isinstance(first, Refused)
+    assert first.reason == (
+        f"{tests[0]}: expected a process that comes to its end, found that it was ended by the"
+        " signal SIGKILL. Often the memory was used up: close other programs, or choose fewer"
+        " --jobs."
+    )
+    assert isinstance(second, Refused)
+    assert "found none of that name" in second.reason
+    assert isinstance(third, Processed)
+    assert third.result.test == "P-3"
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (
+            MemoryError(),
+            "expected a test that goes into the memory, found that the memory was used",
+        ),
+        (
+            ZeroDivisionError("of\nall"),
+            r"expected to get through, found a fault of labpipe itself \(ZeroDivisionError: of all"
+            r"\)\. Report it with the exports of the test \(many.py, line \d+\)\.",
+        ),
+    ],
+)
+def test_a_fault_of_labpipe_costs_one_test(
+    tests: list[Path], monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
+) -> None:
+    usual = process_test
+
+    def spoiled(test: Path, **more: Any) -> Processed:
+        if test == tests[0]:
+            raise error
+        return usual(test, **more)
+
+    monkeypatch.setattr("labpipe.pipeline.many.process_test", spoiled)
+    first, _, third = process_tests(tests, figures=lambda _: False)
+    assert isinstance(first, Refused)
+    assert re.search(said, first.reason)
+    assert isinstance(third, Processed)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
+def test_a_job_that_is_killed_is_told() -> None:
+    killed = partial(signal.raise_signal, signal.SIGKILL)
+    calls: list[Callable[[], Any]] = [partial(int, "1"), killed]
+    with pytest.raises(ProcessingError, match=r"labpipe: expected a process .* by the signal"):
+        run_jobs(calls, jobs=2)
