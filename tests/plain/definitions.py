@@ -1,0 +1,243 @@
+"""The numbers of a test as a technician would take them from a table of samples, with a ruler.
+
+Nothing here is fitted but straight lines. Where two ways to take a number are equally plain, such
+as a dwell that may count for the branch before or behind it, the number is the stretch between
+both (`Plain`), and any value in it is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+Samples = npt.NDArray[np.float64]
+
+FAST = 0.05
+"""s, in which a final loss falls by a tenth of the peak (one sample step where that is longer)."""
+TENTH = 0.1
+HALF = 0.5
+STANDING = 1e-3
+"""Share of the stroke within which the motion stands at its turn."""
+
+
+@dataclass(frozen=True)
+class Record:
+    """One test as its file has it, in s, m and N; `time` is None where the file has none."""
+
+    time: Samples | None
+    travel: Samples
+    force: Samples
+
+    def part(self, first: int, stop: int) -> Record:
+        time = None if self.time is None else self.time[first:stop]
+        return Record(time, self.travel[first:stop], self.force[first:stop])
+
+
+@dataclass(frozen=True)
+class Plain:
+    """A number between `low` and `high`; both the same where there is only one way to take it."""
+
+    low: float
+    high: float
+
+    @classmethod
+    def of(cls, *values: float) -> Plain:
+        return cls(float(min(values)), float(max(values)))
+
+    def scaled(self, by: float) -> Plain:
+        return Plain.of(by * self.low, by * self.high)
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """Samples of a cycle: where loading begins, where it turns, and the last one of unloading.
+
+    A motion that stands at its turn does so from `turn` to `stands`. `end` is None if nothing
+    follows.
+    """
+
+    begin: int
+    turn: int
+    stands: int
+    end: int | None
+
+
+def turning_points(travel: Samples, stroke: float) -> list[int]:
+    """Samples of the first extreme, of each that the motion comes back from, and of the last."""
+    low = high = 0
+    way = 0
+    found: list[int] = []
+    for i, value in enumerate(travel):
+        low = i if value < travel[low] else low
+        high = i if value > travel[high] else high
+        if way >= 0 and travel[high] - value >= stroke:
+            found.append(high)
+            way, low = -1, i
+        elif way <= 0 and value - travel[low] >= stroke:
+            found.append(low)
+            way, high = 1, i
+    return [*found, high if way > 0 else low] if way else []
+
+
+def cycles(travel: Samples, stroke: float) -> list[Cycle]:
+    """Loading is the direction of the first stroke that is at least `stroke` long."""
+    at = turning_points(travel, stroke)
+    found = []
+    for k in range(0, len(at) - 1, 2):
+        begin, turn = at[k], at[k + 1]
+        end = at[k + 2] if k + 2 < len(at) else None
+        near = STANDING * abs(travel[turn] - travel[begin])
+        still = np.flatnonzero(np.abs(travel[turn:end] - travel[turn]) <= near)
+        found.append(Cycle(begin, turn, turn + int(still[-1]), end))
+    return found
+
+
+def sense(values: Samples) -> float:
+    """1 if values grow from the first one on, as told by the one farthest off it; else -1."""
+    away = values - values[0]
+    return 1.0 if away[int(np.argmax(np.abs(away)))] >= 0 else -1.0
+
+
+def peak_force(record: Record, cycle: Cycle, way: float) -> Plain:
+    """Largest force of the loading branch in the sense of loading; a dwell may count for it."""
+    first = np.max(way * record.force[cycle.begin : cycle.turn + 1])
+    last = np.max(way * record.force[cycle.begin : cycle.stands + 1])
+    return Plain.of(way * first, way * last)
+
+
+def peak_displacement(record: Record, cycle: Cycle) -> Plain:
+    return Plain.of(record.travel[cycle.turn])
+
+
+def line(x: Samples, y: Samples) -> tuple[float, float]:
+    """Slope and height at x = 0 of the straight line by least squares."""
+    slope = float(np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2))
+    return slope, float(y.mean() - slope * x.mean())
+
+
+def window(record: Record, cycle: Cycle, low: float, high: float) -> tuple[Samples, Samples]:
+    """Displacement and force of the loading branch from `low` until `high` is passed, m."""
+    travel = record.travel[cycle.begin : cycle.turn + 1]
+    way = 1.0 if travel[-1] >= travel[0] else -1.0
+    inside = (way * travel >= low) & (way * travel <= high)
+    return travel[inside], record.force[cycle.begin : cycle.turn + 1][inside]
+
+
+def stiffness(record: Record, cycle: Cycle, low: float, high: float) -> Plain:
+    return Plain.of(line(*window(record, cycle, low, high))[0])
+
+
+def trapezoid(travel: Samples, force: Samples) -> float:
+    """Work, J."""
+    return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(travel)))
+
+
+def energy(record: Record, cycle: Cycle) -> Plain | None:
+    if cycle.end is None:
+        return None
+    part = slice(cycle.begin, cycle.end + 1)
+    return Plain.of(trapezoid(record.travel[part], record.force[part]))
+
+
+def fall(record: Record, at: int, force: Samples) -> float:
+    """By how much the force is lower at most within 50 ms behind a sample, or one step behind."""
+    stop = at + 2
+    if record.time is not None:
+        stop = max(stop, int(np.searchsorted(record.time, record.time[at] + FAST, "right")))
+    return float(force[at] - np.min(force[at:stop]))
+
+
+@dataclass(frozen=True)
+class Break:
+    """First and last sample that may be called the one before the final loss.
+
+    `sure` is False where a ruler may as well say that there is none.
+    """
+
+    first: int
+    last: int
+    sure: bool = True
+
+
+def failure(record: Record, cycle: Cycle) -> Break | None:
+    """The break in the loading branch of a cycle, None without.
+
+    From the last sample with half of the peak that the force does not come back to, back as long as
+    the force falls by a tenth of the peak within 50 ms. "Within 50 ms behind the sample" and "as
+    fast as that from this sample to the next" are equally plain; the one gives the first sample,
+    the other the last, at most 50 ms or a step apart. Where the force is lost fast enough only
+    below half of the peak, the specimen tore slowly or broke: both may be said.
+    """
+    force = sense(record.force[cycle.begin : cycle.turn + 1]) * record.force
+    tenth = TENTH * float(np.max(force))
+    held = int(np.flatnonzero(force >= HALF * np.max(force))[-1])
+    if held >= cycle.stands or held < cycle.begin:
+        return None
+    if fall(record, held, force) < tenth:
+        late = [i for i in range(held, cycle.stands) if fall(record, i, force) >= tenth]
+        return Break(held, late[0], sure=False) if late else None
+    first = last = held
+    while first > cycle.begin and fall(record, first - 1, force) >= tenth:
+        first -= 1
+    while last > first and force[last - 1] - force[last] >= _step(record, last) * tenth:
+        last -= 1
+    return Break(first, last)
+
+
+def _step(record: Record, at: int) -> float:
+    """The step to a sample as a share of 50 ms; 1 where it is longer."""
+    if record.time is None:
+        return 1.0
+    return min(float(record.time[at] - record.time[at - 1]) / FAST, 1.0)
+
+
+def slack(record: Record, cycle: Cycle, low: float = 0.1, high: float = 0.3) -> float:
+    """Where the line through the force between two shares of its largest meets zero force, m."""
+    branch = slice(cycle.begin, cycle.turn + 1)
+    force, travel = record.force[branch], record.travel[branch]
+    top = int(np.argmax(force))
+    first = int(np.flatnonzero(force >= low * force[top])[0])
+    stop = int(np.flatnonzero(force > high * force[top])[0])
+    slope, height = line(travel[first:stop], force[first:stop])
+    return -height / slope
+
+
+def moving_average(
+    values: Samples, samples: int, pieces: list[int], *, centred: bool = True
+) -> Samples:
+    """Mean over a window of an odd number of samples, which ends where a piece does.
+
+    Pieces run from each of the samples `pieces` to the next. At the ends of a piece the window is
+    as wide to the left as to the right of its sample (`centred`), or one-sided.
+    """
+    found = values.copy()
+    for begin, end in pairwise([0, *pieces, len(values) - 1]):
+        for i in range(begin, end + 1):
+            left = right = samples // 2
+            if centred:
+                left = right = min(samples // 2, i - begin, end - i)
+            found[i] = np.mean(values[max(i - left, begin) : min(i + right, end) + 1])
+    return found
+
+
+def filtered(record: Record, samples: int, stroke: float) -> list[Record]:
+    """Both channels after a moving average that acts from turn to turn.
+
+    There are two records, since a window may stay centred at a turn or become one-sided: the one
+    keeps the corner, the other lowers it by a quarter of what the window spans.
+    """
+    if samples < 2:
+        return [record]
+    parts = cycles(record.travel, stroke)
+    pieces = [i for cycle in parts for i in (cycle.begin, cycle.turn)]
+    return [
+        Record(
+            record.time,
+            moving_average(record.travel, samples, pieces, centred=centred),
+            moving_average(record.force, samples, pieces, centred=centred),
+        )
+        for centred in (True, False)
+    ]

@@ -1,0 +1,125 @@
+"""Plain numbers of a whole test, by the names that results have in summary.json."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tests.plain.definitions import (
+    Break,
+    Cycle,
+    Plain,
+    Record,
+    cycles,
+    energy,
+    failure,
+    peak_displacement,
+    peak_force,
+    sense,
+    slack,
+    stiffness,
+    trapezoid,
+    window,
+)
+
+AT_BREAK = ("failure_displacement", "failure_force", "energy_to_break")
+FEWEST = {"stiffness": 8, "energy.*": 16}
+"""Samples that the reference page of the results asks for; with fewer a result may be refused."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the protocol of a test asks for; lengths in mm."""
+
+    window: tuple[float, float] | None = (2.0, 8.0)
+    min_stroke: float = 1.0
+    slack: bool = False
+    failure: bool = True
+
+
+USUAL = Asked()
+
+
+def plain_numbers(record: Record, asked: Asked) -> dict[str, Plain | None]:
+    """Every number that the record has; None for those that it cannot have."""
+    found: dict[str, Plain | None] = {}
+    parts = cycles(record.travel, 1e-3 * asked.min_stroke)
+    if asked.slack and parts:
+        found["slack"] = Plain.of(taken := slack(record, parts[0]))
+        record = Record(record.time, record.travel - taken, record.force)
+    if asked.window is not None:
+        found["stiffness"] = _stiffness(record, parts, asked.window)
+    for number, cycle in enumerate(parts, start=1):
+        way = sense(record.force[parts[0].begin : parts[0].turn + 1])
+        found[f"peak_force.{number}"] = peak_force(record, cycle, way)
+        found[f"peak_displacement.{number}"] = peak_displacement(record, cycle)
+        found[f"energy.{number}"] = energy(record, cycle)
+    return found | (_failure(record, parts) if asked.failure else {})
+
+
+def either(found: Iterable[dict[str, Plain | None]]) -> dict[str, Plain | None]:
+    """Numbers that were taken in several ways: from the lowest to the highest."""
+    first, *others = found
+    return {
+        name: plain and Plain.of(*(end for each in (first, *others) for end in _ends(each[name])))
+        for name, plain in first.items()
+    }
+
+
+def _ends(plain: Plain | None) -> tuple[float, ...]:
+    return () if plain is None else (plain.low, plain.high)
+
+
+def _stiffness(record: Record, parts: list[Cycle], limits: tuple[float, float]) -> Plain | None:
+    low, high = 1e-3 * limits[0], 1e-3 * limits[1]
+    if not parts or len(window(record, parts[0], low, high)[0]) < 3:
+        return None
+    return stiffness(record, parts[0], low, high)
+
+
+def broken(record: Record, parts: list[Cycle]) -> Break | None:
+    """The break in the branch that holds the largest force."""
+    if not parts:
+        return None
+    force = sense(record.force[parts[0].begin : parts[0].turn + 1]) * record.force
+    top = int(np.argmax(force))
+    inside = [cycle for cycle in parts if cycle.begin <= top <= cycle.stands]
+    return failure(record, inside[-1]) if inside else None
+
+
+def _failure(record: Record, parts: list[Cycle]) -> dict[str, Plain | None]:
+    found = broken(record, parts)
+    if found is None:
+        return dict.fromkeys(AT_BREAK)
+    between = slice(found.first, found.last + 1)
+    works = (
+        trapezoid(record.travel[: i + 1], record.force[: i + 1]) for i in (found.first, found.last)
+    )
+    return {
+        "failure_displacement": Plain.of(*record.travel[between]),
+        "failure_force": Plain.of(*record.force[between]),
+        "energy_to_break": Plain.of(*works),
+    }
+
+
+def excused(record: Record, asked: Asked) -> dict[str, str]:
+    """Results that may be refused, with the code: too few samples, no unloading, hardly a break."""
+    parts = cycles(record.travel, 1e-3 * asked.min_stroke)
+    if not parts:
+        return {}
+    found: dict[str, str] = {}
+    torn = broken(record, parts)
+    if torn is not None and not torn.sure:
+        found |= dict.fromkeys(AT_BREAK, "no_break|no_failure")
+    if asked.window is not None:
+        limits = 1e-3 * asked.window[0], 1e-3 * asked.window[1]
+        if len(window(record, parts[0], *limits)[0]) < FEWEST["stiffness"]:
+            found["stiffness"] = "too_few_samples|not_reached"
+    for number, cycle in enumerate(parts, start=1):
+        if cycle.end is None:
+            found[f"energy.{number}"] = "partial_cycle"
+        elif cycle.end + 1 - cycle.begin <= FEWEST["energy.*"]:
+            found[f"energy.{number}"] = "too_few_samples"
+    return found
