@@ -31,9 +31,11 @@ class Record:
     travel: Samples
     force: Samples
 
-    def part(self, first: int, stop: int) -> Record:
-        time = None if self.time is None else self.time[first:stop]
-        return Record(time, self.travel[first:stop], self.force[first:stop])
+    def seen(self) -> Record:
+        """The rows in which both channels have a number."""
+        rows = np.isfinite(self.travel) & np.isfinite(self.force)
+        time = None if self.time is None else self.time[rows]
+        return Record(time, self.travel[rows], self.force[rows])
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tests.plain.bench import process
-from tests.plain.definitions import Plain, Record
+from tests.plain.definitions import Plain
 from tests.plain.judge import Expected, complaints
 from tests.plain.numbers import excused, plain_numbers
 from tests.plain.real_files import FRAMES, Real, read
@@ -62,16 +62,9 @@ def sheet(real: Real) -> str:
     )
 
 
-def seen(record: Record, *channels: np.ndarray) -> Record:
-    """The rows in which all these channels have a number."""
-    rows = np.logical_and.reduce([np.isfinite(each) for each in channels])
-    time = None if record.time is None else record.time[rows]
-    return Record(time, record.travel[rows], record.force[rows])
-
-
 def expected(real: Real, root: Path) -> Expected:
     record = read(real, root)
-    whole = seen(record, record.travel, record.force)
+    whole = record.seen()
     numbers = plain_numbers(whole, real.asked)
     # A row with a travel and a blank force counts for the largest travel, and the other way round.
     single = {"peak_force.1": record.force, "peak_displacement.1": record.travel}

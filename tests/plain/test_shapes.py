@@ -58,7 +58,7 @@ def expected(case: Case) -> Expected:
     numbers = either(
         plain_numbers(each, case.asked) for each in filtered(true, case.smooth, stroke)
     )
-    causes = excused(case.table.record(), case.asked) | dict(case.hurt)
+    causes = excused(case.table.record().seen(), case.asked) | dict(case.hurt)
     return Expected(numbers, causes=causes, refusal=case.refusal, sign_free=case.sign_free)
 
 
