@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.workbooks import is_workbook
+from labpipe.readers.workbooks import is_workbook, open_sheets
 
 if TYPE_CHECKING:
     from labpipe.readers.channels import Wanted
@@ -88,6 +88,8 @@ def recognise_export(path: Path) -> Reader:
     for reader in of_its_kind:
         if reader.recognise(path):
             return reader
+    if is_workbook(path):
+        open_sheets(path)  # where it cannot be opened at all, that is what is wrong
     from labpipe.readers.strangers import name_format
 
     text = complaint(

@@ -34,6 +34,7 @@ from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
 from labpipe.readers.tables import Body, read_numbers
 from labpipe.readers.tracking import track_notes
+from labpipe.readers.workbooks import opened_workbook
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock, MarkerTracks, Recording
@@ -169,12 +170,7 @@ def _rows_note(header: Header, rows: int) -> list[QualityNote]:
 
 def _sheet(path: Path) -> list[list[object]]:
     """Cells of the first sheet that begins with a Motive header."""
-    from python_calamine import CalamineError, CalamineWorkbook
-
-    with (
-        reading(path, "a whole xlsx workbook", also=(CalamineError,)),
-        CalamineWorkbook.from_path(path) as book,
-    ):
+    with opened_workbook(path, "a whole xlsx workbook") as book:
         for number in range(len(book.sheet_names)):
             sheet = book.get_sheet_by_index(number)
             cells = [list[object](row) for row in sheet.to_python(skip_empty_area=False)]

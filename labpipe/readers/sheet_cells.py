@@ -18,7 +18,11 @@ from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.files import read_head, reading
+from labpipe.readers.workbooks import opened_workbook
 
+_XLSX = "an xlsx workbook"
+_MOST = 1_000_000
+"""Cells of a table that people keep, filled or not."""
 _SEPARATORS = ",;\t"
 _NUMBER_STARTS = re.compile(r"[-+]?\.?\d")
 _NAMED_SEPARATOR = re.compile(r'"?sep=(.)"?', flags=re.IGNORECASE)  # as some programs write
@@ -76,10 +80,8 @@ def sheet_names(path: Path) -> list[str]:
     ReadError
         If the workbook is damaged.
     """
-    from python_calamine import CalamineError, CalamineWorkbook
-
-    with reading(path, "an xlsx workbook", also=(CalamineError,)):
-        return list(CalamineWorkbook.from_path(str(path)).sheet_names)
+    with opened_workbook(path, _XLSX, most=_MOST) as book:
+        return list(book.sheet_names)
 
 
 def hidden_sheets(path: Path) -> set[str]:
@@ -90,10 +92,10 @@ def hidden_sheets(path: Path) -> set[str]:
     ReadError
         If the workbook is damaged.
     """
-    from python_calamine import CalamineError, CalamineWorkbook, SheetVisibleEnum
+    from python_calamine import SheetVisibleEnum
 
-    with reading(path, "an xlsx workbook", also=(CalamineError,)):
-        sheets = CalamineWorkbook.from_path(str(path)).sheets_metadata
+    with opened_workbook(path, _XLSX, most=_MOST) as book:
+        sheets = book.sheets_metadata
     return {each.name for each in sheets if each.visible != SheetVisibleEnum.Visible}
 
 
@@ -111,10 +113,8 @@ def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
         If the workbook is damaged.
     """
     from openpyxl.utils import get_column_letter
-    from python_calamine import CalamineError, CalamineWorkbook
 
-    with reading(path, "an xlsx workbook", also=(CalamineError,)):
-        book = CalamineWorkbook.from_path(str(path))
+    with opened_workbook(path, _XLSX, most=_MOST) as book:
         page = (
             book.get_sheet_by_name(sheet)
             if isinstance(sheet, str)

@@ -8,11 +8,27 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from labpipe.readers.files import read_head, reading
 
+if TYPE_CHECKING:
+    from python_calamine import CalamineWorkbook
+
 Sheets = Mapping[str, Sequence[Sequence[object]]]
 
+_CHILD = """
+import pickle, sys
+try:
+    import resource
+    resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
+except ImportError:
+    pass  # Windows sets no such limit: a process that asks for too much is ended all the same
+from labpipe.readers.workbooks import cells_of
+pickle.dump(cells_of(sys.argv[1]), sys.stdout.buffer, protocol=5)
+"""
+_MEMORY, _PATIENCE = 4 << 30, 120.0
+"""Bytes and seconds that a child may take; the largest sheet of an old workbook takes 1 GB."""
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
 
 
@@ -79,20 +95,107 @@ def _parsing(path: Path, mtime: int, size: int) -> Future[Sheets]:  # noqa: ARG0
     return parsing
 
 
-def _sheets(path: Path) -> Sheets:
+@contextmanager
+def opened_workbook(
+    path: Path, what: str, *, most: int | None = None
+) -> Iterator[CalamineWorkbook]:
+    """Open an xlsx workbook whose cells lie together.
+
+    Parameters
+    ----------
+    path : the workbook
+    what : what was expected, for messages
+    most : cells that may be laid out in any case; None for `extent.MOST`
+
+    Yields
+    ------
+    The workbook.
+
+    Raises
+    ------
+    ReadError
+        If it is damaged or of another format, or its cells are too far apart; also for what goes
+        wrong while it is open.
+    """
     from python_calamine import CalamineError, CalamineWorkbook
 
-    with reading(path, "a whole workbook", also=(CalamineError,)), _all_is_kept():
+    from labpipe.readers.extent import MOST, check_extent
+
+    with reading(path, what, also=(CalamineError,)):
+        check_extent(path, most=MOST if most is None else most)
+        with CalamineWorkbook.from_path(path) as book:
+            yield book
+
+
+def _sheets(path: Path) -> Sheets:
+    from python_calamine import CalamineError
+
+    from labpipe.readers.extent import check_extent, is_large
+
+    with reading(path, "a whole workbook", also=(CalamineError, _ChildError)), _all_is_kept():
+        if not read_head(path, 8).startswith(_XLSX):
+            return _in_a_child(path)
+        if not is_large(path):
+            check_extent(path)
         try:
-            with CalamineWorkbook.from_path(path) as book:
-                return {
-                    name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
-                    for name in book.sheet_names
-                }
+            return _in_a_child(path) if is_large(path) else cells_of(path)
         except CalamineError:
-            if not read_head(path, 8).startswith(_XLSX):
+            pass
+        except _ChildError as error:
+            check_extent(path)
+            if not error.is_refusal:
                 raise
         return _by_openpyxl(path)
+
+
+def cells_of(path: Path) -> Sheets:
+    """Read the cells of all sheets, whatever becomes of this process; see `open_sheets`."""
+    from python_calamine import CalamineWorkbook
+
+    with CalamineWorkbook.from_path(path) as book:
+        return {
+            name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+            for name in book.sheet_names
+        }
+
+
+class _ChildError(Exception):
+    """A process that read a workbook did not end well; a refusal, if its library said why."""
+
+    def __init__(self, message: str, *, is_refusal: bool = False) -> None:
+        super().__init__(message)
+        self.is_refusal = is_refusal
+
+
+def _in_a_child(path: Path) -> Sheets:
+    """Read a workbook in a process of its own.
+
+    A wrong place or length in it asks for more memory than there is, and that ends a process.
+    """
+    import os
+    import pickle
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-c", _CHILD, str(path), str(_MEMORY)]
+    known = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    try:
+        child = subprocess.run(
+            command, capture_output=True, timeout=_PATIENCE, check=False, env=known
+        )
+    except subprocess.TimeoutExpired as error:
+        message = f"not read within {_PATIENCE:.0f} s"
+        raise _ChildError(message) from error
+    if child.returncode:
+        said = child.stderr.decode(errors="replace").strip().splitlines() or ["no reason"]
+        message = said[-1 if child.returncode == 1 else 0]  # its error, or its last words
+        raise _ChildError(message, is_refusal=message.startswith("python_calamine."))
+    try:
+        sheets: Sheets = pickle.loads(child.stdout)
+    except pickle.UnpicklingError as error:
+        message = "its cells could not be passed on"
+        raise _ChildError(message) from error
+    return sheets
 
 
 @contextmanager

@@ -9,8 +9,14 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers.workbooks import begin_sheets, forget_sheets, is_workbook, open_sheets
-from tests.readers.load_frame.exports import ROWS, specimen_sheet, workbook
+from labpipe.readers.workbooks import (
+    begin_sheets,
+    cells_of,
+    forget_sheets,
+    is_workbook,
+    open_sheets,
+)
+from tests.readers.load_frame.exports import ROWS, changed, specimen_sheet, stray, workbook
 
 
 @pytest.fixture(autouse=True)
@@ -63,3 +69,68 @@ def test_openpyxl_steps_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(python_calamine.CalamineWorkbook, "from_path", refuse)
     assert open_sheets(file) == whole
     forget_sheets()
+
+
+@pytest.fixture
+def large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A workbook that counts as large."""
+    monkeypatch.setattr("labpipe.readers.extent._LARGE", 0)
+    return workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [*ROWS, (1, 2, "")])})
+
+
+def test_a_large_workbook_is_read_in_a_process_of_its_own(
+    large: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as here:
+        here.setattr("labpipe.readers.workbooks.cells_of", None)
+        sheets = open_sheets(large)
+    assert sheets == cells_of(large)
+
+
+def test_a_stray_cell_in_a_large_workbook_ends_that_process_alone(large: Path) -> None:
+    changed(large, stray())
+    with pytest.raises(ReadError, match=r"sheet 'v', cell XFD1048576: expected cells that lie"):
+        open_sheets(large)
+
+
+def test_a_large_workbook_that_calamine_refuses(
+    large: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    refuse = "raise python_calamine.CalamineError('synthetic')"
+    monkeypatch.setattr("labpipe.readers.workbooks._CHILD", f"import python_calamine\n{refuse}")
+    assert open_sheets(large) == cells_of(large)
+
+
+OLD = b"\xd0\xcf\x11\xe0synthetic"
+ENDS = {
+    "import os; os.abort()": "no reason",
+    "import os, sys; print('out of memory\\nat', file=sys.stderr); os.abort()": "out of memory",
+    "raise MemoryError": "MemoryError",
+    "import time; time.sleep(60)": "not read within 0 s",
+    "print('no pickle')": "its cells could not be passed on",
+}
+
+
+@pytest.mark.parametrize("script", ENDS)
+def test_an_old_workbook_that_ends_the_process_that_reads_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str
+) -> None:
+    path = tmp_path / "a.xls"
+    path.write_bytes(OLD)
+    monkeypatch.setattr("labpipe.readers.workbooks._CHILD", script)
+    if "sleep" in script:
+        monkeypatch.setattr("labpipe.readers.workbooks._PATIENCE", 0.3)
+    with pytest.raises(ReadError, match=rf"a whole workbook, found a damaged one \({ENDS[script]}"):
+        open_sheets(path)
+
+
+@pytest.mark.realdata
+def test_a_wrong_place_in_an_old_workbook(realdata: Path, tmp_path: Path) -> None:
+    """A number of the yarn tests, said to stand in row and column 65536: 137 GB of cells."""
+    content = bytearray((realdata / "zwick" / "yarn_compressionTests.xls").read_bytes())
+    number = b"\x03\x02\x0e\x00"
+    at = content.index(number, len(content) // 2) + len(number)
+    content[at : at + 4] = b"\xff\xff\xff\xff"
+    (tmp_path / "a.xls").write_bytes(content)
+    with pytest.raises(ReadError, match=r"a\.xls: expected a whole workbook, found a damaged one"):
+        open_sheets(tmp_path / "a.xls")

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+
+Change = Callable[[str], str]
 
 ROWS = [(0.1, 0.5, 2.25), (0.2, 0.75, 4.5), (0.3, 1.0, 8.125), (0.4, 1.25, 9.5)]
 """Time s, displacement mm, force N."""
@@ -54,3 +58,27 @@ def specimen_sheet(specimen: str, rows: Sequence[Sequence[object]] = ROWS) -> li
     """A synthetic sheet of one specimen."""
     head: list[list[object]] = [[specimen] * 3, ["Test time", "Strain", "Standard force"]]
     return [*head, ["s", "mm", "N"], *(list(row) for row in rows)]
+
+
+LAST = "XFD1048576"
+"""The last cell that a sheet can have."""
+
+
+def changed(path: Path, change: Change, part: str = "xl/worksheets/sheet1.xml") -> Path:
+    """Change the text of one part of a workbook."""
+    with zipfile.ZipFile(path) as parts:
+        content = {name: parts.read(name) for name in parts.namelist()}
+    text = content[part].decode()
+    content[part] = change(text).encode()
+    assert content[part].decode() != text
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as parts:
+        for name, data in content.items():
+            parts.writestr(name, data)
+    return path
+
+
+def stray(place: str = LAST, value: str = "<v>1</v>") -> Change:
+    """One more row with one cell, as a slip of the hand leaves it."""
+    row = re.sub(r"\D", "", place)
+    cell = f'<row r="{row}"><c r="{place}" s="0">{value}</c></row>'
+    return lambda text: text.replace("</sheetData>", f"{cell}</sheetData>")

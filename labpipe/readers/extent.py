@@ -1,0 +1,218 @@
+"""How far the cells of an xlsx workbook reach, before a library lays them out as a table.
+
+The libraries make a table of every sheet, from its first cell to its last one: one stray cell in
+the last corner of a sheet asks for hundreds of gigabytes, and the process is ended.
+"""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+from xml.etree import ElementTree
+from xml.parsers import expat
+
+from labpipe.errors import ReadError, complaint
+
+MOST: Final = 10_000_000
+"""Cells that may be laid out in any case: some 400 MB."""
+SPARSE: Final = 20
+"""Beyond that, as many cells are laid out as this many times those that are filled."""
+
+_LARGE = 2_000_000
+"""Bytes, once unpacked: at about 100 MB a second."""
+_CHUNK = 1 << 20
+_HEAD = 4096
+_CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
+"""A cell as nearly every program writes it, or in another way."""
+_PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
+_PLACE = re.compile(r"([A-Za-z]+)(\d+)")
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_OTHERS = {
+    "content.xml": "an OpenDocument spreadsheet (ods)",
+    "xl/workbook.bin": "a binary workbook (xlsb)",
+}
+
+
+@dataclass(slots=True)
+class _Reach:
+    """How far the cells of a sheet reach, how many there are, and which is the last one."""
+
+    rows: int = 0
+    columns: int = 0
+    cells: int = 0
+    last: str = ""
+
+    @property
+    def size(self) -> int:
+        """Cells of the table."""
+        return self.rows * self.columns
+
+    def add(self, column: int, row: int) -> None:
+        """Take in one cell, its place counted from 1."""
+        if column * row >= self.columns * self.rows:
+            self.last = f"{_letters(column)}{row}"
+        self.rows, self.columns = max(self.rows, row), max(self.columns, column)
+        self.cells += 1
+
+
+def is_large(path: Path) -> bool:
+    """Tell whether a workbook is so large that `check_extent` takes long; needs a whole archive."""
+    with zipfile.ZipFile(path) as parts:
+        return sum(part.file_size for part in parts.infolist()) > _LARGE
+
+
+def check_extent(path: Path, *, most: int = MOST) -> None:
+    """Refuse a workbook whose cells are so far apart that its tables would fill the memory.
+
+    Parameters
+    ----------
+    path : a zip archive
+    most : cells that may be laid out in any case
+
+    Raises
+    ------
+    ReadError
+        If the cells reach too far for their number, with the sheet and its last cell; or if the
+        archive is a spreadsheet of another format than xlsx.
+
+    Notes
+    -----
+    Cells without content, which only carry a style, do not count. What is wrong with the archive
+    otherwise is raised as the libraries raise it.
+    """
+    with zipfile.ZipFile(path) as parts:
+        _refuse_others(parts, path)
+        sheets = [name for name in parts.namelist() if _is_sheet(parts, name)]
+        if _is_small([_quick_reach(parts, name) for name in sheets], most):
+            return
+        reach = {name: _exact_reach(parts, name) for name in sheets}
+        if not _is_small(list(reach.values()), most):
+            worst = max(reach, key=lambda name: reach[name].size)
+            raise _too_far(path, _title(parts, worst), reach[worst])
+
+
+def _is_small(reaches: list[_Reach], most: int) -> bool:
+    filled = sum(each.cells for each in reaches)
+    return sum(each.size for each in reaches) <= max(most, SPARSE * filled)
+
+
+def _refuse_others(parts: zipfile.ZipFile, path: Path) -> None:
+    names = parts.namelist()
+    found = next((what for name, what in _OTHERS.items() if name in names), None)
+    remedy = "Save it as xlsx in the spreadsheet program."
+    if found is None and not any(name.startswith("xl/") for name in names):
+        found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
+    if found is not None:
+        text = complaint(path, "", expected="an xlsx workbook", found=found, remedy=remedy)
+        raise ReadError(text)
+
+
+def _is_sheet(parts: zipfile.ZipFile, name: str) -> bool:
+    with parts.open(name) as part:
+        head = part.read(_HEAD)
+    return b"worksheet" in head or head.startswith(_UTF16)
+
+
+def _chunks(parts: zipfile.ZipFile, name: str) -> Iterator[bytes]:
+    with parts.open(name) as part:
+        while chunk := part.read(_CHUNK):
+            yield chunk
+
+
+def _quick_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
+    """Reach of all cells, also of blank ones: by words, which is faster than by parsing."""
+    reach, rest = _Reach(), b""
+    for chunk in _chunks(parts, name):
+        data = rest + chunk
+        cut = data.rfind(b"<") if len(data) < 2 * _CHUNK else len(data)
+        found = _CELL.findall(data, 0, cut)
+        rest = data[cut:]
+        is_prefixed = any(words in data for words in _PREFIXED)
+        if is_prefixed or (b"", b"") in found or data.startswith(_UTF16):
+            return _exact_reach(parts, name)
+        columns, rows = ({each[i] for each in found} for i in (0, 1))
+        reach.columns = max(reach.columns, *(_number(each.decode()) for each in columns), 0)
+        reach.rows = max(reach.rows, *map(int, rows), 0)
+        reach.cells += len(found)
+    return reach
+
+
+def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
+    """Reach of the cells that hold anything."""
+    reach, at = _Reach(), [0, 0]
+    is_filled = False
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal is_filled
+        kind, place = tag.rpartition(":")[2], attributes.get("r", "")
+        if kind == "row":
+            at[:] = [0, int(place) if place else at[1] + 1]
+        elif kind == "c":
+            match = _PLACE.fullmatch(place)
+            at[:] = [_number(match[1].upper()), int(match[2])] if match else [at[0] + 1, at[1]]
+            is_filled = False
+
+    def inside(text: str) -> None:
+        nonlocal is_filled
+        is_filled = is_filled or bool(text.strip())
+
+    def end(tag: str) -> None:
+        if tag.rpartition(":")[2] == "c" and is_filled:
+            reach.add(at[0], max(at[1], 1))
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.CharacterDataHandler = inside
+    for chunk in _chunks(parts, name):
+        parser.Parse(chunk, False)
+    parser.Parse(b"", True)
+    return reach
+
+
+def _number(letters: str) -> int:
+    """Number of a column, counted from 1: 28 for AB."""
+    number = 0
+    for letter in letters:
+        number = 26 * number + ord(letter) - ord("A") + 1
+    return number
+
+
+def _letters(number: int) -> str:
+    """Letters of a column, the inverse of `_number`."""
+    letters = ""
+    while number:
+        number, letter = divmod(number - 1, 26)
+        letters = chr(ord("A") + letter) + letters
+    return letters
+
+
+def _title(parts: zipfile.ZipFile, name: str) -> str:
+    """What a person calls a sheet; the name of its part where the archive does not say."""
+    try:
+        links = ElementTree.fromstring(parts.read("xl/_rels/workbook.xml.rels"))
+        book = ElementTree.fromstring(parts.read("xl/workbook.xml"))
+    except (KeyError, ElementTree.ParseError):
+        return name
+    targets = {each.get("Id"): each.get("Target", "") for each in links}
+    for sheet in book.iter():
+        link = next((value for key, value in sheet.items() if key.endswith("}id")), None)
+        target = targets.get(link, "")
+        if target and name.endswith(target.lstrip("./")):
+            return sheet.get("name", name)
+    return name
+
+
+def _too_far(path: Path, sheet: str, reach: _Reach) -> ReadError:
+    text = complaint(
+        path,
+        f"sheet '{sheet}', cell {reach.last}",
+        expected="cells that lie together",
+        found=f"a sheet of {reach.rows} rows and {reach.columns} columns with {reach.cells} filled"
+        " cells",
+        remedy="Delete the rows and columns behind the table, and save the workbook.",
+    )
+    return ReadError(text)
