@@ -1,0 +1,80 @@
+"""What labpipe does not do yet on the foreign tests. A change that mends an entry takes it out.
+
+The tests hold these lists strictly: an entry that is right now makes its test fail.
+"""
+
+from __future__ import annotations
+
+Case = tuple[str, int, str]
+"""Kind, seed, fault."""
+
+# Results that are `ok` and far off, by test.
+WRONG: dict[Case, set[str]] = {
+    # break_point -35.1 %, energy_to_break -29.3 %, failure_displacement -12.6 %
+    ("twist-tube", 0, "begins-under-load"): {
+        "break_point",
+        "energy_to_break",
+        "failure_displacement",
+        "failure_force",
+        "peak_force.1",
+        "stiffness_first",
+        "stiffness_first_per_peak_force",
+        "stiffness_second_per_peak_force",
+    },
+    # break_point -58.3 %, energy_to_break -55.7 %, failure_displacement -11.6 %
+    ("pet-tape", 0, "begins-under-load"): {
+        "break_point",
+        "energy_to_break",
+        "failure_displacement",
+        "failure_force",
+        "modulus",
+        "peak_force.1",
+        "segment_stiffness_first",
+        "stiffness_first",
+    },
+    # modulus_annulus -4.7 %, modulus_thin_wall -4.7 %, peak_displacement.1 -12.5 %
+    ("corrugated-tube", 0, "begins-under-load"): {
+        "modulus_annulus",
+        "modulus_thin_wall",
+        "peak_displacement.1",
+        "peak_force.1",
+        "stiffness",
+    },
+    # energy.1 -5.3 %
+    ("force-displacement", 0, "begins-under-load"): {"energy.1"},
+    # peak_displacement.1 -12.0 %
+    ("conduit-bundle", 0, "begins-under-load"): {"peak_displacement.1"},
+}
+
+# Sound tests with results that are not `ok`, and the reason given.
+NOT_OK: dict[Case, str] = {
+    ("twist-tube", 108, ""): "are needed",
+    ("pet-tape", 108, ""): "are needed",
+    ("corrugated-tube", 108, ""): "are needed",
+    ("wire-cantilever", 24, ""): "alignment_residual",
+    ("wire-cantilever", 48, ""): "fault of labpipe",
+    ("taped-bundle", 24, ""): "alignment_residual",
+    ("taped-bundle", 48, ""): "fault of labpipe",
+    ("conduit-bundle", 0, ""): "no_camera_clock",
+    ("conduit-bundle", 24, ""): "not_started_together",
+    ("conduit-bundle", 48, ""): "no_corner|not_started_together",
+}
+
+# Faults of the rig that nothing in the output names.
+UNNAMED: set[tuple[str, str]] = {
+    ("conduit-bundle", "begins-under-load"),
+    ("corrugated-tube", "begins-under-load"),
+    ("corrugated-tube", "counts-down"),
+    ("force-displacement", "begins-under-load"),
+    ("pet-tape", "begins-under-load"),
+    ("pet-tape", "counts-down"),
+    ("stiff-bar", "begins-under-load"),
+    ("stiff-bar", "counts-down"),
+    ("tensile", "counts-down"),
+    ("three-point-bend", "counts-down"),
+    ("twist-tube", "begins-under-load"),
+    ("twist-tube", "counts-down"),
+}
+
+# Tests that end in a fault of labpipe itself.
+CRASHES: set[Case] = {("taped-bundle", 48, ""), ("wire-cantilever", 48, "")}

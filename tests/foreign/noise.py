@@ -1,0 +1,84 @@
+"""Noise as instruments make it, of a standard deviation of about 1."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Random = np.random.Generator
+Maker = Callable[[int, float, Random], Array]
+
+HUM = 49.93
+"""Hz; mains are never at 50 exactly. The rates of the rig do not fold it to slow waves."""
+MEMORY = 0.3
+"""s, of a load cell that remembers."""
+
+
+def white(n: int, _: float, rng: Random) -> Array:
+    """Independent from sample to sample."""
+    return rng.standard_normal(n)
+
+
+def remembering(n: int, dt: float, rng: Random) -> Array:
+    """First-order autoregressive with `MEMORY`, by halves of its past."""
+    keep = np.exp(-dt / MEMORY)
+    kicks = rng.standard_normal(n)
+    kicks[1:] *= np.sqrt(1.0 - keep**2)
+    # out_i = sum keep^(i-j) kick_j, doubling the reach in every round.
+    out, reach = kicks, 1
+    while reach < n and keep**reach > 1e-17:
+        out = out + keep**reach * np.concatenate([np.zeros(reach), out[:-reach]])
+        reach *= 2
+    return out
+
+
+def pink(n: int, _: float, rng: Random) -> Array:
+    """Power 1/f from one wave in four records on."""
+    long = 4 * n
+    waves = np.fft.rfft(rng.standard_normal(long))
+    waves[1:] /= np.sqrt(np.arange(1.0, len(waves)))
+    waves[0] = 0.0
+    made = np.fft.irfft(waves, long)
+    return np.asarray(made[:n] / made.std(), dtype=np.float64)
+
+
+def hum(n: int, dt: float, rng: Random) -> Array:
+    """Mains and their third harmonic over a little white noise."""
+    time = dt * np.arange(n) + rng.uniform(0.0, 1.0)
+    wave = np.sin(2.0 * np.pi * HUM * time) + 0.3 * np.sin(6.0 * np.pi * HUM * time)
+    return np.asarray(1.3 * wave + 0.3 * rng.standard_normal(n), dtype=np.float64)
+
+
+def quiet(n: int, _: float, rng: Random) -> Array:
+    """A third of the usual noise, for a converter whose steps are coarse."""
+    return rng.standard_normal(n) / 3.0
+
+
+def drifting(n: int, _: float, rng: Random) -> Array:
+    """White, and a zero that wanders along half a wave or so from where it was."""
+    phase = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.linspace(0.0, rng.uniform(0.4, 1.0), n)
+    wander = np.sin(phase) - np.sin(phase[0])
+    return np.asarray(0.5 * rng.standard_normal(n) + 1.5 * wander, dtype=np.float64)
+
+
+MAKERS: dict[str, Maker] = {
+    "white": white,
+    "memory": remembering,
+    "pink": pink,
+    "hum": hum,
+    "steps": quiet,
+    "drift": drifting,
+}
+KINDS = tuple(MAKERS)
+
+
+def noisy(values: Array, kind: str, size: float, dt: float, rng: Random) -> Array:
+    """Values with noise of one kind; `steps` are rounded to seven times the noise they have."""
+    out = values + size * MAKERS[kind](len(values), dt, rng)
+    if kind == "steps":
+        step = 7.0 * size / 3.0
+        out = step * np.round(out / step)
+    return np.asarray(out, dtype=np.float64)

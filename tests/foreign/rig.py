@@ -1,0 +1,188 @@
+"""The machines: chance, load frames, a clamp on its way, clocks that differ, what goes wrong."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.foreign.noise import noisy
+from tests.foreign.pulls import Specimen
+
+Array = NDArray[np.float64]
+
+FRAME_FAULTS = ("counts-down", "begins-under-load", "cut")
+PULL_FAULTS = (*FRAME_FAULTS, "slip")
+RECORDER_FAULTS = ("begins-under-load", "cut")
+CAMERA_FAULTS = ("begins-under-load", "cut", "short-rest")
+
+
+@dataclass(frozen=True)
+class Made:
+    """A test on disk and what is true of it, by the names of results, SI."""
+
+    folder: Path
+    truth: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Chance:
+    """All that differs from test to test.
+
+    Parameters
+    ----------
+    kind, seed : which test
+    noise : word of `noise.MAKERS`
+    fault : what goes wrong at the rig, or nothing
+    exact : load cell, offsets and lengths are as stated, and noise is a fifth
+    """
+
+    kind: str
+    seed: int
+    noise: str = "white"
+    fault: str = ""
+    exact: bool = False
+
+    @cached_property
+    def rng(self) -> np.random.Generator:
+        """Chance of this test."""
+        return np.random.default_rng([self.seed, zlib.crc32(self.kind.encode())])
+
+    def error(self, size: float) -> float:
+        """What a stated quantity is off by; none where all is exact."""
+        drawn = float(self.rng.normal(0.0, size))
+        return 0.0 if self.exact else drawn
+
+    def size(self, peak: float) -> float:
+        """Noise of a force, N."""
+        return (0.0003 if self.exact else 0.0015) * peak
+
+    @property
+    def variety(self) -> int:
+        """Which of three specimens."""
+        return self.seed // 18 % 3
+
+    @property
+    def dwell(self) -> float:
+        """How long the machine stands at a turn, s."""
+        return (0.0, 1.0, 5.0)[self.seed // 6 % 3]
+
+    def rate(self, usual: float) -> float:
+        """Of a load frame, Hz: many write ten samples a second, which they average."""
+        return 10.0 if self.seed // 108 % 2 else usual
+
+    def noisy(self, force: Array, dt: float) -> Array:
+        """The force as the instrument gives it."""
+        peak = float(np.abs(force).max())
+        kind = "white" if self.noise == "hum" and dt > 0.05 else self.noise
+        return noisy(force, kind, self.size(peak), dt, self.rng)
+
+    def seen(self, places: Array) -> Array:
+        """Places as cameras see them: white noise of 15 um, or pink of 6."""
+        kind, size = ("white", 15e-6) if self.seed // 54 % 2 == 0 else ("pink", 6e-6)
+        size *= 0.3 if self.exact else 1.0
+        flat = places.reshape(len(places), -1).T
+        made = [noisy(row, kind, size, 0.02, self.rng) for row in flat]
+        return np.asarray(np.array(made).T.reshape(places.shape), dtype=np.float64)
+
+
+def pulled(
+    chance: Chance, specimen: Specimen, *, speed: float, rate: float, scale: float, tare: float
+) -> tuple[Array, Array, Array]:
+    """Time, travel and force of a load frame that moves from its first sample on.
+
+    A specimen that breaks is followed for half a second; at the end of its stroke the frame stands.
+    """
+    lasts, rate = specimen.ends / speed, chance.rate(rate)
+    after = 0.5 if specimen.breaks else 0.3 + chance.dwell
+    time = np.arange(int((lasts + after) * rate)) / rate
+    travel = speed * time if specimen.breaks else np.minimum(speed * time, specimen.ends)
+    force = specimen.force(travel)
+    force = chance.noisy(force, 1.0 / rate) * (1.0 + chance.error(scale))
+    force = force + tare * float(chance.rng.uniform(-0.02, 0.02) * np.abs(force).max())
+    travel = noisy(travel, "white", 1e-4 * speed, 1.0 / rate, chance.rng)
+    first, last = _kept(chance.fault, int(lasts * rate), len(time))
+    if chance.fault == "counts-down":
+        travel = -travel
+    return (time + 0.1)[first:last], travel[first:last], force[first:last]
+
+
+def _kept(fault: str, loading: int, count: int) -> tuple[int, int]:
+    """Samples that are left of a record."""
+    if fault == "begins-under-load":
+        return loading // 8, count
+    return 0, (6 * loading // 10 if fault == "cut" else count)
+
+
+@dataclass(frozen=True)
+class Way:
+    """A machine that goes to and fro at constant speed, and stands at each turn.
+
+    Parameters
+    ----------
+    stroke, speed : m, m/s
+    cycles : how many
+    rest, dwell : s, before the first stroke and after the last, and at each turn
+    """
+
+    stroke: float
+    speed: float
+    cycles: int
+    rest: float
+    dwell: float
+
+    @cached_property
+    def corners(self) -> tuple[Array, Array]:
+        """Times and places at which the speed changes."""
+        times, places = [0.0, self.rest], [0.0, 0.0]
+        for number in range(2 * self.cycles):
+            place = self.stroke * ((number + 1) % 2)
+            times += [times[-1] + self.stroke / self.speed]
+            times += [times[-1] + self.dwell]
+            places += [place, place]
+        times[-1] += self.rest
+        return np.array(times), np.array(places)
+
+    @property
+    def lasts(self) -> float:
+        """s."""
+        return float(self.corners[0][-1])
+
+    def travel(self, time: Array) -> Array:
+        """Place at some times, m."""
+        return np.asarray(np.interp(time, *self.corners), dtype=np.float64)
+
+    def stroke_at(self, time: Array) -> NDArray[np.int64]:
+        """Which stroke, from 0; a dwell still belongs to the stroke before."""
+        ends = self.corners[0][3::2][:-1]
+        return np.searchsorted(ends, time).astype(np.int64)
+
+    def kept(self, fault: str) -> tuple[float, float]:
+        """From when to when it is recorded: all, or without the first or the last part."""
+        stroke = self.stroke / self.speed
+        if fault == "begins-under-load":
+            return self.rest + 0.15 * stroke, self.lasts
+        if fault == "cut":
+            return 0.0, self.lasts - self.rest - self.dwell - 0.6 * stroke
+        return (self.rest - 0.7 if fault == "short-rest" else 0.0), self.lasts
+
+
+@dataclass(frozen=True)
+class Clocks:
+    """Force time = offset + (1 + drift) x camera time; the force begins at 0 of its own."""
+
+    offset: float
+    drift: float
+
+    def cameras(self, force_time: Array) -> Array:
+        """Camera time of the force's samples."""
+        return np.asarray((force_time - self.offset) / (1.0 + self.drift), dtype=np.float64)
+
+    def samples(self, rate: float, lasts: float) -> Array:
+        """Times of the force's samples, until shortly before the cameras stop."""
+        until = self.offset + (1.0 + self.drift) * lasts
+        return np.asarray(np.arange(0.0, until, 1.0 / rate), dtype=np.float64)
