@@ -132,6 +132,20 @@ def stiffness(record: Record, cycle: Cycle, low: float, high: float) -> Plain:
     return Plain.of(line(*window(record, cycle, low, high))[0])
 
 
+def two_segments(x: Samples, y: Samples, tries: int = 4000) -> tuple[float, float, float]:
+    """Both slopes and the break of the two lines that meet and leave the least squares."""
+
+    def fitted(at: float) -> tuple[float, Samples]:
+        design = np.column_stack([np.ones_like(x), np.minimum(x - at, 0), np.maximum(x - at, 0)])
+        found, *_ = np.linalg.lstsq(design, y, rcond=None)
+        return float(np.sum((y - design @ found) ** 2)), found
+
+    places = np.linspace(float(x[2]), float(x[-3]), tries)
+    best = float(min(places, key=lambda at: fitted(at)[0]))
+    _, first, second = fitted(best)[1]
+    return float(first), float(second), best
+
+
 def trapezoid(travel: Samples, force: Samples) -> float:
     """Work, J."""
     return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(travel)))

@@ -33,8 +33,6 @@ class Expected:
     causes: Mapping[str, str] = field(default_factory=dict)
     """Pattern of a result to the codes (a regular expression) that name the true cause, if it may
     be doubtful, failed or missing. A number whose name no pattern fits must be `ok`."""
-    resolution: float = 0.0
-    """What the file can tell apart, as a share of the number."""
     refusal: str = ""
     """A regular expression that the message has if the whole test may be refused."""
     sign_free: bool = False
@@ -124,7 +122,7 @@ def _value(
         yield f"{name}: {value:.6g} is ok, but there is no such number"
         return
     turned = expected.sign_free and value * (plain.low + plain.high) < 0
-    near = max(abs(plain.low), abs(plain.high)) * max(NEAR, expected.resolution)
+    near = max(abs(plain.low), abs(plain.high)) * NEAR
     given = -value if turned else value
     if not plain.low - near <= given <= plain.high + near:
         plainly = 0.5 * (plain.low + plain.high)

@@ -21,9 +21,11 @@ from tests.plain.definitions import (
     slack,
     stiffness,
     trapezoid,
+    two_segments,
     window,
 )
 
+SEGMENTS = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
 AT_BREAK = ("failure_displacement", "failure_force", "energy_to_break")
 FEWEST = {"stiffness": 8, "energy.*": 16}
 """Samples that the reference page of the results asks for; with fewer a result may be refused."""
@@ -37,6 +39,8 @@ class Asked:
     min_stroke: float = 1.0
     slack: bool = False
     failure: bool = True
+    segments: bool = False
+    """Whether two straight segments are asked for over the window."""
 
 
 USUAL = Asked()
@@ -51,6 +55,10 @@ def plain_numbers(record: Record, asked: Asked) -> dict[str, Plain | None]:
         record = Record(record.time, record.travel - taken, record.force)
     if asked.window is not None:
         found["stiffness"] = _stiffness(record, parts, asked.window)
+    if asked.segments and asked.window is not None:
+        low, high = 1e-3 * asked.window[0], 1e-3 * asked.window[1]
+        values = two_segments(*window(record, parts[0], low, high))
+        found |= {name: Plain.of(each) for name, each in zip(SEGMENTS, values, strict=True)}
     for number, cycle in enumerate(parts, start=1):
         way = sense(record.force[parts[0].begin : parts[0].turn + 1])
         found[f"peak_force.{number}"] = peak_force(record, cycle, way)
@@ -107,16 +115,19 @@ def _failure(record: Record, parts: list[Cycle]) -> dict[str, Plain | None]:
 def excused(record: Record, asked: Asked) -> dict[str, str]:
     """Results that may be refused, with the code: too few samples, no unloading, hardly a break."""
     parts = cycles(record.travel, 1e-3 * asked.min_stroke)
-    if not parts:
-        return {}
-    found: dict[str, str] = {}
+    found = dict.fromkeys(SEGMENTS, "no_bend") if asked.segments else {}
     torn = broken(record, parts)
     if torn is not None and not torn.sure:
         found |= dict.fromkeys(AT_BREAK, "no_break|no_failure")
-    if asked.window is not None:
+    if parts and asked.window is not None:
         limits = 1e-3 * asked.window[0], 1e-3 * asked.window[1]
         if len(window(record, parts[0], *limits)[0]) < FEWEST["stiffness"]:
             found["stiffness"] = "too_few_samples|not_reached"
+    return found | _open_cycles(parts)
+
+
+def _open_cycles(parts: list[Cycle]) -> dict[str, str]:
+    found = {}
     for number, cycle in enumerate(parts, start=1):
         if cycle.end is None:
             found[f"energy.{number}"] = "partial_cycle"

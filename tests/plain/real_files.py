@@ -57,6 +57,8 @@ class Real:
     sign_free: bool = False
     refusal: str = ""
     part: str = ""
+    since: float = 0.0
+    """s, from which on the file holds the test; before that its operator set zeros."""
 
 
 def read(real: Real, root: Path) -> Record:
@@ -65,7 +67,9 @@ def read(real: Real, root: Path) -> Record:
     table = np.concatenate(sorted(tables, key=lambda each: float(each[0, -1])))
     time = None if real.columns.time is None else table[:, 2] * (60.0 if real.minutes else 1.0)
     newton, metre = NEWTON[real.units[0]], METRE[real.units[1]]
-    return Record(time, metre * table[:, 0], newton * table[:, 1])
+    late = slice(0 if time is None else int(np.searchsorted(time, real.since)), None)
+    kept = None if time is None else time[late]
+    return Record(kept, metre * table[late, 0], newton * table[late, 1])
 
 
 def _filled(path: Path) -> bool:
@@ -135,14 +139,26 @@ def bent(name: str, encoding: str = "utf-16-le") -> Real:
         Columns(2, 1, 0, encoding=encoding),
         "Load",
         "Machine Extension",
-        asked=Asked((0.2, 3.2), 0.2),
-        hurt={"peak_*": "missing|partial_cycle", "energy.*": "missing"},
+        asked=Asked((0.2, 3.2), 0.2, segments=True),
+        hurt={
+            "peak_*": "missing|partial_cycle",
+            "energy*": "missing|no_break|no_failure",
+            "failure*": "missing|no_break|no_failure",
+        },
     )
 
 
-def suite(file: str, window: tuple[float, float], unit: str, columns: Columns, **more: Any) -> Real:
-    units = (unit, "mm")
-    return Real((file,), columns, "Load", "Crosshead", units, asked=Asked(window, 0.2), **more)
+def suite(
+    file: str,
+    window: tuple[float, float],
+    unit: str,
+    columns: Columns,
+    *,
+    slack: bool = False,
+    hurt: Mapping[str, str] | None = None,
+) -> Real:
+    asked, units = Asked(window, 0.2, slack=slack), (unit, "mm")
+    return Real((file,), columns, "Load", "Crosshead", units, asked=asked, hurt=hurt or {})
 
 
 BENT = (
@@ -163,6 +179,13 @@ FRAMES: dict[str, Real] = {
     **{f"bent-{name}": bent(name, "utf-16" if name == "7_test1" else "utf-16-le") for name in BENT},
     "cable-ld": suite(f"{REU}SteelCableLD_200mm_Trial3/{TIMED}.csv", (0.5, 1.0), "kN", CSV),
     "cable-sd": suite(f"{REU}SteelCableSD_100mm_Trial1/{TIMED}.csv", (0.5, 1.0), "kN", CSV),
+    **{
+        f"{name}-slack": suite(f"{REU}{folder}/{TIMED}.csv", (0.3, 0.8), "kN", CSV, slack=True)
+        for name, folder in (
+            ("cable-ld", "SteelCableLD_200mm_Trial3"),
+            ("cable-sd", "SteelCableSD_100mm_Trial1"),
+        )
+    },
     "cable-cycles": suite(
         f"{REU}Hysteresis_SteelCableSD_Trial1/{TIMED}.csv",
         (0.2, 0.5),
@@ -207,6 +230,17 @@ FRAMES: dict[str, Real] = {
         asked=Asked((0.3, 0.8), 0.2),
         sign_free=True,
         hurt={"*": SIGN, "peak_*": "partial_cycle"},
+    ),
+    "modulus-793": Real(
+        ("mts/mts793/bam_emodul_specimen.dat",),
+        Columns(4, 3, 1, skip=15, last=572, decimal=",", encoding="cp1252"),
+        "Ch 1 Kraft",
+        "Ch 1 Weg",
+        ("kN", "mm"),
+        asked=Asked((0.1, 0.3), 0.1),
+        sign_free=True,
+        since=45.0,
+        hurt={"*": f"{SIGN}|zero|jump|drift|tare|not_reached", "*.4": "partial_cycle"},
     ),
     "aluminium": Real(
         ("instron/bezborodow_Al5005.csv",),
