@@ -14,6 +14,8 @@ from labpipe.pipeline.process import Processed
 from labpipe.pipeline.targets import find_tests
 from labpipe.store.summary import summary
 
+_FINISHED = "a process was killed while it replaced the files here; that was finished first"
+
 
 def run(options: argparse.Namespace) -> int:
     """Process tests; a bad one does not stop the others."""
@@ -49,6 +51,8 @@ def process_all(
             if isinstance(done, Refused):
                 print(f"labpipe process: {done.reason}", file=sys.stderr)
                 refused += 1
-            else:
-                processed.append(done)
+                continue
+            if done.finished:
+                print(f"labpipe process: {done.folder}: {_FINISHED}", file=sys.stderr)
+            processed.append(done)
     return processed, refused

@@ -63,11 +63,12 @@ def process_tests(
         If results of two tests would go to one folder; nothing is processed then.
     """
     _refuse_one_goal(tests, out)
+    process = _process if len(tests) == 1 else _process_one_of_many
     if jobs == 1:
         for test in tests:
-            yield _process(test, out, figures(test), begin(test))
+            yield process(test, out, figures(test), begin(test))
         return
-    calls = [partial(_process, test, out, figures(test)) for test in tests]
+    calls = [partial(process, test, out, figures(test)) for test in tests]
     with closing(in_processes(calls, jobs=jobs)) as outcomes:
         for test in tests:
             begin(test)("wait")
@@ -124,10 +125,18 @@ def _process(
         return Refused(test, str(error))
     except MemoryError:
         return Refused(test, _too_large(test))
-    except Exception as error:  # noqa: BLE001  the other tests do not suffer for it
-        return Refused(test, _own_fault(test, error))
     result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
     return replace(done, result=result)
+
+
+def _process_one_of_many(
+    test: Path, out: Path | None, is_drawn: bool, say: Say = _say_nothing
+) -> Processed | Refused:
+    """Process a test; a fault of labpipe does not stop the others, but shows where it is alone."""
+    try:
+        return _process(test, out, is_drawn, say)
+    except Exception as error:  # noqa: BLE001
+        return Refused(test, _own_fault(test, error))
 
 
 def _ended(test: object, died: Died) -> str:
@@ -157,5 +166,6 @@ def _own_fault(test: Path, error: Exception) -> str:
     at = own[-1] if own else frames[-1]
     said = " ".join(str(error).split())
     found = f"a fault of labpipe itself ({type(error).__name__}: {said})"
-    remedy = f"Report it with the exports of the test ({Path(at.filename).name}, line {at.lineno})."
+    place = f"{Path(at.filename).name}, line {at.lineno}"
+    remedy = f"Report it ({place}) with the exports of the test; processed alone, it says more."
     return complaint(test, "", expected="to get through", found=found, remedy=remedy)

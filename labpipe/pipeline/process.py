@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import get_args
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError
+from labpipe.errors import ProcessingError, StoreError
 from labpipe.pipeline.exports import read_inputs
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.pipeline.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.rig import FigureName
 from labpipe.protocol.schema import Protocol
 from labpipe.records.bending import Bending
 from labpipe.records.result import Status, TestResult
 from labpipe.store.lock import locked
-from labpipe.store.read import RawTest, read_name, read_raw
-from labpipe.store.replace import replacing_together
+from labpipe.store.read import RawTest, read_name, read_raw, read_run
+from labpipe.store.replace import finish_cut_off, is_cut_off, replacing_together, storing
 from labpipe.store.summary import write_summary
 from labpipe.store.write import write_result
 
 SUMMARY_FILE, FIGURES = "summary.json", "figures"
+PROCESSING_VERSION = 1
+"""Raised whenever the same exports, sheet and protocol give other numbers than before."""
 Say = Callable[[str], None]
 
 
@@ -35,11 +42,13 @@ class Processed:
     folder : holds result.h5, summary.json and figures
     result : what was found
     figures : the files that were drawn
+    finished : whether a killed process had left something half done, which was finished first
     """
 
     folder: Path
     result: TestResult
     figures: tuple[Path, ...]
+    finished: bool = False
 
     @property
     def n_failed(self) -> int:
@@ -74,18 +83,21 @@ def process_test(
     """
     say("read")
     again = source.suffix == ".h5"
+    finished = again and out is None and _finished(source.parent)
     raw, protocol = _stored(source) if again else _exported(source)
     say("process")
     result = reduce_test(raw, protocol)
     folder = goal_of(source, out, lambda: result.test)
-    with locked(folder), replacing_together(folder) as stage:
+    owned = _figures_to_go(folder, result.run, is_drawn=figures)
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
             writing = beside.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
             drawn = _draw(result, stage / FIGURES, say) if figures else ()
             writing.result()
-    return Processed(folder, result, tuple(folder / path.relative_to(stage) for path in drawn))
+    files = tuple(folder / path.relative_to(stage) for path in drawn)
+    return Processed(folder, result, files, finished)
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
@@ -129,6 +141,7 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         figures=protocol.report.figures,
         slips=bench.slips,
         lines=tuple(bench.lines),
+        run=run_key(raw),
     )
 
 
@@ -145,6 +158,40 @@ def name_of(source: Path) -> str:
         If it cannot be read.
     """
     return read_name(source) if source.suffix == ".h5" else load_test_sheet(source).test
+
+
+def run_key(raw: RawTest) -> str:
+    """Name what a result is made of: the same key, the same numbers.
+
+    Parameters
+    ----------
+    raw : fingerprints of the exports, test sheet and protocol
+
+    Returns
+    -------
+    SHA-256, hexadecimal, of these and of `PROCESSING_VERSION`; no time, no machine is in it.
+    """
+    exports = [[each.role, each.sha256] for each in raw.inputs]
+    parts = [PROCESSING_VERSION, exports, raw.test_yaml, raw.protocol_yaml]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _finished(folder: Path) -> bool:
+    """Finish what a killed process left half done in a folder; whether there was anything."""
+    if not is_cut_off(folder):
+        return False
+    with locked(folder), storing(folder):
+        return finish_cut_off(folder)
+
+
+def _figures_to_go(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
+    """Figures of labpipe in a folder that would show other numbers than this run's result."""
+    if not is_drawn:
+        with suppress(StoreError):
+            if read_run(folder / RESULT_FILE) == run:
+                return []
+    names = get_args(FigureName)
+    return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
 
 
 def _exported(sheet_path: Path) -> tuple[RawTest, Protocol]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from labpipe.errors import UsageError, complaint
 from labpipe.protocol.sheet import SHEET_NAME
-from labpipe.store.replace import STAGES
+from labpipe.store.replace import STAGES, is_there
 
 RESULT_FILE = "result.h5"
 _A_TEST = "a test.yaml, a folder that holds one, or a result.h5"
@@ -88,7 +88,8 @@ def files_below(folder: Path, name: str = "") -> list[Path]:
     for place, folders, files in os.walk(folder):
         folders[:] = [each for each in folders if not each.startswith(".")]
         wanted = [name] if name else [each for each in files if not each.startswith(".")]
-        found += [Path(place, each) for each in wanted if each in files]
+        here = [Path(place, each) for each in wanted]
+        found += [path for path in here if path.name in files or is_there(path)]
     return sorted(found)
 
 
@@ -128,7 +129,7 @@ def _files(
         if set(target.resolve().parts) & set(STAGES):
             unfinished = "one that labpipe was writing when it was stopped"
             raise _unfit(target, expected, unfinished, "Process the test again.")
-        below = [target] if target.is_file() else files_below(target, name)
+        below = [target] if is_there(target) else files_below(target, name)
         if not below:
             missing = none if target.exists() else "nothing of that name"
             raise _unfit(target, expected, missing, remedy)

@@ -123,6 +123,8 @@ class TestResult:
     slips : the slip ledger of the curve
     lines : the straight lines that stiffnesses were read from
     bending : measured moment-curvature; None where the protocol does not ask for it or it failed
+    run : key of exports, test sheet, protocol and way of processing, in all files of the test;
+        empty in a result from before there were keys
     """
 
     __test__ = False  # not a test of this project, whatever its name suggests to pytest
@@ -145,3 +147,4 @@ class TestResult:
     slips: tuple[Slip, ...] = ()
     lines: tuple[FittedLine, ...] = ()
     bending: Bending | None = None
+    run: str = ""

@@ -43,6 +43,7 @@ def save_pages(
     again: str,
     say: Callable[[str], None] = lambda _: None,
     changes: Mapping[str, Any] | None = None,
+    run: str = "",
 ) -> list[Path]:
     """Draw pages in labpipe's style, each as SVG and as PNG.
 
@@ -53,6 +54,7 @@ def save_pages(
     what, again : what the pages are, and how to draw them again, for a message
     say : told the name of each page as it is drawn
     changes : settings of matplotlib on top of the style
+    run : key of the run that the pages show, which goes into both files; empty for none
 
     Returns
     -------
@@ -69,7 +71,7 @@ def save_pages(
             saved = []
             for page in pages:
                 say(page.name)
-                saved.append(save_page(page.draw(), folder, page.name, packer))
+                saved.append(save_page(page.draw(), folder, page.name, packer, run=run))
             return [path for each in saved if each.packing.result() is None for path in each.files]
     except OSError as error:
         message = complaint(
@@ -96,7 +98,7 @@ class Saving(NamedTuple):
 
 
 def save_page(
-    page: Figure, folder: Path, name: str, packer: Executor, *, dpi: int = PNG_DPI
+    page: Figure, folder: Path, name: str, packer: Executor, *, dpi: int = PNG_DPI, run: str = ""
 ) -> Saving:
     """Lay out a page inside the present style and save it under one name in both formats.
 
@@ -107,6 +109,7 @@ def save_page(
     name : of the files, without the ending
     packer : packs the pixels into a PNG beside the drawing of what comes next
     dpi : of the PNG
+    run : key that goes into both files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
 
     Returns
     -------
@@ -120,6 +123,7 @@ def save_page(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
     svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     page.set_dpi(dpi)
@@ -127,7 +131,10 @@ def save_page(
     pixels: Any = FigureCanvasAgg(page)
     pixels.draw()
     image = Image.fromarray(np.array(pixels.buffer_rgba()))
-    packing = packer.submit(image.save, png, dpi=(dpi, dpi), compress_level=3)
+    about = PngInfo()
+    if run:
+        about.add_text("run", run)
+    packing = packer.submit(image.save, png, dpi=(dpi, dpi), compress_level=3, pnginfo=about)
     vector: Any = FigureCanvasSVG(page)  # last: it sets the figure to 72 dots per inch
-    vector.print_svg(str(svg), metadata={"Date": None})
+    vector.print_svg(str(svg), metadata={"Date": None, "Identifier": run or None})
     return Saving((svg, png), packing)

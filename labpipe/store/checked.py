@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from labpipe.errors import StoreError, complaint
 from labpipe.store import layout
 from labpipe.store.layout import Field
+from labpipe.store.replace import is_cut_off
 
 _AGAIN = "Process the test again from its exports."
 
@@ -22,6 +23,10 @@ _AGAIN = "Process the test again from its exports."
 def opened(path: Path) -> Iterator[Any]:
     """Open a result file of a schema that is known here; say every fault of it as StoreError."""
     try:
+        if is_cut_off(path.parent):
+            found = "one whose files are being replaced, or were when a process was killed"
+            remedy = f"Wait until it is done, or finish it: `labpipe process {path}`."
+            raise _fault(path, "", "a result with all its files", found, remedy)
         if not h5py.is_hdf5(path):
             raise _fault(path, "", "a result file", _instead_of_hdf5(path), _AGAIN)
         with h5py.File(path, "r") as root:

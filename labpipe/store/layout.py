@@ -42,6 +42,7 @@ class Field:
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
 ROOT_TEXTS: Final = ("test", "labpipe_version", "protocol", "protocol_yaml", "test_yaml")
 SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "sample"}
+RUN: Final = "run"
 DISPLAY: Final = "display"
 FIGURES: Final = "figures"
 

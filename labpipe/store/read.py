@@ -165,6 +165,26 @@ def read_name(path: Path) -> str:
         return text(root, "test")
 
 
+def read_run(path: Path) -> str:
+    """Read the key of the run alone.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+
+    Raises
+    ------
+    StoreError
+        As `read_result`.
+    """
+    with opened(path) as root:
+        return _run(root)
+
+
+def _run(root: Any) -> str:
+    return text(root, layout.RUN) if layout.RUN in root.attrs else ""
+
+
 def _head(root: Any, *, raw: bool = True) -> dict[str, Any]:
     """Read the fields that `TestResult` and `RawTest` share."""
     group = root[layout.RAW]
@@ -185,6 +205,7 @@ def _outcome(root: Any) -> dict[str, Any]:
         "results": _results(root[layout.RESULTS]),
         "quality": read_notes(root[layout.QUALITY]),
         "display": json.loads(text(root, layout.DISPLAY)),
+        "run": _run(root),
         "figures": texts(root, layout.FIGURES),
         "slips": () if curve is None else _slips(curve),
         "lines": () if curve is None else _lines(curve),

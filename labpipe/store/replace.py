@@ -5,9 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import NamedTuple
 
 from labpipe.errors import StoreError, complaint
 
@@ -19,6 +21,7 @@ _CAUSES = {
     errno.EROFS: ("a folder to write in", "a read-only disk", "Choose another folder with --out."),
     errno.ENOENT: ("a folder to write in", "no such folder", "Make the folder first."),
     errno.ENOTDIR: ("a folder to write in", "a file in its place", "Choose another folder."),
+    errno.EISDIR: ("a file to replace", "a folder in its place", "Move the folder away."),
     errno.EEXIST: ("a folder to write in", "a file in its place", "Choose another folder."),
 }
 
@@ -54,18 +57,23 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 _STAGE = ".labpipe.new"
-STAGES = (_STAGE,)
+_COMMIT = ".labpipe.commit"
+_DONE = ".labpipe.old"
+STAGES = (_STAGE, _COMMIT, _DONE)
 """Folders in which labpipe writes; what a killed process left there is no result."""
+_FILES, _ASIDE, _GONE = "files", "aside", "gone"
 
 
 @contextmanager
-def replacing_together(folder: Path) -> Iterator[Path]:
+def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[Path]:
     """Hand out an empty folder, and move its files into `folder` once all went well.
 
     Parameters
     ----------
     folder : holds files that belong together, such as a result and its figures; files of other
         names stay. Nobody else may write in it meanwhile (`store.lock.locked`)
+    owned : files below it, with slashes, that are taken away where there is no new one: they would
+        speak for other numbers
 
     Yields
     ------
@@ -76,28 +84,152 @@ def replacing_together(folder: Path) -> Iterator[Path]:
     StoreError
         If the system refuses. As with any other way out of the block, what stood in `folder`
         before still stands there, and nothing else does.
+
+    Notes
+    -----
+    All new files are brought to the disk. Then one rename of the folder that holds them makes them
+    those that count: a process killed before leaves all that was; after one killed later
+    `is_cut_off` says so, and `finish_cut_off` moves the rest, as does whoever writes here next.
     """
     stage = folder / _STAGE
     with storing(folder):
-        if stage.exists():  # left by a process that was killed
-            shutil.rmtree(stage)
+        finish_cut_off(folder)
+        for left in (stage, folder / _DONE):
+            if left.exists():  # by a process that was killed
+                shutil.rmtree(left)
         stage.mkdir()
+        (stage / _FILES).mkdir()
     try:
-        yield stage
+        yield stage / _FILES
         with storing(folder):
-            _move_in(stage, folder)
+            _commit(folder, owned)
     finally:
         shutil.rmtree(stage, ignore_errors=True)
 
 
-def _move_in(stage: Path, folder: Path) -> None:
-    files = [path for path in sorted(stage.rglob("*")) if path.is_file()]
-    goals = [folder / path.relative_to(stage) for path in files]
-    for goal in goals:
-        goal.parent.mkdir(exist_ok=True)
-    for path, goal in zip(files, goals, strict=True):
-        path.replace(goal)
-    _flush_folder(folder)
+def is_cut_off(folder: Path) -> bool:
+    """Whether files of a folder are being replaced, or a process was killed when it did so."""
+    return (folder / _COMMIT).is_dir()
+
+
+def is_there(path: Path) -> bool:
+    """Whether there is such a file, or will be once `finish_cut_off` was called."""
+    return path.is_file() or (path.parent / _COMMIT / _FILES / path.name).is_file()
+
+
+def finish_cut_off(folder: Path) -> bool:
+    """Bring to its end what a killed process began.
+
+    Parameters
+    ----------
+    folder : nobody else may write in it meanwhile
+
+    Returns
+    -------
+    Whether there was anything to do.
+
+    Raises
+    ------
+    OSError
+        If the system refuses; it can be done later then.
+    """
+    if not is_cut_off(folder):
+        return False
+    moves = _moves(folder)
+    for move in moves:
+        move.make()
+    _end(folder, moves)
+    return True
+
+
+def _commit(folder: Path, owned: Iterable[str]) -> None:
+    stage = folder / _STAGE
+    files = _files(stage / _FILES)
+    gone = [name for name in owned if name not in files and (folder / name).is_file()]
+    (stage / _GONE).write_text("\n".join(gone), encoding="utf-8")
+    for name in files:
+        _require_place(folder / name)
+    _flush_all(stage)
+    moves: list[_Move] = []
+    try:
+        stage.rename(folder / _COMMIT)
+        _flush_folder(folder)
+        moves = _moves(folder)
+        for move in moves:
+            move.make()
+        _end(folder, moves)
+    except BaseException:
+        if is_cut_off(folder):
+            for move in reversed(moves):
+                move.take_back()
+            (folder / _COMMIT).rename(stage)
+        raise
+
+
+class _Move(NamedTuple):
+    """What stands at `goal` goes aside, and the new file, if there is one, takes its place."""
+
+    new: Path
+    goal: Path
+    aside: Path
+
+    def make(self) -> None:
+        if self.goal.exists():
+            self.aside.parent.mkdir(parents=True, exist_ok=True)
+            self.goal.replace(self.aside)
+        if self.new.exists():
+            self.goal.parent.mkdir(parents=True, exist_ok=True)
+            self.new.replace(self.goal)
+
+    def take_back(self) -> None:
+        if not self.new.exists() and self.goal.exists():
+            self.goal.replace(self.new)
+        if self.aside.exists():
+            self.aside.replace(self.goal)
+        else:
+            with suppress(OSError):  # where others have files, too
+                self.goal.parent.rmdir()
+
+
+def _moves(folder: Path) -> list[_Move]:
+    """What is still to be done: files that go, then the new ones, and last the result."""
+    commit = folder / _COMMIT
+    gone = (commit / _GONE).read_text(encoding="utf-8").splitlines()
+    names = [*gone, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
+    return [_Move(commit / _FILES / name, folder / name, commit / _ASIDE / name) for name in names]
+
+
+def _end(folder: Path, moves: Iterable[_Move]) -> None:
+    """Bring the moves to the disk; then the earlier files are not needed any more."""
+    for place in {move.goal.parent for move in moves} | {folder}:
+        if place.is_dir():
+            _flush_folder(place)
+    shutil.rmtree(folder / _DONE, ignore_errors=True)
+    (folder / _COMMIT).rename(folder / _DONE)
+    shutil.rmtree(folder / _DONE, ignore_errors=True)
+
+
+def _files(folder: Path) -> list[str]:
+    """Files below a folder, with slashes."""
+    found = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return [path.relative_to(folder).as_posix() for path in found]
+
+
+def _require_place(goal: Path) -> None:
+    """Refuse what would not go before anything is moved."""
+    if goal.is_dir():
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    if goal.parent.exists() and not goal.parent.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+
+
+def _flush_all(folder: Path) -> None:
+    """Bring files and folders to the disk, several at a time: a disk takes them in one go."""
+    every = list(folder.rglob("*"))
+    with ThreadPoolExecutor(max_workers=8) as pool:
+        list(pool.map(_flush_to_disk, (path for path in every if path.is_file())))
+    for place in (*(path for path in every if path.is_dir()), folder):
+        _flush_folder(place)
 
 
 @contextmanager

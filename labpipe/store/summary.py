@@ -35,6 +35,7 @@ def summary(result: TestResult) -> dict[str, object]:
             {"role": given.role, "file": given.file, "sha256": given.sha256}
             for given in result.inputs
         ],
+        "run": result.run,
         "results": [_entry(entry) for entry in result.results],
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}

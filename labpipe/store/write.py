@@ -95,6 +95,7 @@ def _write_root(target: Target, result: TestResult) -> None:
     attributes[layout.SCHEMA_ATTRIBUTE] = layout.SCHEMA
     for name in layout.ROOT_TEXTS:
         attributes[name] = getattr(result, name)
+    attributes[layout.RUN] = result.run
     attributes[layout.DISPLAY] = json.dumps(dict(result.display), ensure_ascii=False)
     target.texts(layout.FIGURES, result.figures)
     for name, attribute in layout.SPECIMEN_TEXTS.items():

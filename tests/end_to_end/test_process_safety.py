@@ -6,7 +6,9 @@ Earlier results are as they were then, all of them, and raw files are never touc
 from __future__ import annotations
 
 import errno
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +17,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.store.lock import locked
+from labpipe.store.read import read_result
 from tests.builders import bad_input
 from tests.builders.small_tests import Lab, Run, state
 
@@ -43,7 +46,10 @@ STAGES = (
 )
 
 
-@pytest.mark.parametrize("place", ["result.h5", "summary.json", "wire-shapes.svg"])
+PLACES = ("result.h5", "summary.json", "wire-shapes.svg", "timeline.png")
+
+
+@pytest.mark.parametrize("place", PLACES)
 def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     """Wherever room runs out, no file of the earlier results is replaced."""
     import labpipe.store.replace as store
@@ -55,7 +61,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         flush(path)
 
-    def full_figures(*arguments: object) -> None:
+    def full_figures(*arguments: object, **more: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(store, "_flush_to_disk", full_flush)
@@ -113,3 +119,103 @@ def test_real_interrupt(lab: Lab) -> None:
     assert "Traceback" not in said
     assert state(lab.home / "raw") == raw
     assert state(lab.processed) == earlier
+
+
+KILLED = """
+import os, sys
+import labpipe.store.replace as store
+left, make = int(sys.argv.pop(1)), store._Move.make
+def killed(move):
+    global left
+    left -= 1
+    if left == 0:
+        os._exit(9)
+    make(move)
+store._Move.make = killed
+from labpipe.cli import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def killed_after(moves: int, *arguments: object) -> None:
+    """Run a command in a process that ends when some files were replaced, as by a signal."""
+    command = [sys.executable, "-c", KILLED, str(moves + 1), *map(str, arguments)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 9, done.stderr
+
+
+def runs(folder: Path) -> set[str]:
+    """Keys of the run that the files of a test show."""
+    found = {json.loads((folder / "summary.json").read_text("utf-8"))["run"]}
+    found.add(read_result(folder / "result.h5").run)
+    for figure in (folder / "figures").iterdir():
+        content = figure.read_bytes()
+        key = rb"<dc:identifier>(\w{64})</dc" if figure.suffix == ".svg" else rb"run\x00(\w{64})"
+        found |= {each.decode() for each in re.findall(key, content)}
+        assert re.search(key, content), figure
+    return found
+
+
+def test_all_files_of_a_test_have_the_key_of_its_run(lab: Lab, run: Run) -> None:
+    (first,) = runs(lab.processed)
+    assert re.fullmatch("[0-9a-f]{64}", first)
+    assert run("process", lab.result).status == 0
+    assert runs(lab.processed) == {first}
+    lab.override("branches.min_stroke", "3 mm")
+    assert run("process", lab.raw).status == 0
+    (second,) = runs(lab.processed)
+    assert second != first
+
+
+def test_figures_of_other_numbers_do_not_stay(lab: Lab, run: Run) -> None:
+    own = lab.processed / "figures" / "own.png"
+    own.write_bytes(b"a photograph")
+    before = state(lab.processed / "figures")
+    assert run("process", lab.raw, "--no-figures").status == 0
+    assert state(lab.processed / "figures") == before
+    lab.override("branches.min_stroke", "3 mm")
+    assert run("process", lab.raw, "--no-figures").status == 0
+    assert list((lab.processed / "figures").iterdir()) == [own]
+
+
+@pytest.mark.parametrize("moves", [1, 4, 11])
+def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None:
+    (first,) = runs(lab.processed)
+    lab.override("branches.min_stroke", "3 mm")
+    killed_after(moves, "process", lab.raw)
+    said = (
+        f"{lab.result}: expected a result with all its files, found one whose files are being"
+        f" replaced, or were when a process was killed. Wait until it is done, or finish it:"
+        f" `labpipe process {lab.result}`."
+    )
+    before = state(lab.home)
+    report = run("report", lab.processed, "--out", lab.home / "report")
+    assert (report.status, report.err) == (2, f"labpipe report: {said}\n")
+    elsewhere = run("process", lab.result, "--out", lab.home / "out")
+    assert (elsewhere.status, said in elsewhere.err) == (2, True)
+    assert state(lab.home) == before
+    again = run("process", lab.result)
+    assert again.status == 0
+    assert (
+        f"labpipe process: {lab.processed}: a process was killed while it replaced the files here;"
+        " that was finished first\n" in again.err
+    )
+    (second,) = runs(lab.processed)
+    assert second != first
+    assert {path.name for path in lab.processed.iterdir()} == {
+        "result.h5",
+        "summary.json",
+        "figures",
+    }
+
+
+def test_killed_while_the_first_result_is_put_in_place(
+    pristine: Lab, tmp_path: Path, run: Run
+) -> None:
+    lab = pristine.copy(tmp_path)
+    killed_after(0, "process", lab.raw, "--no-figures")
+    assert not lab.result.exists()
+    assert "files are being replaced" in run("report", lab.home / "processed").err
+    assert run("process", lab.home / "processed").status == 2  # no test.yaml there
+    assert run("process", lab.result, "--no-figures").status == 0
+    assert run("report", lab.home / "processed").status == 0

@@ -119,7 +119,7 @@ def test_a_process_that_is_killed_costs_one_test(
         " if test.parent.name == 'P-1' else"
         " __import__('labpipe.pipeline.many').pipeline.many._process(test, out, drawn)"
     )
-    monkeypatch.setattr("labpipe.pipeline.many._process", killed)
+    monkeypatch.setattr("labpipe.pipeline.many._process_one_of_many", killed)
     first, second, third = process_tests(tests, figures=lambda _: False, jobs=2)
     assert isinstance(first, Refused)
     assert first.reason == (
@@ -143,7 +143,7 @@ def test_a_process_that_is_killed_costs_one_test(
         (
             ZeroDivisionError("of\nall"),
             r"expected to get through, found a fault of labpipe itself \(ZeroDivisionError: of all"
-            r"\)\. Report it with the exports of the test \(many.py, line \d+\)\.",
+            r"\)\. Report it \(many.py, line \d+\) with the exports of the test; processed alone",
         ),
     ],
 )

@@ -1,13 +1,23 @@
 from __future__ import annotations
 
 import errno
+import itertools
 import os
+import subprocess
+import sys
+from collections import Counter
 from pathlib import Path
 
 import pytest
 
 from labpipe.errors import StoreError
-from labpipe.store.replace import replacing, replacing_together, storing
+from labpipe.store.replace import (
+    is_cut_off,
+    is_there,
+    replacing,
+    replacing_together,
+    storing,
+)
 
 
 def test_new_file_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
@@ -48,6 +58,7 @@ def test_no_folder(tmp_path: Path) -> None:
         (errno.EROFS, "expected a folder to write in, found a read-only disk. Choose"),
         (errno.ENOTDIR, "expected a folder to write in, found a file in its place. Choose"),
         (errno.EEXIST, "expected a folder to write in, found a file in its place. Choose"),
+        (errno.EISDIR, "expected a file to replace, found a folder in its place. Move the folder"),
         (errno.EIO, "expected a file that can be written, found .*Input/output error.*Look at"),
     ],
 )
@@ -108,3 +119,144 @@ def test_no_folder_for_files_together(tmp_path: Path) -> None:
         replacing_together(tmp_path / "none"),
     ):
         pass
+
+
+def test_what_would_show_other_numbers_goes(earlier: Path) -> None:
+    owned = ("a", "figures/b", "figures/c", "figures/d")
+    with replacing_together(earlier, owned=owned) as stage:
+        (stage / "a").write_text("new")
+        (stage / "figures").mkdir()
+        (stage / "figures" / "d").write_text("new")
+        assert contents(earlier)["figures/b"] == "old"
+    assert contents(earlier) == {"a": "new", "figures/d": "new"}
+
+
+@pytest.mark.parametrize("place", ["a", "figures/b"])
+def test_a_folder_in_the_place_of_a_file(earlier: Path, place: str) -> None:
+    (earlier / place).unlink()
+    (earlier / place / "inside").mkdir(parents=True)
+    before = contents(earlier)
+    said = "expected a file to replace, found a folder in its place. Move the folder away"
+    with pytest.raises(StoreError, match=said), replacing_together(earlier) as stage:
+        write_new(stage)
+    assert contents(earlier) == before
+    assert not list(earlier.glob(".*"))
+
+
+def test_a_file_in_the_place_of_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "figures").write_text("old")
+    said = "expected a folder to write in, found a file in its place"
+    with pytest.raises(StoreError, match=said), replacing_together(tmp_path) as stage:
+        write_new(stage)
+    assert contents(tmp_path) == {"figures": "old"}
+    assert not list(tmp_path.glob(".*"))
+
+
+NEW = {"a": "new", "figures/b": "new", "figures/n": "new", "r.h5": "new"}
+
+
+def write_new(stage: Path) -> None:
+    for name in NEW:
+        (stage / name).parent.mkdir(exist_ok=True)
+        (stage / name).write_text("new")
+
+
+@pytest.mark.parametrize("way_out", [KeyboardInterrupt, PermissionError])
+@pytest.mark.parametrize("number", range(1, 10))
+def test_moves_that_fail_half_way_are_taken_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, way_out: type[BaseException]
+) -> None:
+    """As on a system that does not replace a file that somebody has open."""
+    (tmp_path / "a").write_text("old")
+    (tmp_path / "r.h5").write_text("old")
+    left, move = [number], Path.replace
+
+    def refused(path: Path, goal: Path) -> Path:
+        left[0] -= 1
+        if left[0] == 0:
+            raise way_out
+        return move(path, goal)
+
+    monkeypatch.setattr(Path, "replace", refused)
+    try:
+        with replacing_together(tmp_path) as stage:
+            write_new(stage)
+    except (KeyboardInterrupt, StoreError):
+        assert contents(tmp_path) == {"a": "old", "r.h5": "old"}
+        assert {path.name for path in tmp_path.iterdir()} == {"a", "r.h5"}
+    else:
+        assert number > 6  # two go aside, four come
+        assert contents(tmp_path) == NEW
+
+
+KILLED = """
+import os, sys
+from pathlib import Path
+from labpipe.store.replace import finish_cut_off, replacing_together
+folder, left = Path(sys.argv[1]), int(sys.argv[2])
+def end(event, _):
+    global left
+    if event in ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "open"):
+        left -= 1
+        if left == 0:
+            os._exit(9)  # as from a signal: nothing is put in order
+sys.addaudithook(end)
+if "finish" in sys.argv:
+    finish_cut_off(folder)
+else:
+    with replacing_together(folder, owned=["figures/c"]) as stage:
+        (stage / "figures").mkdir()
+        for name in ("a", "figures/b", "figures/n", "r.h5"):
+            (stage / name).write_text("new")
+"""
+
+
+def killed(folder: Path, number: int, *more: str) -> bool:
+    """Replace files in a process that ends at a step; whether it came so far."""
+    command = [sys.executable, "-c", KILLED, str(folder), str(number), *more]
+    return subprocess.run(command, check=False).returncode == 9
+
+
+def seen(folder: Path) -> dict[str, str]:
+    """Contents but for what is hidden."""
+    return {name: text for name, text in contents(folder).items() if not name.startswith(".")}
+
+
+def test_a_process_killed_at_any_step_leaves_all_old_or_all_new(tmp_path: Path) -> None:
+    old = {"a": "old", "figures/b": "old", "figures/c": "old", "figures/own": "old", "r.h5": "old"}
+    new = NEW | {"figures/own": "old"}
+    found = Counter[str]()
+    for number in itertools.count(1):
+        folder = tmp_path / str(number)
+        for name, text in old.items():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_text(text)
+        if not killed(folder, number):
+            break
+        if not is_cut_off(folder):
+            assert seen(folder) in (old, new), number
+            found["old" if seen(folder) == old else "new"] += 1
+            continue
+        found["cut off"] += 1
+        assert is_there(folder / "r.h5")
+        again = number % 7 + 1
+        while killed(folder, again, "finish"):  # and who finishes it may be killed, too
+            again += 3
+        assert not is_cut_off(folder)
+        assert seen(folder) == new, number
+    assert contents(folder) == new
+    assert min(found["old"], found["new"]) >= 2
+    assert found["cut off"] >= 10  # seven moves, and what lies between
+
+
+def test_who_writes_next_finishes_it(tmp_path: Path) -> None:
+    commit = tmp_path / ".labpipe.commit"
+    (commit / "files").mkdir(parents=True)
+    (commit / "files" / "r.h5").write_text("new")
+    (commit / "gone").write_text("a")
+    (tmp_path / "a").write_text("old")
+    assert is_there(tmp_path / "r.h5")
+    assert not is_there(tmp_path / "s.h5")
+    with pytest.raises(ZeroDivisionError), replacing_together(tmp_path) as stage:
+        write_and_leave(stage / "r.h5", ZeroDivisionError)
+    assert contents(tmp_path) == {"r.h5": "new"}

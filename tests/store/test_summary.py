@@ -20,9 +20,11 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert read == summary(result)
     assert list(read) == [
-        "schema", "test", "specimen", "protocol", "labpipe", "inputs", "results", "quality"
+        "schema", "test", "specimen", "protocol", "labpipe", "inputs", "run", "results",
+        "quality",
     ]  # fmt: skip
     assert read["specimen"] == {"type": "A2", "spool": "A2-s1", "sample": "1", "length": 0.085}
+    assert read["run"] == result.run
     assert read["inputs"][0] == {"role": "markers", "file": "take.csv", "sha256": "ab" * 32}
     assert read["results"][0] == {
         "name": "peak_force.1",
