@@ -162,7 +162,6 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
         "inputs",
         "results",
         "quality",
-        "run",
     }
     assert said["schema"] == 1
     assert set(said["inputs"][0]) == {"role", "file", "sha256"}

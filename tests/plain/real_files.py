@@ -13,13 +13,13 @@ import pandas as pd
 
 from tests.plain.definitions import Record, Samples
 from tests.plain.numbers import USUAL, Asked
+from tests.plain.shapes import NEWTON
 
 LLOYD = "lloyd_nexygen/"
 REU = "mts/REU/"
 TIMED = "DAQ- Crosshead, … - (Timed)"
 RUN = f"mts/MTS_data/I0-0.9-dc/Test Run 4 10-23-2023 6 43 09 PM/{TIMED}"
 FDA = "mts/FDA/C18-L-M-RF 10-26-2022 1 03 54 PM/Collect Data - (Timed).txt"
-NEWTON = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
 METRE = {"mm": 1e-3, "um": 1e-6, "in": 0.0254}
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from tests.plain.definitions import Samples
 from tests.plain.numbers import USUAL, Asked
 from tests.plain.shapes import (
+    NEWTON,
     PEAK,
     STROKE,
     Motion,
@@ -48,6 +49,8 @@ class Case:
     steps: str = ""
     smooth: int = 0
     """Samples of a moving average over both channels."""
+    stated: str = ""
+    """What the protocol says of the force beside the name of its channel."""
     kept: float = 1.0
     """Share of the bytes of the file that is there."""
 
@@ -88,9 +91,11 @@ def cyclic() -> Iterator[Case]:
     steps = np.where(np.arange(2000) % 100 < 30, 0.1, 0.005)
     time = np.cumsum(steps)
     yield Case("variable-rate", triangle(time[time < whole()]).recorded())
-    for unit, newton in (("kN", 1e3), ("lbf", 4.4482216152605), ("mN", 1e-3)):
+    for unit in ("kN", "lbf", "mN"):
         motion = triangle(clock(whole(), 20.0, 0.3))
-        yield Case(f"unit-{unit}", replace(motion.recorded(pulled(motion) / newton), unit=unit))
+        yield Case(
+            f"unit-{unit}", replace(motion.recorded(pulled(motion) / NEWTON[unit]), unit=unit)
+        )
     motion = triangle(clock(whole(), 20.0), rest=0.0)
     yield Case("no-rest-before", motion.recorded())
     motion = triangle(clock(whole(), 100.0))
@@ -272,6 +277,17 @@ def signs() -> Iterator[Case]:
         yield Case(name, turned, sign_free=True, hurt=sign)
 
 
+def scales() -> Iterator[Case]:
+    """What the protocol says of the force contradicts the file."""
+    true = triangle(clock(whole(), 20.0, 0.3)).recorded()
+    small = replace(true, force=true.force / 1e3, unit="kN")
+    yield Case("unit-contradicted", small, stated=", unit: N", hurt={"*": "unit"}, refusal="unit")
+    hurt = dict.fromkeys(("peak_force.*", "energy.*", "stiffness"), "implausible|scale|unit")
+    wrong = replace(true, force=true.force / 1e3)
+    limits = ", plausible_peak: {from: 20 N, to: 5 kN}"
+    yield Case("scale-implausible", wrong, true=true, stated=limits, hurt=hurt)
+
+
 def bad() -> Iterator[Case]:
     """A number, or a reason that a technician understands."""
     five: Samples = np.arange(5.0) / 4.0
@@ -308,7 +324,7 @@ def bad() -> Iterator[Case]:
 
 
 CLEAN: tuple[Callable[[], Iterator[Case]], ...] = (triangles, cyclic, zeroed, holds, breaks)
-FAULTY: tuple[Callable[[], Iterator[Case]], ...] = (cuts, starts, channels, signs)
+FAULTY: tuple[Callable[[], Iterator[Case]], ...] = (cuts, starts, channels, signs, scales)
 
 
 def all_cases() -> list[Case]:

@@ -17,6 +17,7 @@ STROKE = 10.0
 """mm"""
 PEAK = 100.0
 """N, at the end of the stroke"""
+NEWTON = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
 LOOP = 0.4
 """How far the force sags on the way down, as a share of what is on the way up, near zero."""
 
@@ -51,14 +52,13 @@ class Table:
         random = np.random.default_rng(seed)
         return replace(
             self,
-            force=self.force + force * random.standard_normal(len(self.force)),
+            force=self.force + force / NEWTON[self.unit] * random.standard_normal(len(self.force)),
             travel=self.travel + travel * random.standard_normal(len(self.travel)),
         )
 
     def record(self) -> Record:
         """As the file has it, in SI."""
-        newton = {"N": 1.0, "kN": 1e3, "lbf": 4.4482216152605, "mN": 1e-3}[self.unit]
-        return Record(self.time, 1e-3 * self.travel, newton * self.force)
+        return Record(self.time, 1e-3 * self.travel, NEWTON[self.unit] * self.force)
 
     def csv(self) -> bytes:
         """A TestSuite export with every cell quoted; blank where a number is missing."""

@@ -95,8 +95,6 @@ STILL_WRONG: dict[str, str] = {
     "shape-dwell-5s-100Hz+noise": "peak_force.3: 99.989 is ok, plainly 100.341 (-0.35 %)",
     "shape-cycles-155+noise": "peak_force.1: 90.4854 is ok, plainly 97.7863 (-7.47 %)",
     "shape-variable-rate+noise": "peak_displacement.1: 0.010015 is ok, plainly 0.00994966 (+0.6...",
-    "shape-unit-kN+noise": "peak_force.1: 143.991 is ok, plainly 368.807 (-60.96 %)",
-    "shape-unit-lbf+noise": "peak_force.3: 100.199 is ok, plainly 100.915 (-0.71 %)",
     "shape-zero-line-10Hz+noise": "refused: 1/1 T",
     "shape-zero-line-over-rest-and-motion+noise": "peak_force.1: 100.595 is ok, plainly 99.9354...",
     "shape-ramp-hold-30min+noise": "peak_force.1: 98.9889 is ok, plainly 100.046 (-1.06 %)",

@@ -28,7 +28,7 @@ sources:
   frame:
     reader: load-frame
     channels:
-      force: {channel: Load}
+      force: {channel: LoadSTATED}
       displacement: {channel: Crosshead}
 STEPScurve: {force: force, displacement: displacement, failure: {force_below: 50 %}SLACK}
 branches: {channel: displacement, min_stroke: 1 mm}
@@ -49,6 +49,7 @@ def protocol(case: Case) -> bytes:
     text = text.replace("STEPS", f"steps:\n{case.steps}" if case.steps else "")
     taken = ", slack: {from: 10 %, to: 30 %}" if case.asked.slack else ""
     text = text.replace("SLACK", taken)
+    text = text.replace("STATED", case.stated)
     return (text + ("  - {result: slack}\n" if taken else "")).encode()
 
 
