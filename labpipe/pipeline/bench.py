@@ -115,9 +115,13 @@ class Bench:
     slack : displacement before the specimen was taut, m; None where nobody asked
     stiffnesses : by name of the result, without the uncertainty of the force's scale
     lines : the straight lines that they were read from
+    windows : by name of a stiffness, s on the clock of the curve, the stretch it was read from;
+        None for all of the record
     bending : measured moment-curvature, or why there is none; None where nobody asked
     span : the bent axis between two supports, or why there is none; None where nobody asked
     is_full_stroke : whether the motion went as far as the rig was told to
+    cut_at : by quantity, s on the clock of the curve, where its record ends in the middle of a
+        branch
     notes : quality notes so far
     """
 
@@ -138,9 +142,11 @@ class Bench:
     slack: Estimate | Failure | None = None
     stiffnesses: dict[str, Estimate] = field(default_factory=dict)
     lines: list[FittedLine] = field(default_factory=list)
+    windows: dict[str, tuple[float, float] | None] = field(default_factory=dict)
     bending: Bending | Failure | None = None
     span: SpanBend | Failure | None = None
     is_full_stroke: bool = False
+    cut_at: dict[str, float] = field(default_factory=dict)
     notes: list[QualityNote] = field(default_factory=list)
 
     def note(self, code: str, severity: Severity, where: str, message: str) -> None:
@@ -173,6 +179,26 @@ class Bench:
         doubt = Doubt(quantity, code, message, during, clock)
         if doubt not in self.doubts:
             self.doubts.append(doubt)
+
+    def doubt_stretches(
+        self, quantity: str, note: QualityNote, clock: str, *, most: int = 100
+    ) -> None:
+        """Doubt a quantity in the stretches that a note speaks of, or in all of the record.
+
+        Parameters
+        ----------
+        quantity : as `doubt` has it
+        note : with stretches on the clock named `clock`, or without any
+        clock : role of the recording
+        most : stretches; more of them are taken as one, from the first to the last
+        """
+        when = note.stretches
+        if len(when) > most:
+            when = ((when[0][0], when[-1][1]),)
+        for each in when or (None,):
+            self.doubt(
+                quantity, note.code, note.message, where=note.where, during=each, clock=clock
+            )
 
     def why_doubtful(
         self, quantity: str, during: tuple[float, float] | None = None

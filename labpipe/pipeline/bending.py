@@ -7,7 +7,7 @@ import numpy as np
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch
-from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
+from labpipe.pipeline.outcomes import Asked, blocked_or, to_result, while_loading
 from labpipe.pipeline.plausibility import GRAVITY
 from labpipe.pipeline.string_at_rest import AtRest, at_rest
 from labpipe.processing.bending_moments import TipPull, bent
@@ -43,7 +43,8 @@ def bending_stiffness(bench: Bench, entry: MomentCurvature, protocol: Protocol) 
     if law is None:
         _, _, message = bench.bending.reason.partition(": ")
         return [to_result(bench, asked, Failure("no_law", message))]
-    return [to_result(bench, asked, _stiffness(law, entry), doubt=_misfit(bench))]
+    doubt, during = _misfit(bench), while_loading(bench)
+    return [to_result(bench, asked, _stiffness(law, entry), doubt=doubt, during=during)]
 
 
 def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate | Failure:

@@ -29,6 +29,7 @@ from labpipe.pipeline.outcomes import (
     blocked_or,
     slack_error,
     to_result,
+    while_loading,
     with_force_scale,
 )
 from labpipe.pipeline.stiffness_results import doubt_of, marked_slip, window_of
@@ -70,9 +71,14 @@ def kink_results(bench: Bench, *, low: float, high: float) -> list[Result]:
     ]
     moved = other if isinstance(other, Kink) else found
     doubt = marked_slip(bench, found.start, found.stop)
+    during = while_loading(bench, found.start, found.stop)
+    outcomes = (
+        _place(bench, found.displacement, moved.displacement),
+        _level(bench, found.force, moved.force),
+    )
     return [
-        to_result(bench, place, _place(bench, found.displacement, moved.displacement), doubt=doubt),
-        to_result(bench, level, _level(bench, found.force, moved.force), doubt=doubt),
+        to_result(bench, each, outcome, doubt=doubt, during=during)
+        for each, outcome in zip((place, level), outcomes, strict=True)
     ]
 
 
@@ -101,7 +107,8 @@ def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
     moved = other if isinstance(other, EndSlope) else end
     first = bench.cycles()[0][:1]
     doubt = doubt_of(bench, entry.of) or broken_off(bench, first) or _unseen_end(bench, first[0])
-    found = to_result(bench, share, _changed(end.share, moved.share), doubt=doubt)
+    during = while_loading(bench)
+    found = to_result(bench, share, _changed(end.share, moved.share), doubt=doubt, during=during)
     return [found, *_onset_results(bench, entry, initial, found)]
 
 
@@ -134,9 +141,14 @@ def _onset_results(bench: Bench, entry: Plateau, initial: Estimate, end: Result)
     level = _level(bench, onset.force, moved.force)
     first = bench.cycles()[0][0]
     doubt = doubt_of(bench, entry.of) or _unseen_end(bench, first)
+    asked = (
+        Asked("plateau_displacement", "m", CURVE, method),
+        Asked("plateau_force", "N", CURVE, method),
+    )
+    during = while_loading(bench)
     return [
-        to_result(bench, Asked("plateau_displacement", "m", CURVE, method), place, doubt=doubt),
-        to_result(bench, Asked("plateau_force", "N", CURVE, method), level, doubt=doubt),
+        to_result(bench, each, outcome, doubt=doubt, during=during)
+        for each, outcome in zip(asked, (place, level), strict=True)
     ]
 
 
@@ -160,7 +172,8 @@ def loading_stiffness_results(bench: Bench, *, over: float) -> list[Result]:
         found = number(bench, branches, displacement)
         return found if isinstance(found, Failure) else with_force_scale(bench, found)
 
-    return per_cycle(bench, Asked("loading_stiffness", "N/m", CURVE, method), in_newtons)
+    asked = Asked("loading_stiffness", "N/m", CURVE, method, reads=(0, 1))
+    return per_cycle(bench, asked, in_newtons)
 
 
 _Number = Estimate | Failure
@@ -193,7 +206,13 @@ def hardening_results(bench: Bench, *, over: float) -> list[Result]:
         return [to_result(bench, asked, blocked_or(bench, NO_BRANCH), part=".2")]
     number = partial(_hardening, first=cycles[0], over=over)
     return [
-        to_result(bench, asked, with_shape_error(bench, later, number), part=f".{later[0].cycle}")
+        to_result(
+            bench,
+            asked,
+            with_shape_error(bench, later, number),
+            part=f".{later[0].cycle}",
+            during=(cycles[0][0].start_time, later[0].stop_time),
+        )
         for later in cycles[1:]
     ]
 
@@ -235,7 +254,8 @@ def beam_results(bench: Bench, entry: BendingStiffness, protocol: Protocol) -> l
         )
         outcome, said = corrected(bench, entry, outcome, specimen, protocol.results)
         asked = replace(asked, method=f"{asked.method}{said}")
-    return [to_result(bench, asked, outcome, doubt=doubt_of(bench, entry.of))]
+    doubt, during = doubt_of(bench, entry.of), bench.windows.get(entry.of)
+    return [to_result(bench, asked, outcome, doubt=doubt, during=during)]
 
 
 def _both(bench: Bench, fit: _Fit[_Found]) -> tuple[_Found | Failure, _Found | Failure | None]:

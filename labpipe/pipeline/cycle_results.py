@@ -21,7 +21,13 @@ from labpipe.pipeline.cycle_numbers import (
     residual_of,
     unloading_stiffness_of,
 )
-from labpipe.pipeline.outcomes import Asked, blocked_or, to_result, with_force_scale
+from labpipe.pipeline.outcomes import (
+    Asked,
+    blocked_or,
+    to_result,
+    while_loading,
+    with_force_scale,
+)
 from labpipe.pipeline.sharp_turns import peak_displacement_of_cycle, peak_force_of_cycle
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
@@ -51,14 +57,14 @@ def clock_results(bench: Bench) -> list[Result]:
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
     method = "smooth pieces on both sides of a corner, on its near side on one clock; else a vertex"
-    asked = Asked("peak_force", "N", ("force",), method, needs=1)
+    asked = Asked("peak_force", "N", ("force",), method, needs=1, reads=(0, 1))
     return per_cycle(bench, asked, peak_force_of_cycle)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
     method = "parabolas on both sides of a corner, samples at its top on one clock; else a vertex"
-    asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1)
+    asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1, reads=(0.9, 1))
     return per_cycle(bench, asked, peak_displacement_of_cycle)
 
 
@@ -71,7 +77,7 @@ def energy(bench: Bench) -> list[Result]:
 def residual_displacement(bench: Bench, *, force_below: float) -> list[Result]:
     """``residual_displacement.<cycle>`` (m): displacement left at zero force after unloading."""
     method = f"displacement once the force is back at zero, within {force_below:g} N or less"
-    asked = Asked("residual_displacement", "m", _ALL, method)
+    asked = Asked("residual_displacement", "m", _ALL, method, reads=(1, 2))
     return per_cycle(bench, asked, partial(residual_of, force_below=force_below))
 
 
@@ -79,14 +85,16 @@ def loading_stiffness(bench: Bench, *, name: str, low: float, high: float) -> li
     """Stiffness (N/m) between two displacements of the first loading branch."""
     method = f"line from {low:g} m to {high:g} m of the first loading, time as instrument"
     number = partial(loading_stiffness_of, low=low, high=high)
-    asked, first = Asked(name, "N/m", _ALL, method), bench.cycles()[:1]
+    asked, first, during = Asked(name, "N/m", _ALL, method), bench.cycles()[:1], None
     outcome: Estimate | Failure = blocked_or(bench, Failure("no_cycle", "the motion has no branch"))
     if first:
         outcome = with_shape_error(bench, first[0], number)
+        during = while_loading(bench, low, high)
     if isinstance(outcome, Estimate):
         bench.stiffnesses[name] = outcome
+        bench.windows[name] = during
         outcome = with_force_scale(bench, outcome)
-    return [to_result(bench, asked, outcome)]
+    return [to_result(bench, asked, outcome, during=during)]
 
 
 def tip_travel_result(bench: Bench) -> list[Result]:
@@ -102,7 +110,7 @@ def tip_travel_result(bench: Bench) -> list[Result]:
 def unloading_stiffness(bench: Bench, *, over: float) -> list[Result]:
     """``unloading_stiffness.<cycle>`` (N/m) over the first stretch of the unloading branch."""
     method = f"line from {0.1 * over:g} m to {over:g} m off the peak, time as instrument"
-    asked = Asked("unloading_stiffness", "N/m", _ALL, method)
+    asked = Asked("unloading_stiffness", "N/m", _ALL, method, reads=(1, 2))
     return per_cycle(bench, asked, partial(unloading_stiffness_of, low=0.1 * over, high=over))
 
 
@@ -129,23 +137,44 @@ def per_cycle(bench: Bench, asked: Asked, of_cycle: Numbers) -> list[Result]:
             asked,
             with_shape_error(bench, branches, of_cycle),
             part=f".{branches[0].cycle}",
-            doubt=broken_off(bench, branches[: asked.needs]),
+            doubt=broken_off(bench, branches[: asked.needs], asked.quantities),
+            during=_when(branches, asked.reads),
         )
         for branches in cycles
     ]
 
 
-def broken_off(bench: Bench, branches: list[Branch]) -> str:
-    """Why a number is doubtful whose branches the record does not hold to their end."""
-    if not branches or branches[-1].stop < len(curve_of(bench).time):
+def _when(branches: list[Branch], reads: tuple[float, float]) -> tuple[float, float] | None:
+    """Stretch of time of a part of a cycle, counted in branches; None where there is none."""
+    start, stop = reads
+    if start >= len(branches):
+        return None
+    first, last = branches[int(start)], branches[min(int(stop), len(branches)) - 1]
+    lasts = first.stop_time - first.start_time
+    return first.start_time + (start - int(start)) * lasts, last.stop_time
+
+
+def broken_off(
+    bench: Bench, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
+) -> str:
+    """Why a number is doubtful whose branches the record does not hold to their end.
+
+    Parameters
+    ----------
+    bench : knows where the record was cut
+    branches : that the number needs, to their end
+    quantities : that it rests on
+    """
+    cut_at = min((bench.cut_at.get(each, np.inf) for each in quantities), default=np.inf)
+    if not branches or cut_at == np.inf:
         return ""
     part, failure = branches[-1], bench.failure
+    if cut_at >= part.stop_time and part is not curve_of(bench).branches[-1]:
+        return ""
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
         return ""  # it broke, so there is no more to come
-    if bench.is_full_stroke and len(curve_of(bench).branches) == 1:
-        return ""  # the rig was told to go no further
     has_time = curve_of(bench).time_unit == "s"
-    at = f"{part.stop_time:.3f} s" if has_time else f"sample {part.stop}"
+    at = f"{cut_at:.3f} s" if has_time else f"sample {round(cut_at) + 1}"
     return f"partial_cycle: the record ends at {at}, while still {part.direction}"
 
 

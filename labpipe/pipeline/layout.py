@@ -9,9 +9,11 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
+from labpipe.processing.oddities import times_of
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
 from labpipe.records.arrays import Floats, median
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 
 _LARGEST = {"channel": 1e15, "marker": 1e6}
@@ -19,6 +21,9 @@ _LARGEST = {"channel": 1e15, "marker": 1e6}
 
 _FEWEST = 8
 """Samples of a channel; with fewer, nothing can be said."""
+
+_AT_ENDS = 0.02
+"""Share of a channel that may be blank before its first and behind its last sample."""
 
 _SATURATED = 100
 """Equal samples in a row at the end of a channel that no noisy signal shows."""
@@ -56,7 +61,7 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
             signal = _signal(channel, source, clock, role)
             bench.raw[channel.name] = bench.signals[channel.name] = signal
             quantity = words.get(channel.name, channel.name)
-            _note_missing(bench, channel, quantity)
+            _note_missing(bench, channel, signal, quantity)
             if not (role == "frame" and signal.unit == "m"):  # a frame may stand still
                 _note_saturation(bench, channel, quantity)
             _check_peak(bench, signal, (channel.name, quantity), source.peak_range)
@@ -130,11 +135,19 @@ def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
     raise ProcessingError(message)
 
 
-def _note_missing(bench: Bench, channel: Channel, quantity: str) -> None:
-    missing = int(np.isnan(channel.values).sum())
-    if missing:
-        message = f"{missing} of {len(channel.values)} samples are blank or not finite"
-        bench.doubt(quantity, "missing_samples", message, where=channel.name)
+def _note_missing(bench: Bench, channel: Channel, signal: Signal, quantity: str) -> None:
+    missing = np.isnan(signal.values)
+    if not missing.any():
+        return
+    message = f"{int(missing.sum())} of {len(missing)} samples are blank or not finite"
+    bench.note("missing_samples", Severity.WARNING, channel.name, message)
+    known = np.flatnonzero(~missing)
+    if known[0] + len(missing) - 1 - known[-1] <= _AT_ENDS * len(missing):
+        missing[: known[0]] = missing[known[-1] :] = False  # it begins later, and ends earlier
+    if missing.any():
+        when = times_of(missing, signal.time)
+        note = QualityNote("missing_samples", Severity.WARNING, channel.name, message, when)
+        bench.doubt_stretches(quantity, note, signal.clock)
 
 
 def _note_saturation(bench: Bench, channel: Channel, quantity: str) -> None:

@@ -12,6 +12,7 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, rms
 from labpipe.pipeline.zeros import LEAST, mean_level
 from labpipe.processing.frames import SpecimenFrame, specimen_frame
+from labpipe.processing.oddities import times_of
 from labpipe.processing.rings import ring_centres, rings_by_body
 from labpipe.processing.shape import ShapeFit, deflection, fit_shape
 from labpipe.processing.strokes import find_strokes, noise_level
@@ -53,7 +54,7 @@ def repair(bench: Bench, markers: MarkerBench, step: RepairMarkers, words: Marke
     if words.rings == "by-body":
         repaired = _rings(repaired)
     markers.repaired = repaired
-    _take_notes(bench, repaired.notes)
+    _take_notes(bench, repaired.notes, markers.role)
 
 
 def _rings(repaired: RepairedTracks) -> RepairedTracks:
@@ -86,7 +87,7 @@ def turn_into_specimen(
             f"{step.over:g} s of 'over': these are taken as the rest"
         )
         bench.note("short_rest", Severity.INFO, markers.role, message)
-    _take_notes(bench, markers.frame.notes)
+    _take_notes(bench, markers.frame.notes, markers.role)
     said = (
         f"markers lie {1e3 * markers.frame.out_of_plane:.3g} mm rms off their plane, the clamp "
         f"{1e3 * markers.frame.travel_residual:.3g} mm rms off its line"
@@ -144,7 +145,7 @@ def fit_shapes(bench: Bench, markers: MarkerBench, step: FitShape, words: Marker
         rest=rest,
     )
     bench.shape = fit.shape
-    _take_notes(bench, fit.notes)
+    _take_notes(bench, fit.notes, markers.role)
     misfit, at_rest = rms(fit.residual), rms(fit.residual[rest])
     if misfit > 3.0 * at_rest + 1e-5 and markers.clamp is not None:
         message = (
@@ -189,11 +190,11 @@ def tip_travel(bench: Bench) -> Estimate | Failure:
     return Estimate(float(away.max()), float(error), int(known.sum()))
 
 
-def _take_notes(bench: Bench, notes: Iterable[QualityNote]) -> None:
+def _take_notes(bench: Bench, notes: Iterable[QualityNote], role: str) -> None:
     """Keep notes; one that leaves the shape in doubt marks what rests on the displacement."""
     for note in notes:
         if note.code in _DOUBTFUL:
-            bench.doubt("displacement", note.code, note.message, where=note.where)
+            bench.doubt_stretches("displacement", note, role)
         else:
             bench.note(note.code, note.severity, note.where, note.message)
 
@@ -230,17 +231,21 @@ def _clamp(
             remedy="Solve the body in Motive and export the take again.",
         )
         raise ProcessingError(message)
-    return _steady(bench, tracks, body, step)
+    return _steady(bench, tracks, body, step, role)
 
 
-def _steady(bench: Bench, tracks: MarkerTracks, body: RigidBody, step: RepairMarkers) -> Floats:
+def _steady(
+    bench: Bench, tracks: MarkerTracks, body: RigidBody, step: RepairMarkers, role: str
+) -> Floats:
     """Path of the clamp without stale poses, its short gaps bridged by straight lines."""
     together = np.concatenate([body.position[:, None], tracks.positions], axis=1)
     stale = frozen_samples(together, tracks.time, frozen=step.frozen)[:, 0]
     path: Floats = np.where(stale[:, None], np.nan, body.position)
     if stale.any():
         message = f"{body.name} holds its last pose in {int(stale.sum())} frames: taken as lost"
-        bench.doubt("displacement", "clamp_frozen", message, where=body.name)
+        when = times_of(stale, tracks.time)
+        note = QualityNote("clamp_frozen", Severity.WARNING, body.name, message, when)
+        bench.doubt_stretches("displacement", note, role)
     lost = np.isnan(path).any(axis=1)
     if not lost.any():
         return path

@@ -26,6 +26,8 @@ class Asked:
     name, unit, method : of the result
     quantities : that it rests on; what is doubtful of one of them makes the result doubtful
     needs : branches of a cycle that must have been recorded to their end
+    reads : what of a cycle it is read from, from and to, counted in branches: 0.9 is when nine
+        tenths of the loading are over, 1 its end, 2 the end of unloading
     """
 
     name: str
@@ -33,6 +35,7 @@ class Asked:
     quantities: tuple[str, ...]
     method: str
     needs: int = 0
+    reads: tuple[float, float] = (0.0, 2.0)
 
 
 _TO_THE_TOP = frozenset({"peak_force", "failure_force", "energy", "energy_to_break"})
@@ -93,6 +96,32 @@ def _added_back(bench: Bench) -> str:
     """What repaired slips have added to the force, for the method of what rests on it."""
     drops = [slip.drop for slip in bench.slips if slip.decision is SlipDecision.REPAIRED]
     return f"; {sum(drops):.3g} N of slips added back" if drops else ""
+
+
+def while_loading(
+    bench: Bench, low: float = -np.inf, high: float = np.inf
+) -> tuple[float, float] | None:
+    """Tell when the first loading went from one displacement to another.
+
+    Parameters
+    ----------
+    bench : with a curve
+    low, high : m
+
+    Returns
+    -------
+    s, on the clock of the curve: when it first was at `low`, and when it first was beyond `high`,
+    which is its end where it never was. None without a curve or a branch.
+    """
+    curve = bench.curve
+    if curve is None or not curve.branches:
+        return None
+    branch = curve.branches[0]
+    path = curve.displacement[branch.start : branch.stop]
+    at, beyond = (np.flatnonzero(each) for each in (path >= low, path > high))
+    start = curve.time[branch.start + int(at[0])] if len(at) else branch.start_time
+    stop = curve.time[branch.start + int(beyond[0])] if len(beyond) else branch.stop_time
+    return float(start), float(stop)
 
 
 def with_force_scale(bench: Bench, estimate: Estimate) -> Estimate:

@@ -227,18 +227,38 @@ def check_turns(
     found = {turn.stroke for turn in turns}
     for number, (before, _) in enumerate(pairwise(strokes)):
         if number not in found:
-            message = f"the motion was not seen to turn near {motion.time[before.stop]:.2f} s"
+            at = float(motion.time[before.stop])
+            message = f"the motion was not seen to turn near {at:.2f} s"
+            during = _unseen(motion, at)
             for quantity in ("displacement", "force", "clock"):
-                bench.doubt(quantity, "turn_not_seen", message, where="travel")
+                bench.doubt(
+                    quantity,
+                    "turn_not_seen",
+                    message,
+                    where="travel",
+                    during=during,
+                    clock=motion.clock,
+                )
     for turn in turns:
         if turn.arrival is turn.departure:
             _check_corner(bench, motion, turn)
 
 
+def _unseen(motion: Signal, at: float) -> tuple[float, float]:
+    """From the last sample before a turn to the first behind it, s."""
+    known = motion.time[~np.isnan(motion.values)]
+    before, after = known[known < at], known[known > at]
+    return float(before[-1] if len(before) else at), float(after[0] if len(after) else at)
+
+
 def _check_corner(bench: Bench, motion: Signal, turn: Turn) -> None:
     """A machine that slows down, or waits a moment, cuts the corner of the travel."""
     away = [_mean_near(motion, turn.middle + shift, 0.25) for shift in (-1.0, -0.5, 0.5, 1.0)]
-    fall = (away[1] - away[0]) + (away[2] - away[3])  # m per second away from the corner
+    speeds = [
+        (b[1] - a[1]) / (b[0] - a[0]) if b[0] > a[0] else float("nan")
+        for a, b in (away[:2], away[2:])
+    ]
+    fall = 0.5 * (speeds[0] - speeds[1])  # m per second away from the corner
     noise = noise_level(motion.values)
     for width in _ROUNDED:
         apart = np.abs(motion.time - turn.middle)
@@ -247,18 +267,29 @@ def _check_corner(bench: Bench, motion: Signal, turn: Turn) -> None:
             continue
         samples = len(near)
         expected = turn.arrival.value - fall * float(near.mean())
-        cut = abs(_mean_near(motion, turn.middle, width) - expected)
+        cut = abs(_mean_near(motion, turn.middle, width)[1] - expected)
         if cut > 6.0 * noise / np.sqrt(samples) + 5e-6:
             message = (
                 f"the travel turns {1e6 * cut:.0f} um off a corner at {turn.middle:.2f} s: the "
                 "machine slows down or waits there, so that the moment of turning is less sure "
                 "than stated"
             )
-            for quantity in ("displacement", "clock"):
-                bench.doubt(quantity, "turn_rounded", message, where="travel")
+            during = (turn.middle - width, turn.middle + width)
+            bench.doubt(
+                "displacement",
+                "turn_rounded",
+                message,
+                where="travel",
+                during=during,
+                clock=motion.clock,
+            )
+            bench.doubt("clock", "turn_rounded", message, where="travel")
             return
 
 
-def _mean_near(motion: Signal, at: float, width: float) -> float:
-    near = np.abs(motion.time - at) <= width
-    return float(np.nanmean(motion.values[near])) if near.any() else float("nan")
+def _mean_near(motion: Signal, at: float, width: float) -> tuple[float, float]:
+    """Mean time and value of the samples that are known within some seconds of a time."""
+    near = (np.abs(motion.time - at) <= width) & ~np.isnan(motion.values)
+    if not near.any():
+        return float("nan"), float("nan")
+    return float(motion.time[near].mean()), float(motion.values[near].mean())

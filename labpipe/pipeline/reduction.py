@@ -37,6 +37,7 @@ from labpipe.pipeline.plausibility import (
     check_sign,
     check_turns,
 )
+from labpipe.pipeline.recording_checks import check_end
 from labpipe.pipeline.steps import take_step
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
@@ -170,6 +171,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         check_mid_span(bench, motion, branches)
     use_rest_there_is(bench, branches)
     check_rig(bench, protocol, branches)
+    check_end(bench, motion, branches)
     check_sign(bench, motion)
     check_rest(bench, branches)
     if not bench.blocked:

@@ -29,6 +29,7 @@ from labpipe.pipeline.outcomes import (
     blocked_or,
     slack_error,
     to_result,
+    while_loading,
     with_force_scale,
 )
 from labpipe.pipeline.sharp_turns import repaired_peak_force
@@ -58,9 +59,10 @@ def line_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[
     level = line.intercept.value + line.slope.value * line.start
     bench.lines.append(FittedLine(name, slope.value, level, line.start, line.stop))
     bench.stiffnesses[name] = slope
+    bench.windows[name] = during = while_loading(bench, line.start, line.stop)
     fall = "negative_slope: the force falls where the frame pulls" if slope.value <= 0.0 else ""
     doubt = "; ".join(filter(None, [fall, marked_slip(bench, line.start, line.stop)]))
-    return [to_result(bench, asked, with_force_scale(bench, slope), doubt=doubt)]
+    return [to_result(bench, asked, with_force_scale(bench, slope), doubt=doubt, during=during)]
 
 
 def two_segments(bench: Bench, *, low: float, high: float) -> list[Result]:
@@ -76,6 +78,8 @@ def two_segments(bench: Bench, *, low: float, high: float) -> list[Result]:
         return [to_result(bench, each, fit) for each in asked]
     first, second, at = fit.first, fit.second, fit.break_point
     bench.stiffnesses |= {names[0]: first, names[1]: second}
+    during = while_loading(bench, fit.start, fit.stop)  # one break bends both
+    bench.windows |= dict.fromkeys(names[:2], during)
     left = fit.level - first.value * (at.value - fit.start)
     bench.lines += [
         FittedLine(names[0], first.value, left, fit.start, at.value),
@@ -83,10 +87,14 @@ def two_segments(bench: Bench, *, low: float, high: float) -> list[Result]:
     ]
     zero = bench.signals[bench.displacement].zero_error
     doubt = marked_slip(bench, fit.start, fit.stop)
+    outcomes = (
+        with_force_scale(bench, first),
+        with_force_scale(bench, second),
+        widened(at, zero, slack_error(bench)),
+    )
     return [
-        to_result(bench, asked[0], with_force_scale(bench, first), doubt=doubt),
-        to_result(bench, asked[1], with_force_scale(bench, second), doubt=doubt),
-        to_result(bench, asked[2], widened(at, zero, slack_error(bench)), doubt=doubt),
+        to_result(bench, each, outcome, doubt=doubt, during=during)
+        for each, outcome in zip(asked, outcomes, strict=True)
     ]
 
 
@@ -107,7 +115,9 @@ def normalised_stiffness(bench: Bench, *, of: str) -> list[Result]:
     asked = Asked(f"{of}_per_peak_force", "1/m", CURVE, method)
     doubts = [doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[-1:])]
     doubt = "; ".join(filter(None, doubts))
-    return [to_result(bench, asked, _normalised(bench, of), doubt=doubt)]
+    window, cycles = bench.windows.get(of), bench.cycles()
+    during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window and cycles else None
+    return [to_result(bench, asked, _normalised(bench, of), doubt=doubt, during=during)]
 
 
 def _normalised(bench: Bench, of: str) -> Estimate | Failure:
@@ -147,7 +157,8 @@ def modulus_result(bench: Bench, entry: Modulus, specimen: SpecimenBlock) -> lis
         outcome = modulus(
             with_force_scale(bench, stiffness), gauge_length=specimen.length, area=area
         )
-    return [to_result(bench, asked, outcome, doubt=doubt_of(bench, entry.of))]
+    doubt, during = doubt_of(bench, entry.of), bench.windows.get(entry.of)
+    return [to_result(bench, asked, outcome, doubt=doubt, during=during)]
 
 
 def _area(kind: str, specimen: SpecimenBlock) -> float | Failure:

@@ -23,6 +23,7 @@ from labpipe.pipeline.outcomes import (
     blocked_or,
     slack_error,
     to_result,
+    while_loading,
     with_force_scale,
 )
 from labpipe.records.arrays import Floats
@@ -43,11 +44,17 @@ def failure_results(bench: Bench) -> list[Result]:
     zero = bench.signals[bench.displacement].zero_error
     place = widened(failure.displacement, zero, slack_error(bench))
     force = widened(failure.force, bench.raw[bench.force].zero_error)
-    doubt = _in_steps(failure)
+    doubt, during = _in_steps(failure), _up_to(bench, failure)
     return [
-        to_result(bench, asked, place, doubt=doubt),
-        to_result(bench, by_force, with_force_scale(bench, force), doubt=doubt),
+        to_result(bench, asked, place, doubt=doubt, during=(during[1], during[1])),
+        to_result(bench, by_force, with_force_scale(bench, force), doubt=doubt, during=during),
     ]
+
+
+def _up_to(bench: Bench, failure: FailurePoint) -> tuple[float, float]:
+    """From the begin of the last loading to the failure, s."""
+    time, branch = curve_of(bench).time, loading_branch(bench, last=True)
+    return float(time[branch.start if branch else 0]), float(time[failure.sample])
 
 
 def _in_steps(failure: FailurePoint) -> str:
@@ -76,7 +83,8 @@ def energy_to_break_result(bench: Bench) -> list[Result]:
     zero = bench.raw[bench.force].zero_error * float(way)
     added = _repaired_work(bench, curve.displacement, failure.sample)
     energy = with_force_scale(bench, widened(found, zero, added))
-    return [to_result(bench, asked, energy, doubt=_in_steps(failure))]
+    during = _up_to(bench, failure)
+    return [to_result(bench, asked, energy, doubt=_in_steps(failure), during=during)]
 
 
 def _repaired_work(bench: Bench, displacement: Floats, last: int) -> float:
@@ -104,9 +112,11 @@ def slip_results(bench: Bench) -> list[Result]:
         place = Estimate(slip.position, interval.standard_error, 1, interval)
         lost = Estimate(slip.drop, slip.drop_interval.standard_error, 1, slip.drop_interval)
         place = widened(place, slack_error(bench))
+        part, time = f".{number}", curve_of(bench).time
+        during = (float(time[slip.start]), float(time[slip.stop]))
         results += [
-            to_result(bench, at, place, part=f".{number}"),
-            to_result(bench, drop, with_force_scale(bench, lost), part=f".{number}"),
+            to_result(bench, at, place, part=part, during=during),
+            to_result(bench, drop, with_force_scale(bench, lost), part=part, during=during),
         ]
     return results
 
@@ -117,7 +127,7 @@ def slack_result(bench: Bench) -> list[Result]:
     slack = bench.slack or blocked_or(bench, NO_BRANCH)
     if isinstance(slack, Estimate):
         slack = widened(slack, bench.signals[bench.displacement].zero_error)
-    return [to_result(bench, asked, slack)]
+    return [to_result(bench, asked, slack, during=while_loading(bench))]
 
 
 def compliance_result(bench: Bench, *, low: float, high: float) -> list[Result]:
@@ -128,8 +138,5 @@ def compliance_result(bench: Bench, *, low: float, high: float) -> list[Result]:
         return [to_result(bench, asked, blocked_or(bench, NO_BRANCH))]
     curve, stretch = curve_of(bench), loading_stretch(bench)
     found = fit_compliance(curve.displacement[stretch], curve.force[stretch], start=low, stop=high)
-    return [
-        to_result(
-            bench, asked, found if isinstance(found, Failure) else with_force_scale(bench, found)
-        )
-    ]
+    outcome = found if isinstance(found, Failure) else with_force_scale(bench, found)
+    return [to_result(bench, asked, outcome, during=while_loading(bench))]

@@ -15,7 +15,14 @@ from labpipe.fitting.noise import long_run_variance
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, SpanBend
 from labpipe.pipeline.clocks import turning_points
 from labpipe.pipeline.corrections import loading_branch
-from labpipe.pipeline.outcomes import NO_BRANCH, Asked, blocked_or, to_result, with_force_scale
+from labpipe.pipeline.outcomes import (
+    NO_BRANCH,
+    Asked,
+    blocked_or,
+    to_result,
+    while_loading,
+    with_force_scale,
+)
 from labpipe.processing.alignment import match_peaks
 from labpipe.processing.sections import Sections, find_sections
 from labpipe.processing.strokes import Stroke, find_strokes
@@ -207,9 +214,10 @@ def mid_span_results(bench: Bench, entry: MidSpan) -> list[Result]:
     if isinstance(parts, Failure):
         return [to_result(bench, each, parts) for each in (stiffness, curvature)]
     bend, _, branch, time = parts
+    during = while_loading(bench)
     return [
-        to_result(bench, stiffness, _stiffness(bench, parts, entry, large=large)),
-        to_result(bench, curvature, _peak_curvature(bend, branch, time)),
+        to_result(bench, stiffness, _stiffness(bench, parts, entry, large=large), during=during),
+        to_result(bench, curvature, _peak_curvature(bend, branch, time), during=during),
     ]
 
 
@@ -317,4 +325,4 @@ def twist_result(bench: Bench) -> list[Result]:
     if isinstance(turned, Estimate) and turned.value < 0.0:
         # which way it turns is only a matter of which end of the conduit is called the first
         turned = _at_turn(-shape.twist[:, number], bend.rest, branch, time)
-    return [to_result(bench, asked, turned)]
+    return [to_result(bench, asked, turned, during=while_loading(bench))]

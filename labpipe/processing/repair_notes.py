@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from labpipe.processing.linking import Links
 from labpipe.processing.naming import Chain, Naming, is_unlabelled
+from labpipe.processing.oddities import stretches_of
 from labpipe.processing.tracklets import Tracklets, in_sight
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import PointFlag
@@ -96,7 +97,7 @@ def _by_column(
 ) -> Iterator[QualityNote]:
     code, severity, words = kind
     for column, name in enumerate(names):
-        stretches = _stretches(mask[:, column])
+        stretches = stretches_of(mask[:, column])
         if len(stretches) <= _MOST:
             for start, stop in stretches:
                 span = take.span(start, stop)
@@ -110,11 +111,6 @@ def _by_column(
             )
             where = f"{name}, {take.span(stretches[0][0], stretches[-1][1])}"
             yield QualityNote(code, severity, where, message)
-
-
-def _stretches(mask: Flags) -> list[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.pad(mask.astype(np.int8), 1)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
 
 def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
@@ -190,11 +186,14 @@ def _ambiguous(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote
         span = take.span(int(pieces.stop[one]) - 1, int(pieces.start[two]) + 1)
         names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
         message = f"{names}: may have exchanged labels, {span}; too near to tell, left as labelled"
-        yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message)
+        # from there on the two may be each other
+        after = ((float(take.time[pieces.stop[one] - 1]), float(take.time[-1])),)
+        yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message, after)
     for chain in naming.doubtful:
         name, span = take.names[chain.label], take.span(chain.start, chain.stop)
         message = f"{name}: a second track under this label, {span}, could not be given to a marker"
-        yield QualityNote("label_ambiguous", Severity.WARNING, f"{name}, {span}", message)
+        when = ((float(take.time[chain.start]), float(take.time[chain.stop - 1])),)
+        yield QualityNote("label_ambiguous", Severity.WARNING, f"{name}, {span}", message, when)
 
 
 def _dropped(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from labpipe.processing.arc_curves import RestCurve, curve_at_rest
 from labpipe.processing.frame_fits import EndConditions, FrameFits, fit_frames
 from labpipe.processing.frames import Selection
+from labpipe.processing.oddities import times_of
 from labpipe.processing.tracklets import in_sight
 from labpipe.processing.tracks import LEAST_MARKERS
 from labpipe.records.arrays import Flags, Floats
@@ -247,11 +248,13 @@ def _notes(
         )
         for name in _kept(names, ~settled)
     ]
-    lost = np.flatnonzero(~in_sight(fit.last_point))
+    gone = ~in_sight(fit.last_point)
+    lost = np.flatnonzero(gone)
     if len(lost):
         message = (
             f"no shape in {len(lost)} of {len(time)} frames, from {time[lost[0]]:.3f} s to "
             f"{time[lost[-1]]:.3f} s: fewer than {fit.needed} markers in sight"
         )
-        notes.append(QualityNote("shape_missing", Severity.WARNING, "markers", message))
+        when = times_of(gone, time)
+        notes.append(QualityNote("shape_missing", Severity.WARNING, "markers", message, when))
     return tuple(notes)

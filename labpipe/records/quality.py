@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 
@@ -27,9 +27,12 @@ class QualityNote:
     severity : how much it matters
     where : role, channel or marker it speaks of, with time or frames where it has them
     message : one sentence with the numbers and their units
+    stretches : s, the stretches of the recording that it speaks of; none where it speaks of all.
+        For those who draw conclusions while a test is processed; not stored.
     """
 
     code: str
     severity: Severity
     where: str
     message: str
+    stretches: tuple[tuple[float, float], ...] = field(default=(), compare=False)

@@ -63,6 +63,23 @@ def test_missing_samples_are_doubted() -> None:
     }
 
 
+def test_blanks_at_the_ends_are_noted_alone() -> None:
+    time = np.arange(100) * 0.1
+    values = np.arange(100.0)
+    values[0] = values[-1] = np.nan
+    bench, _ = lay_out(force(values, time), PROTOCOL)
+    assert not bench.doubts
+    assert [note.message for note in bench.notes if note.code == "missing_samples"] == [
+        "2 of 100 samples are blank or not finite"
+    ]
+    values[1:5] = np.nan
+    bench, _ = lay_out(force(values, time), PROTOCOL)
+    assert [doubt.during for doubt in bench.doubts] == [
+        pytest.approx((0.0, 0.4)),
+        pytest.approx((9.9, 9.9)),
+    ]
+
+
 def test_nothing_but_blanks() -> None:
     recordings = force(np.full(10, np.nan))
     with pytest.raises(ProcessingError, match=r"force, channel 'Model/A': expected numbers, found"):

@@ -1,0 +1,73 @@
+"""What a careful person would see in a recording, by numbers alone."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+
+from labpipe.processing.strokes import noise_level
+from labpipe.records.arrays import Flags, Floats, median
+
+_AS_FAST = 0.5
+"""Share of its mean speed above which a motion still moves."""
+_SURE = 0.15
+"""Share of the mean speed to which a speed is to be known."""
+_LAST = 0.02
+"""Share of a stretch whose speed is that at its end; more where noise asks for it."""
+
+
+def stretches_of(flags: Flags) -> list[tuple[int, int]]:
+    """Find the runs of flagged samples.
+
+    Parameters
+    ----------
+    flags : shape (n,)
+
+    Returns
+    -------
+    First sample of each run, and the first one behind it.
+    """
+    edges = np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
+    """Tell when samples are flagged.
+
+    Parameters
+    ----------
+    flags, time : shape (n,)
+
+    Returns
+    -------
+    First and last time of each run, s.
+    """
+    return tuple((float(time[start]), float(time[end - 1])) for start, end in stretches_of(flags))
+
+
+def moves_at_end(time: Floats, values: Floats) -> bool:
+    """Tell whether a motion is still under way in the last sample of a stretch.
+
+    Parameters
+    ----------
+    time, values : shape (n,), from the begin of the stretch to its last sample; without NaN
+
+    Returns
+    -------
+    Whether a straight line through the last fiftieth of the stretch (as much more as its noise
+    asks for, up to a third; three samples at least) runs in the direction of the whole stretch, at
+    half its mean speed or more. False where nothing moves.
+    """
+    way = float(values[-1] - values[0])
+    lasts = float(time[-1] - time[0])
+    if len(values) < 3 or way == 0.0 or not lasts > 0.0:
+        return False
+    speed, noise = abs(way) / lasts, noise_level(values)
+    apart = median(np.diff(time))
+    size = max(3, int(_LAST * len(values)))
+    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / apart > _SURE * speed:
+        size += max(1, size // 4)
+    late, high = time[-size:] - time[-size:].mean(), values[-size:]
+    slope = float(late @ high) / float(late @ late)
+    return slope * float(np.sign(way)) >= _AS_FAST * speed

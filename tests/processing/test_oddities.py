@@ -1,0 +1,49 @@
+"""What can be seen in a recording, by numbers alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.processing.oddities import moves_at_end, stretches_of, times_of
+from labpipe.records.arrays import Floats
+
+TIME = np.arange(0.0, 5.0, 0.02)
+
+
+def path(shape: Floats, noise: float = 0.0) -> Floats:
+    values: Floats = shape + np.random.default_rng(3).normal(0.0, noise, len(shape))
+    return values
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_a_motion_that_goes_on(noise: float, sense: float) -> None:
+    assert moves_at_end(TIME, path(sense * TIME / 5.0, noise))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_a_motion_that_rests_at_its_end(noise: float) -> None:
+    assert not moves_at_end(TIME, path(np.minimum(TIME, 4.0) / 5.0, noise))
+
+
+def test_a_motion_that_slows_down_to_its_turn() -> None:
+    assert not moves_at_end(TIME, 0.5 - 0.5 * np.cos(np.pi * TIME / 5.0))
+    assert moves_at_end(TIME[:200], (0.5 - 0.5 * np.cos(np.pi * TIME / 5.0))[:200])
+
+
+def test_a_motion_that_has_turned() -> None:
+    assert not moves_at_end(TIME, np.minimum(TIME, 9.8 - TIME))
+
+
+def test_few_samples() -> None:
+    assert moves_at_end(TIME[:3], TIME[:3])
+    assert not moves_at_end(TIME[:2], TIME[:2])
+    assert not moves_at_end(TIME[:5], np.zeros(5))
+
+
+def test_stretches() -> None:
+    flags = np.array([True, False, True, True, False, True])
+    assert stretches_of(flags) == [(0, 1), (2, 4), (5, 6)]
+    assert times_of(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
+    assert stretches_of(np.zeros(3, dtype=np.bool_)) == []
