@@ -113,6 +113,7 @@ _COHERENT = {
 }
 """What the plain units are in coherent ones, so that it is known what they are not."""
 
+_MOST_DIGITS = 18
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
 
@@ -179,6 +180,25 @@ def _other_dimension(unit: str, si_unit: str) -> str:
 def _spelt(unit: str) -> str:
     plain = unit.replace("²", "^2").replace("³", "^3").replace("μ", "µ")  # Greek mu: micro sign
     return "" if plain in {"", "1"} else plain.replace("·", "*").replace("^", "**")
+
+
+def whole_number(text: str) -> int | None:
+    """Read a count such as a header states.
+
+    Parameters
+    ----------
+    text : digits
+
+    Returns
+    -------
+    The count; None if the text holds anything else, or more digits than any count has.
+
+    Examples
+    --------
+    >>> whole_number("2701"), whole_number("2701.0"), whole_number(5000 * "9")
+    (2701, None, None)
+    """
+    return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else None
 
 
 def parse_quantity(text: object, si_unit: str) -> float:

@@ -20,6 +20,7 @@ from labpipe.errors import LabpipeError
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _NO_FIGURES = "numbers only; figures drawn before stay as they are"
+_SHOWN = 60
 _EPILOG = """\
 exit status: 0 done; 1 some results failed (they are listed); 2 bad input or usage
 
@@ -120,19 +121,19 @@ def _command(
 
 def _demo(parser: argparse.ArgumentParser) -> None:
     where = "folder that gets raw/demo and processed/demo (default: here)"
-    parser.add_argument("folder", nargs="?", type=Path, default=Path(), metavar="DIR", help=where)
+    parser.add_argument("folder", nargs="?", type=_path, default=Path(), metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     _jobs(parser, default=min(os.cpu_count() or 1, 4))
 
 
 def _inspect(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", type=Path, metavar="FILE", help="an export of any known format")
+    parser.add_argument("file", type=_path, metavar="FILE", help="an export of any known format")
     parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def _new(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", type=Path, metavar="DIR", help="of the test, or of the campaign")
-    parser.add_argument("--from", dest="sheet", type=Path, metavar="SHEET", help="campaign sheet")
+    parser.add_argument("folder", type=_path, metavar="DIR", help="of the test, or of the campaign")
+    parser.add_argument("--from", dest="sheet", type=_path, metavar="SHEET", help="campaign sheet")
     parser.add_argument("--protocol", default="wire-cantilever", help="(default: %(default)s)")
     parser.add_argument("--type", help="specimen type, such as A2")
     parser.add_argument("--spool", help="spool the sample was cut from, such as A2-s1")
@@ -153,16 +154,34 @@ def _new(parser: argparse.ArgumentParser) -> None:
 
 def _check(parser: argparse.ArgumentParser) -> None:
     where = "protocols, tests or campaigns (default: protocols/ and raw/)"
-    parser.add_argument("paths", nargs="*", type=Path, metavar="PATH", help=where)
+    parser.add_argument("paths", nargs="*", type=_path, metavar="PATH", help=where)
+    _follow_links(parser)
 
 
 def _process(parser: argparse.ArgumentParser) -> None:
     what = "test folder, campaign folder, test.yaml, or a result.h5 to process again"
-    parser.add_argument("tests", nargs="+", type=Path, metavar="TEST", help=what)
-    parser.add_argument("--out", type=Path, metavar="DIR", help="write to DIR/<test> instead")
+    parser.add_argument("tests", nargs="+", type=_path, metavar="TEST", help=what)
+    parser.add_argument("--out", type=_path, metavar="DIR", help="write to DIR/<test> instead")
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
+    _follow_links(parser)
     _jobs(parser, default=1)
+
+
+def _follow_links(parser: argparse.ArgumentParser) -> None:
+    what = "exports may be links out of the folder of their test, such as into a store"
+    parser.add_argument("--follow-links", action="store_true", help=what)
+
+
+def _path(text: str) -> Path:
+    try:
+        Path(text).resolve().exists()
+    except (OSError, RuntimeError, ValueError) as error:  # too long a name, a loop of links
+        why = getattr(error, "strerror", None) or "a link that leads back to itself"
+        shown = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}..."
+        message = f"expected the name of a file or a folder, found {shown!r} ({why})"
+        raise argparse.ArgumentTypeError(message) from error
+    return Path(text)
 
 
 def _jobs(parser: argparse.ArgumentParser, *, default: int) -> None:
@@ -179,9 +198,9 @@ def _count(text: str) -> int:
 
 def _report(parser: argparse.ArgumentParser) -> None:
     what = "folder with processed tests, or a result.h5"
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help=what)
+    parser.add_argument("paths", nargs="+", type=_path, metavar="PATH", help=what)
     where = "folder of the report (default: report, beside the tests)"
-    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
     parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
     fields = (
         "fields of the test sheets that groups are made by, such as wire,taping (default: type)"
@@ -190,14 +209,14 @@ def _report(parser: argparse.ArgumentParser) -> None:
     alone = "show only pairs of groups that differ in this field and no other, such as taping"
     parser.add_argument("--compare", default="", metavar="FIELD", help=alone)
     sheet = "wire sheet: shows where bundles lie between wires that slip and wires that stick"
-    parser.add_argument("--wire", type=Path, metavar="SHEET", help=sheet)
+    parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
 
 
 def _model(parser: argparse.ArgumentParser) -> None:
     what = "wire sheet, xlsx or csv: one row per wire"
-    parser.add_argument("sheet", type=Path, metavar="WIRES", help=what)
+    parser.add_argument("sheet", type=_path, metavar="WIRES", help=what)
     where = "folder of the results (default: processed/<name of the sheet>)"
-    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print the tables as JSON, in SI units")
 
@@ -207,36 +226,36 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("bundle", metavar="BUNDLE", help=what)
     sheet = "wire sheet with the types of the bundle as its wires (default: %(default)s)"
     parser.add_argument(
-        "--wire", type=Path, default=Path("wires.xlsx"), metavar="WIRES", help=sheet
+        "--wire", type=_path, default=Path("wires.xlsx"), metavar="WIRES", help=sheet
     )
     where = "packed, symmetric or asymmetric (default: that of the test.yaml, else packed)"
     parser.add_argument("--arrangement", metavar="WORD", help=where)
     bore = "inner diameter of a conduit, such as '10.7 mm'; of several, the best filled is chosen"
     parser.add_argument("--bore", action="append", default=[], metavar="LENGTH", help=bore)
     where = "folder of the results (default: processed/bundles/<name>)"
-    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 
 def _calibrate(parser: argparse.ArgumentParser) -> None:
     what = "folder with processed cantilever tests, or a result.h5"
-    parser.add_argument("paths", nargs="+", type=Path, metavar="PATH", help=what)
+    parser.add_argument("paths", nargs="+", type=_path, metavar="PATH", help=what)
     sheet = (
         "wire sheet with the specimen types as its wires (default: wires.xlsx or wires.csv here)"
     )
-    parser.add_argument("--wire", type=Path, metavar="SHEET", help=sheet)
+    parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
     plan = "calibration YAML: which wire, what is free, fixed or has a prior (default: all free)"
-    parser.add_argument("--plan", type=Path, metavar="FILE", help=plan)
+    parser.add_argument("--plan", type=_path, metavar="FILE", help=plan)
     where = "folder of the results (default: calibration, beside the tests)"
-    parser.add_argument("--out", type=Path, metavar="DIR", help=where)
+    parser.add_argument("--out", type=_path, metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 
 def _simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--out", type=Path, default=Path("raw"), metavar="DIR", help="(default: raw)"
+        "--out", type=_path, default=Path("raw"), metavar="DIR", help="(default: raw)"
     )
     parser.add_argument("--name", default="synthetic-1", help="of the test (default: %(default)s)")
     kind = "what is tested (default: %(default)s)"

@@ -10,7 +10,7 @@ from labpipe.pipeline.check import check_paths
 
 def run(options: argparse.Namespace) -> int:
     """Find everything that is wrong with protocols and tests, without processing."""
-    checked = check_paths(options.paths)
+    checked = check_paths(options.paths, follow_links=options.follow_links)
     for finding in checked.findings:
         print(finding.message, file=sys.stderr)
     faults = len(checked.findings)

@@ -21,7 +21,11 @@ def run(options: argparse.Namespace) -> int:
     """Process tests; a bad one does not stop the others."""
     tests = find_tests(options.tests)
     processed, refused = process_all(
-        tests, out=options.out, figures=lambda _: not options.no_figures, jobs=options.jobs
+        tests,
+        out=options.out,
+        figures=lambda _: not options.no_figures,
+        jobs=options.jobs,
+        follow_links=options.follow_links,
     )
     if not processed:
         return 2  # each has been told
@@ -36,7 +40,12 @@ def run(options: argparse.Namespace) -> int:
 
 
 def process_all(
-    tests: list[Path], *, out: Path | None, figures: Callable[[Path], bool], jobs: int
+    tests: list[Path],
+    *,
+    out: Path | None,
+    figures: Callable[[Path], bool],
+    jobs: int,
+    follow_links: bool = False,
 ) -> tuple[list[Processed], int]:
     """Process tests and say what is wrong with those that cannot be.
 
@@ -47,7 +56,9 @@ def process_all(
     """
     processed, refused = [], 0
     with progress(len(tests)) as begin:
-        for done in process_tests(tests, out=out, figures=figures, jobs=jobs, begin=begin):
+        for done in process_tests(
+            tests, out=out, figures=figures, follow_links=follow_links, jobs=jobs, begin=begin
+        ):
             if isinstance(done, Refused):
                 print(f"labpipe process: {done.reason}", file=sys.stderr)
                 refused += 1

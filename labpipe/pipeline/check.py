@@ -54,7 +54,9 @@ class Checked:
     findings: tuple[Finding, ...]
 
 
-def check_paths(paths: Sequence[Path] = (), *, protocols: Path | None = None) -> Checked:
+def check_paths(
+    paths: Sequence[Path] = (), *, protocols: Path | None = None, follow_links: bool = False
+) -> Checked:
     """Check protocols and tests.
 
     Parameters
@@ -62,6 +64,7 @@ def check_paths(paths: Sequence[Path] = (), *, protocols: Path | None = None) ->
     paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
         ``raw`` in the working folder if there are none
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+    follow_links : whether exports may be links out of the folder of their test
 
     Returns
     -------
@@ -75,7 +78,7 @@ def check_paths(paths: Sequence[Path] = (), *, protocols: Path | None = None) ->
     for plan in plans:
         found += [Finding(plan, message) for message in _protocol_faults(plan)]
     for test in tests:
-        found += [Finding(test, message) for message in _test_faults(test, protocols)]
+        found += [Finding(test, message) for message in _test_faults(test, protocols, follow_links)]
     found += _shared_names(tests)
     once = {finding.message: finding for finding in reversed(found)}
     return Checked(plans, tests, tuple(reversed(once.values())))
@@ -110,14 +113,14 @@ def _protocol_faults(path: Path) -> Iterator[str]:
         yield complaint(path, "(name)", expected=expected, found=repr(protocol.name), remedy=remedy)
 
 
-def _test_faults(path: Path, protocols: Path | None) -> Iterator[str]:
+def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iterator[str]:
     try:
         sheet = load_test_sheet(path)
     except ProtocolError as error:
         yield from str(error).splitlines()
         return
     try:
-        protocol = resolve(sheet, path, protocols)
+        protocol = resolve(sheet, path, protocols, follow_links=follow_links)
     except ProtocolError as error:
         yield from str(error).splitlines()
         protocol = None

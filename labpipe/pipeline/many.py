@@ -38,6 +38,7 @@ def process_tests(
     *,
     out: Path | None = None,
     figures: Callable[[Path], bool] = lambda _: True,
+    follow_links: bool = False,
     jobs: int = 1,
     begin: Callable[[Path], Say] = lambda _: _say_nothing,
 ) -> Iterator[Processed | Refused]:
@@ -46,7 +47,7 @@ def process_tests(
     Parameters
     ----------
     tests : test.yaml or result.h5 files
-    out : see `process_test`
+    out, follow_links : see `process_test`
     figures : whether to draw those of a test
     jobs : how many at a time, each in a process of its own
     begin : told each test, and gives what is told its stages; of several at a time, none but that
@@ -66,9 +67,9 @@ def process_tests(
     process = _process if len(tests) == 1 else _process_one_of_many
     if jobs == 1:
         for test in tests:
-            yield process(test, out, figures(test), begin(test))
+            yield process(test, out, figures(test), follow_links, begin(test))
         return
-    calls = [partial(process, test, out, figures(test)) for test in tests]
+    calls = [partial(process, test, out, figures(test), follow_links) for test in tests]
     with closing(in_processes(calls, jobs=jobs)) as outcomes:
         for test in tests:
             begin(test)("wait")
@@ -117,10 +118,10 @@ def _say_nothing(_: str) -> None:
 
 
 def _process(
-    test: Path, out: Path | None, is_drawn: bool, say: Say = _say_nothing
+    test: Path, out: Path | None, is_drawn: bool, follow_links: bool, say: Say = _say_nothing
 ) -> Processed | Refused:
     try:
-        done = process_test(test, out=out, figures=is_drawn, say=say)
+        done = process_test(test, out=out, figures=is_drawn, follow_links=follow_links, say=say)
     except LabpipeError as error:
         return Refused(test, str(error))
     except MemoryError:
@@ -130,11 +131,11 @@ def _process(
 
 
 def _process_one_of_many(
-    test: Path, out: Path | None, is_drawn: bool, say: Say = _say_nothing
+    test: Path, out: Path | None, is_drawn: bool, follow_links: bool, say: Say = _say_nothing
 ) -> Processed | Refused:
     """Process a test; a fault of labpipe does not stop the others, but shows where it is alone."""
     try:
-        return _process(test, out, is_drawn, say)
+        return _process(test, out, is_drawn, follow_links, say)
     except Exception as error:  # noqa: BLE001
         return Refused(test, _own_fault(test, error))
 

@@ -61,6 +61,7 @@ def process_test(
     *,
     out: Path | None = None,
     figures: bool = True,
+    follow_links: bool = False,
     say: Say = lambda _: None,
 ) -> Processed:
     """Process one test.
@@ -70,6 +71,7 @@ def process_test(
     source : its test.yaml, or a result.h5 whose raw group is processed again
     out : folder that gets a folder per test; None for `processed` beside `raw`
     figures : whether to draw
+    follow_links : whether exports may be links out of the folder of the test
     say : told the name of each stage as it begins
 
     Returns
@@ -84,7 +86,7 @@ def process_test(
     say("read")
     again = source.suffix == ".h5"
     finished = again and out is None and _finished(source.parent)
-    raw, protocol = _stored(source) if again else _exported(source)
+    raw, protocol = _stored(source) if again else _exported(source, follow_links)
     say("process")
     result = reduce_test(raw, protocol)
     folder = goal_of(source, out, lambda: result.test)
@@ -194,10 +196,10 @@ def _figures_to_go(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
     return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
 
 
-def _exported(sheet_path: Path) -> tuple[RawTest, Protocol]:
+def _exported(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
     """A test from its sheet and exports."""
     sheet = load_test_sheet(sheet_path)
-    protocol = resolve(sheet, sheet_path)
+    protocol = resolve(sheet, sheet_path, follow_links=follow_links)
     recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
     raw = RawTest(
         test=sheet.test,

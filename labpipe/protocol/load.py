@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,9 +13,10 @@ from labpipe.errors import ProtocolError
 from labpipe.protocol.absent import absent_faults, without_absent
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import Fault, did_you_mean, faults_of, one_of
+from labpipe.protocol.links import are_followed, link_faults
 from labpipe.protocol.overrides import with_overrides
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet import COPY_IT, TestSheet
+from labpipe.protocol.sheet import TestSheet
 from labpipe.protocol.shipped import find_protocol
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text
@@ -66,7 +67,7 @@ def parse_protocol(text: str, name: str) -> Protocol:
 
 
 def load_test_sheet(path: Path) -> TestSheet:
-    """Read a test sheet, and see that the files it names do not leave its folder.
+    """Read a test sheet; whether its exports are links out of its folder, `resolve` looks.
 
     Parameters
     ----------
@@ -81,8 +82,7 @@ def load_test_sheet(path: Path) -> TestSheet:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    document = parse_yaml(read_text(path), str(path))
-    return _checked(TestSheet, document, lambda sheet: _leaving(sheet, path.parent))
+    return _checked(TestSheet, parse_yaml(read_text(path), str(path)))
 
 
 def load_calibration_plan(path: Path) -> CalibrationPlan:
@@ -126,7 +126,13 @@ def parse_test_sheet(text: str, name: str) -> TestSheet:
     return _checked(TestSheet, parse_yaml(text, name))
 
 
-def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -> Protocol:
+def resolve(
+    sheet: TestSheet,
+    sheet_path: Path,
+    protocols: Path | None = None,
+    *,
+    follow_links: bool = False,
+) -> Protocol:
     """Find the protocol of a test and put the test's own values into it.
 
     Parameters
@@ -134,6 +140,8 @@ def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -
     sheet : the test sheet
     sheet_path : the file that it was loaded from
     protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+    follow_links : whether exports may be links out of the folder of the test, whatever the
+        protocol says
 
     Returns
     -------
@@ -143,8 +151,9 @@ def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -
     Raises
     ------
     ProtocolError
-        If there is no such protocol, it is wrong, an override does not fit it, or the roles of the
-        files are not those of its sources; the message has one line per fault.
+        If there is no such protocol, it is wrong, an override does not fit it, the roles of the
+        files are not those of its sources, or an export is a link that may not be followed; the
+        message has one line per fault.
     """
     said = parse_yaml(read_text(sheet_path), str(sheet_path))
     found = find_protocol(sheet.protocol, beside=sheet_path.parent, protocols=protocols)
@@ -152,7 +161,9 @@ def resolve(sheet: TestSheet, sheet_path: Path, protocols: Path | None = None) -
         raise _complaint([said.place(found)])
     plain = parse_yaml(read_text(found), str(found))
     merged = with_overrides(plain, said)
-    told = [*merged.told, *(said.place(fault) for fault in _role_faults(sheet, merged))]
+    followed = follow_links or are_followed(plain)
+    links = link_faults(sheet, sheet_path.parent, followed=followed)
+    told = [*merged.told, *map(said.place, (*_role_faults(sheet, merged), *links))]
     try:
         protocol = Protocol.model_validate(merged.data)
     except ValidationError as error:
@@ -185,11 +196,7 @@ def dump_protocol(protocol: Protocol) -> str:
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=1000)
 
 
-def _checked(
-    model: type[_B],
-    document: Document,
-    more: Callable[[_B], Iterable[Fault]] = lambda _block: (),
-) -> _B:
+def _checked(model: type[_B], document: Document) -> _B:
     """Validate a document; tell all its faults at once."""
     told = list(document.told)
     try:
@@ -197,7 +204,6 @@ def _checked(
     except ValidationError as error:
         faults = faults_of(error, data=document.data, keys=())
         raise _complaint([*told, *map(document.place, faults)]) from None
-    told += [document.place(fault) for fault in more(block)]
     if told:
         raise _complaint(told)
     return block
@@ -214,16 +220,6 @@ def _is_sound(document: Document) -> bool:
     except ValidationError:
         return False
     return True
-
-
-def _leaving(sheet: TestSheet, folder: Path) -> Iterable[Fault]:
-    """Find files that a symbolic link takes out of the folder of the test."""
-    home = folder.resolve()
-    for role, names in sheet.files.items():
-        for name in names:
-            if not (folder / name).resolve().is_relative_to(home):
-                expected = "a file inside the folder of the test"
-                yield Fault(("files", role), expected, f"{name!r}, a link out of it", COPY_IT)
 
 
 def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:

@@ -9,9 +9,12 @@ from typing import Any
 from labpipe.protocol.faults import Fault, KeyPath, did_you_mean
 from labpipe.protocol.results import result_names
 from labpipe.protocol.yaml_text import Document, Spot
+from labpipe.units import whole_number
 
 SHEET_DIMENSIONS = ("length", "span")
 """Dimensions of the sheet's specimen that go before those of the protocol."""
+_LEFT = {"follow_links": "Write it into the protocol, or give --follow-links."}
+"""Keys that a test sheet must not change, and what to do instead."""
 
 
 def in_test_sheet(key: str, value: str) -> str:
@@ -57,6 +60,9 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
             found = f"{override['value']!r} beside {specimen[key[9:]]!r} in 'specimen'"
             fault = Fault(place, f"{key!r} once", found, "Keep the one in 'specimen'.")
             merged.told.append(sheet.place(fault))
+        elif key in _LEFT:
+            expected, found = "a key that a test may change", repr(key)
+            merged.told.append(sheet.place(Fault(place[:2], expected, found, _LEFT[key], "key")))
         else:
             _put(merged, key, sheet, place)
     return merged
@@ -96,7 +102,8 @@ def _key_in(node: object, part: str) -> str | int | None:
     if not isinstance(node, list):
         return None
     if part.isdecimal():
-        return int(part) if int(part) < len(node) else None
+        number = whole_number(part)
+        return number if number is not None and number < len(node) else None
     # What a result is called goes before its kind: one stiffness of several may be `stiffness`.
     for called in (_names, _words):
         found = [i for i, item in enumerate(node) if part in called(item)]

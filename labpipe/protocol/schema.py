@@ -58,6 +58,9 @@ class Protocol(Block):
     version: Annotated[Literal[1], BeforeValidator(known_version), WithJsonSchema({"const": 1})]
     name: FileStem = Field(description="As the file is called, without .yaml")
     about: Remark = Field("", description="What it is for, in one line")
+    follow_links: bool = Field(
+        False, description="Whether exports may be links out of the folder of the test"
+    )
     sources: dict[Role, Source] = Field(min_length=1)
     specimen: SpecimenBlock = SpecimenBlock()
     rig: Rig = Rig()

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import re
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Annotated
+from typing import Annotated, Final
+from unicodedata import category
 
 from pydantic import BeforeValidator, WithJsonSchema
 
 from labpipe.protocol.faults import error_of
+
+_UNSAID: Final = frozenset({"Cc", "Cs"})
+"""Control signs and halves of signs, which no file system takes."""
 
 
 def _text(value: object) -> str:
@@ -37,12 +41,16 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
 
     Returns
     -------
-    Validator that refuses what is no text, a path from the root (of POSIX or of Windows, on either
-    system), and one with ``..``.
+    Validator that refuses what is no text or has control signs, a path from the root (of POSIX or
+    of Windows, on either system), and one with ``..``.
     """
 
     def check(value: object) -> str:
-        if not isinstance(value, str) or not value.strip():
+        if (
+            not isinstance(value, str)
+            or not value.strip()
+            or not _UNSAID.isdisjoint(map(category, value))
+        ):
             raise error_of(expected="the name of a file", found=value)
         roots = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if roots or ".." in PureWindowsPath(value).parts:

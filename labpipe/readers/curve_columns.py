@@ -10,7 +10,7 @@ from pathlib import Path
 from labpipe.errors import ReadError, complaint, nearest
 from labpipe.readers.load_frame.cells import is_unit, name_and_unit
 from labpipe.readers.sheet_cells import Cell, Row
-from labpipe.units import si_factor
+from labpipe.units import si_factor, whole_number
 
 _USUAL = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
@@ -99,8 +99,9 @@ def find_column(table: CurveTable, asked: CurveColumn) -> int:
         remedy = "Give the number of the one that is meant."
         raise fault(table.path, head_of(table), f"one column {words[0]!r}", said, remedy)
     width = len(table.units)
-    if asked.column is not None and asked.column.isdecimal() and 1 <= int(asked.column) <= width:
-        return int(asked.column) - 1
+    number = whole_number(asked.column or "")
+    if number is not None and 1 <= number <= width:
+        return number - 1
     raise _no_column(table, asked, words[0])
 
 

@@ -40,6 +40,8 @@ from labpipe.readers.load_frame.cells import (
 )
 from labpipe.readers.load_frame.content import decode, is_binary, read_content
 from labpipe.readers.load_frame.place import lines_of
+from labpipe.readers.load_frame.regrouped import is_grouped
+from labpipe.readers.load_frame.rows import PLAIN
 from labpipe.readers.sheet_cells import Cell, Row, is_workbook, workbook_cells
 from labpipe.records.arrays import Floats
 
@@ -166,12 +168,14 @@ def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
 
 
 def _number(cell: Cell, path: Path) -> float:
-    if is_number(cell.text) and cell.text.count(",") <= 1:
-        value = float(cell.text.replace(",", "."))
-        if math.isfinite(value):
-            return value
+    sign = "," if "," in cell.text else "."
+    if PLAIN[sign].fullmatch(cell.text) and math.isfinite(float(cell.text.replace(",", "."))):
+        return float(cell.text.replace(",", "."))
     found = repr(cell.text) if cell.text else "a blank cell"
-    raise fault(path, cell.place, "a finite number", found, "Correct the row, or take it out.")
+    remedy = "Correct the row, or take it out."
+    if is_grouped(cell.text):
+        remedy = "Write the file anew without signs between thousands."
+    raise fault(path, cell.place, "a finite number", found, remedy)
 
 
 def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import re
 from datetime import date
 
-_SAVED = re.compile(r"Created on: \w{3} (\w{3}) +(\d+) [\d:]+ (\d{4})")
+_SAVED = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) [\d:]+ (\d{4})")
 _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+_LONGEST = 4
+"""Digits of a day, a month or a year."""
 _CLOSE = 7
 """Days between recording and saving that are still believed."""
 
@@ -45,10 +47,10 @@ def written_date(text: str, near: date | None) -> str:
     >>> written_date("4-5-2023 17:30:33", date(2023, 5, 4))
     '2023-05-04'
     """
-    numbers = [int(word) for word in re.findall(r"\d+", text)[:3]]
-    if len(numbers) < 3 or near is None:
+    words = re.findall(r"\d+", text)[:3]
+    if len(words) < 3 or near is None or max(map(len, words)) > _LONGEST:
         return ""
-    a, b, c = numbers
+    a, b, c = map(int, words)
     orders = [(a, b, c)] if a > 31 else [(c, a, b), (c, b, a)]
     days = [day for order in orders if (day := _day(*order)) is not None]
     days.sort(key=lambda day: abs((day - near).days))

@@ -34,6 +34,7 @@ from labpipe.readers.tables import Body, read_numbers
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
+from labpipe.units import whole_number
 
 _BOM = b"\xef\xbb\xbf"
 _OPENS = b"trace_values"
@@ -120,7 +121,7 @@ def _samples(
         text=content[start + len(_OPENS) :],
         width=width + 1,
         first_line=content[:start].count(b"\n") + 1,
-        stated_rows=int(size) if size.isdecimal() else None,
+        stated_rows=whole_number(size),
     )
     return read_numbers(body, range(1, width + 1), path)
 
@@ -170,6 +171,7 @@ def _descriptions(rows: Sequence[Sequence[str]]) -> dict[str, dict[str, str]]:
 
 def _reference_day(nanoseconds: str) -> date | None:
     """The day of ReferenceTime, ns since 1970 UTC."""
-    if not nanoseconds.isdecimal() or len(nanoseconds) > 19:
+    seconds = whole_number(nanoseconds[:-9])
+    if seconds is None or len(nanoseconds) > 19:
         return None
-    return datetime.fromtimestamp(int(nanoseconds) // 10**9, tz=UTC).date()
+    return datetime.fromtimestamp(seconds, tz=UTC).date()

@@ -33,6 +33,7 @@ BROKEN: tuple[type[Exception], ...] = (
 )
 """What the format libraries were seen to raise, or say they raise, for damaged files."""
 
+_LOOK = "Check the name and the folder."
 _CUT = "Export the recording again; the file may have been cut off while copying."
 
 
@@ -63,6 +64,10 @@ def reading(
         text = complaint(path, "", expected="a file", found=found, remedy="Check its permissions.")
         raise ReadError(text) from error
     except (*BROKEN, *also) as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            found = f"one that cannot be opened ({error.strerror})"
+            text = complaint(path, "", expected="a file", found=found, remedy=_LOOK)
+            raise ReadError(text) from error
         found = f"a damaged one ({_first_line(error)})"
         raise ReadError(complaint(path, "", expected=what, found=found, remedy=remedy)) from error
 
@@ -82,13 +87,15 @@ def read_head(path: Path, size: int = 65536) -> bytes:
     Raises
     ------
     ReadError
-        If there is no such file, it is a folder, it may not be read, or it is empty.
+        If there is no such file, it is a folder, a pipe or a device, it may not be read, or it is
+        empty.
     """
-    if path.is_dir():
-        remedy = "Name one of the files in it."
-        raise ReadError(complaint(path, "", expected="a file", found="a folder", remedy=remedy))
-    with reading(path, "a readable file"), path.open("rb") as stream:
-        head = stream.read(size)
+    with reading(path, "a readable file"):
+        kind = _odd_kind(path)
+        head = b"" if kind else _beginning(path, size)
+    if kind:
+        remedy = "Name one of the files in it." if kind == "a folder" else "Name a plain file."
+        raise ReadError(complaint(path, "", expected="a file", found=kind, remedy=remedy))
     if not head:
         remedy = "Export the recording again."
         found = "an empty file (0 bytes)"
@@ -96,9 +103,20 @@ def read_head(path: Path, size: int = 65536) -> bytes:
     return head
 
 
+def _odd_kind(path: Path) -> str:
+    """What a path is that is no plain file: reading a pipe would wait for ever."""
+    if path.is_dir():
+        return "a folder"
+    return "a pipe or a device" if path.exists() and not path.is_file() else ""
+
+
+def _beginning(path: Path, size: int) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(size)
+
+
 def _absent(path: Path) -> str:
-    remedy = "Check the name and the folder."
-    return complaint(path, "", expected="a file", found="none of that name", remedy=remedy)
+    return complaint(path, "", expected="a file", found="none of that name", remedy=_LOOK)
 
 
 def _first_line(error: BaseException) -> str:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint
+from labpipe.units import whole_number
 
 Cells = Sequence[str]
 
@@ -90,7 +91,7 @@ class Header:
     def stated_rows(self) -> int | None:
         """Number of exported frames as line 1 states it."""
         text = self.about.get("Total Exported Frames", "").removesuffix(".0")
-        return int(text) if text.isdecimal() else None
+        return whole_number(text)
 
     @property
     def length_unit(self) -> float:

@@ -13,6 +13,7 @@ from labpipe.errors import ReadError, complaint
 from labpipe.readers.motive_table import derived_rate, unique_names
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
+from labpipe.units import whole_number
 
 _BODY_WORDS = frozenset({"trackable", "rigidbody"})
 _POSE = 11
@@ -271,8 +272,8 @@ def _about(take: _Take) -> dict[str, object]:
 def _notes(take: _Take) -> list[QualityNote]:
     message = "no unit is stated: positions are taken as metres, mean errors as millimetres"
     notes = [QualityNote("unit_assumed", Severity.WARNING, "take", message)]
-    stated = take.info.get("framecount", "")
-    if stated.isdecimal() and int(stated) != len(take.numbers):
+    stated = whole_number(take.info.get("framecount", ""))
+    if stated not in {None, len(take.numbers)}:
         message = f"the header states {stated} rows, the file holds {len(take.numbers)} frames"
         notes.append(QualityNote("rows_differ", Severity.WARNING, "file", message))
     if 0 in take.n_bodies:

@@ -101,6 +101,9 @@ def _cells(path: Path) -> tuple[list[list[Cell]], str]:
     if not is_workbook(path):
         return csv_cells(path), ""
     known, hidden = sheet_names(path), hidden_sheets(path)
+    if not known:
+        found, remedy = "a workbook without sheets", "Name the wire sheet."
+        raise ReadError(complaint(path, "", expected="a wire sheet", found=found, remedy=remedy))
     shown = [each for each in known if each not in hidden]
     name = next((each for each in known if each.casefold() == WIRES_SHEET), (shown or known)[0])
     where = f"hidden sheet '{name}'" if name in hidden else f"sheet '{name}'"

@@ -132,3 +132,26 @@ def test_nothing_is_printed_when_every_test_is_refused(run: Run, lab: Lab) -> No
     (lab.raw / "force.mat").unlink()
     ran = run("process", lab.raw, "--json")
     assert (ran.status, ran.out) == (2, "")
+
+
+@pytest.mark.parametrize("command", ["inspect", "check", "process", "report", "model"])
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("a" * 300, "File name too long"), ("loop", "a link that leads back to itself")],
+)
+def test_a_name_that_the_file_system_refuses(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    name: str,
+    why: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    with pytest.raises(SystemExit) as left:
+        main([command, name])
+    assert left.value.code == 2
+    shown = "'loop'" if name == "loop" else f"'{'a' * 60}...'"
+    said = f"expected the name of a file or a folder, found {shown} ({why})"
+    assert said in capsys.readouterr().err

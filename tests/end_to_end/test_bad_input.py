@@ -204,7 +204,21 @@ def test_link_that_leaves_the_folder(
         shutil.move(lab.raw / "force.mat", outside)
         (lab.raw / "force.mat").symlink_to(outside)
 
-    assert "a link out of it" in refused(link)
+    message = refused(link)
+    assert "a link out of it" in message
+    assert "--follow-links" in message
+
+
+@pytest.mark.parametrize("command", ["check", "process"])
+def test_links_into_a_store_are_followed_on_demand(
+    lab: Lab, run: Run, tmp_path_factory: pytest.TempPathFactory, command: str
+) -> None:
+    outside = tmp_path_factory.mktemp("store") / "0001.mat"
+    shutil.move(lab.raw / "force.mat", outside)
+    (lab.raw / "force.mat").symlink_to(outside)
+    options = ["--no-figures"] if command == "process" else []
+    assert run(command, lab.raw, *options).status == 2
+    assert run(command, lab.raw, *options, "--follow-links").status == 0
 
 
 def test_file_that_is_not_there(refused: Refused) -> None:

@@ -38,7 +38,7 @@ def test_numbers_of_other_yaml_readers_are_text() -> None:
 NAME = TypeAdapter(Annotated[str, file_inside("the folder of the test", "Copy it.")])
 
 
-@pytest.mark.parametrize("name", ["a.csv", "below/a.csv", "..a.csv"])
+@pytest.mark.parametrize("name", ["a.csv", "below/a.csv", "..a.csv", "DAQ\u00a0- \u2026 力.txt"])
 def test_a_file_is_in_its_folder_or_below(name: str) -> None:
     assert NAME.validate_python(name) == name
 
@@ -53,7 +53,7 @@ def test_a_file_elsewhere_is_refused(name: str) -> None:
     assert info.value.errors()[0]["msg"] == expected
 
 
-@pytest.mark.parametrize("value", [" ", "", 1, None])
+@pytest.mark.parametrize("value", [" ", "", 1, None, "a\0b", "a\nb", "a\ud800"])
 def test_what_is_no_name_of_a_file_is_refused(value: object) -> None:
     with pytest.raises(ValidationError, match="expected the name of a file"):
         NAME.validate_python(value)

@@ -171,6 +171,15 @@ HEAD = "deflection / mm,force / N\n"
         ),
         (f"{HEAD}0,0\n1,1e999\n2,2\n", "line 3, column 2: expected a finite number, found '1e999'"),
         (f"{HEAD}0,0\n1,\n2,2\n", "line 3, column 2: expected a finite number, found a blank cell"),
+        (
+            f"{HEAD}0,0\n1,1.234.567\n2,2\n",
+            "line 3, column 2: expected a finite number, found '1.234.567'. Write the file anew "
+            "without signs between thousands.",
+        ),
+        (
+            f"{HEAD}0,0\n1,1.2.3\n2,2\n",
+            "line 3, column 2: expected a finite number, found '1.2.3'.",
+        ),
         (f"{HEAD}0,0\n1\n2,2\n", "line 3: expected a finite number, found a blank cell"),
         (f"{HEAD}0,0\n1,1\nx,y\n2,2\n", "line 4, column 1: expected a finite number, found 'x'"),
         (

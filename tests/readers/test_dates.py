@@ -19,6 +19,8 @@ from labpipe.readers.dates import day_of_saving, written_date
         ("12/01/2026", None, ""),
         ("yesterday", date(2026, 6, 1), ""),
         ("99/99/2026", date(2026, 6, 1), ""),
+        ("1/1/99999999999999999999", date(2026, 6, 1), ""),
+        (f"1/{'9' * 5000}/2026", date(2026, 6, 1), ""),
     ],
 )
 def test_the_day_of_saving_settles_the_order(text: str, near: date | None, iso: str) -> None:
@@ -31,4 +33,5 @@ def test_the_day_in_a_mat_header() -> None:
     assert day_of_saving(header.format("Fri May  5")) == date(2023, 5, 5)
     assert day_of_saving(header.format("Fri May 45")) is None
     assert day_of_saving(header.format("Don Mai 04")) is None
+    assert day_of_saving(header.format(f"Thu May {'9' * 5000}")) is None
     assert day_of_saving("") is None

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -44,6 +45,26 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path) -> None:
     empty.touch()
     with pytest.raises(ReadError, match=r"expected an export, found an empty file \(0 bytes\)"):
         read_head(empty)
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [("a" * 300, "File name too long"), ("loop", "Too many levels of symbolic links")],
+)
+def test_a_name_that_leads_nowhere(tmp_path: Path, name: str, why: str) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    with pytest.raises(ReadError) as refused:
+        read_head(tmp_path / name)
+    assert str(refused.value) == (
+        f"{tmp_path / name}: expected a file, found one that cannot be opened ({why}). Check the"
+        " name and the folder."
+    )
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ReadError, match=r"expected a file, found a pipe or a device\. Name a pl"):
+        read_head(tmp_path / "pipe")
 
 
 def test_a_forbidden_file_is_named(tmp_path: Path) -> None:

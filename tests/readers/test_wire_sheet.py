@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from openpyxl import Workbook
 from labpipe.errors import ReadError
 from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.wire import WireSpec
+from tests.readers.load_frame.exports import changed, workbook
 
 Row = dict[str, object]
 A2: Row = {
@@ -378,6 +380,19 @@ def test_a_sheet_without_wires(sheet: Path) -> None:
     assert str(info.value) == (
         f"{sheet}, sheet 'Sheet': expected a heading and one row per wire, found 1 rows."
         " Fill in the table."
+    )
+
+
+def test_a_workbook_without_sheets(tmp_path: Path) -> None:
+    path = changed(
+        workbook(tmp_path / "w.xlsx", {"wires": [["wire"]]}),
+        lambda text: re.sub("<sheets>.*</sheets>", "<sheets/>", text),
+        "xl/workbook.xml",
+    )
+    with pytest.raises(ReadError) as refused:
+        read_wire_sheet(path)
+    assert str(refused.value) == (
+        f"{path}: expected a wire sheet, found a workbook without sheets. Name the wire sheet."
     )
 
 

@@ -41,6 +41,7 @@ from labpipe.readers.load_frame.workbook import read_sheets
 from labpipe.readers.workbooks import forget_sheets, open_sheets
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Recording
+from labpipe.units import whole_number
 
 __all__ = ["read", "recognise"]
 
@@ -105,8 +106,8 @@ def _counted(export: Export, tables: Sequence[Table], card: Card) -> list[Qualit
     )
     notes = []
     for what, key, count in counts:
-        stated = str(export.about.get(key, ""))
-        if key and stated.isdecimal() and int(stated) != count:
+        stated = whole_number(str(export.about.get(key, ""))) if key else None
+        if stated not in {None, count}:
             message = f"the header states {stated} {what}, the file holds {count}"
             notes.append(QualityNote(f"{what}_differ", Severity.WARNING, "file", message))
     return notes

@@ -114,7 +114,7 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
         raise _fault(source, "", expected, f"'{name}'", "Rename the file of the card.")
     try:
         keys = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers without end
         remedy = "Look at the line it names."
         raise _fault(
             source, "", "a card in TOML", f"text that is none ({error})", remedy
@@ -162,6 +162,7 @@ def _fault(source: object, key: str, expected: str, found: str, remedy: str) -> 
 
 
 _SHOW = 60
+_HUGE = 10**300
 _FIX = "Correct the card."
 
 
@@ -182,7 +183,7 @@ def _flag(value: object, key: str, source: object) -> bool:
 
 
 def _number(value: object, key: str, source: object) -> float:
-    if isinstance(value, int | float) and not isinstance(value, bool):
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE:
         return float(value)
     raise _fault(source, key, "a number", _shown(value), _FIX)
 
@@ -190,7 +191,7 @@ def _number(value: object, key: str, source: object) -> float:
 def _pattern(value: object, key: str, source: object) -> Pattern:
     try:
         return re.compile(_text(value, key, source), re.MULTILINE)
-    except re.error as error:
+    except (re.error, OverflowError, RecursionError) as error:
         raise _fault(source, key, "a pattern", f"{_shown(value)} ({error})", _FIX) from error
 
 
