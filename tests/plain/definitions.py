@@ -30,6 +30,8 @@ class Record:
     time: Samples | None
     travel: Samples
     force: Samples
+    shaken: float | None = None
+    """Noise of the travel before a filter, m."""
 
     def seen(self) -> Record:
         """The rows in which both channels have a number."""
@@ -151,11 +153,37 @@ def trapezoid(travel: Samples, force: Samples) -> float:
     return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(travel)))
 
 
+def noise(values: Samples) -> float:
+    """Standard deviation from sample to sample, by the median of the second differences."""
+    bends = np.abs(np.diff(values, 2))
+    return float(np.median(bends)) / 0.6745 / np.sqrt(6.0) if len(bends) else 0.0
+
+
+def may_be_turns(record: Record, at: int) -> range:
+    """Samples around a turn that noise does not tell from it; mostly the turn alone.
+
+    Within six standard deviations: noise of a laser wanders by more than it differs from sample to
+    sample.
+    """
+    shaken = noise(record.travel) if record.shaken is None else record.shaken
+    near = np.abs(record.travel - record.travel[at]) <= 6.0 * shaken
+    near[at] = True
+    others = np.flatnonzero(~near)
+    first = others[others < at]
+    last = others[others > at]
+    return range(int(first[-1]) + 1 if len(first) else 0, int(last[0]) if len(last) else len(near))
+
+
 def energy(record: Record, cycle: Cycle) -> Plain | None:
+    """Trapezoids from turn to turn, whichever of the samples there is called the turn."""
     if cycle.end is None:
         return None
-    part = slice(cycle.begin, cycle.end + 1)
-    return Plain.of(trapezoid(record.travel[part], record.force[part]))
+    steps = 0.5 * (record.force[1:] + record.force[:-1]) * np.diff(record.travel)
+    work = np.concatenate([[0.0], np.cumsum(steps)])
+    begins = work[list(may_be_turns(record, cycle.begin))]
+    ends = work[list(may_be_turns(record, cycle.end))]
+    own = work[cycle.end] - work[cycle.begin]
+    return Plain.of(own, ends.max() - begins.min(), ends.min() - begins.max())
 
 
 def fall(record: Record, at: int, force: Samples) -> float:
@@ -254,6 +282,7 @@ def filtered(record: Record, samples: int, stroke: float) -> list[Record]:
             record.time,
             moving_average(record.travel, samples, pieces, centred=centred),
             moving_average(record.force, samples, pieces, centred=centred),
+            noise(record.travel),
         )
         for centred in (True, False)
     ]

@@ -123,14 +123,25 @@ def excused(record: Record, asked: Asked) -> dict[str, str]:
         limits = 1e-3 * asked.window[0], 1e-3 * asked.window[1]
         if len(window(record, parts[0], *limits)[0]) < FEWEST["stiffness"]:
             found["stiffness"] = "too_few_samples|not_reached"
-    return found | _open_cycles(parts)
-
-
-def _open_cycles(parts: list[Cycle]) -> dict[str, str]:
-    found = {}
     for number, cycle in enumerate(parts, start=1):
-        if cycle.end is None:
-            found[f"energy.{number}"] = "partial_cycle"
-        elif cycle.end + 1 - cycle.begin <= FEWEST["energy.*"]:
+        if cycle.end is not None and cycle.end + 1 - cycle.begin <= FEWEST["energy.*"]:
             found[f"energy.{number}"] = "too_few_samples"
+    return found | (_open(record, parts[-1], len(parts)) if parts else {})
+
+
+def _open(record: Record, cycle: Cycle, number: int) -> dict[str, str]:
+    """What of the last cycle may go on behind the record: it may be said, and need not.
+
+    A motion that ends at its farthest may go farther, and a force that ends within 10 % of its
+    largest may grow; a motion that is not back within 2 % of its stroke has not unloaded.
+    """
+    last = len(record.travel) - 1
+    found = {} if cycle.end is not None else {f"energy.{number}": "partial_cycle"}
+    if cycle.end is None and cycle.turn == last:
+        found[f"peak_displacement.{number}"] = "partial_cycle"
+        if abs(record.force[last]) >= 0.9 * np.max(np.abs(record.force[cycle.begin :])):
+            found[f"peak_force.{number}"] = "partial_cycle"
+    stroke = abs(record.travel[cycle.turn] - record.travel[cycle.begin])
+    if abs(record.travel[last] - record.travel[cycle.begin]) > 0.02 * stroke:
+        found[f"energy.{number}"] = "partial_cycle"
     return found

@@ -141,7 +141,7 @@ def bent(name: str, encoding: str = "utf-16-le") -> Real:
         "Machine Extension",
         asked=Asked((0.2, 3.2), 0.2, segments=True),
         hurt={
-            "peak_*": "missing|partial_cycle",
+            "peak_*": "missing",
             "energy*": "missing|no_break|no_failure",
             "failure*": "missing|no_break|no_failure",
         },
@@ -171,11 +171,11 @@ SIGN = "sign|negative|reversed|down|compress"
 
 FRAMES: dict[str, Real] = {
     "copper-1": lloyd("22awg_copper_1_50mm", 0.5, 3.0),
-    "copper-1a": lloyd("22awg_copper_1a_50mm", 0.5, 3.0, hurt={"peak_*": "partial_cycle"}),
+    "copper-1a": lloyd("22awg_copper_1a_50mm", 0.5, 3.0),
     "copper-2": lloyd("22awg_copper_2_50mm", 0.5, 3.0),
-    "silicone-1": lloyd("22awg_silicone_1_50mm", 5.0, 60.0, hurt={"peak_*": "partial_cycle"}),
-    "silicone-2": lloyd("22awg_silicone_2_50mm", 5.0, 60.0, hurt={"peak_*": "partial_cycle"}),
-    "latex": lloyd("latex_1_30.5mm", 10.0, 60.0, hurt={"peak_*": "partial_cycle"}),
+    "silicone-1": lloyd("22awg_silicone_1_50mm", 5.0, 60.0),
+    "silicone-2": lloyd("22awg_silicone_2_50mm", 5.0, 60.0),
+    "latex": lloyd("latex_1_30.5mm", 10.0, 60.0),
     **{f"bent-{name}": bent(name, "utf-16" if name == "7_test1" else "utf-16-le") for name in BENT},
     "cable-ld": suite(f"{REU}SteelCableLD_200mm_Trial3/{TIMED}.csv", (0.5, 1.0), "kN", CSV),
     "cable-sd": suite(f"{REU}SteelCableSD_100mm_Trial1/{TIMED}.csv", (0.5, 1.0), "kN", CSV),
@@ -201,7 +201,7 @@ FRAMES: dict[str, Real] = {
         ("kN", "mm"),
         asked=Asked((0.1, 0.2), 0.05),
         sign_free=True,
-        hurt={"*": SIGN, "peak_*": "partial_cycle"},
+        hurt={"*": SIGN},
     ),
     "doubly-compressed": Real(
         tuple(f"{RUN}{number}.txt" for number in ("", "1", "2", "3", "4", "5")),
@@ -209,7 +209,6 @@ FRAMES: dict[str, Real] = {
         "Load",
         "Crosshead",
         asked=Asked(None, 0.1),
-        hurt={"peak_*.2": "partial_cycle"},
     ),
     "flexure-793": Real(
         ("mts/mts793/1_3D850_s1.dat",),
@@ -219,7 +218,7 @@ FRAMES: dict[str, Real] = {
         ("kN", "mm"),
         asked=Asked((1.0, 2.0), 0.2),
         sign_free=True,
-        hurt={"*": SIGN, "peak_*": "partial_cycle"},
+        hurt={"*": SIGN},
     ),
     "crush-793": Real(
         ("mts/mts793/bam_druck_Wolf_8.2_Probe_2_specimen.dat",),
@@ -229,7 +228,7 @@ FRAMES: dict[str, Real] = {
         ("kN", "mm"),
         asked=Asked((0.3, 0.8), 0.2),
         sign_free=True,
-        hurt={"*": SIGN, "peak_*": "partial_cycle"},
+        hurt={"*": SIGN},
     ),
     "modulus-793": Real(
         ("mts/mts793/bam_emodul_specimen.dat",),
@@ -240,7 +239,7 @@ FRAMES: dict[str, Real] = {
         asked=Asked((0.1, 0.3), 0.1),
         sign_free=True,
         since=45.0,
-        hurt={"*": f"{SIGN}|zero|jump|drift|tare|not_reached", "*.4": "partial_cycle"},
+        hurt={"*": f"{SIGN}|zero|jump|drift|tare|not_reached"},
     ),
     "aluminium": Real(
         ("instron/bezborodow_Al5005.csv",),
@@ -264,7 +263,7 @@ FRAMES: dict[str, Real] = {
         "Extension",
         ("lbf", "in"),
         asked=Asked((20.0, 25.0), 0.2),
-        hurt={"*": "under_load|begins|start|zero", "peak_*": "partial_cycle"},
+        hurt={"*": "under_load|begins|start|zero"},
     ),
     "elastomer-cycle": Real(
         ("instron/vhb4910_0d05_2d0_gbk.csv",),
@@ -286,7 +285,7 @@ FRAMES: dict[str, Real] = {
         "Force standard",
         "Course standard",
         asked=Asked((0.05, 0.15), 0.05),
-        hurt={"*": "under_load|begins|start|zero|drift|jump|negative", "energy.1": "partial_cycle"},
+        hurt={"*": "under_load|begins|start|zero|drift|jump|negative"},
     ),
     "etfe-tra": Real(
         ("zwick/Zugversuch_eng_ETFE-Ref+Groesseneffekt6.TRA",),
@@ -294,7 +293,6 @@ FRAMES: dict[str, Real] = {
         "Standardkraft",
         "Standardweg",
         asked=Asked((1.0, 4.0), 0.2),
-        hurt={"peak_*": "partial_cycle"},
     ),
     "metal-xlsx": Real(
         ("zwick/FSP_AB_1_Traction-11.XLSX",),
@@ -302,7 +300,6 @@ FRAMES: dict[str, Real] = {
         "Standard force",
         "Standard travel",
         asked=Asked((0.05, 0.15), 0.05),
-        hurt={"peak_*": "partial_cycle"},
     ),
     "aborted-xlsx": Real(
         ("zwick/Target-2.XLSX",),
@@ -320,7 +317,6 @@ FRAMES: dict[str, Real] = {
             ("mN", "mm"),
             asked=Asked((0.5, 1.5), 0.2),
             part=name,
-            hurt={"peak_*": "partial_cycle"},
         )
         for name in (*(f"cotton-{i}" for i in range(1, 5)), *(f"acrylic-{i}" for i in range(1, 4)))
     },
@@ -338,7 +334,6 @@ FRAMES: dict[str, Real] = {
         "C_1_Déplacement",
         ("kN", "mm"),
         asked=Asked((0.5, 1.5), 0.2),
-        hurt={"peak_*": "partial_cycle"},
     ),
     "walter-bai-400": Real(
         ("walter_bai/Exemple_WB400kN_2_Tract_L100_D10.csv",),
@@ -346,7 +341,7 @@ FRAMES: dict[str, Real] = {
         "Force",
         "Déplacement",
         asked=Asked((3.0, 5.0), 0.2),
-        hurt={"*": "under_load|begins|start|zero", "peak_*": "partial_cycle"},
+        hurt={"*": "under_load|begins|start|zero"},
     ),
     "hot-catman": Real(
         ("hbm_catman/DD11_7_1.ASC",),
@@ -371,6 +366,5 @@ FRAMES: dict[str, Real] = {
         ("N", "um"),
         minutes=True,
         asked=Asked((0.05, 0.15), 0.02),
-        hurt={"peak_*": "partial_cycle"},
     ),
 }

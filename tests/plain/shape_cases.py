@@ -324,14 +324,14 @@ def bad() -> Iterator[Case]:
 
 
 CLEAN: tuple[Callable[[], Iterator[Case]], ...] = (triangles, cyclic, zeroed, holds, breaks)
-FAULTY: tuple[Callable[[], Iterator[Case]], ...] = (cuts, starts, channels, signs, scales)
+FAULTY: tuple[Callable[[], Iterator[Case]], ...] = (cuts, starts, channels, signs)
 
 
 def all_cases() -> list[Case]:
     """Every shape free of noise and with it, but for those that noise would only blur."""
     both = [case for family in (*CLEAN, *FAULTY) for case in family()]
     noisy = [case.noisy() for case in both if not case.name.endswith("+noise")]
-    return [*both, *(each for each in noisy if each.name != "creep+noise"), *bad()]
+    return [*both, *(each for each in noisy if each.name != "creep+noise"), *scales(), *bad()]
 
 
 __all__ = ["Case", "Motion", "all_cases"]
