@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import get_args
 
 from labpipe import __version__
-from labpipe.errors import ProcessingError, StoreError
+from labpipe.errors import ProcessingError, StoreError, complaint
 from labpipe.pipeline.exports import read_inputs
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.pipeline.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.rig import FigureName
 from labpipe.protocol.schema import Protocol
+from labpipe.protocol.words import is_name_of_a_test
 from labpipe.records.bending import Bending
 from labpipe.records.result import Status, TestResult
 from labpipe.store.lock import locked
@@ -217,6 +218,15 @@ def _exported(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
 def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
     """A test from the raw group of an earlier result."""
     raw = read_raw(result_path)
+    if not is_name_of_a_test(raw.test):
+        message = complaint(
+            result_path,
+            "test",
+            expected="the name of a test, such as A2-085-1",
+            found=repr(raw.test),
+            remedy="Process the test again from its exports.",
+        )
+        raise StoreError(message)
     return raw, parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
 
 

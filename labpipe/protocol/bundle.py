@@ -22,7 +22,7 @@ from pydantic_core import CoreSchema, core_schema
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import Fault, error_of, raised
 from labpipe.protocol.quantities import Length, Offset, Whole
-from labpipe.protocol.words import Text
+from labpipe.protocol.words import Line
 from labpipe.records.bundle import NONE, PACKED, Bundle, BundleWire
 
 DENSEST = pi / sqrt(12)
@@ -89,7 +89,7 @@ def _in_words(value: object) -> object:
 
 
 Wires = Annotated[
-    dict[Text, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
+    dict[Line, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
     Field(min_length=1),
     _OrShort(_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
 ]
@@ -113,9 +113,9 @@ class SheetBundle(Block):
         None,
         description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
     )
-    tape: Text = "none"
+    tape: Line = "none"
     taping: Literal["none", "coarse", "half-lap"] = "none"
-    conduit: Text = "none"
+    conduit: Line = "none"
     conduit_bore: Length | None = Field(None, description="Inner diameter of the conduit")
 
     @property

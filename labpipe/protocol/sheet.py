@@ -17,7 +17,7 @@ from labpipe.protocol.quantities import (
     Length,
 )
 from labpipe.protocol.source import Role
-from labpipe.protocol.words import FileStem, Remark, Snake, Text, file_inside
+from labpipe.protocol.words import FileStem, Line, Remark, Snake, Text, file_inside
 from labpipe.records.result import Specimen
 
 SHEET_NAME = "test.yaml"
@@ -33,12 +33,12 @@ class SheetSpecimen(Block):
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, Length]
 
-    type: Text
-    spool: Text
-    sample: Text
+    type: Line
+    spool: Line
+    sample: Line
     length: Length | None = Field(None, description="Free length; goes before the protocol's")
     bundle: SheetBundle | None = Field(None, description="What a harness bundle is made of")
-    labels: Annotated[dict[Snake, Text], BeforeValidator(_nothing_is_empty)] = Field(
+    labels: Annotated[dict[Snake, Line], BeforeValidator(_nothing_is_empty)] = Field(
         {}, description="Any other words on the specimen, by name"
     )
 

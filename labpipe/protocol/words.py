@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import re
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Annotated, Final
-from unicodedata import category
+from typing import Annotated
 
 from pydantic import BeforeValidator, WithJsonSchema
 
 from labpipe.protocol.faults import error_of
 
-_UNSAID: Final = frozenset({"Cc", "Cs"})
-"""Control signs and halves of signs, which no file system takes."""
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+"""Ends of lines, and characters that no page, workbook or drawing can hold."""
+_NAME = re.compile(r"\w[\w.+-]*")
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+_LONGEST_NAME = 120
+"""Bytes; file systems take 255, and an ending follows."""
 
 
 def _text(value: object) -> str:
@@ -20,6 +23,39 @@ def _text(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
         raise error_of(expected="text", found=value)
     return str(value)
+
+
+def _line(value: object) -> str:
+    text = _text(value)
+    if _CONTROL.search(text) is not None:
+        raise error_of(expected="text on one line, without control characters", found=value)
+    return text
+
+
+def is_name_of_a_test(text: str) -> bool:
+    """Whether a text can be the name of a test, whose files go to a folder of that name.
+
+    Parameters
+    ----------
+    text : any
+
+    Returns
+    -------
+    False for what leads elsewhere (``../x``), and for what some file system does not take.
+    """
+    fits = _NAME.fullmatch(text) is not None and len(text.encode()) <= _LONGEST_NAME
+    return fits and _DEVICE.fullmatch(text) is None and not text.endswith(".")
+
+
+def _file_stem(value: object) -> str:
+    text = _text(value)
+    if _NAME.fullmatch(text) is None:
+        expected = "a name of letters, digits, '-', '_', '.' and '+'"
+        raise error_of(expected=expected, found=value)
+    if not is_name_of_a_test(text):
+        expected = f"a name that every system takes, of {_LONGEST_NAME} letters at the most"
+        raise error_of(expected=expected, found=value)
+    return text
 
 
 def _word(pattern: str, meaning: str) -> BeforeValidator:
@@ -46,11 +82,7 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
     """
 
     def check(value: object) -> str:
-        if (
-            not isinstance(value, str)
-            or not value.strip()
-            or not _UNSAID.isdisjoint(map(category, value))
-        ):
+        if not isinstance(value, str) or not value.strip() or _CONTROL.search(value) is not None:
             raise error_of(expected="the name of a file", found=value)
         roots = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if roots or ".." in PureWindowsPath(value).parts:
@@ -63,6 +95,10 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
 Text = Annotated[
     str, BeforeValidator(_text), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
 ]
+Line = Annotated[
+    str, BeforeValidator(_line), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
+]
+"""Text that stands in headings, tables and drawings."""
 Remark = Annotated[
     str,
     BeforeValidator(lambda value: "" if value is None else value),
@@ -71,7 +107,7 @@ Remark = Annotated[
 """Text that may be empty or left out."""
 FileStem = Annotated[
     str,
-    _word(r"\w[\w.+-]*", "a name of letters, digits, '-', '_', '.' and '+'"),
+    BeforeValidator(_file_stem),
     WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
 ]
 Snake = Annotated[

@@ -21,6 +21,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import ceil, prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -44,6 +45,8 @@ _V5, _V73 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _REVISION = re.compile(r"Revision (\d+\.\d+)")
 _QUOTED = re.compile(r'"([^"]*)"$')
 _KNOWN = frozenset({"2.0", "2.1"})
+_SMALL = 64
+"""Elements of an array that is read at once."""
 _DEFLATE_LIMIT = 1100
 """No deflated data set is larger than 1032 times the file that holds it."""
 
@@ -91,6 +94,7 @@ def _variables(path: Path) -> Iterator[tuple[Mapping[str, Node], str]]:
         file = h5py.File(path, "r")
     with file:
         with reading(path, "a whole MAT v7.3 file"):
+            _require_all_inside(file)
             size = path.stat().st_size
             found = {key: _from_hdf5(file[key], file, size) for key in file if key != "#refs#"}
         yield found, created
@@ -129,13 +133,39 @@ def _from_dataset(item: h5py.Dataset, file: h5py.File, size: int) -> Node:
         return "" if is_text else np.empty(0)
     if _holds_references(item):
         return [_from_hdf5(file[ref], file, size) for ref in np.ravel(item[()])]
-    if item.nbytes > _DEFLATE_LIMIT * size:
+    if item.is_virtual or item.external:
+        message = f"{item.name} keeps its samples in another file"
+        raise ValueError(message)
+    if item.nbytes > _DEFLATE_LIMIT * size or not _is_whole(item):
         message = f"{item.name} claims {item.nbytes} bytes in a file of {size}"
         raise ValueError(message)
     if is_text:
         units = np.asarray(item[()]).T.astype("<u2")
         return units.tobytes().decode("utf-16-le", errors="replace")
-    return item if item.size > 64 else np.asarray(item[()])
+    return item if item.size > _SMALL else np.asarray(item[()])
+
+
+def _require_all_inside(file: h5py.File) -> None:
+    """Refuse links into other files, which an export has no need of."""
+    import h5py
+
+    def leaving(name: bytes, about: Any) -> bytes | None:
+        return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
+
+    found = file.id.links.visit(leaving, info=True)
+    if found is not None:
+        message = f"{found.decode(errors='replace')} is a link into another file"
+        raise ValueError(message)
+
+
+def _is_whole(item: h5py.Dataset) -> bool:
+    """Whether the file holds all samples that a data set claims; small ones are not looked at."""
+    if item.size <= _SMALL:
+        return True
+    if item.chunks is None:
+        return bool(item.id.get_storage_size() >= item.nbytes)
+    sizes = zip(item.shape, item.chunks, strict=True)
+    return bool(item.id.get_num_chunks() >= prod(ceil(every / one) for every, one in sizes))
 
 
 def _recorded(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str, Node]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from math import ceil, prod
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,18 @@ from labpipe.store.replace import is_cut_off
 _AGAIN = "Process the test again from its exports."
 
 
+_BROKEN = (
+    OSError,
+    RuntimeError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    ArithmeticError,
+)
+"""What the HDF5 library, and reading what should be there, raise for damaged files."""
+
+
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
     """Open a result file of a schema that is known here; say every fault of it as StoreError."""
@@ -31,8 +44,13 @@ def opened(path: Path) -> Iterator[Any]:
             raise _fault(path, "", "a result file", _instead_of_hdf5(path), _AGAIN)
         with h5py.File(path, "r") as root:
             _check_schema(path, root)
+            _check_links(path, root)
             yield root
-    except (OSError, RuntimeError, KeyError, ValueError, TypeError, AttributeError) as error:
+    except MemoryError as error:
+        found = f"one that needs more ({error})"
+        remedy = "Close other programs, or leave it out."
+        raise _fault(path, "", "a result file that goes into the memory", found, remedy) from error
+    except _BROKEN as error:
         found = f"a damaged one ({' '.join(str(error).split())})"
         raise _fault(path, "", "a whole result file", found, _AGAIN) from error
 
@@ -62,14 +80,36 @@ def _check_schema(path: Path, root: Any) -> None:
         raise _fault(path, place, expected, f"schema {found}", _AGAIN)
 
 
+def _check_links(path: Path, root: Any) -> None:
+    """Refuse what leads into other files: a result holds all that it is made of."""
+
+    def leaving(name: bytes, about: Any) -> bytes | None:
+        return None if about.type in (h5py.h5l.TYPE_HARD, h5py.h5l.TYPE_SOFT) else name
+
+    found = root.id.links.visit(leaving, info=True)
+    if found is not None:
+        raise _elsewhere(path, found.decode(errors="replace"), "a link into another file")
+
+
+def _elsewhere(path: object, place: str, found: str) -> StoreError:
+    return _fault(path, place, "all of the result in its own file", found, _AGAIN)
+
+
 def text(group: Any, name: str) -> str:
     """Read an attribute that is one string."""
-    return str(group.attrs[name])
+    return _word(group.attrs[name])
 
 
 def texts(group: Any, name: str) -> tuple[str, ...]:
     """Read an attribute that is a list of strings."""
-    return tuple(str(word) for word in group.attrs[name])
+    return tuple(_word(word) for word in group.attrs[name])
+
+
+def _word(value: object) -> str:
+    """Take text that any file can hold: bytes that are no UTF-8 raise a ValueError."""
+    word = str(value)
+    word.encode()
+    return word
 
 
 def strings(group: Any, name: str, axis: str) -> tuple[str, ...]:
@@ -91,10 +131,26 @@ def array(group: Any, name: str, kind: Field) -> NDArray[Any]:
         _check(dataset, "unit", kind.unit, dataset.attrs.get("unit", "none"))
     if kind.dtype not in {"table", "text"}:
         _check(dataset, "number type", kind.dtype, str(dataset.dtype))
+    _check_storage(dataset)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
         dataset.read_direct(values)
     return values
+
+
+def _check_storage(dataset: Any) -> None:
+    """Refuse a dataset that is not here, or not all of it, before memory is taken for it."""
+    file, name = dataset.file.filename, dataset.name
+    if dataset.is_virtual or dataset.external:
+        raise _elsewhere(file, name, "samples that are kept in another file")
+    if dataset.chunks is None:
+        has_all = dataset.id.get_storage_size() >= dataset.nbytes
+    else:
+        sizes = zip(dataset.shape, dataset.chunks, strict=True)
+        has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / one) for all_, one in sizes)
+    if not has_all:
+        found = "a part of them"
+        raise _fault(file, name, f"the {dataset.size} numbers that it claims", found, _AGAIN)
 
 
 def _check(dataset: Any, what: str, expected: str, found: str) -> None:

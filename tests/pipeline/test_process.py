@@ -10,7 +10,7 @@ from labpipe.pipeline.process import process_test
 from labpipe.records.bundle import Bundle, BundleWire
 from labpipe.records.result import Status
 from labpipe.store.read import read_result
-from tests.builders.small_tests import Lab
+from tests.builders.small_tests import Lab, state
 
 
 def test_stages_are_told_and_the_result_is_what_is_stored(lab: Lab) -> None:
@@ -88,3 +88,18 @@ def test_a_sheet_that_is_none(tmp_path: Path) -> None:
     path.write_text("test: T1\n", encoding="utf-8")
     with pytest.raises(ProtocolError, match=r"test.yaml"):
         process_test(path, figures=False)
+
+
+@pytest.mark.parametrize("name", ["../../x", "/tmp/x", "..", "a/b", "", "nul"])
+def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> None:
+    import h5py
+
+    process_test(lab.sheet, figures=False)
+    with h5py.File(lab.result, "r+") as opened:
+        opened.attrs["test"] = name
+    before = state(tmp_path)
+    said = r"result\.h5, test: expected the name of a test, such as A2-085-1, found '"
+    for out in (tmp_path / "deep" / "out", None):
+        with pytest.raises(StoreError, match=said):
+            process_test(lab.result, out=out, figures=False)
+    assert state(tmp_path) == before

@@ -5,7 +5,17 @@ from typing import Annotated, Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from labpipe.protocol.words import FileStem, Remark, Snake, Text, file_inside
+from labpipe.protocol.words import (
+    FileStem,
+    Line,
+    Remark,
+    Snake,
+    Text,
+    file_inside,
+    is_name_of_a_test,
+)
+
+LINE = "text on one line, without control characters"
 
 
 @pytest.mark.parametrize(
@@ -17,6 +27,14 @@ from labpipe.protocol.words import FileStem, Remark, Snake, Text, file_inside
             FileStem,
             "a/b",
             "expected a name of letters, digits, '-', '_', '.' and '+', found 'a/b'.",
+        ),
+        (Line, "A\a2", rf"expected {LINE}, found 'A\x072'."),
+        (Line, "\ud800", rf"expected {LINE}, found '\ud800'."),
+        (Line, "A2\n", rf"expected {LINE}, found 'A2\n'."),
+        (
+            FileStem,
+            "nul.1",
+            "expected a name that every system takes, of 120 letters at the most, found 'nul.1'.",
         ),
         (
             Snake,
@@ -61,3 +79,23 @@ def test_what_is_no_name_of_a_file_is_refused(value: object) -> None:
 
 def test_a_remark_may_be_left_out() -> None:
     assert TypeAdapter(Remark).validate_python(None) == ""
+
+
+@pytest.mark.parametrize("text", ["a $x_1$ <b> & \U0001f600", "one line\nand another\tone"])
+def test_text_is_taken_as_it_is(text: str) -> None:
+    assert TypeAdapter(Text).validate_python(text) == text
+
+
+@pytest.mark.parametrize("name", ["A2-085-1", "0333", "Größe_1", "v1.2+b", "console", "a" * 120])
+def test_names_of_tests(name: str) -> None:
+    assert is_name_of_a_test(name)
+    assert TypeAdapter(FileStem).validate_python(name) == name
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "../x", "a/b", r"a\b", "a b", "CON", "lpt1.x", "a.", "ö" * 61, "a\n"]
+)
+def test_what_cannot_be_the_name_of_a_test(name: str) -> None:
+    assert not is_name_of_a_test(name)
+    with pytest.raises(ValidationError):
+        TypeAdapter(FileStem).validate_python(name)

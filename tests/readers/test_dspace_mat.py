@@ -175,6 +175,46 @@ def test_a_data_set_that_claims_more_than_the_file_can_hold(tmp_path: Path) -> N
         dspace_mat.read(file)
 
 
+def in_another_way(group: h5py.Group, name: str, how: str) -> None:
+    """In place of a data set one that other files hold, or none, for the most part."""
+    old = group[name]
+    labels, shape, kind = dict(old.attrs), old.shape, old.dtype
+    other = Path(group.file.filename).with_name("other.h5")
+    del group[name]
+    if how == "link":
+        group[name] = h5py.ExternalLink(str(other), "secret")
+        return
+    if how == "virtual":
+        layout = h5py.VirtualLayout(shape=shape, dtype=kind)
+        layout[:] = h5py.VirtualSource(str(other), "secret", shape=shape)
+        made = group.create_virtual_dataset(name, layout)
+    elif how == "external":
+        made = group.create_dataset(name, shape=shape, dtype=kind, external=[(other, 0, 10**6)])
+    else:
+        made = group.create_dataset(name, shape=(1, 10**6), dtype=kind, chunks=(1, 1000))
+        made[0, :10] = 1.0
+    made.attrs.update(labels)
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("link", "is a link into another file"),
+        ("virtual", "keeps its samples in another file"),
+        ("external", "keeps its samples in another file"),
+        ("sparse", "claims 8000000 bytes in a file of"),
+    ],
+)
+def test_samples_that_the_file_does_not_hold(tmp_path: Path, how: str, said: str) -> None:
+    file = write_mat_v73(tmp_path / "recording.mat", [Axis(TIME)], [FORCE, LASER])
+    with h5py.File(tmp_path / "other.h5", "w") as other:
+        other["secret"] = np.zeros((1, len(TIME)))
+    with h5py.File(file, "r+") as opened:
+        in_another_way(opened["recording/X"], "Data", how)
+    with pytest.raises(ReadError, match=rf"a whole MAT v7\.3 file, found a damaged one \(.*{said}"):
+        dspace_mat.read(file)
+
+
 @pytest.mark.parametrize("write", WRITERS)
 @pytest.mark.parametrize("part", [0.05, 0.3, 0.6, 0.95])
 def test_a_truncated_file(tmp_path: Path, write: Any, part: float) -> None:

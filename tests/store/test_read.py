@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -185,3 +186,86 @@ def test_damage_anywhere_is_said_or_harmless(
     (tmp_path / "x.h5").write_bytes(content[:place] if cut else content)
     with suppress(StoreError):  # and no other
         read_result(tmp_path / "x.h5")
+
+
+def replaced(
+    path: Path, name: str, make: Callable[[h5py.Group, str, h5py.Dataset], object]
+) -> None:
+    """Put another dataset in the place of one, with its attributes."""
+    with h5py.File(path, "a") as root:
+        old = root[name]
+        labels = dict(old.attrs)
+        folder, _, last = name.rpartition("/")
+        root.move(name, "kept")
+        made = make(root[folder], last, root["kept"])
+        if isinstance(made, h5py.Dataset):
+            made.attrs.update(labels)
+        del root["kept"]
+
+
+def by_link(group: h5py.Group, name: str, _: h5py.Dataset) -> None:
+    group[name] = h5py.ExternalLink("other.h5", "secret")
+
+
+def by_virtual_dataset(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
+    layout = h5py.VirtualLayout(shape=old.shape, dtype=old.dtype)
+    layout[:] = h5py.VirtualSource("other.h5", "secret", shape=old.shape)
+    return group.create_virtual_dataset(name, layout)
+
+
+def by_external_storage(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
+    where = [("/etc/hostname", 0, old.nbytes)]
+    return group.create_dataset(name, shape=old.shape, dtype=old.dtype, external=where)
+
+
+@pytest.mark.parametrize("make", [by_link, by_virtual_dataset, by_external_storage])
+@pytest.mark.parametrize("name", ["curve/force", "raw/force/Out1"])
+def test_other_files_are_not_read(path: Path, name: str, make: Callable[..., object]) -> None:
+    with h5py.File(path.with_name("other.h5"), "w") as other:
+        other["secret"] = np.zeros(5)
+    replaced(path, name, make)
+    said = rf"/?{name}: expected all of the result in its own file, found (a link|samples that)"
+    with pytest.raises(StoreError, match=said):
+        read_result(path)
+
+
+def test_a_link_into_another_file_anywhere(path: Path) -> None:
+    with h5py.File(path, "a") as root:
+        root["results/more"] = h5py.ExternalLink("other.h5", "/")
+    with pytest.raises(StoreError, match=r"results/more: expected all .* a link into another file"):
+        read_outcome(path)
+
+
+def too_large(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
+    return group.create_dataset(name, shape=(10**13,), dtype=old.dtype, chunks=(1 << 15,))
+
+
+def too_large_in_one_piece(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
+    return group.create_dataset(name, shape=(10**13,), dtype=old.dtype)
+
+
+@pytest.mark.parametrize("make", [too_large, too_large_in_one_piece])
+def test_more_numbers_than_the_file_can_hold(path: Path, make: Callable[..., object]) -> None:
+    replaced(path, "curve/force", make)
+    said = "/curve/force: expected the 10000000000000 numbers that it claims, found a part of them"
+    with pytest.raises(StoreError, match=said):
+        read_outcome(path)
+
+
+def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def empty(*_: object) -> None:
+        message = "Unable to allocate 9 TiB"
+        raise MemoryError(message)
+
+    monkeypatch.setattr("labpipe.store.checked.np.empty", empty)
+    said = r"expected a result file that goes into the memory, found one that needs more \(Unable"
+    with pytest.raises(StoreError, match=said):
+        read_outcome(path)
+
+
+@pytest.mark.parametrize("name", ["test", "specimen_type"])
+def test_text_that_is_none(path: Path, name: str) -> None:
+    with h5py.File(path, "a") as root:
+        root.attrs.create(name, np.array(b"A2\xff", dtype=h5py.string_dtype()))
+    with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
+        read_outcome(path)
