@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.plain.definitions import (
+    HALF,
     Break,
     Cycle,
     Plain,
@@ -132,14 +133,14 @@ def excused(record: Record, asked: Asked) -> dict[str, str]:
 def _open(record: Record, cycle: Cycle, number: int) -> dict[str, str]:
     """What of the last cycle may go on behind the record: it may be said, and need not.
 
-    A motion that ends at its farthest may go farther, and a force that ends within 10 % of its
-    largest may grow; a motion that is not back within 2 % of its stroke has not unloaded.
+    A motion that ends within two samples of its farthest may go farther, and a force that is not
+    lost by then may grow; a motion that is not back within 2 % of its stroke has not unloaded.
     """
     last = len(record.travel) - 1
     found = {} if cycle.end is not None else {f"energy.{number}": "partial_cycle"}
-    if cycle.end is None and cycle.turn == last:
+    if cycle.end is None and last - cycle.turn <= 2:
         found[f"peak_displacement.{number}"] = "partial_cycle"
-        if abs(record.force[last]) >= 0.9 * np.max(np.abs(record.force[cycle.begin :])):
+        if abs(record.force[last]) >= HALF * np.max(np.abs(record.force[cycle.begin :])):
             found[f"peak_force.{number}"] = "partial_cycle"
     stroke = abs(record.travel[cycle.turn] - record.travel[cycle.begin])
     if abs(record.travel[last] - record.travel[cycle.begin]) > 0.02 * stroke:
