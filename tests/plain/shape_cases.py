@@ -98,6 +98,10 @@ def cyclic() -> Iterator[Case]:
         )
     motion = triangle(clock(whole(), 20.0), rest=0.0)
     yield Case("no-rest-before", motion.recorded())
+    motion = triangle(clock(60.0 + whole(), 20.0, 0.3), rest=60.0)
+    yield Case("long-rest-before", motion.recorded())
+    motion = triangle(clock(whole(), 20.0, 0.3))
+    yield Case("force-in-steps", motion.recorded(np.round(2.0 * pulled(motion)) / 2.0))
     motion = triangle(clock(whole(), 100.0))
     half = "{step: smooth, channel: %s, method: moving-average, span: 21 samples}"
     steps_ = f"  - {half % 'force'}\n  - {half % 'displacement'}\n"
@@ -251,6 +255,9 @@ def channels() -> Iterator[Case]:
         held = frozen(true.travel, true.time, since)
         codes |= {f"*.{hurt[-1][-1]}": FROZEN}
         yield Case(f"frozen-travel-{name}", replace(true, travel=held), true=true, hurt=codes)
+    spiked = true.force.copy()
+    spiked[1500] += 50.0
+    yield Case("spike", replace(true, force=spiked), true=true, hurt={"*.1": "stray|spike"})
     moved = dict.fromkeys(("peak_force.*", "energy.*", "stiffness"), DRIFT)
     jump = replace(true, force=true.force + np.where(true.time > 26.0, 10.0, 0.0))
     yield Case("zero-jumps", jump, true=true, hurt=moved, steps=zero("mean"))
