@@ -68,6 +68,7 @@ STILL_WRONG: dict[str, str] = {
     "shape-frozen-travel-first-loading": "stiffness: failed, not_reached: the branch reaches 3....",
     "shape-frozen-force-second-loading": "stiffness: doubtful, saturation: 100 samples in a row...",
     "shape-frozen-travel-second-loading": "stiffness: doubtful, saturation: 100 samples in a ro...",
+    "shape-spike": "stiffness: doubtful, saturation: 100 samples in a row stand at 0 N, the end...",
     "shape-zero-jumps": "stiffness: doubtful, saturation: 100 samples in a row stand at 0 N, th...",
     "shape-zero-drifts": "stiffness: 10161.3 is ok, plainly 10000 (+1.61 %)",
     "shape-counts-down": "stiffness: failed, not_reached: the branch reaches -0 mm, 8 mm is ask...",
