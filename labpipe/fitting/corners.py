@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.noise import long_run_variance
 from labpipe.records.arrays import Floats
 
@@ -74,39 +73,6 @@ def fit_corner(
         return None
     jacobian, misfit = _linearised(t, y, parameters, degree)
     return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
-
-
-def value_at_turn(
-    time: Floats, values: Floats, *, at: float, window: float, degree: int
-) -> Estimate | Failure:
-    """Value of a signal at a turning point whose time is known.
-
-    Parameters
-    ----------
-    time, values : shape (n,), s and any unit; increasing time
-    at : s, the turning point
-    window : s on each side
-    degree : of the polynomial on each side
-
-    Returns
-    -------
-    The value with its standard error; a failure ``too_few_samples`` when a side is too short.
-
-    Notes
-    -----
-    The model of `fit_corner` with the time held. NaN are left out.
-    """
-    chosen = (np.abs(time - at) <= window) & ~np.isnan(values)
-    t, y = _binned(time[chosen] - at, values[chosen])
-    if min((t <= 0).sum(), (t > 0).sum()) < degree + 3:
-        return Failure(
-            "too_few_samples", f"fewer than {degree + 3} samples on a side of {at:.3f} s"
-        )
-    coefficients, _ = _joint_fit(t, y, 0.0, degree)
-    design = _design(t, 0.0, degree)
-    variance = long_run_variance(y - design @ coefficients, parameters=design.shape[1])
-    error = np.sqrt(variance * np.linalg.pinv(design.T @ design)[0, 0])
-    return Estimate(float(coefficients[0]), float(error), int(chosen.sum()))
 
 
 def _corner(

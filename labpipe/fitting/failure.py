@@ -1,4 +1,4 @@
-"""Failure of a specimen: where the force is lost, the peak before it, the energy up to it."""
+"""Failure of a specimen: where the force is lost for good, and the energy up to it."""
 
 from __future__ import annotations
 
@@ -9,34 +9,25 @@ import numpy as np
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.loops import loop_energy
-from labpipe.fitting.strays import bridged, stray_samples
-from labpipe.fitting.summits import LEAST, height_at_end, height_of_top, short_median
-from labpipe.records.arrays import Floats, Ints, median
+from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 
 _LEAST = 16
-_FALL = 5.0
-"""A step down of more than this many deviations of the steps before belongs to the loss."""
-_SUDDEN = 0.005
-"""Share of the samples before the failure within which an earlier loss is sudden (4 at least)."""
-_NOTABLE = 0.02
-"""Share of the force carried below which an earlier loss is not told."""
 
 
 @dataclass(frozen=True, slots=True)
 class FailurePoint:
-    """The last point before the force is lost.
+    """The first sample of the final loss of force: the last one before it.
 
     Parameters
     ----------
     displacement : m, of that sample; the specimen broke between it and the next one, which is what
-        its lopsided interval says
-    force : N, carried half a step beyond the sample by a parabola through the smooth stretch before
+        its asymmetric interval says
+    force : N, of that sample
     sample : number of the sample in the arrays given
     step : m, to the next sample
-    lost_before : largest share of the force that was suddenly lost earlier and after which the
-        force never came back to where it had been: the specimen failed in steps, and this point is
-        the last of them above the share; 0 where there was none of at least 2 %
+    lost_before : largest share of the peak that was suddenly lost earlier and after which the
+        force never came back to where it had been: the specimen failed in steps; 0 without one
     """
 
     displacement: Estimate
@@ -46,144 +37,132 @@ class FailurePoint:
     lost_before: float = 0.0
 
 
-def find_failure(
-    displacement: Floats, force: Floats, *, force_below: float
-) -> FailurePoint | Failure:
-    """Last point before the force falls below a share of its maximum and does not come back.
+@dataclass(frozen=True, slots=True)
+class LossOfForce:
+    """What counts as a break.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N; loading branch and what follows; NaN are left out
-    force_below : share of the largest force, such as 0.5
+    force_below : share of the largest force below which the specimen no longer carries
+    loss : share of the largest force that is lost at once
+    within : s; in less than this, or in one step between samples where that is longer
+    """
+
+    force_below: float
+    loss: float
+    within: float
+
+
+def final_loss(time: Floats, force: Floats, rule: LossOfForce) -> int | Failure:
+    """Sample at which the final loss of force begins.
+
+    Parameters
+    ----------
+    time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are left out
+    rule : what counts as a loss
 
     Returns
     -------
-    The point, or a failure: ``no_failure`` when the force is not lost, or goes down because the
-    frame goes back; ``no_tension`` when the force is nowhere above zero; ``too_few_samples`` (fewer
-    than 16 before the loss).
+    Number of the sample, or a failure: ``no_break`` where the force is not lost, or is lost
+    slowly; ``no_tension`` where it is nowhere above zero.
 
     Notes
     -----
-    Stray samples (`labpipe.fitting.strays.stray_samples`) are left out, and the shares are those of
-    the median of five neighbours: neither a spike nor a dropout is a peak or a loss. From the last
-    sample above the share the search goes back over steps down that are steeper than five robust
-    deviations of the steps before: the samples on the way down. Where the force decays without a
-    cliff, the point is the last sample above the share.
+    From the last sample with at least `force_below` of the largest force, which the force does not
+    reach again, go back to the first sample of the loss: as long as the force falls by `loss` of
+    its largest value, or more, within `within`. So a smooth fall before the loss, such as the
+    necking of a wire, belongs to the test. A loss within one step of a slow recording is found as
+    well as one that a fast recording has many samples of.
     """
-    known = _sound(displacement, force)
-    d, f = displacement[known], force[known]
-    if len(d) < _LEAST:
-        return Failure("too_few_samples", f"{len(d)} samples, {_LEAST} are needed")
-    level = short_median(f)
-    top = int(np.argmax(level))
-    if level[top] <= 0.0:
-        return Failure(
-            "no_tension", f"the force is nowhere above zero, at most {level[top] + 0.0:.4g} N"
+    known = np.flatnonzero(~np.isnan(force))
+    t, f = time[known], force[known]
+    if not len(f) or not f.max() > 0.0:
+        most = float(f.max()) + 0.0 if len(f) else 0.0
+        return Failure("no_tension", f"the force is nowhere above zero, at most {most:.4g} N")
+    peak = float(f.max())
+    last = int(np.flatnonzero(f >= rule.force_below * peak)[-1])
+    if last == len(f) - 1:
+        found = f"the force ends at {f[-1]:.4g} N, {f[-1] / peak:.0%} of its peak {peak:.4g} N"
+        return Failure("no_break", f"{found}; below {rule.force_below:.0%} counts as lost")
+    fallen = f[last] - float(f[last + 1 : max(_reach(t, last, rule.within), last + 2)].min())
+    first = _back_to_first(t, f, last, rule, peak)
+    if first == last and fallen < rule.loss * peak:
+        message = (
+            f"the force goes below {rule.force_below:.0%} of its peak {peak:.4g} N slowly: it is "
+            f"nowhere lost there by {rule.loss:.0%} within {1e3 * rule.within:.4g} ms"
         )
-    last = int(np.flatnonzero(level >= force_below * level[top])[-1])
-    missing = _not_lost(d, level, top, last, force_below)
-    if missing is not None:
-        return missing
-    last = _before_cliff(f, last)
-    if last + 1 < _LEAST:
-        return Failure("too_few_samples", f"{last + 1} samples before the loss of force")
-    return _point(d, f, last, int(known[last]))
+        return Failure("no_break", message)
+    return int(known[first])
 
 
-def _sound(displacement: Floats, force: Floats) -> Ints:
-    """Numbers of the samples that are neither missing nor stray."""
-    is_sound = ~np.isnan(displacement) & ~np.isnan(force)
-    is_sound[stray_samples(force)] = False
-    return np.flatnonzero(is_sound).astype(np.int64)
+def _reach(time: Floats, sample: int, within: float) -> int:
+    """The first sample later than `within` after one, left out of what follows it at once."""
+    return int(np.searchsorted(time, time[sample] + within, side="right"))
 
 
-def _not_lost(d: Floats, level: Floats, top: int, last: int, share: float) -> Failure | None:
-    if last == len(level) - 1:
-        end, peak = float(level[-1]), float(level[top])
-        found = f"the force ends at {end:.4g} N, {end / peak:.0%} of its peak {peak:.4g} N"
-        return Failure("no_failure", f"{found}; below {share:.0%} counts as lost")
-    if d[last + 1] < d[top]:
-        found = f"from {1e3 * d[top]:.4g} mm to {1e3 * d[last + 1]:.4g} mm"
-        return Failure(
-            "no_failure", f"the force goes down while the displacement goes back, {found}"
-        )
-    return None
-
-
-def _before_cliff(f: Floats, last: int) -> int:
-    steps = np.diff(f[: last + 1])
-    usual = median(steps)
-    spread = 1.4826 * median(np.abs(steps - usual))
-    while last > 0 and f[last] - f[last - 1] < usual - _FALL * spread - 1e-12 * abs(f[last]):
-        last -= 1
+def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: float) -> int:
+    """Go back while the force falls by the share within the time, or at that rate."""
+    lost = rule.loss * peak
+    while last > 0:
+        begin = min(int(np.searchsorted(t, t[last] - rule.within)), last - 1)
+        higher = np.flatnonzero(f[begin:last] - f[last] >= lost)
+        step = float(t[last] - t[last - 1])
+        if len(higher):
+            last = begin + int(higher[-1])
+        elif f[last - 1] - f[last] >= lost * min(1.0, step / rule.within):
+            last -= 1
+        else:
+            break
     return last
 
 
-def _point(d: Floats, f: Floats, last: int, sample: int) -> FailurePoint:
-    step = max(float(d[last + 1] - d[last]), 0.0)
-    at = float(d[last])
-    place = Estimate(at, step / np.sqrt(12.0), 1, Interval(at, at + 0.95 * step))
-    upto = slice(0, last + 1)
-    height = height_at_end(d[upto], f[upto], step=step)
-    return FailurePoint(place, height, sample, step, _lost_before(f[upto]))
-
-
-def _lost_before(f: Floats) -> float:
-    """Largest share lost suddenly for good, of the highest force before that moment."""
-    width = max(4, int(_SUDDEN * len(f)))
-    if len(f) <= 2 * width:
-        return 0.0
-    level = short_median(f)
-    before = np.maximum.accumulate(level)[:-width]
-    later = np.maximum.accumulate(level[::-1])[::-1][width:]
-    falls = level[:-width] - level[width:]
-    spread = 1.4826 * median(np.abs(falls - median(falls)))
-    is_sudden = falls > np.maximum(6.0 * spread, _NOTABLE * before)
-    shares = np.where(is_sudden, (before - later) / np.where(before > 0.0, before, np.inf), 0.0)
-    largest = float(shares.max())
-    return largest if largest >= _NOTABLE else 0.0
-
-
-def peak_before_failure(
-    displacement: Floats, force: Floats, point: FailurePoint, *, share: float = 0.1
-) -> Estimate | Failure:
-    """Largest force of a curve that ends in a cliff.
+def lost_earlier(time: Floats, force: Floats, rule: LossOfForce) -> float:
+    """Largest share of the peak that was lost at once before the end, for good.
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N; as given to `find_failure`; NaN and stray samples are
-        left out
-    point : the failure
-    share : the top that is looked at: the stretch around the largest median of five in which this
-        median stays above (1 - share) of it
+    time, force : shape (n,), s, N; up to the sample at which the final loss begins; without NaN
+    rule : what counts as a loss
 
     Returns
     -------
-    N, or a failure ``too_few_samples`` (fewer than 12 before the loss).
-
-    Notes
-    -----
-    A polynomial through the smooth stretch around the top: its turning point when that lies inside,
-    else its value at the higher end, half a step further where a cliff or the failure ends it. The
-    stretch ends at cliffs (steps of more than six robust deviations) and at kinks: as long as a
-    change of slope somewhere adds more than four standard errors to a polynomial of degree six, in
-    noise that knows its neighbours, the stretch is cut there. Where the force rises up to the kink
-    and falls behind it, and the kink does better than that polynomial, the peak is the corner in
-    which both sides meet. The degree of the polynomial is two, or as many as the data ask for, up
-    to eight: while one of the next two terms is beyond its 95 % interval. A turning point is read
-    from a polynomial of two degrees more, so that terms too small to be seen do not bias it beyond
-    its interval (undersmoothing; Calonico, Cattaneo and Titiunik, Econometrica 82 (2014) 2295),
-    less what noise lifts it by. Where fewer than 12 samples are smooth, it is the largest median of
-    five neighbours, with their range and the noise in its interval. The largest sample would be too
-    large by the noise: what is meant is the largest force on the specimen, free of noise.
+    Share of the largest force; 0 where none of at least `loss` was lost within `within`.
     """
-    known = _sound(displacement, force)
-    known = known[known <= point.sample]
-    if len(known) < LEAST:
-        return Failure(
-            "too_few_samples", f"{len(known)} samples before the loss, {LEAST} are needed"
-        )
-    return height_of_top(displacement[known], force[known], share=share, step=point.step)
+    peak = float(force.max(initial=0.0))
+    later = np.searchsorted(time, time + rule.within, side="right") - 1
+    later = np.minimum(np.maximum(later, np.arange(len(force)) + 1), len(force) - 1)
+    ahead = np.maximum.accumulate(force[::-1])[::-1][later]
+    is_lost = (force - force[later] >= rule.loss * peak) & (later > np.arange(len(force)))
+    shares = np.where(is_lost, (force - ahead) / peak if peak > 0.0 else 0.0, 0.0)
+    largest = float(shares.max(initial=0.0))
+    return largest if largest >= rule.loss else 0.0
+
+
+def failure_point(
+    time: Floats, displacement: Floats, force: Floats, sample: int, rule: LossOfForce
+) -> FailurePoint:
+    """The numbers of a failure.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N; from the start of loading
+    sample : at which the final loss begins
+    rule : by which it was found
+
+    Returns
+    -------
+    The point. The interval of its displacement reaches from the sample to the next one, that of
+    its force as far as the force changed in the step before, in which the loss may have begun.
+    """
+    after = np.flatnonzero(~np.isnan(displacement[sample + 1 :]))
+    step = float(displacement[sample + 1 + after[0]] - displacement[sample]) if len(after) else 0.0
+    step, at = max(step, 0.0), float(displacement[sample])
+    place = Estimate(at, step / np.sqrt(12.0), 1, Interval(at, at + 0.95 * step))
+    known = ~np.isnan(force[: sample + 1]) & ~np.isnan(time[: sample + 1])
+    t, f = time[: sample + 1][known], force[: sample + 1][known]
+    rise = abs(float(f[-1] - f[-2])) if len(f) > 1 else 0.0
+    level = Estimate(float(force[sample]), rise / np.sqrt(3.0), 1)
+    return FailurePoint(place, level, sample, step, lost_earlier(t, f, rule))
 
 
 def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) -> Estimate | Failure:
@@ -191,8 +170,8 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
 
     Parameters
     ----------
-    displacement, force : shape (n,), m, N; from the start of loading, as given to `find_failure`
-    point : the failure
+    displacement, force : shape (n,), m, N; from the start of loading on
+    point : the failure, counted from there
 
     Returns
     -------
@@ -200,21 +179,20 @@ def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) ->
 
     Notes
     -----
-    Trapezoids to the last sample before the loss, plus half a step at the force there, since the
-    specimen broke somewhere in that step. Stray samples lie on the straight line over them. Its
-    error has the step and the noise: of both channels (`labpipe.fitting.loops.loop_energy`), or
+    Trapezoids to the sample of the failure. Its error has the step to the next sample, in which
+    the specimen broke, and the noise: of both channels (`labpipe.fitting.loops.loop_energy`), or
     that of the force with a correlation over up to a twenty-fifth of the curve, whichever is
     greater.
     """
     count = point.sample + 1
-    displacement, force = displacement[:count], bridged(force, stray_samples(force))[:count]
+    displacement, force = displacement[:count], force[:count]
     work = loop_energy(np.arange(count, dtype=np.float64), displacement, force, clock_error=0.0)
     if isinstance(work, Failure):
         return work
     more = point.force.value * point.step
     noise = np.sqrt(_slow_noise(force) * float(np.sum(np.gradient(displacement) ** 2)))
-    error = float(np.hypot(max(work.error, float(noise)), more / np.sqrt(12.0)))
-    return Estimate(work.value + 0.5 * more, error, work.n)
+    error = float(np.hypot(max(work.error, float(noise)), more / np.sqrt(3.0)))
+    return Estimate(work.value, error, work.n)
 
 
 def _slow_noise(f: Floats) -> float:

@@ -8,8 +8,10 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.noise import long_run_variance
 from labpipe.records.arrays import Flags, Floats
 
-_LEAST = 8
-"""Samples on each side of a smooth peak that are fitted at least."""
+_NEAR = 1000
+"""Samples on each side of the largest one that show what the file rounds to."""
+_LEAST = 3
+"""Samples that enclose an area."""
 
 
 def secant_stiffness(
@@ -74,11 +76,12 @@ def loop_energy(
     if np.isnan(displacement).any() or np.isnan(force).any():
         missing = int((np.isnan(displacement) | np.isnan(force)).sum())
         return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(time) < 16:
-        return Failure("too_few_samples", f"{len(time)} samples in the cycle, 16 are needed")
+    if len(time) < _LEAST:
+        message = f"{len(time)} samples in the cycle, {_LEAST} are needed"
+        return Failure("too_few_samples", message)
     work = _work(displacement, force)
     steps, rises = np.gradient(displacement), np.gradient(force)
-    force_noise, displacement_noise = _noise_power(force), _noise_power(displacement)
+    force_noise, displacement_noise = noise_power(force), noise_power(displacement)
     # Noise makes the steps look longer; the noise of both is counted once, with the rises.
     squares = float(steps @ steps) - 0.5 * len(time) * displacement_noise
     squares = max(squares, float(np.ptp(displacement)) ** 2 / len(time))
@@ -96,12 +99,25 @@ def _work(displacement: Floats, force: Floats) -> float:
     return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(displacement)))
 
 
-def _noise_power(values: Floats) -> float:
+def noise_power(values: Floats) -> float:
     """Long-run variance of the fast noise on a slow signal.
 
+    Parameters
+    ----------
+    values : shape (n,), evenly sampled, without NaN
+
+    Returns
+    -------
+    In the unit of `values`, squared: the variance of the mean of many samples times their number.
+
+    Notes
+    -----
     Cubics are taken out of pieces of 100 samples, or of a twentieth of a short signal; pieces with
     a corner are left out; correlation is followed over a twelfth of a piece, which it still holds.
+    Of fewer than 16 samples all second differences are noise.
     """
+    if len(values) < 16:
+        return float(np.mean(np.diff(values, n=2) ** 2)) / 6.0 if len(values) > 2 else 0.0
     piece, terms = min(100, max(16, len(values) // 20)), 4
     lags = piece // 12
     rows = values[: len(values) // piece * piece].reshape(-1, piece)
@@ -117,32 +133,61 @@ def _noise_power(values: Floats) -> float:
     return float(max(total, 0.0) / left.size / (1.0 - terms * (lags + 1.0) / piece))
 
 
-def smooth_peak(time: Floats, values: Floats, *, share: float) -> Estimate | Failure:
-    """Largest value of a signal that turns smoothly.
+def largest_sample(values: Floats, *, noise: float) -> Estimate | Failure:
+    """Largest sample of a stretch.
 
     Parameters
     ----------
-    time, values : shape (n,), s and any unit
-    share : the top of the signal that is fitted: samples above (1 - share) of the peak, next to it
+    values : shape (n,), any unit; NaN are left out
+    noise : in that unit, standard deviation of a sample
 
     Returns
     -------
-    The vertex of a parabola through the top, or a failure ``too_few_samples``.
+    The sample, or a failure ``no_sample`` where all are NaN. Its error has the noise, half of the
+    resolution, and how far a corner may reach beyond its largest sample: half of the difference
+    between the steps up to it and down from it.
+
+    Notes
+    -----
+    In noise the largest of many samples lies above the largest value of the signal; the error does
+    not say so.
     """
-    known = ~np.isnan(values)
-    time, values = time[known], values[known]
-    if len(values) < 2 * _LEAST:
-        return Failure("too_few_samples", f"{len(values)} samples, {2 * _LEAST} are needed")
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return Failure("no_sample", "every sample of the stretch is blank")
+    halves = np.array([_reach_of_corner(known), 0.5 * resolution(known)])
+    error = np.hypot(noise, np.linalg.norm(halves) / np.sqrt(3.0))
+    return Estimate(float(known.max()), float(error), len(known))
+
+
+def _reach_of_corner(values: Floats) -> float:
+    """How far a corner may reach beyond its largest sample; the two steps on each side tell.
+
+    A signal that stands still at its top, or is lost behind it, reaches no further on that side
+    than it went before.
+    """
     top = int(np.argmax(values))
-    low = np.flatnonzero(values < values[top] - share * float(np.ptp(values)))
-    first = int(low[low < top][-1]) + 1 if (low < top).any() else 0
-    last = int(low[low > top][0]) if (low > top).any() else len(values)
-    first, last = max(0, min(first, top - _LEAST)), min(len(values), max(last, top + _LEAST + 1))
-    t, y = time[first:last] - time[top], values[first:last]
-    design = np.vander(t, 3)
-    curvature, slope, level = np.linalg.lstsq(design, y, rcond=None)[0]
-    vertex = float(np.clip(-slope / (2 * curvature), t[0], t[-1])) if curvature < 0 else 0.0
-    at = np.array([vertex**2, vertex, 1.0])
-    variance = long_run_variance(y - design @ [curvature, slope, level], parameters=3)
-    error = float(np.sqrt(variance * (at @ np.linalg.pinv(design.T @ design) @ at)))
-    return Estimate(float(at @ [curvature, slope, level]), error, len(y))
+    up = values[top] - values[max(top - 2, 0) : top][::-1]
+    down = values[top] - values[top + 1 : top + 3]
+    if not len(up) or not len(down):
+        return 0.0
+    steps = (np.diff(side, prepend=0.0).max() for side in (up, down))
+    return float(min(abs(up[0] - down[0]) / 2.0, *steps))
+
+
+def resolution(values: Floats) -> float:
+    """Smallest difference between samples near the largest one that are not the same.
+
+    Parameters
+    ----------
+    values : shape (n,), any unit, without NaN
+
+    Returns
+    -------
+    In that unit; 0 where all samples are the same. What a converter, or a file with few digits,
+    rounds to; in unrounded noise next to nothing.
+    """
+    top = int(np.argmax(values))
+    steps = np.diff(np.unique(values[max(top - _NEAR, 0) : top + _NEAR]))
+    steps = steps[steps > 1e-9 * np.abs(values[top])]  # less is what arithmetic leaves over
+    return float(steps.min()) if len(steps) else 0.0

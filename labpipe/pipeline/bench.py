@@ -17,6 +17,7 @@ from labpipe.records.recording import MarkerTracks
 from labpipe.records.slips import Slip
 
 if TYPE_CHECKING:
+    from labpipe.processing.filtering import Filter
     from labpipe.processing.frames import SpecimenFrame
     from labpipe.processing.three_point import SpanShape
     from labpipe.processing.tracks import RepairedTracks
@@ -103,6 +104,8 @@ class Bench:
     force, displacement : names of the signals that make the curve
     raw : signals calibrated and zeroed but not smoothed, by name
     signals : the same after all steps
+    unfiltered : the force that makes the curve, stray samples bridged, before any filter
+    filters : by signal, what its steps did to it; done again piece by piece where its corners are
     shape, clock_fit, aligned, curve : stages; None while not reached
     other_clocks : by name, a third clock against that of the curve: its time = offset + (1 + drift)
         x time of the curve; all others are that of the force
@@ -129,6 +132,8 @@ class Bench:
     displacement: str = "displacement"
     raw: dict[str, Signal] = field(default_factory=dict)
     signals: dict[str, Signal] = field(default_factory=dict)
+    unfiltered: Signal | None = None
+    filters: dict[str, tuple[Filter, ...]] = field(default_factory=dict)
     shape: Shape | None = None
     clock_fit: ClockFit | None = None
     other_clocks: dict[str, ClockFit] = field(default_factory=dict)
@@ -244,6 +249,13 @@ class Bench:
         self.note(code, Severity.ERROR, where, message)
         self.blocked = self.blocked or f"{code}: {message}"
 
+    def from_curve_clock(self, at: float, clock: str) -> float:
+        """Put a time of the curve on the clock of a recording; as it is while none are joined."""
+        fit = self.other_clocks.get(clock, self.clock_fit)
+        if fit is None or clock == self.signals[self.displacement].clock:
+            return at
+        return fit.to_force_seconds(at)
+
     def cycles(self) -> list[list[Branch]]:
         """The branches of the curve, cycle by cycle."""
         branches = self.curve.branches if self.curve else ()
@@ -274,6 +286,28 @@ class MarkerBench:
     repaired: RepairedTracks | None = None
     frame: SpecimenFrame | None = None
     rest: Flags | None = None
+
+
+def at_times_of_curve(bench: Bench, signal: Signal, time: Floats) -> Floats:
+    """Interpolate a signal at times of the curve's clock.
+
+    Parameters
+    ----------
+    bench : knows how the clocks lie to each other
+    signal : on any clock
+    time : shape (n,), s, on the clock of the displacement
+
+    Returns
+    -------
+    Shape (n,), in the unit of the signal; NaN beyond its ends, nothing is extrapolated.
+    """
+    clock = bench.signals[bench.displacement].clock
+    fit = bench.other_clocks.get(signal.clock, bench.clock_fit)
+    if signal.clock != clock and fit is not None:
+        time = fit.to_force_time(time)
+    if len(time) == len(signal.time) and np.array_equal(time, signal.time):
+        return signal.values
+    return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
 
 def rms(values: Floats) -> float:

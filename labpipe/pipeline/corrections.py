@@ -15,11 +15,12 @@ import numpy as np
 from labpipe.errors import ProcessingError, complaint
 from labpipe.fitting.compliance import correct_displacement
 from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.failure import FailurePoint, find_failure
+from labpipe.fitting.failure import FailurePoint, LossOfForce, failure_point, final_loss
 from labpipe.fitting.slips import add_back, find_slips, samples_before
 from labpipe.fitting.strays import bridged, stray_samples
 from labpipe.fitting.toe import fit_slack
-from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.bench import Bench, Signal, at_times_of_curve
+from labpipe.processing.filtering import in_pieces
 from labpipe.protocol.rig import CurveBlock, MachineCompliance
 from labpipe.protocol.rig import Slack as SlackBlock
 from labpipe.protocol.rig import Slips as SlipsBlock
@@ -37,12 +38,16 @@ def correct_curve(bench: Bench, block: CurveBlock) -> None:
     bench : its curve and displacement are replaced; gets failure, slips and slack
     block : of the protocol
     """
-    if block.failure is not None or block.slips is not None:
-        _bridge_strays(bench)
+    rule = None
+    if block.failure is not None:
+        failure = block.failure
+        rule = LossOfForce(failure.force_below, failure.loss, failure.within)
+    lost = _final_loss(bench, rule)  # seen on the unfiltered force, which no filter has blurred
+    _filter_pieces(bench, lost)
     if block.compliance is not None:
         _take_off_give(bench, block.compliance)
-    if block.failure is not None:
-        bench.failure = _failure(bench, block.failure.force_below)
+    if rule is not None and bench.curve is not None:
+        bench.failure = _failure(bench.curve, lost, rule)
     if block.slips is not None:
         _treat_slips(bench, block.slips)
     if block.slack is not None:
@@ -51,11 +56,10 @@ def correct_curve(bench: Bench, block: CurveBlock) -> None:
         bench.note(f"slip_{slip.decision}", Severity.WARNING, bench.force, _told(slip))
 
 
-def loading_branch(bench: Bench, *, last: bool = False) -> Branch | None:
-    """The first loading branch of the curve, or the last one; None where there is none."""
+def loading_branch(bench: Bench) -> Branch | None:
+    """The first loading branch of the curve; None where there is none."""
     branches = bench.curve.branches if bench.curve is not None else ()
-    loading = [each for each in branches if each.direction is Direction.LOADING]
-    return loading[-1 if last else 0] if loading else None
+    return next((each for each in branches if each.direction is Direction.LOADING), None)
 
 
 def loading_stretch(bench: Bench) -> slice:
@@ -75,21 +79,29 @@ def repair_error(bench: Bench, *, before: int) -> float:
     return hypot(*errors)
 
 
-def _bridge_strays(bench: Bench) -> None:
-    """Put single bad samples of the force on the line between their neighbours."""
-    curve = bench.curve
-    if curve is None:
-        return
-    strays = stray_samples(curve.force)
+def without_strays(bench: Bench) -> Signal:
+    """Put single bad samples of the force on the line between their neighbours.
+
+    Parameters
+    ----------
+    bench : its raw force is used, and stays; gets a note
+
+    Returns
+    -------
+    The unfiltered force on its own clock.
+    """
+    signal = bench.raw[bench.force]
+    strays = stray_samples(signal.values)
     if not len(strays):
-        return
-    at = 1e3 * float(curve.displacement[strays[0]])
+        return signal
+    first = int(strays[0])
+    at = f"at {signal.time[first]:.3f} s" if signal.has_time else f"in sample {first + 1}"
     message = (
-        f"{len(strays)} samples far off their neighbours, the first {curve.force[strays[0]]:.4g} N "
-        f"at {at:.4g} mm: put on the line between them"
+        f"{len(strays)} samples far off their neighbours, the first {signal.values[first]:.4g} N "
+        f"{at}: put on the line between them"
     )
     bench.note("stray_samples", Severity.WARNING, bench.force, message)
-    bench.curve = replace(curve, force=bridged(curve.force, strays))
+    return replace(signal, values=bridged(signal.values, strays))
 
 
 def _take_off_give(bench: Bench, compliance: MachineCompliance) -> None:
@@ -135,15 +147,67 @@ def _refuse_backwards(bench: Bench, curve: Curve, corrected: Floats, value: floa
     raise ProcessingError(message)
 
 
-def _failure(bench: Bench, share: float) -> FailurePoint | Failure | None:
-    curve, branch = bench.curve, loading_branch(bench, last=True)
-    if curve is None or branch is None:
+def _final_loss(bench: Bench, rule: LossOfForce | None) -> int | Failure | None:
+    """Sample of the curve at which the force begins to be lost; None where nobody asked."""
+    curve, branch = bench.curve, loading_branch(bench)
+    if curve is None or branch is None or rule is None:
         return None
-    after = slice(branch.start, None)
-    found = find_failure(curve.displacement[after], curve.force[after], force_below=share)
-    if isinstance(found, FailurePoint):
-        return replace(found, sample=found.sample + branch.start)
-    return found
+    found = final_loss(curve.time[branch.start :], curve.force[branch.start :], rule)
+    if isinstance(found, Failure):
+        return found
+    sample = found + branch.start
+    back = [each for each in curve.branches if each.direction is Direction.UNLOADING]
+    if any(each.start <= sample < each.stop for each in back):
+        return Failure("no_break", "the force goes down while the displacement goes back")
+    return sample
+
+
+def _failure(
+    curve: Curve, lost: int | Failure | None, rule: LossOfForce
+) -> FailurePoint | Failure | None:
+    if lost is None or isinstance(lost, Failure):
+        return lost
+    start = loading_before(curve, lost).start
+    d, f = curve.displacement[start:], curve.force[start:]
+    found = failure_point(curve.time[start:], d, f, lost - start, rule)
+    return replace(found, sample=lost)
+
+
+def loading_before(curve: Curve, sample: int) -> Branch:
+    """The last loading branch that begins at a sample or before it; the first one before all."""
+    loading = [each for each in curve.branches if each.direction is Direction.LOADING]
+    return [each for each in loading if each.start <= sample or each is loading[0]][-1]
+
+
+def _filter_pieces(bench: Bench, lost: int | Failure | None) -> None:
+    """Filter force and displacement anew, each branch by itself: their corners are known now."""
+    curve = bench.curve
+    if curve is None or not {bench.force, bench.displacement} & bench.filters.keys():
+        return
+    ends = [at for each in curve.branches for at in (each.start_time, each.stop_time)]
+    ends += [float(curve.time[lost])] if isinstance(lost, int) else []
+    raw = bench.raw[bench.displacement]
+    signals = {bench.force: bench.unfiltered or bench.raw[bench.force], bench.displacement: raw}
+    changed = {
+        name: _in_pieces(bench, name, signal, ends)
+        for name, signal in signals.items()
+        if name in bench.filters
+    }
+    bench.curve = replace(
+        curve,
+        displacement=changed.get(bench.displacement, curve.displacement),
+        force=changed.get(bench.force, curve.force),
+    )
+
+
+def _in_pieces(bench: Bench, name: str, raw: Signal, ends: list[float]) -> Floats:
+    """A signal filtered between its corners, at the times of the curve; the bench keeps all."""
+    at = [bench.from_curve_clock(end, raw.clock) for end in ends]
+    cuts = np.searchsorted(raw.time, at, side="right").tolist()
+    values = in_pieces(raw.values, cuts, bench.filters[name])
+    filtered = replace(bench.signals[name], values=values)
+    bench.signals[name] = filtered
+    return at_times_of_curve(bench, filtered, bench.signals[bench.displacement].time)
 
 
 def _treat_slips(bench: Bench, block: SlipsBlock) -> None:
@@ -187,12 +251,7 @@ def _repair(bench: Bench, curve: Curve) -> None:
         force[broken] = curve.force[broken]
         raised = float(force[bench.failure.sample] - curve.force[bench.failure.sample])
         before = bench.failure.force
-        interval = before.interval and replace(
-            before.interval,
-            lower=before.interval.lower + raised,
-            upper=before.interval.upper + raised,
-        )
-        moved = replace(before, value=before.value + raised, interval=interval)
+        moved = replace(before, value=before.value + raised)
         error = repair_error(bench, before=bench.failure.sample)
         bench.failure = replace(bench.failure, force=widened(moved, error))
     bench.curve = replace(curve, force=force)

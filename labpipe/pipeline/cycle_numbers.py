@@ -10,107 +10,125 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.fitting.corners import value_at_turn
 from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.failure import FailurePoint, peak_before_failure
-from labpipe.fitting.loops import (
-    loop_energy,
-    secant_stiffness,
-    smooth_peak,
-)
-from labpipe.fitting.reversals import fit_reversal
+from labpipe.fitting.loops import largest_sample, loop_energy, noise_power, secant_stiffness
 from labpipe.fitting.unloading import residual_after_unloading
-from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.filtering import moving_average
+from labpipe.pipeline.bench import Bench
+from labpipe.pipeline.corrections import repair_error
+from labpipe.processing.filtering import moving_average, power_passed
+from labpipe.processing.strokes import noise_level
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve
 
-_PEAK_WINDOW = 2.0
-"""s on each side of a turning point that a peak is read from."""
-_FORCE_WINDOW = 1.0
-"""As much for a force, which bends more than a displacement does."""
-_SURELY = 4.0
-"""Standard errors by which a top before the turn is larger than the force at the turn."""
+_FEW = 16
+"""Samples below which nobody can tell how far the noise remembers."""
+_NOISE = 100_000
+"""Samples before a turn that say what the noise of the force is like."""
+
+
+def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
+    """Largest force of a cycle in the sense of loading, N."""
+    del displacement
+    peak, signal = unscaled_peak(bench, branches), bench.raw[bench.force]
+    if isinstance(peak, Failure):
+        return peak
+    return widened(peak, signal.zero_error, signal.relative_error * peak.value)
 
 
 def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
     """Largest force of a cycle, N, without the uncertainty of zero and scale."""
-    force, failure = bench.raw[bench.force], bench.failure
-    if isinstance(failure, FailurePoint) and branches[0].start <= failure.sample < branches[0].stop:
-        curve, loading = curve_of(bench), bench.within(branches[0])
-        point = replace(failure, sample=failure.sample - loading.start)
-        return peak_before_failure(curve.displacement[loading], curve.force[loading], point)
-    if _is_sharp(bench, branches):
-        at = branches[0].stop_time
-        at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
-        window = min(_FORCE_WINDOW, _window(branches))
-        found = fit_reversal(*_around(force, at), near=at, window=window)
-        if found is None:
-            return Failure("no_corner", f"the force has no corner near {at:.3f} s of its clock")
-        corner = Estimate(found.corner.value, found.corner.value_error, found.corner.n)
-        return _or_larger_before(bench, branches, corner)
-    curve, stretch = curve_of(bench), _cycle(branches)
-    # One sense for all cycles: the force may run ahead of the motion by a quarter of a cycle.
-    sense = _sense(curve.force, slice(curve.branches[0].start, None))
-    top = smooth_peak(curve.time[stretch], sense * curve.force[stretch], share=0.05)
-    if isinstance(top, Failure):
-        return top
-    return Estimate(sense * top.value, top.error, top.n)
+    sense = sense_of_loading(bench, curve_of(bench).force)
+    values = sense * _force_of_cycle(bench, branches)
+    peak = largest_sample(values, noise=_force_noise(bench, branches[0]))
+    if isinstance(peak, Failure):
+        return peak
+    peak = widened(peak, repair_error(bench, before=branches[0].stop))
+    return replace(peak, value=sense * peak.value)
 
 
-def _around(signal: Signal, at: float) -> tuple[Floats, Floats]:
-    """Times and values of a signal that a peak at a time can be read from."""
-    reach = 2.0 * _PEAK_WINDOW
-    near = slice(*np.searchsorted(signal.time, [at - reach, at + reach]))
-    return signal.time[near], signal.values[near]
+def _force_of_cycle(bench: Bench, branches: list[Branch]) -> Floats:
+    """All samples of the force over a cycle: on its own clock where that is another one."""
+    curve, signal = curve_of(bench), bench.signals[bench.force]
+    if signal.clock == bench.signals[bench.displacement].clock:
+        return curve.force[stretch_of_cycle(bench, branches)]
+    ends = (branches[0].start_time, branches[-1].stop_time)
+    first, last = (bench.from_curve_clock(at, signal.clock) for at in ends)
+    return signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
 
 
-def _or_larger_before(bench: Bench, branches: list[Branch], corner: Estimate) -> Estimate:
-    """The force at the turn, or the top that it had surely passed on the way there."""
-    curve, first = curve_of(bench), bench.within(branches[0]).start
-    last = int(np.searchsorted(curve.time, branches[0].stop_time - 2.0 * _FORCE_WINDOW))
-    sense = -1.0 if corner.value < 0.0 else 1.0
-    early = sense * curve.force[first : max(first, last)]
-    if not np.isfinite(early).any():
-        return corner
-    at = float(curve.time[first + int(np.nanargmax(early))])
-    at = bench.clock_fit.to_force_seconds(at) if bench.clock_fit else at
-    time, values = _around(bench.raw[bench.force], at)
-    # A tape that lets go leaves a corner, which a parabola would cut.
-    top = value_at_turn(time, sense * values, at=at, window=_FORCE_WINDOW, degree=2)
-    if isinstance(top, Failure):
-        return corner
-    if not top.value - sense * corner.value > _SURELY * np.hypot(top.error, corner.error):
-        return corner
-    return replace(top, value=sense * top.value)
+def _force_noise(bench: Bench, loading: Branch) -> float:
+    """Standard deviation that the noise of the force has left after its filters, N."""
+    raw = bench.unfiltered or bench.raw[bench.force]
+    ends = (loading.start_time, loading.stop_time)
+    first, last = (bench.from_curve_clock(at, raw.clock) for at in ends)
+    start, stop = np.searchsorted(raw.time, [first, last])
+    values = raw.values[max(int(start), int(stop) - _NOISE) : int(stop)]
+    values = values[~np.isnan(values)]
+    filters = bench.filters.get(bench.force, ())
+    if not filters or len(values) < _FEW:
+        return noise_level(values)
+    passed = min(power_passed(act, len(values)) for act, _ in filters)
+    return float(min(np.sqrt(passed * noise_power(values)), noise_level(values)))
+
+
+def sense_of_loading(bench: Bench, values: Floats) -> float:
+    """Which way a quantity goes when the specimen is loaded.
+
+    Parameters
+    ----------
+    bench : with a curve
+    values : shape (n,), of the curve
+
+    Returns
+    -------
+    -1.0 where it goes further down than up over the first loading branch, else 1.0; where it
+    leaves its first value both ways alike, as a force that begins high and is lost does, that of
+    the larger absolute value.
+    """
+    branch = curve_of(bench).branches[0]
+    known = values[branch.start : branch.stop]
+    known = known[~np.isnan(known)]
+    if not len(known):
+        return 1.0
+    first = float(np.median(known[: max(1, len(known) // 100)]))
+    up, down = float(known.max()) - first, first - float(known.min())
+    if max(up, down) > 2.0 * min(up, down):
+        return 1.0 if up > down else -1.0
+    return 1.0 if known.max() >= -known.min() else -1.0
 
 
 def peak_displacement_of(
     bench: Bench, branches: list[Branch], displacement: Floats
 ) -> Estimate | Failure:
-    """Displacement where the motion turns from loading to unloading, m."""
+    """Largest displacement of a cycle in the sense of loading, m."""
     signal = bench.signals[bench.displacement]
-    if _is_sharp(bench, branches):
-        found = value_at_turn(
-            signal.time,
-            displacement,
-            at=branches[0].stop_time,
-            window=_window(branches),
-            degree=2,
-        )
-    else:
-        stretch, sense = _cycle(branches), _sense(displacement, bench.within(branches[0]))
-        found = smooth_peak(signal.time[stretch], sense * displacement[stretch], share=0.05)
-        if isinstance(found, Estimate):
-            found = Estimate(sense * found.value, found.error, found.n)
-    return found if isinstance(found, Failure) else _scaled(found, signal)
+    sense = sense_of_loading(bench, displacement)
+    values = sense * displacement[stretch_of_cycle(bench, branches)]
+    found = largest_sample(values, noise=noise_level(values))
+    if isinstance(found, Failure):
+        return found
+    found = replace(found, value=sense * found.value)
+    return widened(found, signal.zero_error, signal.relative_error * found.value)
+
+
+def gap_at_top(values: Floats) -> bool:
+    """Whether samples beside the largest one are missing, so that it may not be the largest.
+
+    Parameters
+    ----------
+    values : shape (n,), in the sense of loading
+    """
+    if np.isnan(values).all():
+        return False
+    top = int(np.nanargmax(values))
+    return bool(np.isnan(values[max(top - 1, 0) : top + 2]).any())
 
 
 def energy_of(bench: Bench, branches: list[Branch], displacement: Floats) -> Estimate | Failure:
     """Work dissipated over the cycle, J."""
     if len(branches) < 2:
         return Failure("partial_cycle", "the cycle has no unloading branch")
-    curve, stretch = curve_of(bench), _cycle(branches)
+    curve, stretch = curve_of(bench), stretch_of_cycle(bench, branches)
     found = loop_energy(
         curve.time[stretch],
         displacement[stretch],
@@ -159,16 +177,17 @@ def unloading_stiffness_of(
     """Stiffness of the unloading branch from one distance off its beginning to another, N/m."""
     if len(branches) < 2:
         return Failure("partial_cycle", "the cycle has no unloading branch")
-    turn = _value_at_start(curve_of(bench).time, displacement, branches[1])
-    found = stiffness_over(bench, branches[1], turn - displacement, low, high)
+    sense = sense_of_loading(bench, displacement)
+    turn = _value_at_start(curve_of(bench).time, sense * displacement, branches[1])
+    found = stiffness_over(bench, branches[1], turn - sense * displacement, low, high)
     if isinstance(found, Failure):
         return found
-    return _scaled_by_force(bench, Estimate(-found.value, found.error, found.n))
+    return _scaled_by_force(bench, Estimate(-sense * found.value, found.error, found.n))
 
 
 def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
     """Value at the turning point a branch starts from, by a parabola through its beginning."""
-    begin = slice(part.start, min(part.stop, part.start + 50))
+    begin = slice(part.start, part.start + min(50, (part.stop - part.start) // 10))
     known = ~np.isnan(values[begin])
     t, y = time[begin][known] - part.start_time, values[begin][known]
     if len(y) < 8:
@@ -223,30 +242,10 @@ def curve_of(bench: Bench) -> Curve:
     return bench.curve
 
 
-def _is_sharp(bench: Bench, branches: list[Branch]) -> bool:
-    """Whether loading ends in a corner, as it does where clocks are joined at corners."""
-    return len(branches) > 1 and bench.clock_fit is not None
-
-
-def _sense(values: Floats, stretch: slice) -> float:
-    """-1.0 where a quantity goes further down than up from where it begins, else 1.0."""
-    known = values[stretch][~np.isnan(values[stretch])]
-    if not len(known):
-        return 1.0
-    start = known[: max(1, len(known) // 100)].mean()
-    return -1.0 if known.max() - start < start - known.min() else 1.0
-
-
-def _cycle(branches: list[Branch]) -> slice:
-    return slice(branches[0].start, branches[-1].stop)
-
-
-def _window(branches: list[Branch]) -> float:
-    """Seconds on each side of the end of loading that hold no other corner."""
-    shortest = min(branch.stop_time - branch.start_time for branch in branches)
-    window = min(_PEAK_WINDOW, 0.4 * shortest)
-    dwell = branches[1].start_time - branches[0].stop_time if len(branches) > 1 else 0.0
-    return min(window, 0.9 * dwell) if dwell > 0 else window
+def stretch_of_cycle(bench: Bench, branches: list[Branch]) -> slice:
+    """Samples of the curve from the start of a cycle to its end, both turning samples included."""
+    is_last = branches[-1] == curve_of(bench).branches[-1]
+    return slice(branches[0].start, branches[-1].stop + (not is_last))
 
 
 def _clock_error(bench: Bench) -> float:
@@ -254,8 +253,3 @@ def _clock_error(bench: Bench) -> float:
     if fit is None:
         return 0.0
     return float(np.sqrt(1.0 / np.sum(fit.event_errors**-2.0)))
-
-
-def _scaled(estimate: Estimate, signal: Signal) -> Estimate:
-    """Add the uncertainty of scale and zero."""
-    return widened(estimate, signal.zero_error, signal.relative_error * estimate.value)

@@ -17,8 +17,13 @@ from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.cycle_numbers import (
     curve_of,
     energy_of,
+    gap_at_top,
     loading_stiffness_of,
+    peak_displacement_of,
+    peak_force_of,
     residual_of,
+    sense_of_loading,
+    stretch_of_cycle,
     unloading_stiffness_of,
 )
 from labpipe.pipeline.outcomes import (
@@ -28,7 +33,6 @@ from labpipe.pipeline.outcomes import (
     while_loading,
     with_force_scale,
 )
-from labpipe.pipeline.sharp_turns import peak_displacement_of_cycle, peak_force_of_cycle
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
 from labpipe.records.result import Result
@@ -55,17 +59,17 @@ def clock_results(bench: Bench) -> list[Result]:
 
 
 def peak_force(bench: Bench) -> list[Result]:
-    """``peak_force.<cycle>`` (N): the force where the motion turns from loading to unloading."""
-    method = "smooth pieces on both sides of a corner, on its near side on one clock; else a vertex"
+    """``peak_force.<cycle>`` (N): the largest force of the cycle."""
+    method = "largest force of the cycle after the filter, in the sense of loading"
     asked = Asked("peak_force", "N", ("force",), method, needs=1, reads=(0, 1))
-    return per_cycle(bench, asked, peak_force_of_cycle)
+    return per_cycle(bench, asked, peak_force_of, seen=_gap_in_force)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
-    """``peak_displacement.<cycle>`` (m): the displacement where the motion turns."""
-    method = "parabolas on both sides of a corner, samples at its top on one clock; else a vertex"
+    """``peak_displacement.<cycle>`` (m): the largest displacement of the cycle."""
+    method = "largest displacement of the cycle, in the sense of loading"
     asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1, reads=(0.9, 1))
-    return per_cycle(bench, asked, peak_displacement_of_cycle)
+    return per_cycle(bench, asked, peak_displacement_of, seen=_gap_in_displacement)
 
 
 def energy(bench: Bench) -> list[Result]:
@@ -118,7 +122,13 @@ Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
 """A number of one cycle, from the bench, the branches of the cycle and a displacement."""
 
 
-def per_cycle(bench: Bench, asked: Asked, of_cycle: Numbers) -> list[Result]:
+Seen = Callable[[Bench, list[Branch]], str]
+"""Why a number of one cycle is doubtful: code and sentence, empty where it is not."""
+
+
+def per_cycle(
+    bench: Bench, asked: Asked, of_cycle: Numbers, *, seen: Seen | None = None
+) -> list[Result]:
     """Results of one kind for all cycles; one failure where there is no cycle.
 
     Parameters
@@ -126,6 +136,7 @@ def per_cycle(bench: Bench, asked: Asked, of_cycle: Numbers) -> list[Result]:
     bench : with its stages
     asked : what is asked for; the name gets the number of the cycle
     of_cycle : the number of one cycle
+    seen : what else makes it doubtful
     """
     cycles = bench.cycles()
     if not cycles:
@@ -137,11 +148,34 @@ def per_cycle(bench: Bench, asked: Asked, of_cycle: Numbers) -> list[Result]:
             asked,
             with_shape_error(bench, branches, of_cycle),
             part=f".{branches[0].cycle}",
-            doubt=broken_off(bench, branches[: asked.needs], asked.quantities),
+            doubt="; ".join(
+                why
+                for why in (
+                    broken_off(bench, branches[: asked.needs], asked.quantities),
+                    seen(bench, branches) if seen else "",
+                )
+                if why
+            ),
             during=_when(branches, asked.reads),
         )
         for branches in cycles
     ]
+
+
+def _gap_in_force(bench: Bench, branches: list[Branch]) -> str:
+    return _gap(bench, branches, curve_of(bench).force, "force")
+
+
+def _gap_in_displacement(bench: Bench, branches: list[Branch]) -> str:
+    return _gap(bench, branches, curve_of(bench).displacement, "displacement")
+
+
+def _gap(bench: Bench, branches: list[Branch], values: Floats, what: str) -> str:
+    """Why the largest sample of a cycle is doubtful: those beside it are missing."""
+    over = values[stretch_of_cycle(bench, branches)]
+    if not gap_at_top(sense_of_loading(bench, values) * over):
+        return ""
+    return f"gap_at_peak: samples beside the largest {what} of the cycle are missing"
 
 
 def _when(branches: list[Branch], reads: tuple[float, float]) -> tuple[float, float] | None:

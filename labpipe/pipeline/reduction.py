@@ -8,7 +8,7 @@ from typing import TypeGuard, assert_never
 import numpy as np
 
 from labpipe.errors import ProcessingError
-from labpipe.pipeline.bench import Bench, MarkerBench, Signal
+from labpipe.pipeline.bench import Bench, MarkerBench, at_times_of_curve
 from labpipe.pipeline.bundle_results import (
     beam_results,
     hardening_results,
@@ -18,7 +18,7 @@ from labpipe.pipeline.bundle_results import (
 )
 from labpipe.pipeline.clocks import Turn, align_clocks, turning_points
 from labpipe.pipeline.common_start import start_together
-from labpipe.pipeline.corrections import correct_curve
+from labpipe.pipeline.corrections import correct_curve, without_strays
 from labpipe.pipeline.cycle_results import (
     clock_results,
     energy,
@@ -203,7 +203,7 @@ def _aligned(bench: Bench) -> Aligned:
     time = bench.signals[bench.displacement].time
     words = {bench.force: "force", bench.displacement: "displacement"}
     series = {
-        words.get(name, name): Series(_at(bench, signal, time), signal.unit)
+        words.get(name, name): Series(at_times_of_curve(bench, signal, time), signal.unit)
         for name, signal in bench.raw.items()
     }
     return Aligned(time, series, bench.clock_fit, bench.signals[bench.displacement].time_unit)
@@ -212,7 +212,8 @@ def _aligned(bench: Bench) -> Aligned:
 def _curve(bench: Bench, motion_time: Floats, branches: tuple[Branch, ...]) -> Curve | None:
     displacement = bench.signals[bench.displacement]
     time = displacement.time
-    force = _at(bench, bench.signals[bench.force], time)
+    bench.unfiltered = without_strays(bench)  # filtered once its corners are known
+    force = at_times_of_curve(bench, bench.unfiltered, time)
     if np.isnan(force).all():
         force_time = bench.signals[bench.force].time
         message = (
@@ -235,17 +236,6 @@ def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
     return Branch(
         int(start), int(stop), branch.cycle, branch.direction, branch.start_time, branch.stop_time
     )
-
-
-def _at(bench: Bench, signal: Signal, time: Floats) -> Floats:
-    """Values of a signal at times of the curve's clock: interpolated, never extrapolated."""
-    clock = bench.signals[bench.displacement].clock
-    fit = bench.other_clocks.get(signal.clock, bench.clock_fit)
-    if signal.clock != clock and fit is not None:
-        time = fit.to_force_time(time)
-    if len(time) == len(signal.time) and np.array_equal(time, signal.time):
-        return signal.values
-    return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
 
 def _results(  # noqa: C901, PLR0911, PLR0912  one case per entry of the union

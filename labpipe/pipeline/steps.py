@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import assert_never
 
 import numpy as np
@@ -10,10 +12,10 @@ import numpy as np
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.zeros import LEAST, end_level, mean_level
 from labpipe.processing.filtering import (
-    decimate,
+    in_pieces,
     low_pass,
-    moving_average,
     seconds_to_window,
+    smoothed,
     window_length,
 )
 from labpipe.protocol.quantities import Span
@@ -30,7 +32,7 @@ from labpipe.protocol.steps import (
     TravelFromSpeed,
     Zero,
 )
-from labpipe.records.arrays import median
+from labpipe.records.arrays import Floats, median
 from labpipe.records.quality import Severity
 
 
@@ -68,8 +70,11 @@ def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol
             signal = bench.signals[step.channel]
             _need_time(signal, step.channel, "a cutoff in Hz")
             rate = 1.0 / median(np.diff(signal.time))
-            values = low_pass(signal.values, cutoff=step.cutoff, rate=rate, order=step.order)
-            bench.signals[step.channel] = replace(signal, values=values)
+            _filter(
+                bench,
+                step.channel,
+                partial(low_pass, cutoff=step.cutoff, rate=rate, order=step.order),
+            )
         case Decimate():
             _decimate(bench, step)
         case _ as never:
@@ -140,12 +145,24 @@ def _need_time(signal: Signal, name: str, what: str) -> None:
 def _smooth(bench: Bench, step: Smooth, protocol: Protocol) -> None:
     signal = bench.signals[step.channel]
     window = _window(step.span, signal, protocol)
-    values = moving_average(signal.values, window=window)
-    bench.signals[step.channel] = replace(signal, values=values)
+    _filter(bench, step.channel, partial(smoothed, window=window))
     seconds = window * median(np.diff(signal.time))
     length = f" ({seconds:.4g} s)" if signal.has_time else ""
     said = f"moving average over {window} samples{length}"
     bench.note("smoothed", Severity.INFO, step.channel, said)
+
+
+def _filter(bench: Bench, name: str, act: Callable[[Floats], Floats], stride: int = 1) -> None:
+    """Filter a signal, and write down how, to do it anew piece by piece once corners are known."""
+    signal, made = bench.signals[name], (act, stride)
+    other = signal.alternative
+    bench.filters[name] = (*bench.filters.get(name, ()), made)
+    bench.signals[name] = replace(
+        signal,
+        time=signal.time[::stride],
+        values=in_pieces(signal.values, (), [made]),
+        alternative=None if other is None else other[::stride],
+    )
 
 
 def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
@@ -165,14 +182,7 @@ def _window(span: Span, signal: Signal, protocol: Protocol) -> int:
 
 
 def _decimate(bench: Bench, step: Decimate) -> None:
-    signal = bench.signals[step.channel]
-    values = decimate(signal.values, factor=step.factor, filtered=step.method == "filtered")
-    alternative = signal.alternative
-    bench.signals[step.channel] = replace(
-        signal,
-        time=signal.time[:: step.factor],
-        values=values,
-        alternative=None if alternative is None else alternative[:: step.factor],
-    )
+    window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
+    _filter(bench, step.channel, partial(smoothed, window=window), step.factor)
     said = f"every {step.factor}th sample kept ({step.method})"
     bench.note("decimated", Severity.INFO, step.channel, said)

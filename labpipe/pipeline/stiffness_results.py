@@ -20,7 +20,7 @@ from labpipe.fitting.moduli import (
 from labpipe.fitting.segments import TwoSegments, fit_two_segments
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_stretch
-from labpipe.pipeline.cycle_numbers import curve_of
+from labpipe.pipeline.cycle_numbers import curve_of, unscaled_peak
 from labpipe.pipeline.cycle_results import broken_off
 from labpipe.pipeline.outcomes import (
     CURVE,
@@ -32,7 +32,6 @@ from labpipe.pipeline.outcomes import (
     while_loading,
     with_force_scale,
 )
-from labpipe.pipeline.sharp_turns import repaired_peak_force
 from labpipe.protocol.results import Modulus
 from labpipe.protocol.rig import SpecimenBlock
 from labpipe.records.arrays import Floats
@@ -134,7 +133,7 @@ def _normalised(bench: Bench, of: str) -> Estimate | Failure:
 
 def _largest_peak(bench: Bench) -> Estimate | Failure:
     """Largest force of all cycles, N, with the uncertainty of its zero but not of its scale."""
-    peaks = [repaired_peak_force(bench, branches) for branches in bench.cycles()]
+    peaks = [unscaled_peak(bench, branches) for branches in bench.cycles()]
     known = [peak for peak in peaks if isinstance(peak, Estimate)]
     if not known:
         return next(peak for peak in peaks if isinstance(peak, Failure))

@@ -1,7 +1,7 @@
 """What happened in a tensile test: failure, energy up to it, slips, slack; what the frame gives.
 
 Each function gives the results of one entry of a protocol's list. Failure and energy are read from
-the last loading branch, all else from the first one.
+the loading branch in which it broke, all else from the first one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from labpipe.fitting.compliance import fit_compliance
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.failure import FailurePoint, energy_to_break
 from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.corrections import loading_branch, loading_stretch
+from labpipe.pipeline.corrections import loading_before, loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of
 from labpipe.pipeline.outcomes import (
     CURVE,
@@ -33,10 +33,10 @@ from labpipe.records.slips import SlipDecision
 
 def failure_results(bench: Bench) -> list[Result]:
     """``failure_displacement`` (m) and ``failure_force`` (N): the last point before the loss."""
-    method = "last sample before the force is lost; lopsided by the step to the next"
+    method = "first sample of the final loss of force; the interval reaches to the next one"
     asked = Asked("failure_displacement", "m", ("displacement",), method)
     by_force = Asked(
-        "failure_force", "N", ("force",), "parabola to half a step beyond the last sample"
+        "failure_force", "N", ("force",), "force at the first sample of the final loss"
     )
     failure = _failure(bench)
     if isinstance(failure, Failure):
@@ -70,11 +70,12 @@ def _in_steps(failure: FailurePoint) -> str:
 def energy_to_break_result(bench: Bench) -> list[Result]:
     """``energy_to_break`` (J): work done on the specimen up to its failure."""
     asked = Asked("energy_to_break", "J", CURVE, "integral of force up to the failure, trapezoids")
-    failure, branch = _failure(bench), loading_branch(bench, last=True)
-    if isinstance(failure, Failure) or branch is None:
-        why = failure if isinstance(failure, Failure) else NO_BRANCH
-        return [to_result(bench, asked, why)]
-    curve, stretch = curve_of(bench), slice(branch.start, branch.stop)
+    failure = _failure(bench)
+    if isinstance(failure, Failure):
+        return [to_result(bench, asked, failure)]
+    curve = curve_of(bench)
+    branch = loading_before(curve, failure.sample)
+    stretch = slice(branch.start, failure.sample + 1)
     point = replace(failure, sample=failure.sample - branch.start)
     found = energy_to_break(curve.displacement[stretch], curve.force[stretch], point)
     if isinstance(found, Failure):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -113,6 +115,84 @@ def _divided(sums: Floats, window: int) -> Floats:
     return sums
 
 
+def smoothed(values: Floats, *, window: int) -> Floats:
+    """Moving average that follows the signal to its ends.
+
+    Parameters
+    ----------
+    values : shape (n,)
+    window : odd number of samples; cut to n
+
+    Returns
+    -------
+    Shape (n,). A new array; no shift in time.
+
+    Notes
+    -----
+    Inside the mean over the window; in the first and last half window the straight line by least
+    squares through the outermost window: the filter of Savitzky and Golay, Anal. Chem. 36 (1964)
+    1627, of degree one, which a spreadsheet has as AVERAGE and FORECAST. So a signal that ends in
+    a corner keeps its height, without the noise of its last sample; the line stays within what
+    was measured there, so that a smooth top is not overshot. NaN are left out; where a
+    window holds less than two samples, the line is what `moving_average` gives.
+    """
+    window = min(window, len(values) - 1 + len(values) % 2)
+    if window < 3:
+        return values.copy()
+    mean = moving_average(values, window=window)
+    half, number = window // 2, np.arange(window) - 0.5 * (window - 1)
+    for part, end in ((slice(window), slice(half)), (slice(-window, None), slice(-half, None))):
+        known = ~np.isnan(values[part])
+        if known.sum() > 1:
+            seen = values[part][known]
+            slope, level = np.polyfit(number[known], seen, 1)
+            line = np.clip(level + slope * number[end], seen.min(), seen.max())
+            mean[end] = np.where(np.isnan(mean[end]), np.nan, line)
+    return mean
+
+
+Filter = tuple[Callable[[Floats], Floats], int]
+"""What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
+
+
+def in_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
+    """Filter a signal piece by piece, so that no filter reaches across a corner or a loss.
+
+    Parameters
+    ----------
+    values : shape (n,)
+    cuts : numbers of the samples at which a new piece begins
+    filters : one after the other
+
+    Returns
+    -------
+    Shape (m,), fewer than n where a filter thins.
+    """
+    ends = sorted({0, len(values), *(cut for cut in cuts if 0 < cut < len(values))})
+    for act, stride in filters:
+        values = np.concatenate([act(values[low:high]) for low, high in pairwise(ends)])[::stride]
+        ends = sorted({-(-end // stride) for end in ends})
+    return values
+
+
+def power_passed(act: Callable[[Floats], Floats], count: int) -> float:
+    """Share of the power of white noise that a filter lets through.
+
+    Parameters
+    ----------
+    act : linear, on evenly spaced samples
+    count : samples of the signal
+
+    Returns
+    -------
+    Sum of the squares of its response to a single sample in the middle of `count`.
+    """
+    pulse = np.zeros(count)
+    pulse[count // 2] = 1.0
+    answer = act(pulse)
+    return float(answer @ answer)
+
+
 def low_pass(values: Floats, *, cutoff: float, rate: float, order: int) -> Floats:
     """Zero-phase Butterworth low-pass, run forwards and backwards.
 
@@ -150,39 +230,6 @@ def low_pass(values: Floats, *, cutoff: float, rate: float, order: int) -> Float
     pad = min(int(3 * rate / cutoff), len(values) - 1)
     filtered: Floats = sosfiltfilt(sections, values, padlen=pad)
     return filtered
-
-
-def decimate(values: Floats, *, factor: int, filtered: bool) -> Floats:
-    """Keep every `factor`-th sample.
-
-    Parameters
-    ----------
-    values : shape (n,)
-    factor : at least 1
-    filtered : average over `factor` samples around each kept one first (zero phase); if False,
-        take the samples as they are, as the source's scripts do
-
-    Returns
-    -------
-    Shape (ceil(n / factor),). Sample 0 is kept, so no shift in time.
-
-    Raises
-    ------
-    ValueError
-        If `factor` is below 1.
-
-    Notes
-    -----
-    Bare decimation folds noise from above the new half rate into the signal; it is there for
-    comparison. NaN: as in `moving_average`, or kept as it stands.
-    """
-    if factor < 1:
-        message = f"factor={factor}: expected at least 1"
-        raise ValueError(message)
-    if filtered and factor > 1:
-        window = min(factor + 1 - factor % 2, len(values) - 1 + len(values) % 2)
-        values = moving_average(values, window=window)
-    return values[::factor].copy()
 
 
 def seconds_to_window(span: float, time: Floats) -> int:

@@ -143,9 +143,13 @@ class MachineCompliance(Block):
 
 
 class Failure(Block):
-    """When a specimen counts as broken: the force is lost and does not come back."""
+    """When a specimen counts as broken: the force is lost at once and does not come back."""
 
     force_below: Share = Field(description="Share of the largest force, such as 50 %")
+    loss: Share = Field(0.1, description="Share of the largest force that the loss takes at least")
+    within: Duration = Field(
+        0.05, description="In this time, or in one step between samples where that is longer"
+    )
 
 
 class Slips(Block):

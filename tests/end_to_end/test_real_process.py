@@ -86,11 +86,15 @@ def test_force_against_displacement(pulled: Lab) -> None:
     np.testing.assert_array_equal(aligned.time, time)
     np.testing.assert_allclose(aligned.series["displacement"].values, 1e-3 * signals[LASER])
     np.testing.assert_allclose(aligned.series["force"].values, signals[LOAD])
-    # 20 ms at 500 Hz are 10 samples, 9 for a window with a middle; ends aside.
+    # 20 ms at 500 Hz are 10 samples, 9 for a window with a middle; ends of branches aside.
     window = np.ones(9) / 9.0
+    ends = [at for each in curve.branches for at in (each.start, each.stop)]
+    inside = np.min(np.abs(np.subtract.outer(np.arange(len(time)), ends)), axis=1) > 10
+    inside[:10], inside[-10:] = False, False
+    assert inside.mean() > 0.7
     for name, raw in (("force", signals[LOAD]), ("displacement", 1e-3 * signals[LASER])):
-        smooth = np.convolve(raw, window, mode="same")[10:-10]
-        np.testing.assert_allclose(getattr(curve, name)[10:-10], smooth, rtol=0, atol=1e-12)
+        smooth = np.convolve(raw, window, mode="same")[inside]
+        np.testing.assert_allclose(getattr(curve, name)[inside], smooth, rtol=0, atol=1e-12)
     assert {path.name for path in (pulled.processed / "figures").iterdir()} == {
         f"{name}.{suffix}"
         for name in ("force-displacement", "timeline")
@@ -121,14 +125,15 @@ def test_cycles_of_the_real_curve(pulled: Lab) -> None:
     results = pulled.results
     names = [name for name in results if name.startswith("peak_displacement.")]
     assert len(names) == len(lower) == 62
-    for i, name in zip(lower, names, strict=True):
-        assert results[name]["value"] == pytest.approx(laser[i], abs=8e-5), name
-    # A parabola through the top stays below the noise of the largest sample.
+    for i, name in zip(lower, names, strict=True):  # filtered up to the turn, but not across it
+        largest = 1e-3 * signals[LASER][i - 10 : i + 11].min()
+        assert largest <= results[name]["value"] <= laser[i] + 8e-5, name
     around = zip([turns[0], *(i for i in turns if laser[i] > 0)][1:-1], lower[1:], strict=False)
     for number, (begin, end) in enumerate(around, start=2):
         found = results[f"peak_force.{number}"]["value"]
         assert found < 0.0
-        assert found == pytest.approx(load[begin : end + 20].min(), rel=0.12)
+        least = signals[LOAD][begin : end + 20].min()
+        assert least <= found <= 0.88 * load[begin : end + 20].min()
 
 
 def test_record_that_breaks_off_is_told(pulled: Lab) -> None:

@@ -99,7 +99,6 @@ TOLERANCES = {
     "modulus_annulus": 0.01,
     "modulus": 0.02,
     "energy_to_break": 0.01,
-    "failure_force": 0.006,
     "compliance": 0.01,
 }
 NEAR = {
@@ -117,7 +116,9 @@ NEAR = {
 def test_every_number_within_a_tolerance(done: dict[str, Done], kind: str) -> None:
     test = done[kind]
     for name, found in test.lab.results.items():
-        if name in TOLERANCES:
+        if name == "failure_force":  # the sample before the loss, which may have begun in its step
+            assert found["lower"] < test.truth[name] < 1.006 * found["upper"]
+        elif name in TOLERANCES:
             assert found["value"] == pytest.approx(test.truth[name], rel=TOLERANCES[name]), name
         elif name in NEAR:
             assert abs(found["value"] - test.truth[name]) < NEAR[name], name

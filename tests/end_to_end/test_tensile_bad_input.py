@@ -194,7 +194,7 @@ def test_a_test_that_never_failed(told: Told) -> None:
     for name in ("failure_displacement", "failure_force", "energy_to_break"):
         assert lab.results[name]["value"] is None
         assert re.fullmatch(
-            r"no_failure: the force ends at 400\.\d N, 100% of its peak 400\.\d N; below 50% "
+            r"no_break: the force ends at 400\.\d N, 100% of its peak 400\.\d N; below 50% "
             r"counts as lost",
             lab.results[name]["reason"],
         )

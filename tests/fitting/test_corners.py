@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.corners import fit_corner, value_at_turn
-from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.fitting.corners import fit_corner
 from labpipe.records.arrays import Floats
 
 TURN, HEIGHT = 4.0013, 1.2
@@ -60,8 +59,6 @@ def test_a_straight_signal_has_no_corner() -> None:
 def test_too_few_samples() -> None:
     time = np.arange(0.0, 0.1, 0.02)
     assert fit_corner(time, time, near=0.04, window=0.05, degree=2) is None
-    found = value_at_turn(time, time, at=0.04, window=0.05, degree=2)
-    assert found == Failure("too_few_samples", "fewer than 5 samples on a side of 0.040 s")
 
 
 def test_nan_are_left_out() -> None:
@@ -70,14 +67,3 @@ def test_nan_are_left_out() -> None:
     corner = fit_corner(time, force, near=4.1, window=2.0, degree=2)
     assert corner is not None
     assert corner.time == pytest.approx(TURN, abs=1e-4)
-
-
-def test_value_at_a_known_turn_covers() -> None:
-    pulls = []
-    for seed in range(150):
-        time, force = bent(seed, noise=4e-3)
-        found = value_at_turn(time, force, at=TURN, window=2.0, degree=2)
-        assert isinstance(found, Estimate)
-        pulls.append((found.value - HEIGHT) / found.error)
-    assert np.std(pulls) == pytest.approx(1.0, abs=0.17)
-    assert np.mean(pulls) == pytest.approx(0.0, abs=0.25)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.fitting.loops import loop_energy, secant_stiffness, smooth_peak
+from labpipe.fitting.loops import largest_sample, loop_energy, resolution, secant_stiffness
 from labpipe.records.arrays import Floats
 
 STIFFNESS = 20.0
@@ -100,17 +100,33 @@ def test_energy_error_is_finite_where_noise_hides_the_motion(seed: int) -> None:
     assert 0.0 < found.error < 1e-3
 
 
-def test_smooth_peak_is_the_vertex() -> None:
-    time = np.arange(0.0, 10.0, 0.02)
-    pulls = []
-    for seed in range(200):
-        noise = np.random.default_rng(seed).normal(0, 1e-3, len(time))
-        found = value(smooth_peak(time, np.sin(0.3 * time) + noise, share=0.02))
-        pulls.append((found.value - 1.0) / found.error)
-    assert abs(np.mean(pulls)) < 0.5
-    assert np.std(pulls) == pytest.approx(1.0, abs=0.15)
+def test_the_largest_sample_is_the_largest_sample() -> None:
+    values = np.array([0.0, 3.0, np.nan, 7.0, 5.0])
+    found = value(largest_sample(values, noise=0.0))
+    assert (found.value, found.n) == (7.0, 4)
 
 
-def test_smooth_peak_needs_samples() -> None:
-    found = smooth_peak(np.arange(3.0), np.arange(3.0), share=0.1)
-    assert found == Failure("too_few_samples", "3 samples, 16 are needed")
+def test_the_error_holds_how_far_a_corner_reaches_beyond_its_largest_sample() -> None:
+    """A triangle of 1 N in 20 samples, sampled at any phase: the corner is in the interval."""
+    for phase in np.linspace(0.0, 1.0, 21):
+        at = (np.arange(40.0) + phase) / 20.0
+        found = value(largest_sample(np.minimum(at, 2.0 - at), noise=0.0))
+        assert abs(1.0 - found.value) <= 1.96 * found.error + 1e-12
+
+
+def test_resolution_is_what_the_file_rounds_to() -> None:
+    values = np.round(np.random.default_rng(5).normal(10.0, 0.02, 500), 2)
+    assert resolution(values) == pytest.approx(0.01)
+    assert resolution(np.ones(5)) == 0.0
+    assert value(largest_sample(values, noise=0.0)).error >= 0.005 / np.sqrt(3.0)
+
+
+def test_no_sample() -> None:
+    found = largest_sample(np.full(3, np.nan), noise=0.0)
+    assert found == Failure("no_sample", "every sample of the stretch is blank")
+
+
+def test_a_loop_of_few_samples_has_its_area() -> None:
+    d, f = np.array([0.0, 1.0, 2.0, 1.0, 0.0]), np.array([0.0, 3.0, 4.0, 1.0, 0.0])
+    found = value(loop_energy(np.arange(5.0), d, f, clock_error=0.0))
+    assert found.value == pytest.approx(float(np.trapezoid(f, d)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.steps import take_step
-from labpipe.processing.filtering import decimate, low_pass, moving_average
+from labpipe.processing.filtering import in_pieces, low_pass, smoothed
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -149,7 +150,7 @@ def test_rows_are_smoothed_by_counting() -> None:
     step = "{step: smooth, channel: force, method: moving-average, span: 21 samples}"
     bench = in_rows(step)
     np.testing.assert_allclose(
-        bench.signals["force"].values, moving_average(VALUES, window=21), atol=1e-12
+        bench.signals["force"].values, smoothed(VALUES, window=21), atol=1e-12
     )
     assert bench.notes[0].message == "moving average over 21 samples"
     assert not in_rows("{step: decimate, channel: force, factor: 4}").signals["force"].has_time
@@ -171,7 +172,7 @@ def test_smooth(span: str, window: int) -> None:
     """Of a motion at 2 mm/s over 10 mm: 2 mm are a second, a branch is five."""
     bench = after(f"{{step: smooth, channel: force, method: moving-average, span: {span}}}")
     np.testing.assert_allclose(
-        bench.signals["force"].values, moving_average(VALUES, window=window), atol=1e-12
+        bench.signals["force"].values, smoothed(VALUES, window=window), atol=1e-12
     )
     np.testing.assert_array_equal(bench.raw["force"].values, VALUES)
     assert f"moving average over {window} samples" in bench.notes[0].message
@@ -187,7 +188,8 @@ def test_low_pass() -> None:
 def test_decimate(method: str) -> None:
     bench = after(f"{{step: decimate, channel: force, factor: 4, method: {method}}}")
     signal = bench.signals["force"]
-    expected = decimate(VALUES, factor=4, filtered=method == "filtered")
+    window = 5 if method == "filtered" else 1
+    expected = in_pieces(VALUES, (), [(partial(smoothed, window=window), 4)])
     np.testing.assert_allclose(signal.values, expected)
     np.testing.assert_array_equal(signal.time, TIME[::4])
     assert bench.notes[0].message == f"every 4th sample kept ({method})"

@@ -45,7 +45,7 @@ def test_energy_of_the_last_cycle_of_several() -> None:
 def test_never_failed() -> None:
     _, results = pulled(*pull(), curve=BREAK, results=["failure", "energy-to-break"])
     for found in results.values():
-        assert found.reason.startswith("no_failure: the force ends at 99.9")
+        assert found.reason.startswith("no_break: the force ends at 99.9")
 
 
 def test_slips() -> None:

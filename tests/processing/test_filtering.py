@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,10 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from labpipe.processing.filtering import (
-    decimate,
+    in_pieces,
     low_pass,
     moving_average,
     seconds_to_window,
+    smoothed,
     window_length,
 )
 from labpipe.records.arrays import Floats
@@ -114,22 +117,58 @@ def test_low_pass_refuses() -> None:
         low_pass(np.array([0.0, np.nan, 1.0]), cutoff=1.0, rate=1e3, order=1)
 
 
-def test_stride_takes_samples_as_they_are() -> None:
-    assert decimate(np.arange(10.0), factor=4, filtered=False).tolist() == [0, 4, 8]
+def test_smoothed_keeps_straight_lines_to_their_ends() -> None:
+    ramp = 2.0 * np.arange(100.0) + 1.0
+    assert smoothed(ramp, window=21) == pytest.approx(ramp)
 
 
-def test_filtered_decimation_does_not_fold_noise() -> None:
+def test_smoothed_is_the_mean_inside_and_a_line_at_the_ends() -> None:
+    noise = np.random.default_rng(3).normal(size=50)
+    found = smoothed(noise, window=11)
+    assert found[5:-5] == pytest.approx(moving_average(noise, window=11)[5:-5])
+    line = np.polyfit(np.arange(11.0), noise[-11:], 1)
+    assert found[-5:] == pytest.approx(np.polyval(line, np.arange(6.0, 11.0)))
+
+
+def test_smoothed_agrees_with_savitzky_and_golay_of_scipy() -> None:
+    from scipy.signal import savgol_filter
+
+    values = np.random.default_rng(4).normal(size=300).cumsum()
+    expected = savgol_filter(values, 31, 1)
+    found = smoothed(values, window=31)
+    assert found[15:-15] == pytest.approx(expected[15:-15])
+    first, last = values[:31], values[-31:]
+    assert found[:15] == pytest.approx(np.clip(expected[:15], first.min(), first.max()))
+    assert found[-15:] == pytest.approx(np.clip(expected[-15:], last.min(), last.max()))
+
+
+def test_smoothed_does_not_overshoot_a_smooth_top() -> None:
+    sine = np.sin(np.linspace(0.0, 0.5 * np.pi, 200))
+    assert smoothed(sine, window=61).max() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_smoothed_leaves_nan_where_nothing_is() -> None:
+    values = np.where(np.arange(40) < 10, np.nan, np.arange(40.0))
+    found = smoothed(values, window=5)
+    assert np.isnan(found[:8]).all()
+    assert found[12:] == pytest.approx(values[12:])
+    assert smoothed(values[:2], window=5).tolist() == pytest.approx([np.nan, np.nan], nan_ok=True)
+
+
+def test_pieces_keep_their_corner() -> None:
+    tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
+    act = partial(smoothed, window=21)
+    assert in_pieces(tent, [50], [(act, 1)]) == pytest.approx(tent)
+    assert in_pieces(tent, [], [(act, 1)]).max() < 46.0
+
+
+def test_pieces_are_thinned_after_they_are_filtered() -> None:
+    tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
+    filters = [(partial(smoothed, window=5), 3), (partial(smoothed, window=5), 2)]
+    assert in_pieces(tent, [50], filters) == pytest.approx(tent[::6])
+
+
+def test_a_filter_before_thinning_does_not_fold_noise() -> None:
     noise = np.random.default_rng(1).normal(size=200_000)
-    bare, filtered = (decimate(noise, factor=200, filtered=f) for f in (False, True))
-    assert bare.std() == pytest.approx(1.0, abs=0.1)
-    assert filtered[1:-1].std() == pytest.approx(201**-0.5, rel=0.1)
-
-
-def test_filtered_decimation_keeps_a_ramp() -> None:
-    ramp = np.arange(1000.0)
-    assert decimate(ramp, factor=10, filtered=True) == pytest.approx(ramp[::10])
-
-
-def test_decimate_refuses() -> None:
-    with pytest.raises(ValueError, match="factor=0: expected at least 1"):
-        decimate(np.zeros(3), factor=0, filtered=True)
+    found = in_pieces(noise, (), [(partial(smoothed, window=201), 200)])
+    assert found[1:-1].std() == pytest.approx(201**-0.5, rel=0.1)
