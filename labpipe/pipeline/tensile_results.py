@@ -52,9 +52,10 @@ def failure_results(bench: Bench) -> list[Result]:
 
 
 def _up_to(bench: Bench, failure: FailurePoint) -> tuple[float, float]:
-    """From the begin of the last loading to the failure, s."""
-    time, branch = curve_of(bench).time, loading_branch(bench, last=True)
-    return float(time[branch.start if branch else 0]), float(time[failure.sample])
+    """From the begin of the loading in which it broke to the failure, s."""
+    curve = curve_of(bench)
+    start = loading_before(curve, failure.sample).start
+    return float(curve.time[start]), float(curve.time[failure.sample])
 
 
 def _in_steps(failure: FailurePoint) -> str:

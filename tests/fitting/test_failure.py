@@ -122,6 +122,6 @@ def test_a_gap_leaves_no_energy() -> None:
 def test_what_was_lost_before(lost: float, comes_back_to: float, share: float) -> None:
     """60 N are carried, then some are lost at once; only what never comes back counts."""
     parts = [np.linspace(0.0, 60.0, 121), np.linspace(60.0 - lost, comes_back_to, 80)]
-    force: Floats = np.concatenate(parts).astype(np.float64)
-    found = lost_earlier(0.1 * np.arange(len(force)), force, RULE)
+    force = np.concatenate(parts).astype(np.float64)
+    found = lost_earlier(0.1 * np.arange(float(len(force))), force, RULE)
     assert found == pytest.approx(share)
