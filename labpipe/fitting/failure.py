@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.fitting.loops import loop_energy
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Interval
 
 _LEAST = 16
@@ -53,18 +53,21 @@ class LossOfForce:
     within: float
 
 
-def final_loss(time: Floats, force: Floats, rule: LossOfForce) -> int | Failure:
+def final_loss(
+    time: Floats, force: Floats, rule: LossOfForce, goes_back: Flags | None = None
+) -> int | Failure:
     """Sample at which the final loss of force begins.
 
     Parameters
     ----------
     time, force : shape (n,), s (or numbers of rows), N; unfiltered; NaN are left out
     rule : what counts as a loss
+    goes_back : shape (n,), where the displacement goes back, so that a falling force is no loss
 
     Returns
     -------
-    Number of the sample, or a failure: ``no_break`` where the force is not lost, or is lost
-    slowly; ``no_tension`` where it is nowhere above zero.
+    Number of the sample, or a failure: ``no_break`` where the force is not lost, is lost
+    slowly, or while the displacement goes back; ``no_tension`` where it is nowhere above zero.
 
     Notes
     -----
@@ -84,6 +87,8 @@ def final_loss(time: Floats, force: Floats, rule: LossOfForce) -> int | Failure:
     if last == len(f) - 1:
         found = f"the force ends at {f[-1]:.4g} N, {f[-1] / peak:.0%} of its peak {peak:.4g} N"
         return Failure("no_break", f"{found}; below {rule.force_below:.0%} counts as lost")
+    if goes_back is not None and goes_back[known[last]]:
+        return Failure("no_break", "the force goes down while the displacement goes back")
     fallen = f[last] - float(f[last + 1 : max(_reach(t, last, rule.within), last + 2)].min())
     first = _back_to_first(t, f, last, rule, peak)
     if first == last and fallen < rule.loss * peak:

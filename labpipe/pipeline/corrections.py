@@ -152,14 +152,12 @@ def _final_loss(bench: Bench, rule: LossOfForce | None) -> int | Failure | None:
     curve, branch = bench.curve, loading_branch(bench)
     if curve is None or branch is None or rule is None:
         return None
-    found = final_loss(curve.time[branch.start :], curve.force[branch.start :], rule)
-    if isinstance(found, Failure):
-        return found
-    sample = found + branch.start
-    back = [each for each in curve.branches if each.direction is Direction.UNLOADING]
-    if any(each.start <= sample < each.stop for each in back):
-        return Failure("no_break", "the force goes down while the displacement goes back")
-    return sample
+    after = slice(branch.start, None)
+    is_back = np.zeros(len(curve.time), dtype=np.bool_)
+    for each in curve.branches:
+        is_back[each.start : each.stop] = each.direction is Direction.UNLOADING
+    found = final_loss(curve.time[after], curve.force[after], rule, is_back[after])
+    return found if isinstance(found, Failure) else found + branch.start
 
 
 def _failure(

@@ -94,6 +94,13 @@ def test_says_why_not() -> None:
     )
 
 
+def test_a_force_that_goes_down_as_the_frame_goes_back_is_not_lost() -> None:
+    force = np.concatenate([F[:200], F[:200][::-1]])
+    time = 0.1 * np.arange(400.0)
+    found = final_loss(time, force, RULE, np.arange(400) >= 200)
+    assert found == Failure("no_break", "the force goes down while the displacement goes back")
+
+
 @pytest.mark.parametrize(("force", "most"), [(-F, "0"), (-1.0 - F, "-1"), (0.0 * F, "0")])
 def test_no_tension(force: Floats, most: str) -> None:
     assert final_loss(TIME, force, RULE) == Failure(
