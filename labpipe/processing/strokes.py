@@ -178,8 +178,9 @@ def _trimmed(
         tolerance,
         0.0 if outermost[1] else shortest,
     )
-    begin = int(np.searchsorted(time, time[first] + start))
-    end = int(np.searchsorted(time, time[last] - stop))
+    hair = 1e-6 * float(time[last] - time[first]) / (last - first)  # sums of times are not exact
+    begin = int(np.searchsorted(time, time[first] + start - hair))
+    end = int(np.searchsorted(time, time[last] - stop - hair))
     if begin >= end:  # it moves no further than its noise: nobody can tell a dwell from that
         begin, end = first, last
     return Stroke(begin, end, sign)

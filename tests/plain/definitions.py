@@ -8,6 +8,7 @@ both (`Plain`), and any value in it is right.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -267,22 +268,42 @@ def moving_average(
     return found
 
 
+def straight_ends(values: Samples, samples: int, pieces: list[int]) -> Samples:
+    """The moving average, with FORECAST over the last window in the last half window of a piece.
+
+    As the reference page of protocols has it: the line stays within what was measured there.
+    """
+    found = moving_average(values, samples, pieces)
+    number = np.arange(samples, dtype=np.float64)
+    for begin, end in pairwise([0, *pieces, len(values) - 1]):
+        for first, inside in (
+            (begin, slice(samples // 2)),
+            (end + 1 - samples, slice(-(samples // 2), None)),
+        ):
+            if end + 1 - begin >= samples:
+                seen = values[first : first + samples]
+                slope, height = line(number, seen)
+                ruled = np.clip(height + slope * number, seen.min(), seen.max())
+                found[first : first + samples][inside] = ruled[inside]
+    return found
+
+
 def filtered(record: Record, samples: int, stroke: float) -> list[Record]:
     """Both channels after a moving average that acts from turn to turn.
 
-    There are two records, since a window may stay centred at a turn or become one-sided: the one
-    keeps the corner, the other lowers it by a quarter of what the window spans.
+    There are three records, since a window may stay centred at a turn, become one-sided, or give
+    way to a line: the first keeps the corner and its noise, the second lowers it by a quarter of
+    what the window spans, the third is what the reference page says.
     """
     if samples < 2:
         return [record]
     parts = cycles(record.travel, stroke)
     pieces = [i for cycle in parts for i in (cycle.begin, cycle.turn)]
     return [
-        Record(
-            record.time,
-            moving_average(record.travel, samples, pieces, centred=centred),
-            moving_average(record.force, samples, pieces, centred=centred),
-            noise(record.travel),
+        Record(record.time, way(record.travel), way(record.force), noise(record.travel))
+        for way in (
+            partial(moving_average, samples=samples, pieces=pieces),
+            partial(moving_average, samples=samples, pieces=pieces, centred=False),
+            partial(straight_ends, samples=samples, pieces=pieces),
         )
-        for centred in (True, False)
     ]

@@ -20,6 +20,7 @@ from tests.plain.definitions import (
     peak_force,
     slack,
     stiffness,
+    straight_ends,
     trapezoid,
 )
 from tests.plain.judge import Expected, complaints
@@ -52,6 +53,7 @@ def test_a_window_ends_with_its_piece() -> None:
     rising = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])
     assert moving_average(rising, 3, [3])[3] == 3.0
     assert moving_average(rising, 3, [3], centred=False)[3] == 2.5
+    assert straight_ends(rising, 3, [3])[3] == 3.0
 
 
 @pytest.mark.parametrize(
