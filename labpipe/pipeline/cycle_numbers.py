@@ -18,7 +18,7 @@ from labpipe.pipeline.corrections import repair_error
 from labpipe.processing.filtering import moving_average, power_passed
 from labpipe.processing.strokes import noise_level
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Curve
+from labpipe.records.curve import Branch, Curve, Direction
 
 _FEW = 16
 """Samples below which nobody can tell how far the noise remembers."""
@@ -51,8 +51,9 @@ def _force_of_cycle(bench: Bench, branches: list[Branch]) -> Floats:
     curve, signal = curve_of(bench), bench.signals[bench.force]
     if signal.clock == bench.signals[bench.displacement].clock:
         return curve.force[stretch_of_cycle(bench, branches)]
-    ends = (branches[0].start_time, branches[-1].stop_time)
-    first, last = (bench.from_curve_clock(at, signal.clock) for at in ends)
+    stretch = stretch_of_cycle(bench, branches)
+    ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
+    first, last = (bench.from_curve_clock(float(at), signal.clock) for at in ends)
     return signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
 
 
@@ -243,9 +244,15 @@ def curve_of(bench: Bench) -> Curve:
 
 
 def stretch_of_cycle(bench: Bench, branches: list[Branch]) -> slice:
-    """Samples of the curve from the start of a cycle to its end, both turning samples included."""
-    is_last = branches[-1] == curve_of(bench).branches[-1]
-    return slice(branches[0].start, branches[-1].stop + (not is_last))
+    """Samples of the curve from the start of a cycle to its end, both turning samples included.
+
+    A last loading without an unloading lasts as long as the record: what is held belongs to it.
+    """
+    curve, last = curve_of(bench), branches[-1]
+    if last != curve.branches[-1]:
+        return slice(branches[0].start, last.stop + 1)
+    is_open = last.direction is Direction.LOADING
+    return slice(branches[0].start, len(curve.time) if is_open else last.stop)
 
 
 def _clock_error(bench: Bench) -> float:
