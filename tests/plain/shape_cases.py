@@ -238,31 +238,45 @@ def starts() -> Iterator[Case]:
 
 
 def channels() -> Iterator[Case]:
-    """A channel that is full, stands still, or whose zero moves."""
-    true = triangle(clock(whole(), 100.0, 0.3)).recorded()
+    """A channel that is full, stands still, or whose zero moves.
+
+    Noise comes before the fault: a full or frozen channel repeats its number to the last digit.
+    """
+    quiet = triangle(clock(whole(), 100.0, 0.3)).recorded()
+    for true, suffix in ((quiet, ""), (quiet.noisy(), "+noise")):
+        for case in (*full(true), *standing(true), *moving_zero(true)):
+            yield replace(case, name=case.name + suffix, true=true)
+
+
+def full(true: Table) -> Iterator[Case]:
     for share in (10, 60):
         level = float(np.quantile(true.force, 1.0 - share / 100.0))
-        full = replace(true, force=np.minimum(true.force, level))
         touched = ("peak_force.*", "energy.*", *(["stiffness"] if level < 80.0 else []))
-        yield Case(f"clipped-{share}%", full, true=true, hurt=dict.fromkeys(touched, CLIPPED))
+        clipped = replace(true, force=np.minimum(true.force, level))
+        yield Case(f"clipped-{share}%", clipped, hurt=dict.fromkeys(touched, CLIPPED))
+
+
+def standing(true: Table) -> Iterator[Case]:
     for name, since, hurt in (
         ("first-loading", 5.0, ("stiffness", "peak_force.1", "energy.1")),
         ("second-loading", 25.0, ("peak_force.2", "energy.2")),
     ):
-        held = frozen(true.force, true.time, since)
-        codes = dict.fromkeys(hurt, FROZEN)
-        yield Case(f"frozen-force-{name}", replace(true, force=held), true=true, hurt=codes)
-        held = frozen(true.travel, true.time, since)
-        codes |= {f"*.{hurt[-1][-1]}": FROZEN}
-        yield Case(f"frozen-travel-{name}", replace(true, travel=held), true=true, hurt=codes)
+        held = replace(true, force=frozen(true.force, true.time, since))
+        yield Case(f"frozen-force-{name}", held, hurt=dict.fromkeys(hurt, FROZEN))
+        held = replace(true, travel=frozen(true.travel, true.time, since))
+        codes = dict.fromkeys((*hurt, f"*.{hurt[-1][-1]}"), FROZEN)
+        yield Case(f"frozen-travel-{name}", held, hurt=codes)
+
+
+def moving_zero(true: Table) -> Iterator[Case]:
     spiked = true.force.copy()
     spiked[1500] += 50.0
-    yield Case("spike", replace(true, force=spiked), true=true, hurt={"*.1": "stray|spike"})
+    yield Case("spike", replace(true, force=spiked), hurt={"*.1": "stray|spike"})
     moved = dict.fromkeys(("peak_force.*", "energy.*", "stiffness"), DRIFT)
     jump = replace(true, force=true.force + np.where(true.time > 26.0, 10.0, 0.0))
-    yield Case("zero-jumps", jump, true=true, hurt=moved, steps=zero("mean"))
+    yield Case("zero-jumps", jump, hurt=moved, steps=zero("mean"))
     drift = replace(true, force=true.force + 10.0 * true.time / true.time[-1])
-    yield Case("zero-drifts", drift, true=true, hurt=moved, steps=zero("mean"))
+    yield Case("zero-drifts", drift, hurt=moved, steps=zero("mean"))
 
 
 def frozen(values: Samples, time: Samples, since: float) -> Samples:
@@ -337,8 +351,9 @@ FAULTY: tuple[Callable[[], Iterator[Case]], ...] = (cuts, starts, channels, sign
 def all_cases() -> list[Case]:
     """Every shape free of noise and with it, but for those that noise would only blur."""
     both = [case for family in (*CLEAN, *FAULTY) for case in family()]
+    names = {case.name for case in both}
     noisy = [case.noisy() for case in both if not case.name.endswith("+noise")]
-    return [*both, *(each for each in noisy if each.name != "creep+noise"), *scales(), *bad()]
+    return [*both, *(each for each in noisy if each.name not in names), *scales(), *bad()]
 
 
 __all__ = ["Case", "Motion", "all_cases"]
