@@ -97,7 +97,7 @@ def fit_linear(
     Raises
     ------
     ValueError
-        For fewer than p + 4 samples.
+        For fewer than p + 4 samples; with stretches beside, for fewer than p + 1.
 
     Notes
     -----
@@ -119,8 +119,9 @@ def fit_linear(
     exact one and not that of cosines.
     """
     count, spent = design.shape
-    if count < spent + 4:
-        message = f"expected at least {spent + 4} samples for {spent} coefficients, found {count}"
+    least = spent + (1 if beside else 4)
+    if count < least:
+        message = f"expected at least {least} samples for {spent} coefficients, found {count}"
         raise ValueError(message)
     basis, to_coefficients = orthonormal(design)
     plain = basis @ values

@@ -38,7 +38,7 @@ from labpipe.pipeline.plausibility import (
     check_turns,
 )
 from labpipe.pipeline.recording_checks import check_end
-from labpipe.pipeline.steps import take_step
+from labpipe.pipeline.steps import ShortStretchError, take_step
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
     modulus_result,
@@ -60,6 +60,7 @@ from labpipe.processing.strokes import (
     noise_level,
     split_branches,
 )
+from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.results import (
     BendingStiffness,
     ClockResult,
@@ -127,12 +128,14 @@ def reduce_recordings(
 
 
 def _take_steps(bench: Bench, markers: MarkerBench, protocol: Protocol) -> None:
-    for number, step in enumerate(protocol.steps):
+    for step in protocol.steps:
         try:
             take_step(bench, markers, step, protocol)
         except ValueError as error:
             remedy = "Look at the exports with `labpipe inspect`, and at this step of the protocol."
-            message = f"steps.{number} ({step.step}): {error}. {remedy}"
+            if isinstance(error, ShortStretchError):
+                remedy = f"Write {in_test_sheet(f'{step.key}.over', f'{error.needed:.2g} s')}."
+            message = f"{step.key} ({step.step}): {error}. {remedy}"
             raise ProcessingError(message) from error
 
 

@@ -10,7 +10,7 @@ from typing import assert_never
 import numpy as np
 
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
-from labpipe.pipeline.zeros import LEAST, end_level, mean_level
+from labpipe.pipeline.zeros import LEAST, end_level, mean_level, needed
 from labpipe.processing.filtering import (
     in_pieces,
     low_pass,
@@ -34,6 +34,20 @@ from labpipe.protocol.steps import (
 )
 from labpipe.records.arrays import Floats, median
 from labpipe.records.quality import Severity
+
+
+class ShortStretchError(ValueError):
+    """A stretch to zero on holds too few samples.
+
+    Parameters
+    ----------
+    message : for people
+    needed : s, how long it would have to be
+    """
+
+    def __init__(self, message: str, needed: float) -> None:
+        super().__init__(message)
+        self.needed = needed
 
 
 def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol) -> None:
@@ -108,14 +122,14 @@ def _zero(bench: Bench, step: Zero) -> None:
     rest = signal.values[first:last]
     known = rest[~np.isnan(rest)]
     beside = signal.values[last:] if step.at == "start" else signal.values[:first]
-    if len(known) < LEAST:
+    least = needed(beside)
+    if len(known) < least:
         apart = median(np.diff(signal.time))
         message = (
-            f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, {LEAST} are "
-            f"needed: at {1.0 / apart:.4g} per second 'over' must be "
-            f"{(LEAST + 0.5) * apart:.2g} s or more"
+            f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, {least} are "
+            f"needed, and there are {1.0 / apart:.4g} per second"
         )
-        raise ValueError(message)
+        raise ShortStretchError(message, (least + 0.5) * apart)
     if step.by == "mean":
         bench.zeroed[step.channel] = (start, start + step.over)
         level, error = mean_level(known, beside)
@@ -132,6 +146,8 @@ def _zero(bench: Bench, step: Zero) -> None:
     said = (
         f"zero at {round(level, 12):.6g} {signal.unit}, {how} over {step.over:g} s at the {step.at}"
     )
+    if len(known) < LEAST:
+        said += f", {len(known)} samples: their noise is judged by the rest of the record"
     bench.note("zeroed", Severity.INFO, step.channel, said)
 
 

@@ -84,6 +84,11 @@ class Protocol(Block):
     def _know_their_roles(cls, sources: dict[Role, Source]) -> dict[Role, Source]:
         return {role: source.in_role(role) for role, source in sources.items()}
 
+    @field_validator("steps")
+    @classmethod
+    def _know_their_numbers(cls, steps: tuple[Step, ...]) -> tuple[Step, ...]:
+        return tuple(step.numbered(number) for number, step in enumerate(steps))
+
     @classmethod
     def between(cls, data: object) -> list[Fault]:
         """Check one part of the protocol against another."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, TypeAlias
+from typing import Annotated, Literal, Self, TypeAlias
 
-from pydantic import Field
+from pydantic import Field, PrivateAttr
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.quantities import (
@@ -18,7 +18,24 @@ from labpipe.protocol.quantities import (
 from labpipe.protocol.words import Snake
 
 
-class RepairMarkers(Block):
+class _Step(Block):
+    """One step, and where it stands in the list."""
+
+    _number: int = PrivateAttr(0)
+
+    @property
+    def key(self) -> str:
+        """Dotted key of the step, as an override begins: ``steps.2``."""
+        return f"steps.{self._number}"
+
+    def numbered(self, number: int) -> Self:
+        """Give back the same step, knowing its number in the list as written, from 0."""
+        step = self.model_copy()
+        step._number = number
+        return step
+
+
+class RepairMarkers(_Step):
     """Undo label switches, fill short gaps, flag what was touched."""
 
     step: Literal["repair-markers"]
@@ -27,7 +44,7 @@ class RepairMarkers(Block):
     frozen: Duration = Field(description="A track that stands still for longer is lost")
 
 
-class SpecimenFrame(Block):
+class SpecimenFrame(_Step):
     """Turn the markers into the frame of the specimen; with a clamp, this makes `travel`."""
 
     step: Literal["specimen-frame"]
@@ -37,7 +54,7 @@ class SpecimenFrame(Block):
     )
 
 
-class FitShape(Block):
+class FitShape(_Step):
     """Fit a smooth curve through the markers of every frame; this makes `deflection`."""
 
     step: Literal["fit-shape"]
@@ -45,7 +62,7 @@ class FitShape(Block):
     tip: Literal["free", "loaded"] = Field(description="free: no bending moment at the tip")
 
 
-class ThreePointShape(Block):
+class ThreePointShape(_Step):
     """Fit the bent axis between two supports through sections of markers; makes `mid_span`."""
 
     step: Literal["three-point-shape"]
@@ -60,7 +77,7 @@ class ThreePointShape(Block):
     )
 
 
-class TravelFromSpeed(Block):
+class TravelFromSpeed(_Step):
     """Make a displacement from crosshead speed and stroke; a measured one goes before it."""
 
     step: Literal["travel-from-speed"]
@@ -71,7 +88,7 @@ class TravelFromSpeed(Block):
     speed_uncertainty: Ratio = Field(0.005, description="Standard uncertainty of rig's speed")
 
 
-class Zero(Block):
+class Zero(_Step):
     """Subtract the mean of a stretch without load."""
 
     step: Literal["zero"]
@@ -85,7 +102,7 @@ class Zero(Block):
     )
 
 
-class Smooth(Block):
+class Smooth(_Step):
     """Smooth by a centred moving average."""
 
     step: Literal["smooth"]
@@ -94,7 +111,7 @@ class Smooth(Block):
     span: SpanOf
 
 
-class LowPass(Block):
+class LowPass(_Step):
     """Smooth by a zero-phase Butterworth filter."""
 
     step: Literal["low-pass"]
@@ -103,7 +120,7 @@ class LowPass(Block):
     order: Annotated[int, Whole(1, 8)]
 
 
-class Decimate(Block):
+class Decimate(_Step):
     """Keep every so many samples."""
 
     step: Literal["decimate"]

@@ -37,6 +37,10 @@ KINDS: dict[str, TensileScenario] = {
     "twist-tube": twist_tube("1b", gain_error=0.001),
     "twist-tube, other spool": twist_tube("2a", slack=0.8e-3, peak_force=400.0),
     "pet-tape": _TAPE,
+    "pet-tape, 10 Hz": replace(pet_tape("2"), instruments=replace(_TAPE.instruments, rate=10.0)),
+    "corrugated-tube, 10 Hz": replace(
+        corrugated_tube("CT-10-1"), instruments=replace(_TUBE.instruments, rate=10.0)
+    ),
     "stiff-bar": stiff_bar(gain_error=0.001),
 }
 SEED = 1

@@ -71,3 +71,5 @@ def test_a_combination_is_the_coefficient_itself() -> None:
 def test_too_few_samples() -> None:
     with pytest.raises(ValueError, match="expected at least 6 samples for 2 coefficients, found 5"):
         fit_linear(np.ones((5, 2)), np.ones(5))
+    with pytest.raises(ValueError, match="expected at least 3 samples for 2 coefficients, found 2"):
+        fit_linear(np.eye(2), np.ones(2), beside=[np.arange(100.0)])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
-from labpipe.pipeline.steps import take_step
+from labpipe.pipeline.steps import ShortStretchError, take_step
 from labpipe.processing.filtering import in_pieces, low_pass, smoothed
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -157,11 +157,31 @@ def test_rows_are_smoothed_by_counting() -> None:
 
 
 def test_zero_needs_samples() -> None:
-    with pytest.raises(
-        ValueError,
-        match=r"force: 5 samples in the 0.045 s to zero on, 8 are .* must be 0.085 s or more$",
-    ):
-        after("{step: zero, channel: force, over: 45 ms}")
+    with pytest.raises(ShortStretchError) as refused:
+        after("{step: zero, channel: force, over: 15 ms}")
+    assert str(refused.value) == (
+        "force: 2 samples in the 0.015 s to zero on, 3 are needed, and there are 100 per second"
+    )
+    assert refused.value.needed == pytest.approx(0.035)
+
+
+@pytest.mark.parametrize(("by", "error"), [("mean", 5**-0.5), ("line", 0.6**0.5)])
+def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
+    """At 10 Hz half a second holds five or six samples; the noise is that of the record."""
+    noise = np.random.default_rng(3).normal(0.0, 1.0, len(TIME))
+    bench = after(f"{{step: zero, channel: force, over: 45 ms, by: {by}}}", noise)
+    (note,) = (note for note in bench.notes if note.code == "zeroed")
+    assert note.message.endswith(", 5 samples: their noise is judged by the rest of the record")
+    assert bench.raw["force"].zero_error == pytest.approx(error, rel=0.1)
+
+
+def test_few_samples_of_a_short_record() -> None:
+    made = protocol("{step: zero, channel: force, over: 0.5 s}")
+    bench = Bench()
+    signal = Signal(0.1 * np.arange(60), VALUES[:60], "N", "frame")
+    bench.raw["force"] = bench.signals["force"] = signal
+    with pytest.raises(ShortStretchError, match=r"6 samples in the 0.5 s to zero on, 8 are needed"):
+        take_step(bench, MarkerBench(), made.steps[0], made)
 
 
 @pytest.mark.parametrize(

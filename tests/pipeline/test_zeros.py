@@ -7,11 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
-from labpipe.pipeline.zeros import end_level, mean_level, use_rest_there_is
+from labpipe.pipeline.zeros import end_level, mean_level, needed, use_rest_there_is
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
@@ -148,3 +149,26 @@ def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
     made, results = reduced(repository, rest=0.02, offset=0.0)
     assert ("force", "zero_not_at_rest") in {(each.quantity, each.code) for each in made.doubts}
     assert results["peak_force.1"].status is Status.DOUBTFUL
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+@pytest.mark.parametrize("count", [3, 5])
+def test_zeros_of_few_samples_hold(memory: float, count: int) -> None:
+    """Of 300 records of 10 Hz, noise that remembers nothing, or ten samples."""
+    held = {"mean": 0, "line": 0}
+    for seed in range(300):
+        white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), 400)
+        noise = lfilter([1.0], [1.0, -memory], white)[100:]
+        rising = noise + 0.5 * np.arange(300.0)
+        for word, level in (
+            ("mean", mean_level(noise[:count], rising[count:])),
+            ("line", end_level(rising[:count], rising[count:])),
+        ):
+            held[word] += abs(level[0]) <= 1.96 * level[1]
+    assert min(held.values()) >= 276  # 92 of 100
+    assert max(held.values()) <= 297
+
+
+def test_a_short_record_says_nothing_of_its_noise() -> None:
+    assert needed(TIME[:99]) == 8
+    assert needed(TIME[:100]) == 3

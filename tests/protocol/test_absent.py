@@ -68,7 +68,16 @@ def test_without_cameras_shape_and_twist_are_not_asked_for(whole: Protocol) -> N
 def test_what_is_left_is_a_protocol(whole: Protocol, roles: list[str]) -> None:
     kept = without_absent(whole, roles)
 
-    assert parse_protocol(dump_protocol(kept), "result.h5") == kept
+    again = parse_protocol(dump_protocol(kept), "result.h5")
+    assert dump_protocol(again) == dump_protocol(kept)  # its steps know other numbers
+
+
+def test_a_step_keeps_the_number_that_the_protocol_gives_it(whole: Protocol) -> None:
+    kept = without_absent(whole, ["force", "frame"])
+    numbers = {step.key: number for number, step in enumerate(whole.steps)}
+    assert list(numbers) == [f"steps.{number}" for number in range(len(whole.steps))]
+    assert [numbers[step.key] for step in kept.steps] == [whole.steps.index(x) for x in kept.steps]
+    assert kept.steps[0].key != "steps.0"
 
 
 @pytest.fixture
