@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 from labpipe.protocol.faults import Fault, KeyPath, did_you_mean, one_of
 from labpipe.protocol.outline import Outline, Values
+from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.quantities import SI_UNITS
 from labpipe.protocol.results import result_names
 from labpipe.protocol.source_checks import source_faults
@@ -252,7 +253,8 @@ def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
                 yield _lacking(path, block, repr(tag))
     needed = _NEEDS_OF_CURVE.get(tag)
     if needed and outline.block("curve") and not outline.block("curve", needed):
-        remedy = f"Add the block {needed!r} to 'curve'."
+        out = in_test_sheet(f"results.{tag}", "null")
+        remedy = f"Add the block {needed!r} to 'curve', or take the result out: {out}."
         yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
     if tag == "clock" and not outline.joins_clocks:
         yield _lacking_word(path, "align.method", "turning-points", repr(tag))

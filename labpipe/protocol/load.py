@@ -174,6 +174,11 @@ def resolve(
         both = zip(placed, again, strict=True)
         told += [bare if bare.file == str(sheet_path) else full for bare, full in both]
         raise _complaint(told) from None
+    numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
+    steps = zip(protocol.steps, numbers, strict=True)
+    protocol = protocol.model_copy(
+        update={"steps": tuple(step.numbered(number) for step, number in steps)}
+    )
     kept = without_absent(protocol, sheet.files)
     told += [said.place(fault) for fault in absent_faults(kept, protocol)]
     if told:

@@ -7,7 +7,7 @@ is read by people.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -64,12 +64,15 @@ class Document:
     data : blocks as dict, lists as list, everything else as text or None
     spots : where each value stands
     told : what is wrong with the YAML itself
+    numbers : by path of a list from which items were taken out, the numbers that those left have
+        where they were written
     """
 
     file: str
     data: object = None
     spots: dict[KeyPath, Spot] = field(default_factory=dict)
     told: list[Told] = field(default_factory=list)
+    numbers: dict[KeyPath, tuple[int, ...]] = field(default_factory=dict)
 
     def at(self, path: KeyPath) -> object:
         """Find the value under a path.
@@ -96,7 +99,15 @@ class Document:
             path = path[:-1]
         spot = self.spots[path]
         mark = spot.key if fault.at == "key" else spot.value
-        return tell(spot.file, mark, fault, remark)
+        return tell(spot.file, mark, replace(fault, path=self._as_written(fault.path)), remark)
+
+    def _as_written(self, path: KeyPath) -> KeyPath:
+        """Give items of lists the numbers that they have where they were written."""
+        numbers = ((part, self.numbers.get(path[:i])) for i, part in enumerate(path))
+        return tuple(
+            known[part] if known is not None and isinstance(part, int) else part
+            for part, known in numbers
+        )
 
 
 def tell(file: str, mark: Mark, fault: Fault, remark: str = "") -> Told:

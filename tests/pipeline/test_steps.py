@@ -178,7 +178,7 @@ def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
 def test_few_samples_of_a_short_record() -> None:
     made = protocol("{step: zero, channel: force, over: 0.5 s}")
     bench = Bench()
-    signal = Signal(0.1 * np.arange(60), VALUES[:60], "N", "frame")
+    signal = Signal(np.linspace(0.0, 5.9, 60), VALUES[:60], "N", "frame")
     bench.raw["force"] = bench.signals["force"] = signal
     with pytest.raises(ShortStretchError, match=r"6 samples in the 0.5 s to zero on, 8 are needed"):
         take_step(bench, MarkerBench(), made.steps[0], made)

@@ -314,25 +314,33 @@ OF_TUBE = {
         "  failure: {force_below: 50 %}\n",
         "",
         "p.yaml, line 28, column 14 (results.5.result): expected a block 'curve.failure' for"
-        " 'failure', found none. Add the block 'failure' to 'curve'.",
+        " 'failure', found none. Add the block 'failure' to 'curve', or take the"
+        " result out: 'results.failure: {value: null, because: ...}' under"
+        " 'overrides' in test.yaml.",
     ),
     "energy to break": (
         "  failure: {force_below: 50 %}\n",
         "",
         "p.yaml, line 29, column 14 (results.6.result): expected a block 'curve.failure' for"
-        " 'energy-to-break', found none. Add the block 'failure' to 'curve'.",
+        " 'energy-to-break', found none. Add the block 'failure' to 'curve', or take the"
+        " result out: 'results.energy-to-break: {value: null, because: ...}' under"
+        " 'overrides' in test.yaml.",
     ),
     "slips": (
         "  slips: {decision: marked, min_drop: 2 N}\n",
         "  slips: null\n",
         "p.yaml, line 31, column 14 (results.7.result): expected a block 'curve.slips' for 'slips',"
-        " found none. Add the block 'slips' to 'curve'.",
+        " found none. Add the block 'slips' to 'curve', or take the"
+        " result out: 'results.slips: {value: null, because: ...}' under"
+        " 'overrides' in test.yaml.",
     ),
     "slack": (
         "  slack: {from: 10 %, to: 30 %}\n",
         "",
         "p.yaml, line 31, column 14 (results.8.result): expected a block 'curve.slack' for 'slack',"
-        " found none. Add the block 'slack' to 'curve'.",
+        " found none. Add the block 'slack' to 'curve', or take the"
+        " result out: 'results.slack: {value: null, because: ...}' under"
+        " 'overrides' in test.yaml.",
     ),
     "two segments without branches": (
         "branches: {channel: displacement, min_stroke: 5 mm}\n",

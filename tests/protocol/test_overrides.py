@@ -1,13 +1,17 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from labpipe.errors import ProtocolError
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
+from labpipe.protocol.results import ComplianceResult, Stiffness
 from labpipe.protocol.rig import AlignNone
+from labpipe.protocol.schema import Protocol
 from tests.protocol.conftest import SHEET, Tell
 
 
@@ -258,3 +262,104 @@ def test_a_step_that_is_there_twice_needs_its_number(lab: Path, tell: Tell, wire
     lines = tell(f"{SHEET}overrides:\n  steps.zero.over: {{value: 1 s, because: x}}\n")
 
     assert lines[0].endswith("that one item of the list has, found 'zero'. Use its number.")
+
+
+def tube_of(
+    lab: Path, tube: str, write: Callable[[str], Path], overrides: str, main: str = ""
+) -> Protocol:
+    """The protocol of a tube after overrides, one a line."""
+    tube = (
+        tube.replace("stiffness_first, peak_force.2], scaled", f"{main}], scaled") if main else tube
+    )
+    (lab / "protocols" / "tube.yaml").write_text(tube, encoding="utf-8")
+    sheet = SHEET.replace("protocol: wire", "protocol: tube")
+    sheet = re.sub(r"files: .*", "files: {frame: a.txt}", sheet)
+    lines = "".join(f"  {line}\n" for line in overrides.split("\n"))
+    path = write(f"{sheet}overrides:\n{lines}")
+    return resolve(load_test_sheet(path), path, lab / "protocols")
+
+
+NO_SLACK = """\
+curve.slack: {value: null, because: nothing is slack}
+results.slack: {value: null, because: nothing is slack}"""
+
+
+def test_a_result_is_taken_out(lab: Path, tube: str, write: Callable[[str], Path]) -> None:
+    protocol = tube_of(lab, tube, write, NO_SLACK)
+
+    assert protocol.curve is not None
+    assert protocol.curve.slack is None
+    assert "slack" not in [entry.result for entry in protocol.results]
+    assert len(protocol.results) == 9
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_numbers_are_those_of_the_protocol_whatever_is_taken_out(
+    lab: Path, tube: str, write: Callable[[str], Path], order: int
+) -> None:
+    changes = (
+        "results.0: {value: null, because: x}",
+        "results.1.to: {value: 9 mm, because: x}",
+        "results.7: {value: null, because: x}",
+        "results.9.to: {value: 390 N, because: x}",
+    )
+    protocol = tube_of(lab, tube, write, "\n".join(changes[::order]))
+
+    first, *_, last = protocol.results
+    assert isinstance(first, Stiffness)
+    assert isinstance(last, ComplianceResult)
+    assert (first.stop, last.stop) == (9e-3, 390.0)
+    assert len(protocol.results) == 8
+
+
+def test_what_is_taken_out_is_not_shown_first(
+    lab: Path, tube: str, write: Callable[[str], Path]
+) -> None:
+    main = "peak_force.1, failure_force, slack, failure_displacement"
+    gone = "results.failure: {value: null, because: did not break}"
+    protocol = tube_of(lab, tube, write, gone, main)
+
+    assert protocol.groups.main == ("peak_force.1", "slack")
+
+
+def test_a_fault_behind_what_was_taken_out_has_its_own_number(
+    lab: Path, tube: str, write: Callable[[str], Path]
+) -> None:
+    changes = """\
+results.0: {value: null, because: x}
+results.compliance.to: {value: 3 mm, because: x}"""
+    with pytest.raises(ProtocolError) as refused:
+        tube_of(lab, tube, write, changes)
+    assert "test.yaml, line 8, column 34 (results.9.to): expected a quantity" in str(refused.value)
+
+
+def test_a_step_is_taken_out_and_the_others_keep_their_keys(
+    lab: Path, tube: str, write: Callable[[str], Path]
+) -> None:
+    step = "  - {step: smooth, channel: force, method: moving-average, span: 5 samples}\n"
+    tube = tube.replace("curve:\n", f"{step}curve:\n", 1)
+    protocol = tube_of(lab, tube, write, "steps.zero: {value: null, because: none}")
+
+    (left,) = protocol.steps
+    assert (left.step, left.key) == ("smooth", "steps.1")
+
+
+def test_a_result_that_others_are_made_of_stays(
+    lab: Path, tube: str, write: Callable[[str], Path]
+) -> None:
+    gone = "results.stiffness_first: {value: null, because: x}"
+    with pytest.raises(ProtocolError, match=r"\(results\.3\.of\): expected one of the stiffnesses"):
+        tube_of(lab, tube, write, gone)
+
+
+def test_an_item_of_a_list_that_the_protocol_leaves_out(
+    lab: Path, tube: str, write: Callable[[str], Path]
+) -> None:
+    bare = re.sub(r"steps:\n.*\n", "", tube)
+    assert "steps" not in bare
+    with pytest.raises(ProtocolError) as refused:
+        tube_of(lab, bare, write, "steps.0.over: {value: 1 s, because: x}")
+    assert str(refused.value).endswith(
+        "(overrides.steps.0.over): expected a key of the protocol, which has no 'steps', found"
+        " 'steps.0.over'. Override 'steps' as a whole."
+    )
