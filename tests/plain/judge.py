@@ -17,6 +17,8 @@ from tests.plain.definitions import Plain
 
 NEAR = 3e-3
 NAN = re.compile(r"\bnan\b|\binf\b", re.IGNORECASE)
+CODES = re.compile(r"(?:^|; )([a-z_]+):")
+"""In a reason; there may be several, parted by semicolons."""
 NO_BREAK = "no_break|no_failure"
 SIGN = re.compile("sign|negative|reversed|down|compress")
 """In the code of a note that says that a number is negative because of how the file counts."""
@@ -110,7 +112,7 @@ def _judged(
         yield f"{told}: no reason"
     elif not cause:
         yield f"{told}: must be ok, plainly {_shown(plain)}"
-    elif not re.search(cause, result["reason"].split(":")[0]):
+    elif not re.search(cause, " ".join(CODES.findall(result["reason"]))):
         yield f"{told}: not the cause ({cause})"
 
 

@@ -155,9 +155,9 @@ def holds() -> Iterator[Case]:
     time = clock(611.0, 10.0)
     travel = np.minimum(pull(time, rest=1.0), STROKE)
     grown = travel + np.log1p(np.clip(time - 11.0, 0.0, None) / 60.0)
-    # Force that stands to the last digit while the motion goes on looks like a full amplifier.
+    # Force that stands to the last digit while the motion goes on looks full, or frozen.
     creep = {"peak_*": CUT, "energy.1": CUT}
-    full = {"peak_force.1": f"{CUT}|{CLIPPED}", **creep}
+    full = {"peak_force.1": f"{CUT}|{CLIPPED}|{FROZEN}", **creep}
     yield Case("creep", table(time, grown, 10.0 * travel), hurt=full)
     yield replace(Case("creep", table(time, grown, 10.0 * travel), hurt=creep).noisy())
 
@@ -170,9 +170,11 @@ def necking(travel: Samples) -> Samples:
 
 
 def yarn(travel: Samples, loss: float) -> Samples:
-    """Up to 100 N at 10 mm, then one part after the other, each 1 mm, lets go."""
+    """Up to 100 N at 10 mm, then one part after the other lets go; what is left is pulled on."""
     lost = np.floor(np.clip(travel - STROKE + 1e-9, -1.0, None)) + 1.0
-    return np.maximum(10.0 * np.minimum(travel, STROKE) - PEAK * loss * lost, 0.0)
+    pulled_on = np.clip(travel - STROKE, 0.0, None)
+    force = 10.0 * np.minimum(travel, STROKE) + pulled_on - PEAK * loss * lost
+    return np.maximum(force, 0.0)
 
 
 def breaks() -> Iterator[Case]:

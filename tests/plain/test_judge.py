@@ -95,6 +95,7 @@ CUT = replace(FINE, causes={"peak_*": "partial_cycle"})
 def test_what_is_right_passes() -> None:
     assert complaints(ran(value=100.29), FINE) == []
     assert complaints(ran("doubtful", 50.0, "partial_cycle: cut"), CUT) == []
+    assert complaints(ran("doubtful", 50.0, "not_reached: 8 mm; partial_cycle: cut"), CUT) == []
 
 
 @pytest.mark.parametrize(
