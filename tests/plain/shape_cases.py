@@ -13,7 +13,6 @@ from tests.plain.shapes import (
     NEWTON,
     PEAK,
     STROKE,
-    Motion,
     Table,
     clock,
     pull,
@@ -110,20 +109,18 @@ def cyclic() -> Iterator[Case]:
 
 def zeroed() -> Iterator[Case]:
     """The file counts from 5 N and 3 mm; the protocol takes that off."""
-
-    def made(name: str, by: str, rate: float, rest: float, **more: object) -> Case:
-        motion = triangle(clock(whole(), rate), rest=rest)
-        true = motion.recorded()
+    for name, by, rate, rest in (
+        ("zero-mean", "mean", 20.0, 1.0),
+        ("zero-line-10Hz", "line", 10.0, 0.0),
+        ("zero-line-100Hz", "line", 100.0, 0.0),
+        # Begins to move within the stretch: neither mean nor line is right.
+        ("zero-line-over-rest-and-motion", "line", 100.0, 0.25),
+        ("zero-mean-over-rest-and-motion", "mean", 100.0, 0.25),
+    ):
+        true = triangle(clock(whole(), rate), rest=rest).recorded()
         off = replace(true, travel=true.travel + 3.0, force=true.force + 5.0)
-        hurt: Mapping[str, str] = more.get("hurt", {})  # type: ignore[assignment]
-        return Case(name, off, true=true, steps=zero(by), hurt=hurt)
-
-    yield made("zero-mean", "mean", 20.0, 1.0)
-    yield made("zero-line-10Hz", "line", 10.0, 0.0)
-    yield made("zero-line-100Hz", "line", 100.0, 0.0)
-    # Begins to move within the stretch: neither mean nor line is right.
-    yield made("zero-line-over-rest-and-motion", "line", 100.0, 0.25, hurt={"*": "zero"})
-    yield made("zero-mean-over-rest-and-motion", "mean", 100.0, 0.25, hurt={"*": "zero"})
+        hurt = {"*": "zero"} if "motion" in name else {}
+        yield Case(name, off, true=true, steps=zero(by), hurt=hurt)
 
 
 def zero(by: str) -> str:
@@ -356,6 +353,3 @@ def all_cases() -> list[Case]:
     names = {case.name for case in both}
     noisy = [case.noisy() for case in both if not case.name.endswith("+noise")]
     return [*both, *(each for each in noisy if each.name not in names), *scales(), *bad()]
-
-
-__all__ = ["Case", "Motion", "all_cases"]
