@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import ProtocolError, ReadError, complaint, nearest
+from labpipe.errors import ProcessingError, ProtocolError, ReadError, complaint, nearest
 from labpipe.pipeline.channel_units import unit_fault
-from labpipe.pipeline.exports import is_empty, where_to_name
+from labpipe.pipeline.exports import is_empty, joined, name_channels, where_to_name
+from labpipe.pipeline.layout import lay_out
+from labpipe.pipeline.steps import step_or_refuse
 from labpipe.pipeline.targets import files_below
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import BendingStiffness, MidSpan, Twist
@@ -17,6 +19,7 @@ from labpipe.protocol.rig import Markers
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
+from labpipe.protocol.steps import Decimate, LowPass, Smooth, Zero
 from labpipe.readers import read_export, recognise_export
 from labpipe.readers.channels import NoChannelError, select_channel
 from labpipe.records.recording import MarkerTracks, Recording
@@ -126,10 +129,39 @@ def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iter
         protocol = None
     if protocol is not None:
         yield from _span_faults(path, protocol)
+    read: dict[str, list[Recording]] = {role: [] for role in sheet.files}
+    faults = 0
     for role, names in sheet.files.items():
         source = protocol.sources[role] if protocol else None
         for name in names:
-            yield from _export_faults(path.parent / name, source, protocol)
+            for fault in _export_faults(path.parent / name, source, protocol, read[role]):
+                faults += 1
+                yield fault
+    if protocol is not None and not faults:
+        yield from _refusals(path, sheet, protocol, read)
+
+
+def _refusals(
+    path: Path, sheet: TestSheet, protocol: Protocol, read: Mapping[str, list[Recording]]
+) -> Iterator[str]:
+    """Find what `labpipe process` would refuse although each export is as it should be."""
+    try:
+        recordings: dict[str, Recording] = {
+            role: joined(read[role], sheet.files[role], path.parent) for role in protocol.sources
+        }
+        bench, markers = lay_out(recordings, protocol)
+    except ReadError as error:
+        yield str(error)
+        return
+    except ProcessingError as error:
+        yield f"{path}, {error}"
+        return
+    for step in protocol.steps:
+        if isinstance(step, Zero | Smooth | LowPass | Decimate) and step.channel in bench.signals:
+            try:
+                step_or_refuse(bench, markers, step, protocol)
+            except ProcessingError as error:
+                yield f"{path}, {error}"
 
 
 def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
@@ -150,8 +182,13 @@ def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
         )
 
 
-def _export_faults(path: Path, source: Source | None, protocol: Protocol | None) -> Iterator[str]:
-    """Find what is wrong with one export; only that it can be read, where the protocol failed."""
+def _export_faults(
+    path: Path, source: Source | None, protocol: Protocol | None, read: list[Recording]
+) -> Iterator[str]:
+    """Find what is wrong with one export; only that it can be read, where the protocol failed.
+
+    What is right goes into `read`, with the channels of the protocol.
+    """
     try:
         if source is None or protocol is None:
             recognise_export(path)
@@ -161,11 +198,19 @@ def _export_faults(path: Path, source: Source | None, protocol: Protocol | None)
         yield str(error)
         return
     if is_empty(recording):
-        return  # one of several parts; a test of nothing else is told when it is processed
-    for channel in source.all_channels.values():
-        yield from _channel_faults(recording, channel, source, path)
-    if recording.markers is not None and protocol.markers is not None:
-        yield from _marker_faults(recording.markers, protocol.markers, path)
+        read.append(recording)  # one of several parts, or all that there is
+        return
+    faults = [
+        *(
+            fault
+            for channel in source.all_channels.values()
+            for fault in _channel_faults(recording, channel, source, path)
+        ),
+        *_marker_faults(recording.markers, protocol.markers, path),
+    ]
+    yield from faults
+    if not faults:
+        read.append(name_channels(recording, source, path))
 
 
 def _channel_faults(
@@ -180,8 +225,12 @@ def _channel_faults(
         yield fault
 
 
-def _marker_faults(tracks: MarkerTracks, markers: Markers, path: Path) -> Iterator[str]:
+def _marker_faults(
+    tracks: MarkerTracks | None, markers: Markers | None, path: Path
+) -> Iterator[str]:
     """Find a clamp or markers that the take does not have."""
+    if tracks is None or markers is None:
+        return
     bodies = [body.name for body in tracks.bodies]
     if markers.clamp is not None and markers.clamp not in bodies:
         near = nearest(markers.clamp, bodies)

@@ -57,14 +57,26 @@ def _read_roles(folder: Path, sheet: TestSheet, protocol: Protocol) -> dict[str,
     recordings: dict[str, Recording] = {}
     for role, source in protocol.sources.items():
         names = sheet.files[role]
-        recordings[role] = _joined(
+        recordings[role] = joined(
             [read_role(folder / name, source) for name in names], names, folder
         )
     return recordings
 
 
-def _joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
-    """One recording of all parts; those that took no samples only leave their notes."""
+def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
+    """Make one recording of all parts; those that took no samples only leave their notes.
+
+    Parameters
+    ----------
+    parts : of one role, in any order
+    names : of their files
+    folder : of the test, for messages
+
+    Raises
+    ------
+    ReadError
+        If there are no samples at all, or the parts do not fit together (`join_parts`).
+    """
     filled = [number for number, part in enumerate(parts) if not is_empty(part)]
     if not filled:
         message = complaint(

@@ -7,8 +7,7 @@ from typing import TypeGuard, assert_never
 
 import numpy as np
 
-from labpipe.errors import ProcessingError
-from labpipe.pipeline.bench import Bench, MarkerBench, at_times_of_curve
+from labpipe.pipeline.bench import Bench, at_times_of_curve
 from labpipe.pipeline.bundle_results import (
     beam_results,
     hardening_results,
@@ -38,7 +37,7 @@ from labpipe.pipeline.plausibility import (
     check_turns,
 )
 from labpipe.pipeline.recording_checks import check_end
-from labpipe.pipeline.steps import ShortStretchError, take_step
+from labpipe.pipeline.steps import step_or_refuse
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
     modulus_result,
@@ -60,7 +59,6 @@ from labpipe.processing.strokes import (
     noise_level,
     split_branches,
 )
-from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.results import (
     BendingStiffness,
     ClockResult,
@@ -120,23 +118,12 @@ def reduce_recordings(
         If a recording lacks what a step cannot do without, such as the clamp's rigid body.
     """
     bench, markers = lay_out(recordings, protocol)
-    _take_steps(bench, markers, protocol)
+    for step in protocol.steps:
+        step_or_refuse(bench, markers, step, protocol)
     if protocol.curve is not None:
         _make_curve(bench, protocol)
     results = [result for entry in protocol.results for result in _results(bench, entry, protocol)]
     return bench, tuple(results)
-
-
-def _take_steps(bench: Bench, markers: MarkerBench, protocol: Protocol) -> None:
-    for step in protocol.steps:
-        try:
-            take_step(bench, markers, step, protocol)
-        except ValueError as error:
-            remedy = "Look at the exports with `labpipe inspect`, and at this step of the protocol."
-            if isinstance(error, ShortStretchError):
-                remedy = f"Write {in_test_sheet(f'{step.key}.over', f'{error.needed:.2g} s')}."
-            message = f"{step.key} ({step.step}): {error}. {remedy}"
-            raise ProcessingError(message) from error
 
 
 def _make_curve(bench: Bench, protocol: Protocol) -> None:

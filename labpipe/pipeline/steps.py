@@ -9,6 +9,7 @@ from typing import assert_never
 
 import numpy as np
 
+from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.zeros import LEAST, end_level, mean_level, needed
 from labpipe.processing.filtering import (
@@ -18,6 +19,7 @@ from labpipe.processing.filtering import (
     smoothed,
     window_length,
 )
+from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.quantities import Span
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.steps import (
@@ -48,6 +50,28 @@ class ShortStretchError(ValueError):
     def __init__(self, message: str, needed: float) -> None:
         super().__init__(message)
         self.needed = needed
+
+
+def step_or_refuse(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol) -> None:
+    """Carry out one step, or say why not, with its key and what to do.
+
+    Parameters
+    ----------
+    bench, markers, step, protocol : as for `take_step`
+
+    Raises
+    ------
+    ProcessingError
+        If the data cannot go through the step.
+    """
+    try:
+        take_step(bench, markers, step, protocol)
+    except ValueError as error:
+        remedy = "Look at the exports with `labpipe inspect`, and at this step of the protocol."
+        if isinstance(error, ShortStretchError):
+            remedy = f"Write {in_test_sheet(f'{step.key}.over', f'{error.needed:.2g} s')}."
+        message = f"{step.key} ({step.step}): {error}. {remedy}"
+        raise ProcessingError(message) from error
 
 
 def take_step(bench: Bench, markers: MarkerBench, step: Step, protocol: Protocol) -> None:

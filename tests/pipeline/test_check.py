@@ -3,11 +3,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from labpipe.pipeline.check import check_paths
+from labpipe.readers import read_export
 from labpipe.records.recording import Clock, Recording
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
 from tests.builders.motive import Layout, marker, rigid_body, write_table
@@ -147,11 +149,63 @@ def test_none_of_several_names_is_there(say: Say) -> None:
     )
 
 
-def test_a_part_without_samples_is_no_fault(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_test_without_samples_is_told(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
     nothing = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
     monkeypatch.setattr("labpipe.pipeline.check.read_export", lambda *_, **__: nothing)
 
-    assert say() == []
+    assert say() == [
+        f"{FOLDER / 'force.mat'}: expected samples, found none in this file. The test was aborted"
+        " before its first sample; leave it out."
+    ]
+
+
+def test_a_part_without_samples_is_no_fault(
+    lab: Path, say: Say, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    empty = lab / FOLDER / "empty.mat"
+    shutil.copy(lab / FOLDER / "force.mat", empty)
+
+    def read(path: Path, *reader: Any, **more: Any) -> Recording:
+        nothing = Recording("dspace-mat", clocks=(Clock("time", np.empty(0)),))
+        return nothing if path.name == "empty.mat" else read_export(path, *reader, **more)
+
+    monkeypatch.setattr("labpipe.pipeline.check.read_export", read)
+    assert say((TEST, "force: force.mat", "force: [force.mat, empty.mat]")) == []
+
+
+def test_parts_that_overlap_are_told(lab: Path, say: Say) -> None:
+    shutil.copy(lab / FOLDER / "force.mat", lab / FOLDER / "again.mat")
+
+    (message,) = say((TEST, "force: force.mat", "force: [force.mat, again.mat]"))
+    assert message.startswith("again.mat, time: expected a start after 0.049000 s, where force.mat")
+
+
+ZERO = "steps:\n  - {step: zero, channel: force, over: 2 ms}\n"
+
+
+def test_a_step_that_the_data_cannot_go_through_is_told(say: Say) -> None:
+    """At once for each step, as `labpipe process` says it for the first one."""
+    steps = f"{ZERO}  - {{step: zero, channel: force, over: 3 ms, at: end}}\nmarkers:"
+
+    messages = say((WIRE, "markers: {clamp", f"{steps} {{clamp"))
+
+    assert messages == [
+        f"{FOLDER / 'test.yaml'}, steps.{number} (zero): force: {samples} samples in the {over} s"
+        f" to zero on, 8 are needed, and there are 1000 per second. Write 'steps.{number}.over:"
+        " {value: 0.0085 s, because: ...}' under 'overrides' in test.yaml."
+        for number, samples, over in ((0, 3, 0.002), (1, 4, 0.003))
+    ]
+
+
+def test_a_recording_that_cannot_be_processed_is_told(lab: Path, say: Say) -> None:
+    time = np.arange(5) * 0.001
+    path = lab / FOLDER / "force.mat"
+    write_mat_v5(path, [Axis(time)], [Signal("Model/Load", "Out1", time)])
+
+    assert say() == [
+        f"{FOLDER / 'test.yaml'}, force, time: expected at least 8 samples, found 5. The recording"
+        " was aborted; leave this test out."
+    ]
 
 
 def test_dialect_and_part_go_to_the_reader(say: Say, monkeypatch: pytest.MonkeyPatch) -> None:
