@@ -94,7 +94,8 @@ def final_loss(
     if first == last and fallen < rule.loss * peak:
         message = (
             f"the force goes below {rule.force_below:.0%} of its peak {peak:.4g} N slowly: it is "
-            f"nowhere lost there by {rule.loss:.0%} within {1e3 * rule.within:.4g} ms"
+            f"nowhere lost there by {rule.loss:.0%} within {1e3 * rule.within:.4g} ms; if such "
+            "specimens break so, state a longer curve.failure.within"
         )
         return Failure("no_break", message)
     return int(known[first])
