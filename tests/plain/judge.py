@@ -37,6 +37,9 @@ class Expected:
     be doubtful, failed or missing. A number whose name no pattern fits must be `ok`."""
     refusal: str = ""
     """A regular expression that the message has if the whole test may be refused."""
+    own: bool = True
+    """Whether the numbers are those of the file's own samples, not of a faultless recording: then a
+    doubtful number is the plain one, too."""
     sign_free: bool = False
     """Whether the file counts downwards: a number may then have either sign, if that is said."""
 
@@ -114,6 +117,8 @@ def _judged(
         yield f"{told}: must be ok, plainly {_shown(plain)}"
     elif not re.search(cause, " ".join(CODES.findall(result["reason"]))):
         yield f"{told}: not the cause ({cause})"
+    if expected.own and result["status"] == "doubtful" and plain is not None:
+        yield from _value(name, result, plain, expected, ran)
 
 
 def _value(
@@ -129,7 +134,7 @@ def _value(
     if not plain.low - near <= given <= plain.high + near:
         plainly = 0.5 * (plain.low + plain.high)
         off = f" ({100 * (given / plainly - 1):+.2f} %)" if plainly else ""
-        yield f"{name}: {value:.6g} is ok, plainly {_shown(plain)}{off}"
+        yield f"{name}: {value:.6g} is {result['status']}, plainly {_shown(plain)}{off}"
     if expected.sign_free and value < 0 and not _sign_said(ran):
         yield f"{name}: {value:.6g} is negative, and nobody says why"
 

@@ -89,7 +89,7 @@ def ran(status: str = "ok", value: float = 100.0, reason: str = "", **more: Any)
 
 
 FINE = Expected({"peak_force.1": Plain(100.0, 100.0)})
-CUT = replace(FINE, causes={"peak_*": "partial_cycle"})
+CUT = replace(FINE, causes={"peak_*": "partial_cycle"}, own=False)
 
 
 def test_what_is_right_passes() -> None:
@@ -107,6 +107,7 @@ def test_what_is_right_passes() -> None:
         (ran("doubtful", 50.0), CUT, "no reason"),
         (ran("failed", 0.0, "partial_cycle: nan s"), CUT, "no sentence"),
         (ran(value=50.0), CUT, "is ok, plainly"),
+        (ran("doubtful", 50.0, "partial_cycle: x"), replace(CUT, own=True), "is doubtful, plainly"),
         (ran(value=-100.0), replace(FINE, sign_free=True), "negative, and nobody says why"),
         (ran(), Expected({"peak_force.1": None}), "there is no such number"),
         (ran(), Expected({}), "there is no such number"),

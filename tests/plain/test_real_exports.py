@@ -77,7 +77,13 @@ class Frame:
                 nearest = min(ends, key=lambda end: abs(end - plain.high))
                 numbers[name] = Plain.of(plain.low, plain.high, nearest)
         causes = excused(whole, real.asked) | dict(real.hurt)
-        return Expected(numbers, causes, refusal=real.refusal, sign_free=real.sign_free)
+        return Expected(
+            numbers,
+            causes,
+            refusal=real.refusal,
+            own=not real.since,
+            sign_free=real.sign_free,
+        )
 
 
 def protocol(real: Real) -> bytes:

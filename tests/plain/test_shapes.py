@@ -60,7 +60,13 @@ def expected(case: Case) -> Expected:
         plain_numbers(each, case.asked) for each in filtered(true, case.smooth, stroke)
     )
     causes = excused(case.table.record().seen(), case.asked) | dict(case.hurt)
-    return Expected(numbers, causes=causes, refusal=case.refusal, sign_free=case.sign_free)
+    return Expected(
+        numbers,
+        causes=causes,
+        refusal=case.refusal,
+        own=case.true is None,
+        sign_free=case.sign_free,
+    )
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=marked(name)) for name in CASES])
