@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.readers import recognise_export
-from labpipe.readers.clocks import SAMPLED_ON_EVENT, find_holes
+from labpipe.readers.clocks import SAMPLED_ON_EVENT, VARIABLE, find_holes
 from labpipe.readers.tracking import Run, blank, longest, runs, unchanged
 from labpipe.records.arrays import Floats, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
@@ -98,9 +98,15 @@ def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
     return {
         "clock": clock.name,
         "unit": clock.unit,
-        **_timing(clock.time, on_event=clock.name in SAMPLED_ON_EVENT),
+        **_timing(clock.time, on_event=_is_uneven(clock, recording)),
         "channels": [_channel(each) for each in recording.channels if each.clock == clock.name],
     }
+
+
+def _is_uneven(clock: Clock, recording: Recording) -> bool:
+    """Whether long steps of a time axis are how its program samples, not losses."""
+    notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
+    return clock.name in SAMPLED_ON_EVENT or VARIABLE in notes
 
 
 def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:
@@ -229,7 +235,7 @@ def as_text(inspection: Inspection) -> str:
 
 
 def _stream_lines(clock: Clock, recording: Recording) -> list[str]:
-    timing = _timing_text(_timing(clock.time, on_event=clock.name in SAMPLED_ON_EVENT), "samples")
+    timing = _timing_text(_timing(clock.time, on_event=_is_uneven(clock, recording)), "samples")
     head = f"Clock {clock.name}: {timing}"
     if clock.unit != "s":
         head = f"Rows, no clock: {len(clock.time)} samples"

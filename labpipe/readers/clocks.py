@@ -19,6 +19,12 @@ JITTER = 0.05
 ROUND = 0.002
 """A mean step this close (relative) to a round one was meant to be that one."""
 
+VARIABLE = "time_variable"
+"""Note on a time axis whose long steps need not be losses."""
+
+_SOME, _MANY = 10, 0.05
+"""Long steps, and their share of all, beyond which they are how the program samples."""
+
 SAMPLED_ON_EVENT = frozenset({"OnChange"})
 """Rasters that write a sample when something changes: long steps mean nothing there."""
 
@@ -62,18 +68,20 @@ def find_holes(time: Floats) -> tuple[Hole, ...]:
     return _holes(time, steps, median(steps))
 
 
-def clock_notes(clock: Clock) -> list[QualityNote]:
+def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]:
     """Say what is odd about a time axis.
 
     Parameters
     ----------
     clock : the time axis as the export holds it
+    is_variable : whether the program that wrote it samples at a rate that varies, or leaves out
+        what says nothing new: a long step is no loss then
 
     Returns
     -------
     Notes ``clock_empty``, ``time_not_finite``, ``time_not_increasing`` (both errors: the axis
-    cannot be used), ``time_repeats``, ``time_holes``, ``time_jitter``, ``step_not_nominal``,
-    ``time_start_not_zero``.
+    cannot be used), ``time_repeats``, ``time_holes``, ``time_variable``, ``time_jitter``,
+    ``step_not_nominal``, ``time_start_not_zero``.
     """
     where = f"clock {clock.name}"
     if len(clock.time) == 0:
@@ -84,7 +92,7 @@ def clock_notes(clock: Clock) -> list[QualityNote]:
         return broken
     notes = _repeats(steps, clock.time, where)
     if clock.name not in SAMPLED_ON_EVENT:
-        notes += _step_notes(clock.time, steps, where)
+        notes += _step_notes(clock.time, steps, where, is_variable=is_variable)
     if clock.time[0] != 0.0:
         message = f"time starts at {clock.time[0]:.7g} s, not at 0"
         notes.append(QualityNote("time_start_not_zero", Severity.INFO, where, message))
@@ -145,7 +153,7 @@ def _repeats(steps: Floats, time: Floats, where: str) -> list[QualityNote]:
     return [QualityNote("time_repeats", Severity.WARNING, where, message)]
 
 
-def _step_notes(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
+def _step_notes(time: Floats, steps: Floats, where: str, *, is_variable: bool) -> list[QualityNote]:
     if len(steps) < 2:
         return []
     if _is_even(steps):
@@ -154,12 +162,28 @@ def _step_notes(time: Floats, steps: Floats, where: str) -> list[QualityNote]:
     if not usual > 0.0:
         return []
     holes = _holes(time, steps, usual)
+    if is_variable and steps.max() > LONG_STEP * steps.min():
+        return [_varying(steps, usual, where, "the program samples at a rate that varies")]
+    if len(holes) > max(_SOME, _MANY * len(steps)):
+        why = (
+            f"{len(holes)} of {len(steps)} are longer than usual: the rate varies, or samples were"
+        )
+        why += " lost"
+        return [_varying(steps, usual, where, why, Severity.WARNING)]
     regular = np.delete(steps, [hole.after for hole in holes])
     return [
         *_hole_note(holes, usual, where),
         *_jitter_note(regular, usual, where),
         *_nominal_note(float(regular.mean()), len(steps), where),
     ]
+
+
+def _varying(
+    steps: Floats, usual: float, where: str, why: str, severity: Severity = Severity.INFO
+) -> QualityNote:
+    ends = f"{_duration(float(steps.min()))} to {_duration(float(steps.max()))}"
+    message = f"steps from {ends} around {_duration(usual)}; {why}"
+    return QualityNote(VARIABLE, severity, where, message)
 
 
 def _hole_note(holes: tuple[Hole, ...], median: float, where: str) -> list[QualityNote]:

@@ -351,11 +351,22 @@ def test_the_last_row_of_microtest_is_told(inspect: Inspect) -> None:
     assert any("last" in message for message in notes(inspect(MICROTEST)).values())
 
 
-def test_holes_of_testxpert(inspect: Inspect) -> None:
-    (stream,) = inspect("zwick/Allong 1.TRA")["streams"]
-    lengths = [hole["length"] for hole in stream["holes"]]
-    assert max(lengths) == pytest.approx(0.63, abs=0.011)
-    assert stream["step_median"] == pytest.approx(0.01)
+@pytest.mark.parametrize(
+    ("name", "longest", "usual"),
+    [
+        ("Allong 1.TRA", 0.63, 0.01),
+        ("Zugversuch_eng_ETFE-Ref+Groesseneffekt6.TRA", 0.37, 0.02),
+    ],
+)
+def test_testxpert_leaves_samples_out_and_loses_none(
+    inspect: Inspect, name: str, longest: float, usual: float
+) -> None:
+    found = inspect(f"zwick/{name}")
+    (stream,) = found["streams"]
+    assert stream["holes"] == []
+    assert stream["step_max"] == pytest.approx(longest, abs=0.011)
+    assert stream["step_median"] == pytest.approx(usual)
+    assert "the program samples at a rate that varies" in notes(found)["time_variable"]
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,9 @@ from labpipe.records.quality import Severity
 from labpipe.records.recording import Clock
 
 
-def codes(time: np.ndarray, name: str = "time") -> dict[str, str]:
-    return {note.code: note.message for note in clock_notes(Clock(name, time))}
+def codes(time: np.ndarray, name: str = "time", *, is_variable: bool = False) -> dict[str, str]:
+    notes = clock_notes(Clock(name, time), is_variable=is_variable)
+    return {note.code: note.message for note in notes}
 
 
 @given(lost=st.lists(st.integers(2, 90), unique=True, max_size=8), step=st.floats(1e-4, 1.0))
@@ -43,6 +44,28 @@ def test_long_steps_mean_nothing_where_samples_are_written_on_change() -> None:
     time = np.array([0.0, 1.0, 2.0, 9.0, 10.0])
     assert "time_holes" in codes(time)
     assert codes(time, "OnChange") == {}
+
+
+REDUCED = np.concatenate([np.arange(100) * 0.01, 1.0 + np.arange(20) * 0.25])
+"""Ten milliseconds, then a quarter of a second, as a program that changes its rate writes."""
+
+
+def test_a_rate_that_varies_loses_nothing_where_the_program_varies_it() -> None:
+    assert codes(REDUCED, is_variable=True) == {
+        "time_variable": (
+            "steps from 10 ms to 250 ms around 10 ms; the program samples at a rate that varies"
+        )
+    }
+    assert codes(np.arange(100) * 0.01, is_variable=True) == {}
+
+
+def test_so_many_long_steps_that_they_need_not_be_losses() -> None:
+    (note,) = clock_notes(Clock("time", REDUCED))
+    assert note.severity is Severity.WARNING
+    assert note.message == (
+        "steps from 10 ms to 250 ms around 10 ms; 19 of 119 are longer than usual: the rate varies,"
+        " or samples were lost"
+    )
 
 
 def test_a_step_that_is_not_the_nominal_one() -> None:

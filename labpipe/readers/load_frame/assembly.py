@@ -130,7 +130,11 @@ def _clock(
     time: Floats = table.columns[column]
     clock = Clock(name, time if factor == 1.0 else factor * time)
     about: dict[str, object] = {"time": table.names[column], "unit_in_file": unit}
-    return clock, about, [*clock_notes(clock), *_few_note(rows, name)]
+    return (
+        clock,
+        about,
+        [*clock_notes(clock, is_variable=card.variable_rate), *_few_note(rows, name)],
+    )
 
 
 def _seconds(unit: str, name: str, path: object) -> float:

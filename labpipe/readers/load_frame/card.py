@@ -50,6 +50,7 @@ class Card:
     units : unit of the names whose unit the export does not say
     time : patterns of the name of the time column, most wanted first
     time_unit : unit of time where the export does not say it
+    variable_rate : whether the program samples at a rate that varies: a long step is no loss
     words : names of columns that hold words
     missing : numbers that stand for a missing value
     last_zeros : columns that are zero in a last row that is no sample
@@ -81,6 +82,7 @@ class Card:
     start: Pattern | None = None
     units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     time_unit: str = ""
+    variable_rate: bool = False
     words: tuple[str, ...] = ()
     missing: tuple[float, ...] = ()
     last_zeros: tuple[str, ...] = ()
@@ -277,6 +279,7 @@ _CHECKS: Final[dict[str, _Check]] = {
     "units": _by_name(_text),
     "time": _several(_name_pattern),
     "time_unit": _text,
+    "variable_rate": _flag,
     "words": _several(_text),
     "missing": _several(_number),
     "last_zeros": _several(_text),
