@@ -78,3 +78,6 @@ UNNAMED: set[tuple[str, str]] = {
 
 # Tests that end in a fault of labpipe itself.
 CRASHES: set[Case] = {("taped-bundle", 48, ""), ("wire-cantilever", 48, "")}
+
+# Intervals that hold the truth in fewer than nine of ten tests of the study.
+BELOW: set[tuple[str, str]] = set()

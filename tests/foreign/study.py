@@ -1,4 +1,4 @@
-"""The foreign tests through the command line; the study of coverage and its table.
+"""The foreign tests through the command line, and the study of coverage.
 
 The study draws 200 tests of each kind by seeds that were fixed before it ran first. It writes one
 JSON line per test and goes on where it stopped.
@@ -16,8 +16,6 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from labpipe.cli import main
 from tests.foreign.cameras import CAMERAS
@@ -130,70 +128,3 @@ def read(file: Path) -> list[Row]:
     """The lines of a study; a last line that was cut short is left out."""
     lines = file.read_text().split("\n")[:-1] if file.is_file() else []
     return [json.loads(line) for line in lines]
-
-
-@dataclass(frozen=True)
-class Count:
-    """How one result fared in the tests without a fault.
-
-    Parameters
-    ----------
-    kind, name : of which test, which result
-    ok, doubtful, failed : how many
-    held : of the `ok` ones, those whose interval holds the truth
-    width : median half width over 1.96 standard deviations of value - truth; 1 is ideal
-    bias : mean of value - truth over the median half width
-    """
-
-    kind: str
-    name: str
-    ok: int
-    doubtful: int
-    failed: int
-    held: int
-    width: float
-    bias: float
-
-    @property
-    def share(self) -> float:
-        """Of the `ok` ones that hold."""
-        return self.held / self.ok if self.ok else float("nan")
-
-
-def counted(lines: list[Row]) -> list[Count]:
-    """Counts by kind and result, in the order of the kinds."""
-    rows: dict[tuple[str, str], list[Row]] = {}
-    for line in lines:
-        if not line["fault"]:
-            for row in line["rows"]:
-                rows.setdefault((line["kind"], row["name"]), []).append(row)
-    order = sorted(rows, key=lambda key: KINDS.index(key[0]))
-    return [_count(kind, name, rows[kind, name]) for kind, name in order]
-
-
-def _count(kind: str, name: str, rows: list[Row]) -> Count:
-    ok = [row for row in rows if row["status"] == "ok"]
-    doubtful = sum(row["status"] == "doubtful" for row in rows)
-    failed = len(rows) - len(ok) - doubtful
-    off = np.array([row["value"] - row["truth"] for row in ok])
-    half = np.array([0.5 * (row["upper"] - row["lower"]) for row in ok])
-    held = sum(row["lower"] <= row["truth"] <= row["upper"] for row in ok)
-    if len(ok) < 3:
-        return Count(kind, name, len(ok), doubtful, failed, held, float("nan"), float("nan"))
-    middle, scatter = float(np.median(half)), 1.96 * float(off.std(ddof=1))
-    width = middle / scatter if scatter > 0.0 else float("inf")
-    bias = float(off.mean()) / middle if middle > 0.0 else float("inf")
-    return Count(kind, name, len(ok), doubtful, failed, held, width, bias)
-
-
-def held_by_noise(lines: list[Row]) -> dict[tuple[str, str], tuple[int, int]]:
-    """By kind of test and kind of noise: intervals that hold, of how many that are `ok`."""
-    found: dict[tuple[str, str], tuple[int, int]] = {}
-    for line in lines:
-        for row in line["rows"] if not line["fault"] else ():
-            if row["status"] == "ok":
-                key = line["kind"], line["noise"]
-                held, n = found.get(key, (0, 0))
-                inside = row["lower"] <= row["truth"] <= row["upper"]
-                found[key] = held + int(inside), n + 1
-    return found
