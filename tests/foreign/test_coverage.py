@@ -1,9 +1,8 @@
 """How often the intervals of labpipe hold the truth of the second simulator.
 
 The study goes on for at most 55 minutes and is run again where it has not come to its end. It
-writes into the file that LABPIPE_FOREIGN_STUDY names, else below `processed`. With
-LABPIPE_PUBLISH=COMMIT
-its tables go onto docs/explanations/coverage.md.
+writes into the file that LABPIPE_FOREIGN_STUDY names, else below `processed`; its tables go onto
+docs/explanations/coverage.md where LABPIPE_PUBLISH names the commit.
 """
 
 from __future__ import annotations
