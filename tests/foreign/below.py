@@ -10,7 +10,26 @@ Case = tuple[str, int, str]
 
 # Results that are `ok` and far off, by test.
 WRONG: dict[Case, set[str]] = {
-    # break_point -35.1 %, energy_to_break -29.3 %, failure_displacement -12.6 %
+    # bending_stiffness -15.7 %, clock_drift -4542.6 %, clock_offset -154.6 %
+    ("taped-bundle", 48, ""): {
+        "bending_stiffness",
+        "clock_drift",
+        "clock_offset",
+        "end_slope",
+        "energy.1",
+        "energy.2",
+        "initial_stiffness",
+        "kink_displacement",
+        "kink_force",
+        "loading_stiffness.2",
+        "residual_displacement.1",
+        "residual_displacement.2",
+        "unloading_stiffness.1",
+        "unloading_stiffness.2",
+    },
+    # peak_force.1 -99.2 %
+    ("tensile", 0, "begins-under-load"): {"peak_force.1"},
+    # break_point -35.1 %, energy_to_break -29.4 %, failure_displacement -12.6 %
     ("twist-tube", 0, "begins-under-load"): {
         "break_point",
         "energy_to_break",
@@ -32,15 +51,13 @@ WRONG: dict[Case, set[str]] = {
         "segment_stiffness_first",
         "stiffness_first",
     },
-    # modulus_annulus -4.7 %, modulus_thin_wall -4.7 %, peak_displacement.1 -12.5 %
+    # modulus_annulus -4.7 %, modulus_thin_wall -4.7 %, stiffness -4.7 %
     ("corrugated-tube", 0, "begins-under-load"): {
         "modulus_annulus",
         "modulus_thin_wall",
-        "peak_displacement.1",
-        "peak_force.1",
         "stiffness",
     },
-    # energy.1 -5.3 %
+    # energy.1 -5.2 %
     ("force-displacement", 0, "begins-under-load"): {"energy.1"},
     # peak_displacement.1 -12.0 %
     ("conduit-bundle", 0, "begins-under-load"): {"peak_displacement.1"},
@@ -51,13 +68,15 @@ NOT_OK: dict[Case, str] = {
     ("twist-tube", 108, ""): "are needed",
     ("pet-tape", 108, ""): "are needed",
     ("corrugated-tube", 108, ""): "are needed",
+    ("three-point-bend", 0, ""): "partial_cycle",
+    ("three-point-bend", 108, ""): "partial_cycle",
     ("wire-cantilever", 24, ""): "alignment_residual",
-    ("wire-cantilever", 48, ""): "fault of labpipe",
+    ("wire-cantilever", 48, ""): "alignment_one_event|law_misfit|one_event",
     ("taped-bundle", 24, ""): "alignment_residual",
-    ("taped-bundle", 48, ""): "fault of labpipe",
+    ("taped-bundle", 48, ""): "no_stiffness|not_unloaded",
     ("conduit-bundle", 0, ""): "no_camera_clock",
     ("conduit-bundle", 24, ""): "not_started_together",
-    ("conduit-bundle", 48, ""): "no_corner|not_started_together",
+    ("conduit-bundle", 48, ""): "not_started_together",
 }
 
 # Faults of the rig that nothing in the output names.
@@ -77,7 +96,7 @@ UNNAMED: set[tuple[str, str]] = {
 }
 
 # Tests that end in a fault of labpipe itself.
-CRASHES: set[Case] = {("taped-bundle", 48, ""), ("wire-cantilever", 48, "")}
+CRASHES: set[Case] = set()
 
 # Intervals that hold the truth in fewer than nine of ten tests of the study.
 BELOW: set[tuple[str, str]] = set()
