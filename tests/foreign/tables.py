@@ -95,7 +95,8 @@ def by_noise(lines: Iterable[Row]) -> dict[tuple[str, str], tuple[int, int]]:
 def by_fault(lines: Iterable[Row]) -> dict[tuple[str, str], tuple[int, int, int]]:
     """By kind of test and fault: tests, results that are `ok`, and of these those that are wrong.
 
-    Wrong is farther off than 2 % and than three half widths.
+    Wrong is farther off than 2 % and than three half widths; where a crosshead counts down,
+    whatever the sign.
     """
     found: dict[tuple[str, str], tuple[int, int, int]] = {}
     for line in lines:
@@ -103,23 +104,31 @@ def by_fault(lines: Iterable[Row]) -> dict[tuple[str, str], tuple[int, int, int]
             key = line["kind"], line["fault"]
             tests, n, wrong = found.get(key, (0, 0, 0))
             ok = [row for row in line["rows"] if row["status"] == "ok"]
-            found[key] = tests + 1, n + len(ok), wrong + sum(map(_wrong, ok))
+            found[key] = (
+                tests + 1,
+                n + len(ok),
+                wrong + sum(_wrong(row, line["fault"]) for row in ok),
+            )
     return found
 
 
-def _wrong(row: Row) -> bool:
-    half = 0.5 * (row["upper"] - row["lower"])
-    return bool(abs(row["value"] - row["truth"]) > max(3.0 * half, 0.02 * abs(row["truth"])))
+def _wrong(row: Row, fault: str) -> bool:
+    plain = abs if fault == "counts-down" else float
+    half, off = 0.5 * (row["upper"] - row["lower"]), plain(row["value"]) - plain(row["truth"])
+    return bool(abs(off) > max(3.0 * half, 0.02 * abs(row["truth"])))
 
 
 def tables(lines: list[Row], commit: str) -> str:
     """Three tables in markdown."""
     tests = sum(not line["fault"] for line in lines)
+    counts = counted(lines)
+    judged, few = sum(each.ok >= LEAST for each in counts), sum(each.below for each in counts)
     rows = [
-        f"Measured at commit `{commit}`: {len(lines)} tests, {tests} of them without a fault.\n"
+        f"Measured at commit `{commit}`: {len(lines)} tests, {tests} of them without a fault. Of"
+        f" {judged} results that were `ok` {LEAST} times or more, {few} hold too seldom.\n"
     ]
     rows += ["| test | result | ok | doubtful | failed | held | % | width |", _rule("llrrrrrr")]
-    for each in counted(lines):
+    for each in counts:
         share = f"{100.0 * each.share:.0f}" if each.ok else ""
         shown = f"**{share}**" if each.below else share
         width = f"{each.width:.2g}" if np.isfinite(each.width) else ""

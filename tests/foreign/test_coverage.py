@@ -65,12 +65,12 @@ def test_too_few_are_not_judged() -> None:
 
 def test_publishing_keeps_what_stands_around(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
-    page.write_text("before\n<!-- counted: begin -->\nold\n<!-- counted: end -->\nafter\n")
+    page.write_text("before\n<!-- counted: begin -->\nyesterday\n<!-- counted: end -->\nafter\n")
     publish(line("tensile", 10, 30), page, "abc1234")
     text = page.read_text()
     assert text.startswith("before\n")
     assert text.endswith("after\n")
-    assert "old" not in text
+    assert "yesterday" not in text
     assert published(text) == {("tensile", "peak_force.1")}
 
 
