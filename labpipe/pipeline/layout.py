@@ -12,7 +12,7 @@ from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.processing.oddities import times_of
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
-from labpipe.records.arrays import Floats, median
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 
@@ -24,9 +24,6 @@ _FEWEST = 8
 
 _AT_ENDS = 0.02
 """Share of a channel that may be blank before its first and behind its last sample."""
-
-_SATURATED = 100
-"""Equal samples in a row at the end of a channel that no noisy signal shows."""
 
 
 def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Bench, MarkerBench]:
@@ -62,8 +59,6 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
             bench.raw[channel.name] = bench.signals[channel.name] = signal
             quantity = words.get(channel.name, channel.name)
             _note_missing(bench, channel, signal, quantity)
-            if not (role == "frame" and signal.unit == "m"):  # a frame may stand still
-                _note_saturation(bench, channel, quantity)
             _check_peak(bench, signal, (channel.name, quantity), source.peak_range)
     return bench, markers
 
@@ -148,28 +143,6 @@ def _note_missing(bench: Bench, channel: Channel, signal: Signal, quantity: str)
         when = times_of(missing, signal.time)
         note = QualityNote("missing_samples", Severity.WARNING, channel.name, message, when)
         bench.doubt_stretches(quantity, note, signal.clock)
-
-
-def _note_saturation(bench: Bench, channel: Channel, quantity: str) -> None:
-    """A converter at its end repeats its largest or smallest number."""
-    values = channel.values
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    sample = values[:: max(1, len(values) // 10_000)]
-    known = sample[~np.isnan(sample)]
-    rest = median(known) if len(known) else high
-    for end in (high, low):
-        at_end = np.flatnonzero(values == end)
-        if end == rest or len(at_end) < _SATURATED:
-            continue
-        breaks = np.flatnonzero(np.diff(at_end) > 1)
-        runs = np.diff(np.concatenate([[-1], breaks, [len(at_end) - 1]]))
-        if runs.max() >= _SATURATED:
-            message = (
-                f"{int(runs.max())} samples in a row stand at {end:.6g} {channel.unit}, the end of "
-                "the channel: saturated?"
-            )
-            for rests_on in (quantity, "clock"):
-                bench.doubt(rests_on, "saturation", message, where=channel.name)
 
 
 def _check_clock(time: Floats, role: str, *, fewest: int) -> None:

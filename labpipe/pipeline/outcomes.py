@@ -42,6 +42,12 @@ _TO_THE_TOP = frozenset({"peak_force", "failure_force", "energy", "energy_to_bre
 """Numbers that a repaired slip anywhere on the way has raised."""
 
 
+_MAY_BE_WHY = frozenset({"frozen_channel", "saturation"})
+"""Doubts that may well be why there is no number: the curve itself is wrong."""
+_CUT_SHORT = frozenset({"not_reached", "no_travel"})
+"""Failures that such a doubt explains: it comes first."""
+
+
 def blocked_or(bench: Bench, otherwise: Failure) -> Failure:
     """Why no number can be had: what stopped the test, or else what is given."""
     if not bench.blocked:
@@ -74,11 +80,14 @@ def to_result(
     name = asked.name + part
     if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
         outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
+    doubts = [why for each in asked.quantities for why in bench.why_doubtful(each, during)]
     if isinstance(outcome, Failure):
-        reason = f"{outcome.code}: {outcome.message}"
+        why = [each for each in doubts if each.partition(": ")[0] in _MAY_BE_WHY]
+        what = [f"{outcome.code}: {outcome.message}"]
+        told = why + what if outcome.code in _CUT_SHORT else what + why
+        reason = "; ".join(dict.fromkeys(told))
         return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
     method = f"{asked.method}{_added_back(bench)}" if asked.name in _TO_THE_TOP else asked.method
-    doubts = [why for each in asked.quantities for why in bench.why_doubtful(each, during)]
     doubts += [doubt] if doubt else []
     return Result(
         name=name,

@@ -7,8 +7,11 @@ import numpy as np
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.oddities import moves_at_end
 from labpipe.processing.strokes import noise_level
+from labpipe.processing.stuck_channels import Stuck, stuck_runs
+from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
+from labpipe.records.quality import QualityNote, Severity
 
 _CUT_FILES = {"truncated", "rows_differ"}
 """Notes of readers after which rows may be missing at the end."""
@@ -17,6 +20,67 @@ _ARRIVED = {Direction.LOADING: 0.005, Direction.UNLOADING: 0.02}
 the force is steep, at the end of unloading it is small."""
 _MISSED = 0.02
 """Share of a branch that the record of the force may lack at its end."""
+
+
+def check_channels(bench: Bench, protocol: Protocol) -> None:
+    """Doubt channels that are full or frozen, there and then.
+
+    Parameters
+    ----------
+    bench : its raw signals are looked at; gets the doubts
+    protocol : says which channels make the curve, and which one joins the clocks
+    """
+    curve = protocol.curve
+    words = {} if curve is None else {curve.force: "force", curve.displacement: "displacement"}
+    others = dict(zip(words, reversed(words), strict=True))
+    for name, signal in bench.raw.items():
+        other = bench.raw.get(others.get(name, ""))
+        beside = other.values if other is not None and other.clock == signal.clock else None
+        runs = stuck_runs(signal.time, signal.values, beside)
+        joins = getattr(protocol.align, "channel", "") == name
+        full = [run for run in runs if run.is_end]
+        if full:
+            _doubt_full(bench, name, full, words.get(name, name), joins=joins)
+        for run in (each for each in runs if not each.is_end):
+            _doubt_frozen(bench, name, run, words.get(name, name))
+            if protocol.branches is not None and protocol.branches.channel == name:
+                _doubt_frozen(bench, name, run, "force")  # its branches are not where they were
+
+
+def _doubt_full(bench: Bench, name: str, runs: list[Stuck], quantity: str, *, joins: bool) -> None:
+    signal = bench.raw[name]
+    count = sum(run.stop - run.start for run in runs)
+    at = " and ".join(
+        f"{level:.6g} {signal.unit}"
+        for level in sorted({float(signal.values[run.start]) for run in runs})
+    )
+    message = (
+        f"{count} samples stand at {at} to the last digit, in {len(runs)} stretches, and none lies "
+        "beyond: saturated? Look at the range of the amplifier"
+    )
+    when = tuple(_times(signal, run) for run in runs)
+    note = QualityNote("saturation", Severity.WARNING, name, message, when)
+    bench.doubt_stretches(quantity, note, signal.clock)
+    if joins:  # its peaks are not where they seem to be
+        bench.doubt("clock", "saturation", message, where=name)
+
+
+def _doubt_frozen(bench: Bench, name: str, run: Stuck, quantity: str) -> None:
+    signal = bench.raw[name]
+    when = _times(signal, run)
+    unit = "s" if signal.has_time else "of the samples"
+    message = (
+        f"stands at {float(signal.values[run.start]):.6g} {signal.unit} to the last digit from "
+        f"{when[0]:.3f} to {when[1]:.3f} {unit} while the test goes on: frozen"
+    )
+    note = QualityNote("frozen_channel", Severity.WARNING, name, message, (when,))
+    bench.doubt_stretches(quantity, note, signal.clock)
+
+
+def _times(signal: Signal, run: Stuck) -> tuple[float, float]:
+    """From the last sample before a run to the first one behind it."""
+    first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
+    return float(signal.time[first]), float(signal.time[last])
 
 
 def check_end(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -> None:

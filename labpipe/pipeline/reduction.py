@@ -36,7 +36,7 @@ from labpipe.pipeline.plausibility import (
     check_sign,
     check_turns,
 )
-from labpipe.pipeline.recording_checks import check_end
+from labpipe.pipeline.recording_checks import check_channels, check_end
 from labpipe.pipeline.steps import step_or_refuse
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
@@ -118,6 +118,7 @@ def reduce_recordings(
         If a recording lacks what a step cannot do without, such as the clamp's rigid body.
     """
     bench, markers = lay_out(recordings, protocol)
+    check_channels(bench, protocol)
     for step in protocol.steps:
         step_or_refuse(bench, markers, step, protocol)
     if protocol.curve is not None:

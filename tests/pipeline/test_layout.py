@@ -191,26 +191,6 @@ def test_raw_arrays_are_not_changed() -> None:
     assert replace(recordings["force"]).channels[0].values[3] == 3.0
 
 
-def noisy(count: int) -> np.ndarray:
-    return np.random.default_rng(1).normal(0.0, 0.01, count)
-
-
-def test_a_converter_at_its_end_is_noticed() -> None:
-    time = np.arange(2000) * 1e-3
-    volts = np.minimum(2.0 * np.sin(np.pi * time / 2.0) + noisy(2000), 1.9)
-    bench, _ = lay_out(force(volts, time), PROTOCOL)
-    assert set(doubted(bench)) == {"force", "clock"}
-    assert "samples in a row stand at 1.9 V, the end of the channel" in doubted(bench)["force"]
-
-
-def test_a_quiet_channel_is_not_saturated() -> None:
-    time = np.arange(2000) * 1e-3
-    at_rest = np.where(time < 1.0, 0.0, np.sin(np.pi * time) + noisy(2000))
-    for volts in (noisy(2000), np.maximum(at_rest, 0.0), np.zeros(2000)):
-        bench, _ = lay_out(force(volts, time), PROTOCOL)
-        assert not doubted(bench)
-
-
 def test_a_doubt_holds_for_the_curve_whatever_the_channel_is_called() -> None:
     pull = parse_protocol(
         "version: 1\nname: p\nsources:\n  force:\n    reader: dspace-mat\n    channels:\n"

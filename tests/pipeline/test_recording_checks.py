@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.recording_checks import check_end
+from labpipe.pipeline.recording_checks import check_channels, check_end
 from labpipe.processing.strokes import find_strokes, split_branches
+from labpipe.protocol.load import parse_protocol
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
+from tests.builders.doubts import doubted
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.reduced import reduced
 
@@ -93,6 +97,76 @@ def test_a_force_that_ends_before_the_motion() -> None:
     assert found["peak_force.2"].startswith("missing_samples: ")
     assert "partial_cycle: the record ends at 15.5" in found["peak_force.2"]
     assert set(found) == {"peak_force.2", "energy.2"}
+
+
+def test_a_force_that_is_full_in_each_cycle() -> None:
+    record = up_and_down()
+    full = replace(record, force=np.minimum(record.force, 0.7))
+    bench, results = reduced(*full.arrays())
+    assert {name for name, each in results.items() if each.status is not Status.OK} == {
+        *("peak_force.1", "peak_force.2", "energy.1", "energy.2"),
+        *("unloading_stiffness.1", "unloading_stiffness.2"),
+        *("residual_displacement.1", "residual_displacement.2"),
+    }
+    assert results["peak_force.1"].reason.startswith("saturation: ")
+    (note,) = (note for note in bench.notes if note.code == "saturation")
+    assert "samples stand at 0.7 N to the last digit, in 2 stretches, and none" in note.message
+
+
+def test_a_force_that_is_full_for_most_of_the_record() -> None:
+    record = up_and_down(rest=0.5)
+    found = doubtful(replace(record, force=np.minimum(record.force, 0.3)))
+    assert set(found) == {"peak_force.1", "peak_force.2", "energy.1", "energy.2"}
+
+
+def test_a_frozen_force_is_doubted_then() -> None:
+    record = up_and_down(rate=50.0)
+    held = (record.time > 13.5) & (record.time < 15.5)  # in the second loading
+    record.force[held] = record.force[held][0]
+    found = doubtful(record)
+    assert set(found) == {"peak_force.2", "energy.2"}
+    assert found["energy.2"].startswith("frozen_channel: stands at 0.30")
+    assert " from 13.500 to 15.500 s while the test goes on: frozen" in found["energy.2"]
+
+
+def test_a_frozen_motion_is_doubted_then() -> None:
+    """Its branches are not where they were, so that the force of the cycle is doubtful, too."""
+    record = up_and_down(noise=1e-4)
+    held = (record.time > 13.5) & (record.time < 15.5)
+    record.displacement[held] = record.displacement[held][0]
+    found = doubtful(record)
+    assert set(found) == {"peak_force.2", "energy.2"}
+    assert found["energy.2"].startswith("frozen_channel: stands at 0.00")
+
+
+def test_a_window_that_a_frozen_motion_does_not_reach() -> None:
+    record = up_and_down(cycles=1, noise=1e-4)
+    held = (record.time > 3.5) & (record.time < 9.0)
+    record.displacement[held] = record.displacement[held][0]
+    more = "results:\n  - {result: stiffness, from: 2 mm, to: 8 mm}\n"
+    found = doubtful(record, more)
+    assert found["stiffness"].startswith("frozen_channel: ")
+    assert "; not_reached: the branch reaches " in found["stiffness"]
+
+
+def test_a_full_force_touches_the_clocks_that_it_joins() -> None:
+    protocol = parse_protocol(
+        "version: 1\nname: p\nsources:\n"
+        "  force: {reader: dspace-mat, channel: A, unit: V, calibration: {gain: 0.5 N/V}}\n"
+        "align: {method: common-start, channel: force, max_offset: 1 s}\n",
+        "p.yaml",
+    )
+    time = np.arange(2000) * 1e-3
+    noise = np.random.default_rng(1).normal(0.0, 0.01, 2000)
+    for volts, seen in (
+        (np.minimum(2.0 * np.sin(np.pi * time / 2.0) + noise, 1.9), {"force", "clock"}),
+        (2.0 * np.sin(np.pi * time / 2.0) + noise, set()),
+        (np.zeros(2000), set()),
+    ):
+        bench = Bench()
+        bench.raw["force"] = Signal(time, 0.5 * volts, "N", "force")
+        check_channels(bench, protocol)
+        assert set(doubted(bench)) == seen
 
 
 def test_nothing_moved() -> None:
