@@ -11,6 +11,7 @@ from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.recording_checks import check_channels, check_end
 from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
 from tests.builders.doubts import doubted
@@ -156,7 +157,7 @@ def test_a_full_force_touches_the_clocks_that_it_joins() -> None:
         "align: {method: common-start, channel: force, max_offset: 1 s}\n",
         "p.yaml",
     )
-    time = np.arange(2000) * 1e-3
+    time: Floats = np.arange(0.0, 2.0, 1e-3)
     noise = np.random.default_rng(1).normal(0.0, 0.01, 2000)
     for volts, seen in (
         (np.minimum(2.0 * np.sin(np.pi * time / 2.0) + noise, 1.9), {"force", "clock"}),
