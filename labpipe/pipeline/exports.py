@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -250,6 +251,8 @@ def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Ch
 
 def _fingerprint(path: Path, role: str, name: str) -> InputFile:
     try:
+        if path.exists() and not path.is_file():  # of a pipe one would wait for the end
+            raise OSError(errno.EINVAL, "what is no plain file")
         with path.open("rb") as stream:
             digest = hashlib.file_digest(stream, "sha256").hexdigest()
         return InputFile(role, name, digest, path.stat().st_size)

@@ -131,7 +131,8 @@ def _files(
             raise _unfit(target, expected, unfinished, "Process the test again.")
         below = [target] if is_there(target) else files_below(target, name)
         if not below:
-            missing = none if target.exists() else "nothing of that name"
+            missing = none if target.is_dir() else "a pipe or a device"
+            missing = missing if target.exists() else "nothing of that name"
             raise _unfit(target, expected, missing, remedy)
         for file in below:
             found.setdefault(file.resolve(), file)

@@ -7,6 +7,7 @@ is read by people.
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -20,6 +21,8 @@ Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""
 _PLAIN_TAGS = tuple(f"tag:yaml.org,2002:{kind}" for kind in ("str", "seq", "map"))
 _DEEPEST = 16
+_LARGEST = 1_000_000
+"""Bytes; a person writes a thousandth of it."""
 _NOTHING = ("", "~", "null")
 
 
@@ -137,9 +140,10 @@ def read_text(path: Path) -> str:
     Raises
     ------
     ProtocolError
-        If there is no such file, or it is not text.
+        If there is no such file, or it is no text of 1 MB at the most.
     """
     try:
+        _require_readable(path)
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         found = f"the byte 0x{error.object[error.start]:02x}"
@@ -153,6 +157,14 @@ def read_text(path: Path) -> str:
         remedy = "Check the name and the folder."
         text = complaint(path, "", expected="a YAML file", found=found, remedy=remedy)
         raise ProtocolError(text) from error
+
+
+def _require_readable(path: Path) -> None:
+    """Refuse what would be read for ever, or for minutes."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError(errno.EINVAL, "a pipe or a device")
+    if path.is_file() and path.stat().st_size > _LARGEST:
+        raise OSError(errno.EFBIG, f"one of {path.stat().st_size / 1e6:.0f} megabytes")
 
 
 def parse_yaml(text: str, file: str) -> Document:

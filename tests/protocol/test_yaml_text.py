@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -153,3 +154,20 @@ def test_any_text_is_parsed_or_refused(text: str) -> None:
         spots = {(): Spot("x", (1, 1), (1, 1))}
 
     assert () in spots
+
+
+@pytest.mark.skipif(os.name == "nt", reason="no pipes among files on Windows")
+def test_a_pipe_is_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "x.yaml")
+    with pytest.raises(
+        ProtocolError, match=r"x\.yaml: expected a YAML file, found a pipe or a dev"
+    ):
+        read_text(tmp_path / "x.yaml")
+
+
+def test_what_nobody_wrote_by_hand(tmp_path: Path) -> None:
+    (tmp_path / "x.yaml").write_text("about: " + 3_000_000 * "x", encoding="utf-8")
+    with pytest.raises(
+        ProtocolError, match=r"x\.yaml: expected a YAML file, found one of 3 megabytes\."
+    ):
+        read_text(tmp_path / "x.yaml")
