@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import gc
+import io
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -21,6 +22,10 @@ DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _NO_FIGURES = "numbers only; figures drawn before stay as they are"
 _SHOWN = 60
+_NO_MEMORY = (
+    "expected data that go into the memory, found that it was used up. Close other programs, or"
+    " take fewer files; earlier results are as they were."
+)
 _EPILOG = """\
 exit status: 0 done; 1 some results failed (they are listed); 2 bad input or usage
 
@@ -61,12 +66,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
     # The matrices of a test are small: more than one thread of BLAS only waits for the others.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a name that a terminal cannot show
     try:
         command = import_module(f"labpipe.cli.{options.command}")
         once_imported()
         return int(command.run(options))
     except LabpipeError as error:
         print(f"labpipe {options.command}: {error}", file=sys.stderr)
+        return BAD_INPUT
+    except MemoryError:
+        print(f"labpipe {options.command}: {_NO_MEMORY}", file=sys.stderr)
         return BAD_INPUT
     except KeyboardInterrupt:
         print("labpipe: interrupted; earlier results are as they were", file=sys.stderr)

@@ -97,8 +97,9 @@ class _Worker(Generic[T]):
             return
         if self._process is None:
             self._pipe, theirs = _SPAWN.Pipe()
-            self._process = _SPAWN.Process(target=_serve, args=(theirs,))
-            self._process.start()
+            process = _SPAWN.Process(target=_serve, args=(theirs,))
+            process.start()
+            self._process = process
             theirs.close()  # or its end would not be seen here
         with suppress(OSError):  # it died between two calls: `finish` will tell
             self._pipe.send_bytes(pickle.dumps(call))

@@ -11,7 +11,7 @@ from labpipe.report.calibration_shapes import shapes_figure
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_third import third_figure, third_pages
 from labpipe.report.calibration_validation import validation_figure, validation_pages
-from labpipe.report.saving import PLAIN_TEXT, PageToDraw, save_pages
+from labpipe.report.saving import PageToDraw, save_pages
 
 
 def calibration_drawings(report: CalibrationReport) -> Iterator[PageToDraw]:
@@ -70,5 +70,4 @@ def save_calibration_figures(
         what="figures of a calibration",
         again="calibrate",
         say=say,
-        changes=PLAIN_TEXT,
     )

@@ -19,6 +19,7 @@ from labpipe.report.questions import Family, context_words, equal_words, familie
 from labpipe.report.saved_figures import FigureToSave
 from labpipe.report.thinning import bends
 from labpipe.report.wire_look import Words, wire_page
+from labpipe.report.wording import shortened
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -219,7 +220,7 @@ def plot_means(family: Family, name: str, axes: Axes) -> None:
         ]
         axes.plot(values, [row + 0.22] * len(values), ".", color=look.colour, markersize=3)
         every += [*values, shown.factor * _plot_mean(number, row, (look, sign), shown.factor, axes)]
-    axes.set_yticks(range(len(numbers)), [_short(word) for word in family.words])
+    axes.set_yticks(range(len(numbers)), [shortened(word, _LONGEST) for word in family.words])
     axes.tick_params(axis="y", length=0, labelsize=7)
     axes.set_ylim(len(numbers) - 0.4, -0.6)
     axes.set_xlabel(heading(name, shown.unit))
@@ -285,14 +286,10 @@ def _keys(family: Family) -> list[Artist]:
             [],
             color=look.colour,
             linestyle=look.dash,
-            label=f"{_short(word)} (n = {group.band.n})",
+            label=f"{shortened(word, _LONGEST)} (n = {group.band.n})",
         )
         for look, word, group in zip(_looks(family), family.words, family.groups, strict=True)
     ]
     if any(np.isfinite(group.band.lower).any() for group in family.groups):
         keys.append(Patch(color=GREY, label="95 % band, point by point", **_BAND_LOOK))
     return keys
-
-
-def _short(word: str) -> str:
-    return word if len(word) <= _LONGEST else f"{word[: _LONGEST - 1]}\u2026"

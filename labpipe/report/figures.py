@@ -16,7 +16,7 @@ from labpipe.report import (
     timeline,
     wire_shapes,
 )
-from labpipe.report.saving import PLAIN_TEXT, PageToDraw, save_pages
+from labpipe.report.saving import PageToDraw, save_pages
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,6 +60,4 @@ def save_figures(result: TestResult, folder: Path) -> list[Path]:
         message = f"figures={unknown}: expected some of {list(FIGURES)}"
         raise ValueError(message)
     pages = [PageToDraw(name, partial(FIGURES[name], result)) for name in result.figures]
-    return save_pages(
-        pages, folder, what="figures", again="process the test", changes=PLAIN_TEXT, run=result.run
-    )
+    return save_pages(pages, folder, what="figures", again="process the test", run=result.run)

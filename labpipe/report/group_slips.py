@@ -20,6 +20,7 @@ from labpipe.report.group_look import (
     thin,
 )
 from labpipe.report.page import GREY
+from labpipe.report.wording import shortened
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 MOST_PANELS = 8
 _COLUMNS = 2
 _HEIGHT = 62.0
+_LONGEST = 40
 _MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
 _CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
 
@@ -57,7 +59,7 @@ def draw_slips(group: Group) -> Figure:
     panels = panel_grid(page, len(shown), columns=_COLUMNS)
     for sample, axes in zip(shown, panels, strict=True):
         plot_slips(group, sample, axes)
-        axes.set_title(sample.test, loc="left")
+        axes.set_title(shortened(sample.test, _LONGEST), loc="left")
         axes.label_outer(remove_inner_ticks=True)
     return page
 

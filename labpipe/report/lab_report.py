@@ -11,6 +11,7 @@ from labpipe.report.group_figures import save_drawings, stems
 from labpipe.report.lab_page import FiguresBetween, render_page
 from labpipe.report.place_figures import place_figures
 from labpipe.report.saved_figures import SavedFigure, save_figures
+from labpipe.report.wording import printable
 from labpipe.report.workbook import save_workbook
 
 PAGE_FILE = "report.html"
@@ -46,7 +47,8 @@ def write_report(campaign: Campaign, folder: Path) -> list[Path]:
         ]
         page, tables = folder / PAGE_FILE, folder / TABLES_FILE
         between = _between(campaign, figures)
-        page.write_text(render_page(campaign, names, drawn, between), encoding="utf-8")
+        text = printable(render_page(campaign, names, drawn, between))
+        page.write_text(text, encoding="utf-8")
         save_workbook(campaign, tables)
     except OSError as error:
         message = complaint(

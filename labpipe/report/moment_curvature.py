@@ -110,6 +110,8 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     if law is None:
         say(axes, result.bending.reason if result.bending is not None else "")
         return
+    from matplotlib.ticker import LogFormatter
+
     across, up = _curvature(result), _stiffness(result)
     x = law.curvature[1:] * across.factor
     for name, look in _STIFFNESSES.items():
@@ -122,6 +124,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     axes.set_xlim(start, float(x[-1]))
     axes.set_ylim(bottom=0.0)
     axes.xaxis.set_major_formatter(_plain)
+    axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
     axes.set_xlabel(across.label("Curvature"))
     axes.set_ylabel(up.label("Bending stiffness"))
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from labpipe.records.result import TestResult
-from labpipe.report.wording import footnote, title
+from labpipe.report.wording import footnote, printable, shortened, title
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -24,6 +24,8 @@ GREY = "#666666"
 _MM_PER_INCH = 25.4
 _LINE_MM = 4.2
 _EDGE = 0.012
+_LONGEST_TICK, _LONGEST_LINE = 40, 150
+"""Characters of a word at an axis, and of a line anywhere on a page."""
 
 
 @contextmanager
@@ -97,11 +99,28 @@ def titled_page(
 
 
 def finish_layout(page: Figure) -> None:
-    """Give every panel its place now, for good."""
+    """Give every panel its place now, for good; words are made such that they fit and show."""
+    _fit_words(page)
     engine = page.get_layout_engine()
     if engine is not None:
         engine.execute(page)
     page.set_layout_engine("none")
+
+
+def _fit_words(page: Figure) -> None:
+    """Leave panels room beside their words; report page and workbook have the whole names."""
+    from matplotlib.text import Text
+    from matplotlib.ticker import FixedLocator
+
+    for axis in (axis for axes in page.axes for axis in (axes.xaxis, axes.yaxis)):
+        if isinstance(axis.get_major_locator(), FixedLocator):
+            words = [label.get_text() for label in axis.get_ticklabels()]
+            fitting = [shortened(printable(word), _LONGEST_TICK) for word in words]
+            if fitting != words:
+                axis.set_ticks(axis.get_majorticklocs(), fitting)
+    for text in page.findobj(Text):
+        lines = printable(text.get_text()).split("\n")
+        text.set_text("\n".join(shortened(line, _LONGEST_LINE) for line in lines))
 
 
 def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from labpipe.report.inline_svg import Inline, inline_svg
 from labpipe.report.page import style
-from labpipe.report.saving import PLAIN_TEXT, save_page
+from labpipe.report.saving import save_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -73,7 +73,7 @@ def save_figures(wanted: Iterable[FigureToSave], folder: Path) -> list[SavedFigu
     -----
     The same figure gives the same bytes with the same version of matplotlib.
     """
-    look = {"svg.fonttype": "none", **PLAIN_TEXT}
+    look = {"svg.fonttype": "none"}
     with style(look), ThreadPoolExecutor(max_workers=1) as packer:
         saved = [_save(each, folder, packer) for each in wanted]
         return [figure for figure, packing in saved if packing.result() is None]

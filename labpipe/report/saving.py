@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,10 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PNG_DPI = 300
-
-
-PLAIN_TEXT: Mapping[str, Any] = {"text.parse_math": False}
-"""For names of wires and of tests: text, whatever signs of mathematics they hold."""
 
 
 class PageToDraw(NamedTuple):
@@ -42,7 +38,6 @@ def save_pages(
     what: str,
     again: str,
     say: Callable[[str], None] = lambda _: None,
-    changes: Mapping[str, Any] | None = None,
     run: str = "",
 ) -> list[Path]:
     """Draw pages in labpipe's style, each as SVG and as PNG.
@@ -53,7 +48,6 @@ def save_pages(
     folder : made if it is not there
     what, again : what the pages are, and how to draw them again, for a message
     say : told the name of each page as it is drawn
-    changes : settings of matplotlib on top of the style
     run : key of the run that the pages show, which goes into both files; empty for none
 
     Returns
@@ -67,7 +61,7 @@ def save_pages(
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with style(changes), ThreadPoolExecutor(max_workers=1) as packer:
+        with style(), ThreadPoolExecutor(max_workers=1) as packer:
             saved = []
             for page in pages:
                 say(page.name)

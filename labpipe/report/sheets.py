@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from labpipe.errors import StoreError, complaint
+from labpipe.report.wording import printable
 
 if TYPE_CHECKING:
     from openpyxl.cell import Cell
@@ -107,14 +108,19 @@ def sheet_name(wanted: str, taken: Sequence[str]) -> str:
     >>> sheet_name("read me", ["Read me"])
     'read me 2'
     """
-    plain = _NOT_IN_A_NAME.sub("-", wanted)[:_SHEET_NAME].strip() or "sheet"
+    plain = _begin(_NOT_IN_A_NAME.sub("-", printable(wanted)), _SHEET_NAME).strip() or "sheet"
     known = {_RESERVED, *(name.casefold() for name in taken)}
     name, number = plain, 1
     while name.casefold() in known:
         number += 1
         tail = f" {number}"
-        name = plain[: _SHEET_NAME - len(tail)] + tail
+        name = _begin(plain, _SHEET_NAME - len(tail)) + tail
     return name
+
+
+def _begin(text: str, most: int) -> str:
+    """Take as much of a text as there is room for, as Excel counts: in units of UTF-16."""
+    return text.encode("utf-16-le")[: 2 * most].decode("utf-16-le", "ignore")
 
 
 def _add(book: Workbook, sheet: Sheet) -> None:
@@ -159,10 +165,9 @@ def _cell(page: Any, value: Value, link: str = "") -> Cell | float | None:
 
 def _text(page: Any, text: str, link: str = "") -> Cell:
     from openpyxl.cell import WriteOnlyCell
-    from openpyxl.cell.cell import ILLEGAL_CHARACTERS_RE
     from openpyxl.worksheet.hyperlink import Hyperlink
 
-    cell: Cell = WriteOnlyCell(page, ILLEGAL_CHARACTERS_RE.sub("\ufffd", text))
+    cell: Cell = WriteOnlyCell(page, printable(text))
     if cell.data_type != "s":  # begins like a formula, or is called like an error
         cell.data_type = "s"
         cell.quotePrefix = True

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labpipe.records.wire import WireTable
-from labpipe.report.saving import PLAIN_TEXT, PageToDraw, save_pages
+from labpipe.report.saving import PageToDraw, save_pages
 from labpipe.report.wire_cantilever import cantilever_figure
 from labpipe.report.wire_comparison import comparison_figure
 from labpipe.report.wire_look import pages
@@ -91,5 +91,4 @@ def save_wire_figures(
         what="figures of wires",
         again="run the model",
         say=say,
-        changes=PLAIN_TEXT,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 from labpipe.records.quality import Severity
@@ -52,6 +53,38 @@ def footnote(result: TestResult) -> str:
     }
     parts = [f"{count} {status}" for status, count in counts.items() if count]
     return f"Of {len(result.results)} results: {', '.join(parts)}." if parts else ""
+
+
+_NOT_SHOWN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+
+
+def printable(text: str) -> str:
+    """Show what no page, workbook or drawing can hold as U+FFFD: control characters and the like.
+
+    Parameters
+    ----------
+    text : any; tabs and ends of lines stay
+    """
+    return _NOT_SHOWN.sub("\ufffd", text)
+
+
+def shortened(word: str, most: int) -> str:
+    """Take the middle out of a name that is too long for its place in a figure.
+
+    Parameters
+    ----------
+    word : any text
+    most : characters that there is room for, 3 at least
+
+    Examples
+    --------
+    >>> shortened("TWB-B1-19-PVC-half-lap", 12)
+    'TWB-B1…f-lap'
+    """
+    if len(word) <= most:
+        return word
+    end = (most - 1) // 2
+    return f"{word[: most - 1 - end]}…{word[len(word) - end :]}"
 
 
 def why_missing(result: TestResult, what: str) -> str:

@@ -155,3 +155,26 @@ def test_a_name_that_the_file_system_refuses(
     shown = "'loop'" if name == "loop" else f"'{'a' * 60}...'"
     said = f"expected the name of a file or a folder, found {shown} ({why})"
     assert said in capsys.readouterr().err
+
+
+def test_memory_that_is_used_up(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def large(path: Path) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr("labpipe.pipeline.inspection.inspect_export", large)
+    ran = run("inspect", tmp_path)
+    assert ran.status == 2
+    assert ran.err.startswith("labpipe inspect: expected data that go into the memory, found that")
+
+
+def test_a_name_that_the_terminal_cannot_show(lab: Lab) -> None:
+    text = lab.sheet.read_text(encoding="utf-8").replace("test: T1", "test: T\u529b1")
+    lab.sheet.write_text(text, encoding="utf-8")
+    program = "import sys; from labpipe.cli import main; sys.exit(main(sys.argv[1:]))"
+    ended = subprocess.run(
+        [sys.executable, "-c", program, "process", str(lab.raw), "--no-figures"],
+        capture_output=True,
+        check=False,
+        env=os.environ | {"PYTHONIOENCODING": "ascii"},
+    )
+    assert (ended.returncode, ended.stdout[:10]) == (0, b"T\\u529b1  ")

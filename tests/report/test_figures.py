@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
@@ -59,3 +60,12 @@ def test_drawing_program_is_loaded_only_when_a_figure_is_drawn() -> None:
         "sys.exit(any(name.split('.')[0] in {'matplotlib', 'pint'} for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("name", ["$\\frac{$", "A\x07\n\ud8002", "x" * 300, "<b>&\U0001f600"])
+def test_any_name_is_drawn(result: TestResult, tmp_path: Path, name: str) -> None:
+    specimen = replace(result.specimen, type=name, spool=name, sample=name)
+    notes = tuple(replace(note, where=name, message=name) for note in result.quality)
+    odd = replace(result, test=name, specimen=specimen, quality=notes, figures=tuple(FIGURES))
+    for drawn in save_figures(odd, tmp_path)[::2]:
+        ElementTree.fromstring(drawn.read_bytes())

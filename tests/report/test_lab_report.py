@@ -1,15 +1,20 @@
 from __future__ import annotations
 
+import html
 import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
+from openpyxl import load_workbook
 
 from labpipe.errors import StoreError
 from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.lab_report import write_report
+from labpipe.report.wording import printable
 from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample
 
@@ -77,3 +82,25 @@ def test_figures_over_groups_are_saved_and_stand_on_the_page(tmp_path: Path) -> 
     page = files[0].read_text(encoding="utf-8")
     assert page.count("<svg") == 2 * 3 + 2
     assert len(files) == 2 + 3 * page.count("<svg")
+
+
+@pytest.mark.parametrize(
+    "name", ["$x_1$ <b> & 'q'", "\\frac{$", "A\x07\x1b\x002\n\ud800\ufffe", "x" * 300, "\U0001f600"]
+)
+def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
+    """As channels and exports may be called, or a result file of another program says."""
+    samples = [build_sample(name, letter, slips=1, seed=seed) for seed, letter in enumerate("abc")]
+    specimen = replace(samples[0].specimen, type=name, sample=name, labels={"cured": name})
+    note = QualityNote("code", Severity.WARNING, name, f"about {name}")
+    odd = [
+        replace(each, test=name + each.test, specimen=specimen, quality=(note,)) for each in samples
+    ]
+    groups = (build_group(name, odd), build_group("plain", samples))
+    campaign = replace(build_campaign(), title=name, groups=groups, differences=())
+    files = write_report(campaign, tmp_path)
+    page = files[0].read_text(encoding="utf-8")
+    assert html.escape(printable(name)).replace("&#x27;", "&#39;") in page
+    for drawing in tmp_path.rglob("*.svg"):
+        ElementTree.fromstring(drawing.read_bytes())
+    book = load_workbook(tmp_path / "tables.xlsx")
+    assert printable(name) in {row[0] for row in book["groups"].iter_rows(values_only=True)}

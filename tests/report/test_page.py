@@ -5,7 +5,9 @@ from typing import Any
 import matplotlib as mpl
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.text import Text
 
 from labpipe.report.page import (
     STYLE_FILE,
@@ -90,3 +92,37 @@ def test_empty_panel_says_why() -> None:
     say(axes, "There is no curve to draw.")
     assert [text.get_text() for text in axes.texts] == ["There is no curve to draw."]
     assert not axes.axison
+
+
+def texts(page: Figure) -> list[str]:
+    return [text.get_text() for text in page.findobj(Text) if text.get_text()]
+
+
+def test_names_leave_the_panel_its_room() -> None:
+    """Else matplotlib warns that axes collapsed, which is an error here."""
+    long = "".join(f"{number:03d}" for number in range(100))
+    with style():
+        page = titled_page(long, f"{long}\na note", width_mm=120, height_mm=60)
+        axes = page.subplots()
+        axes.set_yticks([0, 1], [long, "short"])
+        finish_layout(page)
+        assert axes.get_position().width > 0.2
+    found = texts(page)
+    assert f"{long[:20]}\u2026{long[-19:]}" in found
+    assert "short" in found
+    assert max(map(len, found)) == 150 + len("\na note")
+    assert any(text.endswith("099\na note") for text in found)
+
+
+def test_what_cannot_be_drawn_is_shown_as_such() -> None:
+    with style():
+        page = titled_page("A\x07\x002 \ud800", "one\nother\x1b", width_mm=90, height_mm=60)
+        page.subplots().set_yticks([0], ["\x07"])
+        finish_layout(page)
+    assert {"A\ufffd\ufffd2 \ufffd", "one\nother\ufffd", "\ufffd"} <= set(texts(page))
+
+
+def test_signs_of_mathematics_are_text() -> None:
+    with style():
+        drawn("$\\frac{$")
+        assert drawn("$x_1$") != drawn("x_1")

@@ -16,6 +16,8 @@ def test_names_of_sheets() -> None:
     assert (len(long), long[-2:]) == (31, " 2")
     assert sheet_name("a[b]:c*d?e'f", []) == "a-b--c-d-e-f"
     assert sheet_name("   ", []) == "sheet"
+    assert sheet_name("a\x07\ufffe", []) == "a\ufffd\ufffd"
+    assert sheet_name(20 * "\U0001f600", []) == 15 * "\U0001f600"  # two units of UTF-16 each
 
 
 @pytest.mark.parametrize("name", ["History", "history"])

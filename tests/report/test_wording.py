@@ -2,8 +2,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
+
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.report.wording import footnote, scale, title, why_missing
+from labpipe.report.wording import footnote, printable, scale, shortened, title, why_missing
 from tests.store.builders_result import build_result
 
 RESULT = build_result(half_cycle=0.2, cycles=1, force_rate=50.0)
@@ -31,3 +33,17 @@ def test_reason_is_the_first_error() -> None:
     expected = "There is no curve to draw. The clocks do not overlap."
     assert why_missing(failed, "curve") == expected
     assert why_missing(RESULT, "curve") == "There is no curve to draw."
+
+
+@pytest.mark.parametrize("most", [3, 4, 9, 10])
+def test_shortened_names_have_their_ends(most: int) -> None:
+    assert shortened("0123456789", 10) == "0123456789"
+    short = shortened("0123456789abc", most)
+    assert len(short) == most
+    assert (short[0], short[-1]) == ("0", "c")
+
+
+def test_only_what_cannot_be_shown_is_replaced() -> None:
+    assert printable("a\tb\n\x00\x9f\ud800\ufffe $x_1$ \U0001f600") == (
+        "a\tb\n\ufffd\ufffd\ufffd\ufffd $x_1$ \U0001f600"
+    )
