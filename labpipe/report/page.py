@@ -15,7 +15,9 @@ from labpipe.report.wording import footnote, printable, shortened, title
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+    from matplotlib.text import Text
 
 STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
 SINGLE_COLUMN = 90.0
@@ -109,18 +111,41 @@ def finish_layout(page: Figure) -> None:
 
 def _fit_words(page: Figure) -> None:
     """Leave panels room beside their words; report page and workbook have the whole names."""
-    from matplotlib.text import Text
     from matplotlib.ticker import FixedLocator
 
-    for axis in (axis for axes in page.axes for axis in (axes.xaxis, axes.yaxis)):
+    for axis in _axes_lines(page):
         if isinstance(axis.get_major_locator(), FixedLocator):
             words = [label.get_text() for label in axis.get_ticklabels()]
-            fitting = [shortened(printable(word), _LONGEST_TICK) for word in words]
+            fitting = [_fitting(word, _LONGEST_TICK) for word in words]
             if fitting != words:
                 axis.set_ticks(axis.get_majorticklocs(), fitting)
-    for text in page.findobj(Text):
-        lines = printable(text.get_text()).split("\n")
-        text.set_text("\n".join(shortened(line, _LONGEST_LINE) for line in lines))
+    for text in _texts(page):
+        fitted = _fitting(text.get_text(), _LONGEST_LINE)
+        if fitted != text.get_text():  # else it would be laid out anew
+            text.set_text(fitted)
+
+
+def _fitting(text: str, most: int) -> str:
+    return "\n".join(shortened(line, most) for line in printable(text).split("\n"))
+
+
+def _axes_lines(page: Figure) -> Iterator[Axis]:
+    for axes in page.axes:
+        yield from (axes.xaxis, axes.yaxis)
+
+
+def _texts(page: Figure) -> Iterator[Text]:
+    """All texts but those of ticks, which are made when they are asked for."""
+    from matplotlib.legend import Legend
+    from matplotlib.text import Text
+
+    yield from (axis.label for axis in _axes_lines(page))
+    for holder in (page, *page.axes):
+        for child in holder.get_children():
+            if isinstance(child, Text):
+                yield child
+            elif isinstance(child, Legend):
+                yield from child.get_texts()
 
 
 def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = None) -> None:
