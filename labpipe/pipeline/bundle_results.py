@@ -106,7 +106,9 @@ def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
     bench.lines.append(FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop))
     moved = other if isinstance(other, EndSlope) else end
     first = bench.cycles()[0][:1]
-    doubt = doubt_of(bench, entry.of) or broken_off(bench, first) or _unseen_end(bench, first[0])
+    doubt = (
+        doubt_of(bench, entry.of) or broken_off(bench, first, CURVE) or _unseen_end(bench, first[0])
+    )
     during = while_loading(bench)
     found = to_result(bench, share, _changed(end.share, moved.share), doubt=doubt, during=during)
     return [found, *_onset_results(bench, entry, initial, found)]

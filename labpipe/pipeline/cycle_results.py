@@ -6,6 +6,7 @@ Each function gives the results of one entry of a protocol's list. The numbers c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import partial
 
@@ -38,6 +39,8 @@ from labpipe.records.curve import Branch
 from labpipe.records.result import Result
 
 _ALL = ("force", "displacement", "clock")
+_PAST = 0.9
+"""Share of its largest value that a force has fallen below when its peak is over."""
 
 
 def clock_results(bench: Bench) -> list[Result]:
@@ -61,14 +64,14 @@ def clock_results(bench: Bench) -> list[Result]:
 def peak_force(bench: Bench) -> list[Result]:
     """``peak_force.<cycle>`` (N): the largest force of the cycle."""
     method = "largest force of the cycle after the filter, in the sense of loading"
-    asked = Asked("peak_force", "N", ("force",), method, needs=1, reads=(0, 1))
+    asked = Asked("peak_force", "N", ("force",), method, needs=1, reads=(0, 1.25))
     return per_cycle(bench, asked, peak_force_of, seen=_gap_in_force)
 
 
 def peak_displacement(bench: Bench) -> list[Result]:
     """``peak_displacement.<cycle>`` (m): the largest displacement of the cycle."""
     method = "largest displacement of the cycle, in the sense of loading"
-    asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1, reads=(0.9, 1))
+    asked = Asked("peak_displacement", "m", ("displacement",), method, needs=1, reads=(0.9, 1.1))
     return per_cycle(bench, asked, peak_displacement_of, seen=_gap_in_displacement)
 
 
@@ -180,12 +183,14 @@ def _gap(bench: Bench, branches: list[Branch], values: Floats, what: str) -> str
 
 def _when(branches: list[Branch], reads: tuple[float, float]) -> tuple[float, float] | None:
     """Stretch of time of a part of a cycle, counted in branches; None where there is none."""
-    start, stop = reads
-    if start >= len(branches):
+    if reads[0] >= len(branches):
         return None
-    first, last = branches[int(start)], branches[min(int(stop), len(branches)) - 1]
-    lasts = first.stop_time - first.start_time
-    return first.start_time + (start - int(start)) * lasts, last.stop_time
+    ends = []
+    for at, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
+        part = branches[min(number, len(branches) - 1)]
+        share = min(at - number, 1.0) if number < len(branches) else 1.0
+        ends.append(part.start_time + share * (part.stop_time - part.start_time))
+    return ends[0], ends[1]
 
 
 def broken_off(
@@ -207,9 +212,19 @@ def broken_off(
         return ""
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
         return ""  # it broke, so there is no more to come
+    if quantities == ("force",) and _is_past_its_peak(bench, part):
+        return ""
     has_time = curve_of(bench).time_unit == "s"
     at = f"{cut_at:.3f} s" if has_time else f"sample {round(cut_at) + 1}"
     return f"partial_cycle: the record ends at {at}, while still {part.direction}"
+
+
+def _is_past_its_peak(bench: Bench, part: Branch) -> bool:
+    """Whether the force had surely fallen again when the record ended."""
+    force = curve_of(bench).force
+    known = (sense_of_loading(bench, force) * force)[part.start : part.stop]
+    known = known[~np.isnan(known)]
+    return len(known) > 0 and bool(known[-3:].max() < _PAST * known.max())
 
 
 def with_shape_error(bench: Bench, branches: list[Branch], of_cycle: Numbers) -> Estimate | Failure:

@@ -121,7 +121,7 @@ def _is_unfinished(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -
 
 
 def _arrived(motion: Signal, branches: tuple[Branch, ...], end: float) -> bool:
-    """Whether the last branch ends where those before it did, or beyond."""
+    """Whether the last branch ends where the one before it did, or beyond."""
     last = branches[-1]
     sense = 1.0 if end > motion.values[last.start] else -1.0
     path = sense * motion.values
@@ -131,13 +131,13 @@ def _arrived(motion: Signal, branches: tuple[Branch, ...], end: float) -> bool:
         if each.direction is last.direction
     ]
     if last.direction is Direction.UNLOADING:
-        turns.append(float(path[branches[0].start]))
+        turns.insert(0, float(path[branches[0].start]))
     if not turns:
         return False
     step = abs(end - float(motion.values[last.start])) / max(1, last.stop - last.start)
     stroke = float(np.nanmax(path) - np.nanmin(path))
     near = max(_ARRIVED[last.direction] * stroke, step, 5.0 * noise_level(motion.values))
-    return sense * end >= max(turns) - near
+    return sense * end >= turns[-1] - near
 
 
 def _apart(time: Floats) -> float:

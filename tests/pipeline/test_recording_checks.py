@@ -174,3 +174,18 @@ def test_nothing_moved() -> None:
     bench = Bench()
     check_end(bench, Signal(np.arange(9.0), np.zeros(9), "m", "frame"), ())
     assert not bench.cut_at
+
+
+def test_a_peak_that_was_passed_when_the_record_ended() -> None:
+    record = up_and_down(cycles=1).up_to(6.5)
+    assert set(doubtful(record)) == {"peak_force.1", "peak_displacement.1", "energy.1"}
+    record.force[record.time > 5.0] *= 0.5  # it gives way at 60 % of the stroke
+    assert set(doubtful(record)) == {"peak_displacement.1", "energy.1"}
+
+
+def test_cycles_that_end_where_the_last_one_did() -> None:
+    """The first begins at zero, the others end on a load: the last one is whole."""
+    record = up_and_down(cycles=3, rest=0.0)
+    lifted = replace(record, displacement=np.maximum(record.displacement, 1e-3))
+    kept = (lifted.displacement > 1.02e-3) | (record.time < 1.0)
+    assert ended(lifted.where(kept)) == np.inf

@@ -6,7 +6,6 @@ import pytest
 
 STILL_WRONG: dict[str, str] = {
     "shape-zero-line-over-rest-and-motion": "stiffness: doubtful, saturation: 175 samples in a ...",
-    "shape-yarn-8%": "peak_force.1: doubtful, partial_cycle: the record ends at 25.965 s, while...",
     "shape-begins-under-load-5%-zero-line": "peak_force.1: 94.5 is ok, plainly 100 (-5.50 %)",
     "shape-begins-under-load-5%": "energy.1: 0.0651525 is ok, plainly 0.066665 (-2.27 %)",
     "shape-begins-under-load-10%-zero-line": "peak_force.1: 89.5 is ok, plainly 100 (-10.50 %)",
@@ -21,7 +20,6 @@ STILL_WRONG: dict[str, str] = {
     "shape-counts-down": "stiffness: failed, not_reached: the branch reaches -0 mm, 8 mm is ask...",
     "shape-compression-negative": "stiffness: failed, not_reached: the branch reaches -0 mm, 8 ...",
     "shape-zero-line-over-rest-and-motion+noise": "peak_force.1: 100.541 is ok, plainly 99.9354...",
-    "shape-yarn-8%+noise": "peak_force.1: doubtful, partial_cycle: the record ends at 25.965 s,...",
     "shape-begins-under-load-5%-zero-line+noise": "peak_force.1: 94.4904 is ok, plainly 100.183...",
     "shape-begins-under-load-5%+noise": "energy.1: 0.0651708 is ok, plainly 0.0666927 (-2.28 %)",
     "shape-begins-under-load-10%-zero-line+noise": "peak_force.1: 89.6053 is ok, plainly 100.18...",
@@ -31,13 +29,10 @@ STILL_WRONG: dict[str, str] = {
     "shape-starts-at-the-peak+noise": "peak_force.1: 0.182843 is ok, plainly 100.183 (-99.82 %)",
     "shape-counts-down+noise": "stiffness: failed, not_reached: the branch reaches 0.0007667 mm...",
     "shape-compression-negative+noise": "stiffness: failed, not_reached: the branch reaches 0.0...",
-    "real-bent-1_test1": "peak_force.1: doubtful, partial_cycle: the record ends at 360.800 s, ...",
-    "real-cable-cycles": "energy.15: doubtful, partial_cycle: the record ends at 388.818 s, whi...",
     "real-bone": "stiffness: failed, not_reached: the branch reaches -0.008354 mm, 0.2 mm is as...",
     "real-flexure-793": "stiffness: failed, not_reached: the branch reaches 0.0006914 mm, 2 mm ...",
     "real-crush-793": "stiffness: failed, not_reached: the branch reaches -0.002792 mm, 0.8 mm ...",
     "real-modulus-793": "peak_displacement.1: -0.00562325 is ok, plainly -0.000378013 (+1387.58 %)",
-    "real-aluminium": "peak_force.1: doubtful, partial_cycle: the record ends at 114.224 s, whi...",
 }
 
 
