@@ -19,7 +19,8 @@ from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
-from labpipe.readers.channels import NoChannelError, select_channel
+from labpipe.readers.channels import NoChannelError, is_as_written, select_channel
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 
@@ -159,15 +160,27 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
     ReadError
         If a channel is missing, or its unit is unknown or of another dimension.
     """
-    channels = tuple(
-        _in_si(select_channel(recording, channel.channel, path), name, channel, path)
-        for name, channel in source.all_channels.items()
-    )
+    found = [
+        (select_channel(recording, said.channel, path), name, said)
+        for name, said in source.all_channels.items()
+    ]
+    channels = tuple(_in_si(channel, name, said, path) for channel, name, said in found)
     clocks = {channel.clock for channel in channels}
     kept = tuple(clock for clock in recording.clocks if clock.name in clocks)
     named = zip(channels, source.all_channels.values(), strict=True)
     notes = [note for channel, said in named for note in unit_notes(channel, said)]
+    notes += [
+        _spelt_note(channel, name, said)
+        for channel, name, said in found
+        if not is_as_written(said.channel, channel)
+    ]
     return replace(recording, channels=channels, clocks=kept, notes=(*recording.notes, *notes))
+
+
+def _spelt_note(channel: Channel, name: str, said: ChannelSource) -> QualityNote:
+    wanted = " or ".join(map(repr, said.channel[:3])) + (" ..." if len(said.channel) > 3 else "")
+    message = f"the export has none called {wanted}: {channel.path!r} was taken"
+    return QualityNote("channel_spelt_otherwise", Severity.INFO, name, message)
 
 
 def join_parts(parts: Sequence[Recording], names: Sequence[str]) -> Recording:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import unicodedata
 from collections.abc import Sequence
 from typing import TypeAlias
 
@@ -11,6 +13,10 @@ from labpipe.records.recording import Channel, Recording
 Wanted: TypeAlias = str | tuple[str, ...]
 """A channel by its name or path, or by several of which the first that the export has is meant."""
 
+_BEFORE = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
+"""What stands before the name of a channel: an underscore, or the number of the channel."""
+_SHOWN = 6
+"""Names that a message lists."""
 _INSPECT = "`labpipe inspect` lists them all."
 
 
@@ -40,7 +46,9 @@ def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channe
     recording : what a reader made of the export
     wanted : full path and name (``Model Root/Load Cell/Out1``), or the name alone where no other
         channel has it; quotes and the two characters backslash-n may be left out. Of several
-        names the first one that the export has counts.
+        names the first one that the export has counts. Where it has none of them as written, one
+        is looked for that differs by the number of a channel before it (``Ch 1 Kraft``,
+        ``C_1_Force``, ``_Load``), by case, accents, or underscores for blanks.
     file : named in the errors
 
     Returns
@@ -76,13 +84,45 @@ def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object)
     """
     names = (wanted,) if isinstance(wanted, str) else wanted
     paths = [path for _, path in known]
-    for name in names:
-        found = _meant(name, known)
-        if len(found) == 1:
-            return found[0]
-        if found:
-            raise NoChannelError(_ambiguous(name, [paths[i] for i in found], file), names)
+    for meant in (_meant, _meant_loosely):
+        for name in names:
+            found = meant(name, known)
+            if len(found) == 1:
+                return found[0]
+            if found:
+                raise NoChannelError(_ambiguous(name, [paths[i] for i in found], file), names)
     raise NoChannelError(_unknown(names, paths, file), names)
+
+
+def is_as_written(wanted: Wanted, channel: Channel) -> bool:
+    """Tell whether a channel has one of the names as they are written, not just nearly.
+
+    Parameters
+    ----------
+    wanted : as for `select_channel`, which found the channel
+    channel : of the export
+    """
+    names = (wanted,) if isinstance(wanted, str) else wanted
+    return any(_meant(name, [(channel.name, channel.path)]) for name in names)
+
+
+def plain_name(name: str) -> str:
+    """Take off a name what programs put before it, and how they spell it.
+
+    Parameters
+    ----------
+    name : of a channel, without its unit
+
+    Examples
+    --------
+    >>> plain_name("Ch 1 Kraft"), plain_name("C_1_Déplacement"), plain_name("_Load")
+    ('kraft', 'deplacement', 'load')
+    """
+    spelt = unicodedata.normalize("NFKD", name)
+    bare = "".join(sign for sign in spelt if not unicodedata.combining(sign)).casefold()
+    before = _BEFORE.match(bare)
+    rest = bare[before.end() :] if before else bare
+    return " ".join(rest.replace("_", " ").rstrip(" .").split())
 
 
 def _meant(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:
@@ -91,6 +131,12 @@ def _meant(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:
     spelt = [i for i, (_, path) in enumerate(known) if _spellings(path) & _spellings(wanted)]
     named = [i for i, (name, _) in enumerate(known) if name == wanted]
     return exact or spelt or named
+
+
+def _meant_loosely(wanted: str, known: Sequence[tuple[str, str]]) -> list[int]:
+    """Which of the (name, path) pairs one name nearly stands for."""
+    plain = plain_name(wanted)
+    return [i for i, (name, _) in enumerate(known) if plain and plain_name(name) == plain]
 
 
 def _spellings(path: str) -> set[str]:
@@ -114,7 +160,9 @@ def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
     close = list(dict.fromkeys(near for name in names for near in nearest(name, paths)))[:5]
     remedy = f"Nearest: {_listed(close)}. {_INSPECT}" if close else "The file holds no channels."
     expected = f"one of the {len(paths)} channels of the file"
-    place = f"channel {' or '.join(map(repr, names))}"
+    place = f"channel {' or '.join(map(repr, names[:_SHOWN]))}"
+    if len(names) > _SHOWN:
+        place += f" or {len(names) - _SHOWN} more"
     return complaint(file, place, expected=expected, found="no such channel", remedy=remedy)
 
 

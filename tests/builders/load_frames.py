@@ -67,6 +67,15 @@ def mts_suite(separator: str = "\t", *, rows: list[list[object]] | None = None) 
     return (preamble + lines([*table, *body], separator)).encode("utf-8-sig")
 
 
+def underscored_suite() -> bytes:
+    """TestSuite that puts an underscore before names; the unit of its counter repeats the name."""
+    names = [f"_{name}" for name in ("Cycle ", "Crosshead ", "Load ", "Time ")]
+    counts = np.repeat(np.arange(1.0, 5.0), N // 4)
+    text = mts_suite(rows=pull(counts, TRAVEL, FORCE, TIME)).decode("utf-8-sig")
+    text = text.replace("Crosshead \tLoad \tTime ", "\t".join(names), 1)
+    return text.replace("mm\tN\tsec", "_Cycle\tmm\tN\tsec", 1).encode("utf-8-sig")
+
+
 def italian_suite() -> bytes:
     """TestSuite on an Italian computer: semicolons, decimal commas, words in Italian."""
     head = (

@@ -21,6 +21,7 @@ from labpipe.protocol.results import result_names
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import READERS as NAMED_READERS
 from labpipe.readers import READERS
+from labpipe.readers.channels import find_channel
 
 SHIPPED = sorted((Path(__file__).parents[2] / "protocols").glob("*.yaml"))
 
@@ -80,3 +81,44 @@ def test_it_fits_the_schema_for_editors(path: Path) -> None:
 
 def test_protocols_can_name_just_the_readers_that_there_are() -> None:
     assert set(NAMED_READERS) == set(READERS)
+
+
+OF_FRAMES = [path for path in SHIPPED if "reader: load-frame" in path.read_text("utf-8")]
+COLUMNS = {
+    "MTS TestSuite": ("Load", "Crosshead"),
+    "MTS TestSuite, names with underscores": ("_Load", "_Crosshead"),
+    "MTS TestSuite, extension": ("_Load", "_Extension"),
+    "MTS bend template": ("Ch 1 Force", "Ch 1 Displacement"),
+    "MTS 793": ("Axial Force", "Axial Displacement"),
+    "MTS 793, German": ("Ch 1 Kraft", "Ch 1 Weg"),
+    "Instron Bluehill": ("Load", "Extension"),
+    "Instron Bluehill, Chinese": ("力", "位移"),
+    "Instron 8800, German": ("Kraft", "Maschine"),
+    "testXpert": ("Standard force", "Standard travel"),
+    "testXpert, absolute": ("Standard force", "Absolute crosshead travel"),
+    "testXpert, German": ("Standardkraft", "Standardweg"),
+    "testXpert, French": ("Force standard", "Course standard"),
+    "testXpert, Spanish": ("Fuerza estándar", "Carrera"),
+    "Walter+Bai, French": ("C_1_Force", "C_1_Déplacement"),
+    "Trapezium": ("Force", "Stroke"),
+    "Nexygen": ("Load", "Machine Extension"),
+    "Microtest": ("Force", "Elongation"),
+    "DMA": ("Static Force", "Displacement"),
+    "Italian": ("Carico", "Spostamento"),
+    "Spanish": ("Carga", "Desplazamiento"),
+    "capitals": ("FORCE", "POSITION"),
+}
+"""Force and displacement, as programs call them."""
+
+
+@pytest.mark.parametrize("path", OF_FRAMES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("names", COLUMNS.values(), ids=COLUMNS)
+def test_it_knows_what_programs_call_force_and_displacement(
+    path: Path, names: tuple[str, str]
+) -> None:
+    frame = load_protocol(path).sources["frame"]
+    known = [(name, name) for name in ("Time", "Kraft Sollwert", *names, "Strain 1")]
+    for channel, name in zip(("force", "displacement"), names, strict=True):
+        if channel in frame.all_channels:
+            found = find_channel(frame.all_channels[channel].channel, known, path)
+            assert known[found][0] == name

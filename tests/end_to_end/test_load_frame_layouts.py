@@ -21,6 +21,7 @@ from tests.builders.small_tests import Run
 PULLS: dict[str, tuple[bytes, tuple[str, str, float], tuple[str, str, float]]] = {
     "txt": (frames.mts_suite(), ("Load", "N", 1), ("Crosshead", "mm", 1)),
     "quoted csv": (frames.mts_suite(","), ("Load", "N", 1), ("Crosshead", "mm", 1)),
+    "underscores": (frames.underscored_suite(), ("_Load", "N", 1), ("_Crosshead", "mm", 1)),
     "italian": (frames.italian_suite(), ("Carico", "kN", 1e-3), ("Traversa", "mm", 1)),
     "793": (frames.mts_793(), ("Ch 1 Kraft", "kN", 1e-3), ("Ch 1 Weg", "mm", 1)),
     "793 split": (
@@ -403,3 +404,9 @@ def test_names_and_no_sample(write: Written) -> None:
     else:
         assert sum(len(clock.time) for clock in recording.clocks) == 0
         assert "no_samples" in codes(recording)
+
+
+def test_a_counter_whose_unit_repeats_its_name(write: Written) -> None:
+    recording = read_export(write(frames.underscored_suite()))
+    assert channel(recording, "_Cycle").unit_in_file == ""
+    assert recording.clocks[0].unit == "s"

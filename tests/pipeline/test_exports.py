@@ -180,6 +180,15 @@ def test_none_of_several_names_is_in_the_export(tmp_path: Path) -> None:
         read_role(path, source.sources["force"])
 
 
+def test_a_channel_that_is_spelt_otherwise_is_told(tmp_path: Path) -> None:
+    source = protocol("{reader: dspace-mat, channel: [Load, Force, Kraft, out2], unit: N}")
+    recording = read_role(export(tmp_path), source.sources["force"])
+    assert recording.channels[0].path == "Model/Out2"
+    message = "the export has none called 'Load' or 'Force' or 'Kraft' ...: 'Model/Out2' was taken"
+    expected = QualityNote("channel_spelt_otherwise", Severity.INFO, "force", message)
+    assert expected in recording.notes
+
+
 def test_a_part_without_samples() -> None:
     nothing = Recording("dspace-mat")
     said = r"b.mat: expected a part of a recording: channels on one clock, found 0 clocks"

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers.channels import find_channel, select_channel
+from labpipe.readers.channels import (
+    NoChannelError,
+    find_channel,
+    is_as_written,
+    select_channel,
+)
 from labpipe.records.recording import Channel, Recording
 
 KNOWN = [
@@ -100,3 +105,55 @@ def test_the_channel_itself() -> None:
     recording = Recording(reader="dspace-mat", channels=channels)
     assert select_channel(recording, "ADC", "force.mat") is channels[3]
     assert select_channel(recording, ("Load", "ADC"), "force.mat") is channels[3]
+
+
+def test_many_names_are_not_all_listed() -> None:
+    names = tuple(f"N{i}" for i in range(9))
+    with pytest.raises(ReadError, match=r"channel 'N0' or 'N1' or .* or 'N5' or 3 more: expected"):
+        find_channel(names, KNOWN, "frame.csv")
+
+
+OF_FRAMES = [
+    (name, name)
+    for name in ("Ch 1 Kraft", "Ch 1 Kraft Sollwert", "C_1_Déplacement", "_Load", "Traverse abs.")
+]
+
+
+@pytest.mark.parametrize(
+    ("wanted", "index"),
+    [
+        ("Kraft", 0),
+        ("kraft sollwert", 1),
+        ("Déplacement", 2),
+        ("DEPLACEMENT", 2),
+        ("Load", 3),
+        ("Traverse_abs", 4),
+        (("Force", "Load", "Kraft"), 3),
+    ],
+)
+def test_a_name_that_a_program_puts_more_before(wanted: str | tuple[str, ...], index: int) -> None:
+    assert find_channel(wanted, OF_FRAMES, "frame.csv") == index
+
+
+def test_a_name_as_written_goes_before_one_that_is_nearly_so() -> None:
+    known = [("_Load", "_Load"), ("Kraft", "Kraft"), ("load", "load")]
+    assert find_channel(("Load", "Kraft"), known, "frame.csv") == 1
+    assert find_channel("load", known, "frame.csv") == 2
+
+
+def test_two_that_are_nearly_so() -> None:
+    known = [("Ch 1 Force", "Ch 1 Force"), ("Ch 2 Force", "Ch 2 Force")]
+    with pytest.raises(NoChannelError, match=r"found 2 channels of that name.*'Ch 1 Force', 'Ch 2"):
+        find_channel(("Load", "Force"), known, "frame.csv")
+
+
+@pytest.mark.parametrize("name", ["Chkraft", "C1kraft", "Kraft 1", "Last", "", "_"])
+def test_other_names_are_others(name: str) -> None:
+    with pytest.raises(NoChannelError, match="found no such channel"):
+        find_channel("Kraft", [(name, name)], "frame.csv")
+
+
+def test_whether_a_channel_is_called_as_written() -> None:
+    channel = Channel("_Load", "_Load", np.zeros(3))
+    assert is_as_written(("Kraft", "_Load"), channel)
+    assert not is_as_written(("Kraft", "Load"), channel)

@@ -95,7 +95,7 @@ def _chosen(made: list[Channel], wanted: Sequence[Wanted], path: object) -> list
 
 
 def _part(table: Table, card: Card, path: object, *, several: bool) -> _Part:
-    column = time_column(table.names, card)
+    column = time_column(table.names, table.units, card)
     clock_name = table.part if several else "time"
     clock, about, notes = _clock(table, column, clock_name, card, path)
     prefix = f"{table.part}/" if several else ""

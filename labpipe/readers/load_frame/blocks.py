@@ -99,7 +99,7 @@ def _table_of_block(
     body = Body(
         data=data[line_start(data, header.first) :],
         names=unique_names(header.names),
-        columns=wanted_columns(header.names, place.card, None, place.path),
+        columns=wanted_columns(header, place.card, None, place.path),
         first_line=first_line + header.first,
         separator=header.separator,
         decimal=decimal,
@@ -143,7 +143,7 @@ def _are_summaries(tables: Sequence[Table], card: Card) -> list[bool]:
 
     Extremes are two rows, of which the first is nowhere the smaller one.
     """
-    timed = [time_column(table.names, card) is not None for table in tables]
+    timed = [time_column(table.names, table.units, card) is not None for table in tables]
     if any(timed):
         return [not has_time for has_time in timed]
     return [

@@ -46,10 +46,11 @@ def split_line(line: str, separator: str) -> list[str]:
 def is_unit(text: str) -> bool:
     """Tell whether labpipe knows a text as a unit."""
     known = text in _COMMON or text in _NO_DIMENSION
-    return known or any(_is_like(text, unit) for unit in _SI)
+    return known or any(is_like(text, unit) for unit in _SI)
 
 
-def _is_like(text: str, unit: str) -> bool:
+def is_like(text: str, unit: str) -> bool:
+    """Tell whether a text is a unit of the dimension of another."""
     try:
         si_factor(text, unit)
     except ValueError:

@@ -183,7 +183,7 @@ class _Heads:
 
 def _are_told(header: Header, card: Card) -> bool:
     """Tell whether there is time, and a unit beside that of time or a name that is telling."""
-    time = time_column(header.names, card)
+    time = time_column(header.names, header.units, card)
     if time is None:
         return False
     has_units = any(unit for i, unit in enumerate(header.units) if i != time)

@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labpipe.errors import ReadError, complaint, nearest
-from labpipe.readers.channels import Wanted, find_channel
+from labpipe.readers.channels import Wanted, find_channel, plain_name
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.titles import Rows
+from labpipe.readers.load_frame.cells import is_like
+from labpipe.readers.load_frame.titles import Header, Rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
+_OF_TIME = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 _SEPARATOR = re.compile(r"sep=.?")
 
 
@@ -57,13 +59,31 @@ class Export:
     head: str = ""
 
 
-def time_column(names: Sequence[str], card: Card) -> int | None:
-    """Find the column of time: the first pattern of the card that is the whole name of one."""
-    for pattern in card.time:
-        for i, name in enumerate(names):
-            if pattern.fullmatch(name):
-                return i
-    return None
+def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+    """Find the column of time.
+
+    Parameters
+    ----------
+    names, units : of the columns
+    card : has patterns of the name, most wanted first
+
+    Returns
+    -------
+    Its number: the first pattern that is the whole name of a column, or of what is left of one
+    without the number of a channel or an underscore before it (``_Time``); else the one column in
+    a unit of time whose name speaks of time. None where there is no such column, or several.
+    """
+    for called in (list(names), [plain_name(name) for name in names]):
+        for pattern in card.time:
+            for i, name in enumerate(called):
+                if pattern.fullmatch(name):
+                    return i
+    timed = [
+        i
+        for i, (name, unit) in enumerate(zip(names, units, strict=False))
+        if _OF_TIME.search(name) and is_like(unit, "s")
+    ]
+    return timed[0] if len(timed) == 1 else None
 
 
 def word_columns(names: Sequence[str], card: Card) -> list[int]:
@@ -72,13 +92,13 @@ def word_columns(names: Sequence[str], card: Card) -> list[int]:
 
 
 def wanted_columns(
-    names: Sequence[str], card: Card, channels: Sequence[Wanted] | None, path: object
+    header: Header, card: Card, channels: Sequence[Wanted] | None, path: object
 ) -> list[int]:
     """Choose the columns to read: those asked for, and time.
 
     Parameters
     ----------
-    names : of all columns
+    header : names and units of all columns
     card : says which one is time and which hold words
     channels : asked for, None for all; a name may carry its specimen before a slash
     path : named in errors
@@ -92,7 +112,8 @@ def wanted_columns(
     ReadError
         If a channel that is asked for does not exist.
     """
-    time = time_column(names, card)
+    names = header.names
+    time = time_column(names, header.units, card)
     words = word_columns(names, card)
     numbers = [i for i in range(len(names)) if i not in words]
     if channels is None:

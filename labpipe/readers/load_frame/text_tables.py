@@ -57,7 +57,7 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
     card = place.card
     groups = _groups(header) if card.layout == "side by side" else [range(len(header.names))]
     asked = place.channels if len(groups) == 1 else None
-    columns_read = wanted_columns(header.names, card, asked, place.path)
+    columns_read = wanted_columns(header, card, asked, place.path)
     start = line_start(content.data, header.first)
     body = Body(
         data=content.data,

@@ -134,9 +134,18 @@ def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
         expected = "a row of names, then a row of units, above the numbers"
         raise fault(first - 1, expected, f"{quoted(names)} above {quoted(units)}")
     width = max(len(names), len(units))
-    told = tuple(bare_unit(cell, card.brackets) or "" for cell in _padded(units, width))
+    told = tuple(
+        bare_unit(cell, card.brackets) or ""
+        for cell in _without_names(_padded(units, width), names)
+    )
     specimens, above = _specimens(rows, first - 2, card)
     return Header(_padded(names, width), told, first, above, specimens=specimens)
+
+
+def _without_names(units: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Units without those that repeat the name above, as programs write for a counter."""
+    above = _padded(names, max(len(names), len(units)))
+    return tuple("" if unit == name else unit for unit, name in zip(units, above, strict=False))
 
 
 def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
@@ -161,9 +170,10 @@ def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
         raise fault(first - 1, "a row of names above the numbers", quoted(cells))
     has_both = any(_is_name_with_unit(cell) for cell in cells)
     above = _stripped(rows[first - 2]) if first > 1 else ()
-    if not has_both and are_units(cells) and not _lacks_names(above, cells):
+    told = _without_names(cells, above)
+    if not has_both and are_units(told) and not _lacks_names(above, cells):
         width = max(len(above), len(cells))
-        units = tuple(without_brackets(cell) for cell in _padded(cells, width))
+        units = tuple(without_brackets(cell) for cell in _padded(told, width))
         return Header(_padded(above, width), units, first, rows[: first - 2])
     pairs = [name_and_unit(cell) or (cell, "") for cell in cells]
     names, told = zip(*pairs, strict=True)

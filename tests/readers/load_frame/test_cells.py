@@ -33,7 +33,7 @@ def test_units() -> None:
 
 @pytest.mark.parametrize("unit", sorted(cells._COMMON))
 def test_units_told_at_once_are_units(unit: str) -> None:
-    assert any(cells._is_like(unit, si) for si in cells._SI)
+    assert any(cells.is_like(unit, si) for si in cells._SI)
 
 
 def test_a_quote_that_is_not_closed() -> None:

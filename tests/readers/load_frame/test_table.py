@@ -14,6 +14,7 @@ from labpipe.readers.load_frame.table import (
     wanted_columns,
     without_codes,
 )
+from labpipe.readers.load_frame.titles import Header
 
 
 def test_preamble() -> None:
@@ -36,8 +37,26 @@ def test_preamble() -> None:
 
 def test_the_most_wanted_time_counts() -> None:
     card = shipped_cards()["mts-testsuite"]
-    assert time_column(["Video Time", "Running Time", "Time"], card) == 2
-    assert time_column(["Video Time", "Load"], card) is None
+    assert time_column(["Video Time", "Running Time", "Time"], ["sec"] * 3, card) == 2
+    assert time_column(["Video Time", "Load"], ["", "N"], card) is None
+
+
+@pytest.mark.parametrize(
+    ("names", "units", "found"),
+    [
+        (["_Load", "_Time"], ["N", "sec"], 1),
+        (["_Video Time", "_Time", "_Load"], ["sec", "sec", "N"], 1),
+        (["Load", "Ch 1 Time"], ["N", "sec"], 1),
+        (["Load", "C_1_Temps"], ["N", "s"], 1),
+        (["Load", "Tempo di prova"], ["N", "s"], 1),
+        (["Load", "Prüfzeit bis Bruch"], ["N", "s"], 1),
+        (["Load", "Time to break"], ["N", "mm"], None),
+        (["Load", "Hold Time", "Dwell Time"], ["N", "s", "s"], None),
+        (["Load", "Temperature"], ["N", "s"], None),
+    ],
+)
+def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
+    assert time_column(names, units, shipped_cards()["mts-testsuite"]) == found
 
 
 def test_names_are_made_unique() -> None:
@@ -46,7 +65,8 @@ def test_names_are_made_unique() -> None:
 
 def test_time_comes_with_what_is_asked_for() -> None:
     card = shipped_cards()["mts-testsuite"]
-    assert wanted_columns(["Time", "Load", "Crosshead"], card, ["Load"], "a") == [0, 1]
+    header = Header(("Time", "Load", "Crosshead"), ("sec", "N", "mm"), 2, [])
+    assert wanted_columns(header, card, ["Load"], "a") == [0, 1]
 
 
 def test_codes_of_missing_values() -> None:
