@@ -12,14 +12,11 @@ from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted, find_channel
 from labpipe.readers.clocks import clock_notes
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.table import Export, Table, time_column, unique_names
+from labpipe.readers.load_frame.table import FEW, Export, Table, time_column, unique_names
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.units import si_factor
-
-FEW = 10
-"""Fewer samples than this are no test that was carried through."""
 
 _MOST_NAMED = 3
 _SAY_UNIT = (

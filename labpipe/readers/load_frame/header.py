@@ -79,15 +79,21 @@ def header_of_rows(
         where = f"{place} {first_line}"
         raise _fault(path, where, "a row of names and rows of numbers below it", "none")
 
+    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
+
     def telling(remedy: str) -> Fault:
         def fault(row: int, expected: str, found: str) -> ReadError:
-            return _fault(path, f"{place} {first_line + max(row, 0)}", expected, found, remedy)
+            at = filled[max(row, 0)] if filled else 0
+            return _fault(path, f"{place} {first_line + at}", expected, found, remedy)
 
         return fault
 
+    # A blank row between title, names, units and numbers says nothing.
+    rows = [*(rows[i] for i in filled), *rows[first:]]
     if separator == " ":
-        rows = put_names_together(rows, first, card, telling(_CARD))
-    return replace(find_titles(rows, first, card, telling(_AGAIN)), separator=separator)
+        rows = put_names_together(rows, len(filled), card, telling(_CARD))
+    header = find_titles(rows, len(filled), card, telling(_AGAIN))
+    return replace(header, separator=separator, first=first)
 
 
 def _first(rows: Rows, card: Card) -> int | None:

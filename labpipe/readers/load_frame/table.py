@@ -16,6 +16,9 @@ from labpipe.readers.load_frame.titles import Header, Rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
+FEW = 10
+"""Fewer samples than this are no test that was carried through."""
+
 _OF_TIME = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
 _SEPARATOR = re.compile(r"sep=.?")
 

@@ -12,6 +12,7 @@ from labpipe.readers.load_frame.cells import (
     are_units,
     bare_unit,
     is_number,
+    is_unit,
     name_and_unit,
     quoted,
     without_brackets,
@@ -127,7 +128,8 @@ def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
     units = _stripped(rows[first - 1]) if first else ()
     kind = f"a row of units{f' in {card.brackets}' if card.brackets else ''} above the numbers"
     bare = [bare_unit(cell, card.brackets) for cell in units if cell]
-    if not bare or None in bare or any(is_number(cell) for cell in units):
+    are_known = bool(card.brackets) or any(cell and is_unit(cell) for cell in bare)
+    if not bare or None in bare or not are_known or any(is_number(cell) for cell in units):
         raise fault(first - 1, kind, quoted(units))
     names = _stripped(rows[first - 2]) if first > 1 else ()
     if _lacks_names(names, units):

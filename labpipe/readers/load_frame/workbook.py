@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from datetime import date, time, timedelta
 from math import isfinite
 from operator import itemgetter
@@ -16,9 +17,11 @@ from labpipe.readers.load_frame.header import header_of_rows
 from labpipe.readers.load_frame.regrouped import LOST, is_grouped, lost_signs, regrouped_at
 from labpipe.readers.load_frame.rows import PLAIN
 from labpipe.readers.load_frame.table import (
+    FEW,
     Export,
     Table,
     preamble,
+    time_column,
     unique_names,
     word_columns,
 )
@@ -65,7 +68,7 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
     ReadError
         If no sheet has names, units and numbers where the card says.
     """
-    tables: list[Table] = []
+    tables: dict[str, Table] = {}
     faults: dict[str, ReadError] = {}
     about: dict[str, object] = {}
     for name, rows in sheets.items():
@@ -74,29 +77,49 @@ def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
         except ReadError as fault:
             faults[name] = fault
             continue
-        tables.append(_table(rows, header, name, card, path))
+        tables[name] = _table(rows, header, name, card, path)
         about |= preamble(header.above)
     if not tables:
         raise _no_table(faults, path)
-    others = {name: _rows_as_text(sheets[name]) for name in faults}
+    results = _without_samples(tables, card)
+    left_out = [name for name in sheets if name in faults or name in results]
+    others = {name: _rows_as_text(sheets[name]) for name in left_out}
     metadata = about | ({"sheets": others} if others else {})
     head = "\n".join(sheet_head(rows) for rows in sheets.values())
-    return Export(tuple(tables), metadata, tuple(_left_out(faults)), head)
+    kept = tuple(table for name, table in tables.items() if name not in results)
+    return Export(kept, metadata, tuple(_left_out(left_out)), head)
+
+
+def _without_samples(tables: Mapping[str, Table], card: Card) -> set[str]:
+    """Find sheets of results beside sheets of samples: other columns, and no time or few rows."""
+    rows = {name: max(map(len, each.columns.values()), default=0) for name, each in tables.items()}
+    longest = tables[max(rows, key=lambda name: rows[name])]
+    has_time = {
+        name: time_column(each.names, each.units, card) is not None for name, each in tables.items()
+    }
+    needs_time = any(has_time.values())
+    return {
+        name
+        for name, each in tables.items()
+        if each.names != longest.names and (rows[name] < FEW or (needs_time and not has_time[name]))
+    }
 
 
 def _header(rows: Sequence[Sequence[object]], sheet: str, card: Card, path: Path) -> Header:
     text = [[as_text(cell) for cell in row] for row in rows[:_HEAD_ROWS]]
     header = header_of_rows(text, card, path, place=f"sheet '{sheet}', row")
-    if card.layout == "specimen above" and len({c for c in header.specimens if c}) != 1:
-        text_of_fault = complaint(
-            path,
-            f"sheet '{sheet}', row {max(header.first - 2, 1)}",
-            expected="the specimen above the row of names",
-            found="none",
-            remedy="Export the test again, or name another dialect.",
-        )
-        raise ReadError(text_of_fault)
-    return header
+    if card.layout != "specimen above" or len({cell for cell in header.specimens if cell}) == 1:
+        return header
+    if time_column(header.names, header.units, card) is not None:
+        return replace(header, specimens=())  # somebody edited the row; the sheet has a name, too
+    text_of_fault = complaint(
+        path,
+        f"sheet '{sheet}', row {max(header.first - 2, 1)}",
+        expected="the specimen above the row of names",
+        found="none",
+        remedy="Export the test again, or name another dialect.",
+    )
+    raise ReadError(text_of_fault)
 
 
 def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
@@ -114,11 +137,11 @@ def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
     return ReadError(text)
 
 
-def _left_out(faults: Mapping[str, ReadError]) -> list[QualityNote]:
-    if not faults:
+def _left_out(sheets: Sequence[str]) -> list[QualityNote]:
+    if not sheets:
         return []
-    named = ", ".join(f"'{name}'" for name in faults)
-    message = f"{len(faults)} sheets hold no samples and were left out: {named}"
+    named = ", ".join(f"'{name}'" for name in sheets)
+    message = f"{len(sheets)} sheets hold no samples and were left out: {named}"
     return [QualityNote("sheets_left_out", Severity.INFO, "file", message)]
 
 

@@ -23,6 +23,11 @@ from labpipe.readers.load_frame.header import find_header
         (
             "trapezium",
             ["a,b", "1,2"],
+            r"line 1: expected a row of units above the numbers, found 'a, b'\. ",
+        ),
+        (
+            "trapezium",
+            ["s,N", "1,2"],
             r"line 1: expected a row of names, then a row of units, .* found no",
         ),
         (
@@ -60,3 +65,29 @@ def test_the_first_separator_that_gives_numbers() -> None:
     card = shipped_cards()["table"]
     assert find_header(["a;b", "1,5;2,5"], card, "a").separator == ";"
     assert find_header(["a,b", "1.5,2.5"], card, "a").separator == ","
+
+
+@pytest.mark.parametrize("after", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("card", "lines"),
+    [
+        ("bluehill", ["Specimen,1", "Time,Load", "(s),(N)", "0.1,2.5", "0.2,3.5"]),
+        ("table", ["Pull of a wire", "Time,Load", "s,N", "0.1,2.5", "0.2,3.5"]),
+        ("testxpert-tra", ['"Pull"', '"Zeit","Kraft"', '"s","N"', "0.1,2.5", "0.2,3.5"]),
+    ],
+)
+def test_a_blank_row_is_no_header(card: str, lines: list[str], after: int) -> None:
+    """Between title and names, names and units, units and numbers."""
+    whole = [*lines[: after + 1], ",", "", *lines[after + 1 :]]
+    header = find_header(whole, shipped_cards()[card], "a.csv")
+    assert [name.rstrip() for name in header.names] == [
+        cell.strip('"') for cell in lines[1].split(",")
+    ]
+    assert header.units == ("s", "N")
+    assert header.first == 5
+
+
+def test_the_line_of_a_fault_is_that_of_the_file() -> None:
+    lines = ["Pull", "", "a,b", "", "1,2"]
+    with pytest.raises(ReadError, match=r"line 3: expected a row of units above the numbers, fou"):
+        find_header(lines, shipped_cards()["mts-testsuite"], "a.csv")

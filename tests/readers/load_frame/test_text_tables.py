@@ -298,7 +298,7 @@ def test_only_wanted_channels(tmp_path: Path) -> None:
     [
         (
             "",
-            r"line 7: expected a row of names, then a row of units, above the numbers, found noth",
+            r"line 7: expected a row of units above the numbers, found 'Time, Crosshead, Load'\. ",
         ),
         ("mm\tmm\tN\n", r"column 'Time': expected a unit of time such as s, found 'mm'\. Look at"),
         ("\tmm\tN\n", r"column 'Time': expected a unit of time such as s, found none\. Write i"),

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -82,7 +83,7 @@ def test_testresources_without_its_name_is_found_by_words_or_asked_for(tmp_path:
     [
         ([*specimen_sheet("A"), [0.5, 1.0, "broken"]], r"sheet 'v', row 8, column 'Standard force"),
         ([["A", "A"], ["Time", "Force"], [1.0, 2.0], [2.0, 3.0]], r"sheet 'v', row 2: expected a "),
-        ([["Time", "Force"], ["s", "N"], [1.0, 2.0]], r"sheet 'v', row 1: expected the specimen a"),
+        ([["Strain", "Force"], ["mm", "N"], [1.0, 2.0]], r"sheet 'v', row 1: expected the specim"),
         ([["nothing"]], r"a\.xlsx: expected a sheet with names, units and numbers, found 1 sheets"),
     ],
 )  # fmt: skip
@@ -136,3 +137,49 @@ def test_a_damaged_workbook(tmp_path: Path) -> None:
     assert not load_frame.recognise(file)
     with pytest.raises(ReadError, match=r"expected a whole workbook, found a damaged one"):
         load_frame.read(file, dialect="testxpert-xlsx")
+
+
+LONG = [(0.1 * i, 0.25 * i, 4.5 * i) for i in range(1, 21)]
+NUMBERS: list[list[object]] = [["Fmax", "Time at break"], ["N", "s"], [90.0, 2.0]]
+"""One row for each specimen, as testXpert writes them."""
+Sheet = list[list[object]]
+EDITS: dict[str, Callable[[Sheet], Sheet]] = {
+    "none": lambda rows: rows,
+    "row of the specimen deleted": lambda rows: rows[1:],
+    "blank row above the names": lambda rows: [rows[0], [], *rows[1:]],
+    "blank row above the numbers": lambda rows: [*rows[:3], [], *rows[3:]],
+    "specimen in one cell": lambda rows: [["S1"], *rows[1:]],
+    "a remark beside it": lambda rows: [[*rows[0], "checked"], *rows[1:]],
+    "a title": lambda rows: [["Campaign 7"], [], *rows],
+}
+
+
+@pytest.mark.parametrize("edit", EDITS.values(), ids=EDITS)
+def test_an_edited_workbook_of_testxpert(tmp_path: Path, edit: Callable[[Sheet], Sheet]) -> None:
+    """It stays one of testXpert, and its results are no test of one sample."""
+    values = edit(specimen_sheet("S1", LONG))
+    file = workbook(tmp_path / "a.xlsx", {"Results S1": NUMBERS, "Values S1": values})
+    recording = load_frame.read(file)
+    assert recording.metadata["dialect"] == "testxpert-xlsx"
+    assert [len(clock.time) for clock in recording.clocks] == [20]
+    assert [channel.path for channel in recording.channels] == ["Strain", "Standard force"]
+    assert [channel.unit_in_file for channel in recording.channels] == ["mm", "N"]
+    assert "sheets_left_out" in codes(recording)
+    sheets = recording.metadata["sheets"]
+    assert isinstance(sheets, dict)
+    assert sheets["Results S1"][0] == ["Fmax", "Time at break"]
+
+
+def test_results_beside_samples_are_no_test_of_any_program(tmp_path: Path) -> None:
+    head: Sheet = [["Time (s)", "Load (N)", "Extension (mm)"]]
+    results: Sheet = [["Peak load (N)", "Time at peak (s)"], [90.0, 2.0], [91.0, 2.1]]
+    file = workbook(tmp_path / "a.xlsx", {"Data": [*head, *map(list, LONG)], "Summary": results})
+    recording = load_frame.read(file)
+    assert [channel.path for channel in recording.channels] == ["Load", "Extension"]
+    assert "sheets_left_out" in codes(recording)
+
+
+def test_an_aborted_specimen_beside_others_is_kept(tmp_path: Path) -> None:
+    sheets = {"A": specimen_sheet("A", LONG), "B": specimen_sheet("B", LONG[:3])}
+    recording = load_frame.read(workbook(tmp_path / "a.xlsx", sheets))
+    assert [len(clock.time) for clock in recording.clocks] == [20, 3]
