@@ -112,7 +112,8 @@ class Bench:
     turning_times : shape (branches, 2), s, ends of the branches on the clock of the curve
     blocked : why the stages after the last one reached are missing: code and sentence
     doubts : why results are doubtful, in the order in which it was found
-    zeroed : by signal, the stretch (s, on its own clock) that its zero was taken from
+    zeroed : by signal, the stretch (s, on its own clock) at rest that its zero was taken from
+    lined : as `zeroed`, a stretch in which the machine may have moved already
     failure : where the specimen broke; None where it did not, or nobody asked
     slips : the slip ledger
     slack : displacement before the specimen was taut, m; None where nobody asked
@@ -142,6 +143,7 @@ class Bench:
     blocked: str = ""
     doubts: list[Doubt] = field(default_factory=list)
     zeroed: dict[str, tuple[float, float]] = field(default_factory=dict)
+    lined: dict[str, tuple[float, float]] = field(default_factory=dict)
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
     slack: Estimate | Failure | None = None
@@ -231,7 +233,8 @@ class Bench:
             return True
         touched = [self.on_curve_clock(at, doubt.clock) for at in doubt.during]
         name = {"force": self.force, "displacement": self.displacement}.get(doubt.quantity, "")
-        zero = [self.on_curve_clock(at, self.raw[name].clock) for at in self.zeroed.get(name, ())]
+        taken = self.zeroed.get(name, self.lined.get(name, ()))
+        zero = [self.on_curve_clock(at, self.raw[name].clock) for at in taken]
         return any(
             touched[0] <= stop and start <= touched[1]
             for start, stop in ([during, tuple(zero)] if zero else [during])

@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
-from labpipe.pipeline.zeros import LEAST, end_level, mean_level, needed
+from labpipe.pipeline.zeros import LEAST, line_zero, mean_level, needed
 from labpipe.processing.filtering import (
     in_pieces,
     low_pass,
@@ -157,19 +157,21 @@ def _zero(bench: Bench, step: Zero) -> None:
     if step.by == "mean":
         bench.zeroed[step.channel] = (start, start + step.over)
         level, error = mean_level(known, beside)
+        how = f"the mean over {step.over:g} s"
     else:
+        bench.lined[step.channel] = (start, start + step.over)
         values = known if step.at == "start" else known[::-1]
-        level, error = end_level(values, beside)
+        level, error, rested = line_zero(values, beside)
+        lasts = step.over * rested / len(values)
+        how = f"the outer end of a line over {step.over:g} s"
+        how = f"the mean over the {lasts:.3g} s before the motion" if rested else how
     zeroed = replace(signal, values=signal.values - level, zero_error=error)
     raw = bench.raw[step.channel]
     bench.raw[step.channel] = (
         zeroed if raw is signal else replace(raw, values=raw.values - level, zero_error=error)
     )
     bench.signals[step.channel] = zeroed
-    how = "the mean" if step.by == "mean" else "the outer end of a line"
-    said = (
-        f"zero at {round(level, 12):.6g} {signal.unit}, {how} over {step.over:g} s at the {step.at}"
-    )
+    said = f"zero at {round(level, 12):.6g} {signal.unit}, {how} at the {step.at}"
     if len(known) < LEAST:
         said += f", {len(known)} samples: their noise is judged by the rest of the record"
     bench.note("zeroed", Severity.INFO, step.channel, said)

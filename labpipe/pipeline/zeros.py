@@ -11,6 +11,7 @@ from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.noise import long_run_variance
 from labpipe.fitting.noise_spectra import smooth_stretches
 from labpipe.pipeline.bench import Bench, Signal
+from labpipe.processing.oddities import samples_at_rest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Interval
 from labpipe.records.quality import Severity
@@ -73,6 +74,26 @@ def end_level(values: Floats, beside: Floats) -> tuple[float, float]:
     # As wide as the t-based interval: a stretch for a zero holds few samples.
     interval = Interval(-float(fit.half_widths[0]), float(fit.half_widths[0]))
     return float(fit.coefficients[0]), interval.standard_error
+
+
+def line_zero(values: Floats, beside: Floats) -> tuple[float, float, int]:
+    """Level where a machine stood before it moved, from a stretch in which it moves.
+
+    Parameters
+    ----------
+    values, beside : as for `mean_level`; the stretch begins at its outer end
+
+    Returns
+    -------
+    level, error : of the outer end. Where the stretch begins with a rest, the mean over that; of a
+        rest of too few samples, what a line through the motion says of its begin
+    rested : samples of that rest; 0 where the motion begins with the stretch, or before
+    """
+    rested = samples_at_rest(values)
+    if rested >= needed(beside):
+        return *mean_level(values[:rested], np.concatenate([values[rested:], beside])), rested
+    moving = values[rested:] if len(values) - rested >= LEAST else values
+    return *end_level(moving, beside), 0
 
 
 def _stretches(values: Floats, beside: Floats) -> Sequence[Floats]:

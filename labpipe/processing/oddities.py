@@ -15,6 +15,10 @@ _SURE = 0.15
 """Share of the mean speed to which a speed is to be known."""
 _LAST = 0.02
 """Share of a stretch whose speed is that at its end; more where noise asks for it."""
+_CORNERS = 200
+"""Places at which a corner is tried."""
+_SURELY, _MOSTLY = 25.0, 0.5
+"""Variances, and share of the sum of squares about a line, that a corner takes off."""
 
 
 def stretches_of(flags: Flags) -> list[tuple[int, int]]:
@@ -71,3 +75,41 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     late, high = time[-size:] - time[-size:].mean(), values[-size:]
     slope = float(late @ high) / float(late @ late)
     return slope * float(np.sign(way)) >= _AS_FAST * speed
+
+
+def samples_at_rest(values: Floats) -> int:
+    """Count the samples of a stretch before it begins to move.
+
+    Parameters
+    ----------
+    values : shape (n,), evenly sampled, without NaN, from the end where nothing may move yet
+
+    Returns
+    -------
+    Samples before the corner of a level that a straight line follows on; 0 where one straight line
+    says it as well, as for a stretch that is all rest or all motion.
+
+    Notes
+    -----
+    Least squares over all corners. The corner counts if it takes off more than 25 variances of the
+    residuals from their sum of squares, and half of it: noise remembers.
+    """
+    count = len(values)
+    if count < 5:
+        return 0
+    number = np.arange(count, dtype=np.float64)
+    centred = values - values.mean()
+    line = float(centred @ centred) - _explained(number - number.mean(), centred)
+    corners = np.unique(np.linspace(1, count - 2, min(count - 2, _CORNERS)).astype(np.int64))
+    ramps = np.clip(number - corners[:, None], 0.0, None)
+    ramps -= ramps.mean(axis=1, keepdims=True)
+    along = ramps @ centred
+    left = float(centred @ centred) - along**2 / np.sum(ramps**2, axis=1)
+    best = int(np.argmin(left))
+    variance = max(float(left[best]), 0.0) / (count - 3)
+    gain = line - float(left[best])
+    return int(corners[best]) if gain > max(_SURELY * variance, _MOSTLY * line) else 0
+
+
+def _explained(direction: Floats, values: Floats) -> float:
+    return float(direction @ values) ** 2 / float(direction @ direction)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import re
 from functools import partial
 from typing import Any
 
@@ -224,3 +226,14 @@ def test_zero_by_a_line_is_exact_however_many_samples(count: int) -> None:
     bench.raw["force"] = bench.signals["force"] = signal
     take_step(bench, MarkerBench(), made.steps[0], made)
     assert bench.signals["force"].values[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_zero_by_line_over_rest_and_motion() -> None:
+    """The machine moves from the first second on: the zero is what it stood at before."""
+    values = 0.7 + np.clip(TIME - 1.0, 0.0, None) + 1e-3 * np.sin(60.0 * TIME)
+    bench = after("{step: zero, channel: force, over: 2 s, by: line}", values)
+    (note,) = bench.notes
+    said = r"^zero at 0\.70\d+ N, the mean over the (0\.99\d?|1) s before the motion at the start$"
+    assert re.match(said, note.message)
+    assert abs(float(bench.raw["force"].values[TIME < 0.9].mean())) < 1e-3
+    assert bench.lined == {"force": (0.0, 2.0)}

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
-from labpipe.pipeline.zeros import end_level, mean_level, needed, use_rest_there_is
+from labpipe.pipeline.zeros import end_level, line_zero, mean_level, needed, use_rest_there_is
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval
@@ -172,3 +172,16 @@ def test_zeros_of_few_samples_hold(memory: float, count: int) -> None:
 def test_a_short_record_says_nothing_of_its_noise() -> None:
     assert needed(TIME[:99]) == 8
     assert needed(TIME[:100]) == 3
+
+
+@pytest.mark.parametrize("rest", [0, 2, 5, 20, 100, 199])
+@pytest.mark.parametrize("beside", [0, 400])
+def test_a_line_over_rest_and_motion(rest: int, beside: int) -> None:
+    """What the outer end of one line says is off by up to a quarter of the way."""
+    number: Floats = np.arange(200.0 + beside)
+    noise = np.random.default_rng(8).normal(0.0, 1e-3, len(number))
+    values: Floats = 0.7 + 0.01 * np.clip(number - rest, 0.0, None) + noise
+    level, error, rested = line_zero(values[:200], values[200:])
+    assert rested == (pytest.approx(rest, abs=2) if rest >= 20 and rest < 199 else rested)
+    assert abs(level - 0.7) < 4.0 * error
+    assert error < 2e-3

@@ -19,7 +19,6 @@ STILL_WRONG: dict[str, str] = {
     "shape-zero-drifts+noise": "stiffness: 10159.9 is ok, plainly 9998.6 (+1.61 %)",
     "shape-counts-down": "stiffness: failed, not_reached: the branch reaches -0 mm, 8 mm is ask...",
     "shape-compression-negative": "stiffness: failed, not_reached: the branch reaches -0 mm, 8 ...",
-    "shape-zero-line-over-rest-and-motion+noise": "peak_force.1: 100.541 is ok, plainly 99.9354...",
     "shape-begins-under-load-5%-zero-line+noise": "peak_force.1: 94.4904 is ok, plainly 100.183...",
     "shape-begins-under-load-5%+noise": "energy.1: 0.0651708 is ok, plainly 0.0666927 (-2.28 %)",
     "shape-begins-under-load-10%-zero-line+noise": "peak_force.1: 89.6053 is ok, plainly 100.18...",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.processing.oddities import moves_at_end, stretches_of, times_of
+from labpipe.processing.oddities import moves_at_end, samples_at_rest, stretches_of, times_of
 from labpipe.records.arrays import Floats
 
 TIME = np.arange(0.0, 5.0, 0.02)
@@ -47,3 +47,35 @@ def test_stretches() -> None:
     assert stretches_of(flags) == [(0, 1), (2, 4), (5, 6)]
     assert times_of(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
     assert stretches_of(np.zeros(3, dtype=np.bool_)) == []
+
+
+def stretch(rest: int, noise: float, *, count: int = 60, seed: int = 0) -> Floats:
+    """A level of 5 that a line leaves, of slope 1 per sample."""
+    line = 5.0 + np.clip(np.arange(float(count)) - rest, 0.0, None)
+    values: Floats = line + np.random.default_rng(seed).normal(0.0, noise, count)
+    return values
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+@pytest.mark.parametrize("rest", [5, 15, 30, 50])
+def test_where_a_motion_begins(noise: float, rest: int) -> None:
+    assert samples_at_rest(stretch(rest, noise)) == pytest.approx(rest, abs=2)
+    assert samples_at_rest(-stretch(rest, noise)) == pytest.approx(rest, abs=2)
+
+
+def test_all_rest_or_all_motion() -> None:
+    for seed in range(200):
+        assert samples_at_rest(stretch(60, 1.0, seed=seed)) == 0
+        assert samples_at_rest(stretch(0, 1.0, seed=seed)) == 0
+    assert samples_at_rest(np.ones(60)) == 0
+    assert samples_at_rest(np.ones(3)) == 0
+
+
+def test_a_noise_that_remembers_seldom_looks_like_a_corner() -> None:
+    found = 0
+    for seed in range(200):
+        white = np.random.default_rng(seed).normal(size=200)
+        slow = np.convolve(white, np.exp(-np.arange(40) / 5.0), mode="valid")[:100]
+        found += samples_at_rest(slow) > 0
+        assert samples_at_rest(slow + 2.0 * np.arange(100.0)) == 0
+    assert found < 20
