@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 STILL_WRONG: dict[str, str] = {
-    "shape-zero-line-over-rest-and-motion": "peak_force.1: 100.613 is ok, plainly 100 (+0.61 %)",
     "shape-begins-under-load-5%-zero-line": "peak_force.1: 94.5 is ok, plainly 100 (-5.50 %)",
     "shape-begins-under-load-5%": "energy.1: 0.0651525 is ok, plainly 0.066665 (-2.27 %)",
     "shape-begins-under-load-10%-zero-line": "peak_force.1: 89.5 is ok, plainly 100 (-10.50 %)",
