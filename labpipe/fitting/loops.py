@@ -175,6 +175,29 @@ def _reach_of_corner(values: Floats) -> float:
     return float(min(abs(up[0] - down[0]) / 2.0, *steps))
 
 
+def sense_of_loading(values: Floats) -> float:
+    """Which way a quantity goes when a specimen is loaded.
+
+    Parameters
+    ----------
+    values : shape (n,), over the first loading branch; NaN are left out
+
+    Returns
+    -------
+    -1.0 where it goes further down than up from its first value, else 1.0; where it leaves its
+    first value both ways alike, as a force that begins high and is lost does, that of the larger
+    absolute value.
+    """
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return 1.0
+    first = float(np.median(known[: max(1, len(known) // 100)]))
+    up, down = float(known.max()) - first, first - float(known.min())
+    if max(up, down) > 2.0 * min(up, down):
+        return 1.0 if up > down else -1.0
+    return 1.0 if known.max() >= -known.min() else -1.0
+
+
 def resolution(values: Floats) -> float:
     """Smallest difference between samples near the largest one that are not the same.
 

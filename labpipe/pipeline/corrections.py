@@ -14,8 +14,9 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
 from labpipe.fitting.compliance import correct_displacement
-from labpipe.fitting.estimates import Estimate, Failure, widened
+from labpipe.fitting.estimates import Estimate, Failure, scaled, widened
 from labpipe.fitting.failure import FailurePoint, LossOfForce, failure_point, final_loss
+from labpipe.fitting.loops import sense_of_loading
 from labpipe.fitting.slips import add_back, find_slips, samples_before
 from labpipe.fitting.strays import bridged, stray_samples
 from labpipe.fitting.toe import fit_slack
@@ -156,7 +157,8 @@ def _final_loss(bench: Bench, rule: LossOfForce | None) -> int | Failure | None:
     is_back = np.zeros(len(curve.time), dtype=np.bool_)
     for each in curve.branches:
         is_back[each.start : each.stop] = each.direction is Direction.UNLOADING
-    found = final_loss(curve.time[after], curve.force[after], rule, is_back[after])
+    force = _sense(curve) * curve.force[after]
+    found = final_loss(curve.time[after], force, rule, is_back[after])
     return found if isinstance(found, Failure) else found + branch.start
 
 
@@ -167,8 +169,15 @@ def _failure(
         return lost
     start = loading_before(curve, lost).start
     d, f = curve.displacement[start:], curve.force[start:]
-    found = failure_point(curve.time[start:], d, f, lost - start, rule)
-    return replace(found, sample=lost)
+    sense = _sense(curve)
+    found = failure_point(curve.time[start:], d, sense * f, lost - start, rule)
+    return replace(found, sample=lost, force=scaled(found.force, sense))
+
+
+def _sense(curve: Curve) -> float:
+    """Which way the force goes when the specimen is loaded for the first time."""
+    first = curve.branches[0]
+    return sense_of_loading(curve.force[first.start : first.stop])
 
 
 def loading_before(curve: Curve, sample: int) -> Branch:

@@ -11,7 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.loops import largest_sample, loop_energy, noise_power, secant_stiffness
+from labpipe.fitting.loops import (
+    largest_sample,
+    loop_energy,
+    noise_power,
+    secant_stiffness,
+    sense_of_loading,
+)
 from labpipe.fitting.unloading import residual_after_unloading
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import repair_error
@@ -37,7 +43,7 @@ def peak_force_of(bench: Bench, branches: list[Branch], displacement: Floats) ->
 
 def unscaled_peak(bench: Bench, branches: list[Branch]) -> Estimate | Failure:
     """Largest force of a cycle, N, without the uncertainty of zero and scale."""
-    sense = sense_of_loading(bench, curve_of(bench).force)
+    sense = sense_over(bench, curve_of(bench).force)
     values = sense * _force_of_cycle(bench, branches)
     peak = largest_sample(values, noise=_force_noise(bench, branches[0]))
     if isinstance(peak, Failure):
@@ -72,30 +78,10 @@ def _force_noise(bench: Bench, loading: Branch) -> float:
     return float(min(np.sqrt(passed * noise_power(values)), noise_level(values)))
 
 
-def sense_of_loading(bench: Bench, values: Floats) -> float:
-    """Which way a quantity goes when the specimen is loaded.
-
-    Parameters
-    ----------
-    bench : with a curve
-    values : shape (n,), of the curve
-
-    Returns
-    -------
-    -1.0 where it goes further down than up over the first loading branch, else 1.0; where it
-    leaves its first value both ways alike, as a force that begins high and is lost does, that of
-    the larger absolute value.
-    """
+def sense_over(bench: Bench, values: Floats) -> float:
+    """Which way a quantity of the curve goes when the specimen is loaded for the first time."""
     branch = curve_of(bench).branches[0]
-    known = values[branch.start : branch.stop]
-    known = known[~np.isnan(known)]
-    if not len(known):
-        return 1.0
-    first = float(np.median(known[: max(1, len(known) // 100)]))
-    up, down = float(known.max()) - first, first - float(known.min())
-    if max(up, down) > 2.0 * min(up, down):
-        return 1.0 if up > down else -1.0
-    return 1.0 if known.max() >= -known.min() else -1.0
+    return sense_of_loading(values[branch.start : branch.stop])
 
 
 def peak_displacement_of(
@@ -103,7 +89,7 @@ def peak_displacement_of(
 ) -> Estimate | Failure:
     """Largest displacement of a cycle in the sense of loading, m."""
     signal = bench.signals[bench.displacement]
-    sense = sense_of_loading(bench, displacement)
+    sense = sense_over(bench, displacement)
     values = sense * displacement[stretch_of_cycle(bench, branches)]
     found = largest_sample(values, noise=noise_level(values))
     if isinstance(found, Failure):
@@ -178,7 +164,7 @@ def unloading_stiffness_of(
     """Stiffness of the unloading branch from one distance off its beginning to another, N/m."""
     if len(branches) < 2:
         return Failure("partial_cycle", "the cycle has no unloading branch")
-    sense = sense_of_loading(bench, displacement)
+    sense = sense_over(bench, displacement)
     turn = _value_at_start(curve_of(bench).time, sense * displacement, branches[1])
     found = stiffness_over(bench, branches[1], turn - sense * displacement, low, high)
     if isinstance(found, Failure):
@@ -246,13 +232,15 @@ def curve_of(bench: Bench) -> Curve:
 def stretch_of_cycle(bench: Bench, branches: list[Branch]) -> slice:
     """Samples of the curve from the start of a cycle to its end, both turning samples included.
 
-    A last loading without an unloading lasts as long as the record: what is held belongs to it.
+    A last loading without an unloading lasts as long as force is known: what is held belongs to it.
     """
     curve, last = curve_of(bench), branches[-1]
     if last != curve.branches[-1]:
         return slice(branches[0].start, last.stop + 1)
-    is_open = last.direction is Direction.LOADING
-    return slice(branches[0].start, len(curve.time) if is_open else last.stop)
+    if last.direction is Direction.UNLOADING:
+        return slice(branches[0].start, last.stop)
+    known = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
+    return slice(branches[0].start, max(known, last.stop))
 
 
 def _clock_error(bench: Bench) -> float:

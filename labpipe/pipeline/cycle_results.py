@@ -23,7 +23,7 @@ from labpipe.pipeline.cycle_numbers import (
     peak_displacement_of,
     peak_force_of,
     residual_of,
-    sense_of_loading,
+    sense_over,
     stretch_of_cycle,
     unloading_stiffness_of,
 )
@@ -176,7 +176,7 @@ def _gap_in_displacement(bench: Bench, branches: list[Branch]) -> str:
 def _gap(bench: Bench, branches: list[Branch], values: Floats, what: str) -> str:
     """Why the largest sample of a cycle is doubtful: those beside it are missing."""
     over = values[stretch_of_cycle(bench, branches)]
-    if not gap_at_top(sense_of_loading(bench, values) * over):
+    if not gap_at_top(sense_over(bench, values) * over):
         return ""
     return f"gap_at_peak: samples beside the largest {what} of the cycle are missing"
 
@@ -222,7 +222,7 @@ def broken_off(
 def _is_past_its_peak(bench: Bench, part: Branch) -> bool:
     """Whether the force had surely fallen again when the record ended."""
     force = curve_of(bench).force
-    known = (sense_of_loading(bench, force) * force)[part.start : part.stop]
+    known = (sense_over(bench, force) * force)[part.start : part.stop]
     known = known[~np.isnan(known)]
     return len(known) > 0 and bool(known[-3:].max() < _PAST * known.max())
 

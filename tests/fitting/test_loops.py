@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.fitting.loops import largest_sample, loop_energy, resolution, secant_stiffness
+from labpipe.fitting.loops import (
+    largest_sample,
+    loop_energy,
+    resolution,
+    secant_stiffness,
+    sense_of_loading,
+)
 from labpipe.records.arrays import Floats
 
 STIFFNESS = 20.0
@@ -119,6 +125,20 @@ def test_resolution_is_what_the_file_rounds_to() -> None:
     assert resolution(values) == pytest.approx(0.01)
     assert resolution(np.ones(5)) == 0.0
     assert value(largest_sample(values, noise=0.0)).error >= 0.999 * 0.005 / np.sqrt(3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "sense"),
+    [
+        ([0.0, 50.0, 100.0, 0.0], 1.0),
+        ([0.0, -50.0, -100.0], -1.0),
+        ([50.0, 75.0, 100.0, 0.0], 1.0),
+        ([np.nan, -20.0, 15.0], 1.0),
+        ([np.nan], 1.0),
+    ],
+)
+def test_sense_of_loading(values: list[float], sense: float) -> None:
+    assert sense_of_loading(np.array(values)) == sense
 
 
 def test_no_sample() -> None:
