@@ -147,7 +147,7 @@ def specimen_frame(
     if clamp_lab is None:
         return _frame_of_chain(markers_lab, rest, out_of_plane_limit)
     relative = markers_lab - clamp_lab[:, None]
-    origin = _mean(clamp_lab[rest], "clamp at rest")
+    origin = _mean(clamp_lab[rest], "the clamp")
     path = clamp_lab if moving is None else clamp_lab[moving]
     travel, travel_residual = _travel(path, origin)
     across = relative - (relative @ travel)[..., None] * travel
@@ -164,8 +164,8 @@ def _frame_of_chain(markers_lab: Floats, rest: Selection, limit: float) -> Speci
     extents = [float(np.nanstd(markers_lab[:, end], axis=0).sum()) for end in ends]
     first = int(ends[int(np.argmin(extents))])
     order = _order(distances, distances[first])
-    origin = _mean(markers_lab[rest, order[0]], "first marker at rest")
-    tip = _mean(markers_lab[rest, order[-1]], "last marker at rest")
+    origin = _mean(markers_lab[rest, order[0]], "the marker nearest the clamped end")
+    tip = _mean(markers_lab[rest, order[-1]], "the marker nearest the tip")
     x = _direction(tip - origin, "chain at rest")
     swing = markers_lab[:, order[-1]] - tip
     y, _ = _spread(swing - (swing @ x)[:, None] * x, x)
@@ -242,7 +242,10 @@ def _order(distances: Floats, reach: Floats) -> tuple[int, ...]:
 def _mean(points: Floats, name: str) -> Floats:
     seen = points[np.isfinite(points).all(axis=-1)]
     if not len(seen):
-        message = f"{name}: expected a position in some frame, found none"
+        message = (
+            f"{name} is seen in no frame of the stretch at rest: make it ('over') longer, "
+            "or mend the labels of the take"
+        )
         raise ValueError(message)
     return np.asarray(seen.mean(axis=0), dtype=np.float64)
 

@@ -45,7 +45,10 @@ class Block(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _in_our_words(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Collect the faults within the parts and between them; the first at a place is told."""
+        """Collect the faults within the parts and between them; the first at a place is told.
+
+        A key that should not be there at all is told as such, not by what is wrong with its value.
+        """
         between = cls.between(data)
         within: list[Fault] = []
         try:
@@ -55,6 +58,8 @@ class Block(BaseModel):
         else:
             if not between:
                 return block
+        misspelt = {fault.path for fault in between if fault.at == "key"}
+        within = [fault for fault in within if fault.path not in misspelt]
         told = {fault.path for fault in within}
         raise raised([*within, *(fault for fault in between if fault.path not in told)], data)
 

@@ -18,6 +18,8 @@ KeyPath: TypeAlias = tuple[str | int, ...]
 At: TypeAlias = Literal["key", "value"]
 
 _TYPE = "labpipe"
+_SHOWN = 200
+"""Signs of a value that a message shows."""
 _EXPECTED = {
     "model_type": "a block of keys with values",
     "model_attributes_type": "a block of keys with values",
@@ -78,7 +80,8 @@ def shown(value: object) -> str:
         return "a block of keys" if value else "an empty block"
     if isinstance(value, Sequence) and not isinstance(value, str):
         return "a list" if value else "an empty list"
-    return repr(str(value))
+    text = str(value)
+    return repr(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
 
 
 def error_of(*, expected: str, found: object, remedy: str = "") -> PydanticCustomError:

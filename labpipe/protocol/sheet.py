@@ -12,15 +12,19 @@ from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.bundle import SheetBundle
-from labpipe.protocol.faults import Fault, did_you_mean, error_of
+from labpipe.protocol.faults import Fault, did_you_mean, error_of, shown
 from labpipe.protocol.quantities import (
     Length,
 )
 from labpipe.protocol.source import Role
 from labpipe.protocol.words import FileStem, Line, Remark, Snake, Text, file_inside
 from labpipe.records.result import Specimen
+from labpipe.units import parse_quantity
 
 SHEET_NAME = "test.yaml"
+_NAME = r"[a-z][a-z0-9_]*"
+_BARE = r"\s*[-+]?[0-9.]+([eE][-+]?[0-9]+)?\s*"
+"""A number without a unit."""
 
 
 def _nothing_is_empty(value: object) -> object:
@@ -62,6 +66,12 @@ class SheetSpecimen(Block):
             return []
         known = [*cls.keys(), "span"]
         faults = [_misspelt(str(key), known) for key in data if _is_misspelt(str(key), known)]
+        misspelt = {fault.path[0] for fault in faults}
+        faults += [
+            _no_dimension(str(key), value)
+            for key, value in data.items()
+            if key not in misspelt and key not in known and _is_no_length(value)
+        ]
         labels = data.get("labels")
         taken = [key for key in labels if key in known] if isinstance(labels, Mapping) else []
         return faults + [_taken(key) for key in taken]
@@ -70,14 +80,33 @@ class SheetSpecimen(Block):
 def _is_misspelt(key: str, known: list[str]) -> bool:
     if key in known:
         return False
-    if re.fullmatch(r"[a-z][a-z0-9_]*", key) is None:
+    if re.fullmatch(_NAME, key) is None:
         return True
     return bool(difflib.get_close_matches(key, known, n=1, cutoff=0.8))
 
 
 def _misspelt(key: str, known: list[str]) -> Fault:
+    small = re.sub(r"\W+", "_", key.casefold())
+    remedy = did_you_mean(key, known)
+    if small != key and re.fullmatch(_NAME, small):
+        remedy = f"Write it as {small!r}."
     expected = "a known key, or the name of a dimension in small letters"
-    return Fault((key,), expected, repr(key), did_you_mean(key, known), "key")
+    return Fault((key,), expected, repr(key), remedy, "key")
+
+
+def _is_no_length(value: object) -> bool:
+    """Tell a word, or a quantity that is no length: a label rather than a dimension."""
+    try:
+        parse_quantity(value, "m")
+    except ValueError:
+        return isinstance(value, str) and re.fullmatch(_BARE, value) is None
+    return False
+
+
+def _no_dimension(key: str, value: object) -> Fault:
+    expected = "a dimension, which is a length with its unit such as '2 mm'"
+    remedy = f"Write other words on the specimen as 'labels: {{{key}: {value}}}'."
+    return Fault((key,), expected, shown(value), remedy, "key")
 
 
 def _taken(key: str) -> Fault:

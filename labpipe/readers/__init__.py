@@ -90,14 +90,15 @@ def recognise_export(path: Path) -> Reader:
             return reader
     if is_workbook(path):
         open_sheets(path)  # where it cannot be opened at all, that is what is wrong
-    from labpipe.readers.strangers import name_format
+    from labpipe.readers.strangers import recognise_stranger
 
+    stranger = recognise_stranger(path)
     text = complaint(
         path,
         "",
         expected=f"an export of a known format ({', '.join(READERS)})",
-        found=name_format(path),
-        remedy="Export the recording in one of these formats.",
+        found=stranger.what,
+        remedy=stranger.remedy,
     )
     raise ReadError(text)
 

@@ -140,7 +140,9 @@ def test_a_clamp_not_seen_at_rest_is_refused() -> None:
     take = wire_take()
     clamp = take.clamp.copy()
     clamp[REST] = np.nan
-    with pytest.raises(ValueError, match="clamp at rest: expected a position in some frame"):
+    with pytest.raises(
+        ValueError, match="the clamp is seen in no frame of the stretch at rest: make it"
+    ):
         frame_of(WireTake(take.tracks, clamp))
 
 

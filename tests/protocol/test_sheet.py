@@ -102,7 +102,27 @@ def test_a_path_that_leaves_the_folder_is_refused(name: str) -> None:
             "width:",
             "Width:",
             "x, line 3, column 63 (specimen.Width): expected a known key, or the name of a"
-            " dimension in small letters, found 'Width'. Did you mean 'length'?",
+            " dimension in small letters, found 'Width'. Write it as 'width'.",
+        ),
+        (
+            "spool: A2-s1",
+            "spol: A2-s1",
+            "x, line 3, column 22 (specimen.spol): expected a known key, or the name of a dimension"
+            " in small letters, found 'spol'. Did you mean 'spool'?",
+        ),
+        (
+            "width: 2 mm",
+            "colour: red",
+            "x, line 3, column 63 (specimen.colour): expected a dimension, which is a length with"
+            " its unit such as '2 mm', found 'red'. Write other words on the specimen as 'labels:"
+            " {colour: red}'.",
+        ),
+        (
+            "width: 2 mm",
+            "weight: 3 g",
+            "x, line 3, column 63 (specimen.weight): expected a dimension, which is a length with"
+            " its unit such as '2 mm', found '3 g'. Write other words on the specimen as 'labels:"
+            " {weight: 3 g}'.",
         ),
         (
             "width: 2 mm",
