@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from functools import cache
+from math import isfinite
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -201,6 +202,10 @@ def whole_number(text: str) -> int | None:
     return int(text) if text.isdecimal() and len(text) <= _MOST_DIGITS else None
 
 
+class NotFiniteError(ValueError):
+    """A number is too large to be one."""
+
+
 def parse_quantity(text: object, si_unit: str) -> float:
     """Read a quantity written with its unit, such as ``53 mm``, into SI.
 
@@ -216,7 +221,8 @@ def parse_quantity(text: object, si_unit: str) -> float:
     Raises
     ------
     ValueError
-        If the unit is missing, unknown, or of the wrong dimension, or the number is no number.
+        If the unit is missing, unknown, or of the wrong dimension, or the number is no number or
+        not finite.
 
     Examples
     --------
@@ -234,4 +240,8 @@ def parse_quantity(text: object, si_unit: str) -> float:
         message = f"expected a unit of the dimension of {si_unit}, found none in {text!r}"
         raise ValueError(message)
     # 12 digits: 53 mm is 0.053 m, not 0.053000000000000005
-    return float(f"{float(number) * si_factor(unit or '1', si_unit):.12g}")
+    value = float(f"{float(number) * si_factor(unit or '1', si_unit):.12g}")
+    if not isfinite(value):
+        message = f"expected a number that is finite, found {text!r}"
+        raise NotFiniteError(message)
+    return value

@@ -43,6 +43,8 @@ def test_quantities(text: object, unit: str, value: float) -> None:
         ("mm", "m", "expected a number with a unit such as '1 m', found 'mm'"),
         ("", "m", "expected a number with a unit such as '1 m', found ''"),
         (True, "1", "expected a number with a unit such as '1 1', found True"),
+        ("1e999 m", "m", "expected a number that is finite, found '1e999 m'"),
+        ("1e307 kHz", "1/s", "expected a number that is finite, found '1e307 kHz'"),
         ("nan m", "m", "expected a number with a unit such as '1 m', found 'nan m'"),
         ("1 m)", "m", "expected a unit such as m"),
     ],

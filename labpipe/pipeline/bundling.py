@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -137,7 +138,8 @@ def _check_arrangement(arrangement: str | None) -> None:
 def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
     """Name and composition, from a test sheet or from words."""
     path = Path(what)
-    path = path / SHEET_NAME if path.is_dir() else path
+    with suppress(OSError):  # words that are too long for a name
+        path = path / SHEET_NAME if path.is_dir() else path
     if path.suffix not in (".yaml", ".yml"):
         bundle = bundle_in_words(what, arrangement=arrangement or PACKED)
         name = bundle.composition.replace(" + ", " ")

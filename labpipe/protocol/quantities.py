@@ -14,7 +14,7 @@ from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.faults import error_of
-from labpipe.units import parse_quantity, si_factor
+from labpipe.units import NotFiniteError, parse_quantity, si_factor
 
 SI_UNITS: Final = MappingProxyType(
     {
@@ -80,6 +80,8 @@ class Quantity:
         """
         try:
             value = parse_quantity(text, self.unit)
+        except NotFiniteError as error:
+            raise error_of(expected=f"a {self._meaning} {self._range}", found=text) from error
         except ValueError as error:
             remedy = f"Write it with its unit, such as {self.example!r}."
             raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy) from error
@@ -90,7 +92,7 @@ class Quantity:
                 remedy=f"Write it such as {self.example!r}.",
             )
         too_small = value < self.least or (self.above is not None and value <= self.above)
-        if too_small or value > self.most or not math.isfinite(value):
+        if too_small or value > self.most:
             raise error_of(expected=f"a {self._meaning} {self._range}", found=text)
         return value
 

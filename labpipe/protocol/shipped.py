@@ -58,7 +58,7 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     """
     if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
         places = [beside / wanted, Path(wanted)]
-        files = [place for place in places if place.is_file()]
+        files = [place for place in places if _is_file(place)]
         remedy = f"There is none at {' or '.join(map(str, places))}."
         return files[0] if files else Fault(("protocol",), "a protocol", repr(wanted), remedy)
     known = known_protocols(protocols)
@@ -67,3 +67,10 @@ def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -
     expected = f"one of the protocols {one_of(wanted, known)}" if known else "a protocol"
     remedy = did_you_mean(wanted, known) or "There is no folder 'protocols' here."
     return Fault(("protocol",), expected, repr(wanted), remedy)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False

@@ -93,6 +93,7 @@ def test_a_test_sheet(tmp_path: Path) -> None:
         ("7 B9", UsageError, r"expected a row for each wire of the bundle, B9 too, found rows for "
          r"A1, .*\. Add the row, or name another wire sheet with --wire\.$"),
         ("B1 seven", UsageError, r"^B1 seven: expected wires by type"),
+        (f"{'9' * 500} B1", UsageError, r"expected a whole number from 1 to 1000"),
         ("nowhere/test.yaml", LabpipeError, r"nowhere/test\.yaml: expected "),
     ],
 )  # fmt: skip

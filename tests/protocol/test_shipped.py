@@ -60,6 +60,13 @@ def test_a_path_is_sought_beside_the_sheet_and_then_from_here(
     )
 
 
+def test_a_path_that_is_too_long(tmp_path: Path) -> None:
+    name = "a/" * 3000 + "own.yaml"
+    found = find_protocol(name, beside=tmp_path)
+    assert isinstance(found, Fault)
+    assert found.remedy.startswith("There is none at ")
+
+
 def test_a_lab_without_any_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("labpipe.protocol.shipped.known_protocols", lambda _: {})
 
