@@ -114,6 +114,8 @@ _COHERENT = {
 }
 """What the plain units are in coherent ones, so that it is known what they are not."""
 
+_TOWER = re.compile(r"(\*\*|\^)[-+\s(]*\d[\d.)\s]*(\*\*|\^)|(\*\*|\^)[-+\s(]*\d{3,}")
+"""A power of a power, or to the hundredth or more: no unit is written so."""
 _MOST_DIGITS = 18
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*?)\s*")
 
@@ -161,6 +163,9 @@ def si_factor(unit: str, si_unit: str) -> float:
         if coherent != unit and (coherent == si_unit or (coherent, si_unit) in _PLAIN):
             return quick * si_factor(coherent, si_unit)
         raise ValueError(_other_dimension(unit, si_unit))
+    if _TOWER.search(unit):  # pint would work it out: 9**9**9 has 369 693 100 digits
+        message = f"expected a unit such as {si_unit}, found {unit!r}"
+        raise ValueError(message)
     import pint
 
     registry = _registry()
