@@ -219,7 +219,7 @@ def _channel_faults(
     try:
         channel = select_channel(recording, wanted.channel, path)
     except NoChannelError as error:
-        yield where_to_name(error, source)
+        yield where_to_name(error, source, path)
         return
     if fault := unit_fault(channel, wanted, path):
         yield fault

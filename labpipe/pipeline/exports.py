@@ -24,6 +24,9 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import InputFile
 
+_LISTED = 8
+"""Specimens that a message lists."""
+
 
 def read_inputs(
     folder: Path, sheet: TestSheet, protocol: Protocol
@@ -126,17 +129,29 @@ def read_role(path: Path, source: Source) -> Recording:
         )
         return recording if is_empty(recording) else name_channels(recording, source, path)
     except NoChannelError as error:
-        raise ReadError(where_to_name(error, source)) from error
+        raise ReadError(where_to_name(error, source, path)) from error
 
 
-def where_to_name(error: NoChannelError, source: Source) -> str:
-    """Say with which key a test sheet names a channel that was not found.
+def where_to_name(error: NoChannelError, source: Source, path: Path) -> str:
+    """Say with which key a test sheet names a channel that was not found, or its specimen.
 
     Parameters
     ----------
     error : of the channel
     source : of the protocol
+    path : of the export
     """
+    if error.parts:
+        listed = ", ".join(map(repr, error.parts[:_LISTED]))
+        more = " ..." if len(error.parts) > _LISTED else ""
+        part = in_test_sheet(f"{source.key}.part", error.parts[0])
+        return complaint(
+            path,
+            "",
+            expected="one specimen",
+            found=f"{len(error.parts)}: {listed}{more}",
+            remedy=f"Choose one with {part}.",
+        )
     keys = [each.key for each in source.all_channels.values() if each.channel == error.wanted]
     name = in_test_sheet(f"{keys[0]}.channel", "...") if keys else ""
     return f"{error} Name the right one with {name}." if keys else str(error)

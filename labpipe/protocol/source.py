@@ -184,9 +184,14 @@ class Source(Block):
     _role: str = PrivateAttr("")
 
     @property
+    def key(self) -> str:
+        """Dotted key of the source, as an override begins: ``sources.frame``."""
+        return f"sources.{self._role}"
+
+    @property
     def all_channels(self) -> dict[str, ChannelSource]:
         """The channels by name, however they were written; empty for marker tracks."""
-        key = f"sources.{self._role}"
+        key = self.key
         if self.channel is not None:
             single = ChannelSource(
                 channel=self.channel,

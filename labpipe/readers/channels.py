@@ -27,15 +27,17 @@ class NoChannelError(ReadError):
     ----------
     message : for people
     wanted : the names that were asked for
+    parts : the specimens or sheets of a load frame's export that each have such a channel; empty
+        where that is not why
     """
 
-    def __init__(self, message: str, wanted: tuple[str, ...]) -> None:
+    def __init__(self, message: str, wanted: tuple[str, ...], parts: tuple[str, ...] = ()) -> None:
         super().__init__(message)
-        self.wanted = wanted
+        self.wanted, self.parts = wanted, parts
 
-    def __reduce__(self) -> tuple[type[NoChannelError], tuple[str, tuple[str, ...]]]:
+    def __reduce__(self) -> tuple[type[NoChannelError], tuple[object, ...]]:
         """Let it pass from one process to another."""
-        return type(self), (str(self), self.wanted)
+        return type(self), (str(self), self.wanted, self.parts)
 
 
 def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channel:
@@ -60,8 +62,44 @@ def select_channel(recording: Recording, wanted: Wanted, file: object) -> Channe
     NoChannelError
         If no channel is meant by that name (the nearest are listed), or more than one.
     """
-    known = [(channel.name, channel.path) for channel in recording.channels]
-    return recording.channels[find_channel(wanted, known, file)]
+    if recording.reader == "load-frame":
+        (found,) = find_in_parts([wanted], recording.channels, file)
+    else:
+        known = [(channel.name, channel.path) for channel in recording.channels]
+        found = find_channel(wanted, known, file)
+    return recording.channels[found]
+
+
+def find_in_parts(wanted: Sequence[Wanted], channels: Sequence[Channel], file: object) -> list[int]:
+    """Find channels among those of a load frame's export, whose specimens have a clock each.
+
+    Parameters
+    ----------
+    wanted : as for `select_channel`
+    channels : of all specimens
+    file : named in the errors
+
+    Returns
+    -------
+    Their indices.
+
+    Raises
+    ------
+    NoChannelError
+        As `find_channel`; with the specimens that have the channel where several do.
+    """
+    known = [(channel.name, channel.path) for channel in channels]
+    try:
+        return [find_channel(each, known, file) for each in wanted]
+    except NoChannelError as error:
+        clocks = dict.fromkeys(channel.clock for channel in channels)
+        parts = tuple(part for part in clocks if _has(error.wanted, part, channels))
+        raise NoChannelError(str(error), error.wanted, parts if len(parts) > 1 else ()) from error
+
+
+def _has(wanted: tuple[str, ...], part: str, channels: Sequence[Channel]) -> bool:
+    names = [(each.name, each.name) for each in channels if each.clock == part]
+    return any(meant(name, names) for meant in (_meant, _meant_loosely) for name in wanted)
 
 
 def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object) -> int:

@@ -20,6 +20,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
+from tests.builders.load_frames import trapezium
 from tests.builders.small_tests import Lab
 
 ReadParts = Callable[..., Recording]
@@ -204,3 +205,34 @@ def test_parts_without_time_have_no_order() -> None:
     )
     with pytest.raises(ReadError, match=said):
         join_parts([part(0.0), rows], ["a.txt", "b.txt"])
+
+
+SPECIMENS = """\
+version: 1
+name: p
+sources: {frame: {reader: load-frame, channels: {force: {channel: [Load, Force]}}}}
+"""
+
+
+def test_one_of_several_specimens_is_to_be_chosen(tmp_path: Path) -> None:
+    path = tmp_path / "pulls.csv"
+    path.write_bytes(trapezium((40, 25, 3)))
+    source = parse_protocol(SPECIMENS, "p.yaml").sources["frame"]
+    with pytest.raises(ReadError) as refused:
+        read_role(path, source)
+    assert str(refused.value) == (
+        f"{path}: expected one specimen, found 3: 'C1', 'C2', 'C3'. Choose one with"
+        " 'sources.frame.part: {value: C1, because: ...}' under 'overrides' in test.yaml."
+    )
+    chosen = source.model_copy(update={"part": "C2"})
+    assert len(read_role(path, chosen).channels[0].values) == 25
+
+
+def test_a_channel_that_no_specimen_has(tmp_path: Path) -> None:
+    path = tmp_path / "pulls.csv"
+    path.write_bytes(trapezium((40, 25)))
+    text = SPECIMENS.replace("[Load, Force]", "Kraft")
+    with pytest.raises(
+        ReadError, match=r"found no such channel.*sources\.frame\.channels\.force\.c"
+    ):
+        read_role(path, parse_protocol(text, "p.yaml").sources["frame"])

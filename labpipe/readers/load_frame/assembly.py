@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.channels import Wanted, find_channel
+from labpipe.readers.channels import Wanted, find_in_parts
 from labpipe.readers.clocks import clock_notes
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.table import FEW, Export, Table, time_column, unique_names
@@ -85,10 +85,9 @@ def _metadata(export: Export, card: Card, parts: Sequence[_Part]) -> dict[str, o
 
 
 def _chosen(made: list[Channel], wanted: Sequence[Wanted], path: object) -> list[Channel]:
-    known = [(channel.name, channel.path) for channel in made]
-    if not known:
+    if not made:
         return []
-    return [made[i] for i in sorted({find_channel(name, known, path) for name in wanted})]
+    return [made[i] for i in sorted(set(find_in_parts(wanted, made, path)))]
 
 
 def _part(table: Table, card: Card, path: object, *, several: bool) -> _Part:
