@@ -54,6 +54,32 @@ def complaint(file: object, place: str, *, expected: str, found: str, remedy: st
     return f"{where}: expected {expected}, found {found}. {remedy}"
 
 
+def refusal(error: OSError) -> str:
+    """Word what the operating system refuses.
+
+    Parameters
+    ----------
+    error : as it was raised
+
+    Returns
+    -------
+    The message.
+
+    Examples
+    --------
+    >>> refusal(OSError(36, "File name too long", "xxx"))
+    'xxx: expected a file that can be used, found file name too long. Check the path and the disk.'
+    """
+    found = (error.strerror or str(error) or type(error).__name__).lower()
+    return complaint(
+        error.filename or "files",
+        "",
+        expected="a file that can be used",
+        found=found,
+        remedy="Check the path and the disk.",
+    )
+
+
 def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
     """Sort known words so that those most like `word` come first.
 

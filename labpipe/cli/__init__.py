@@ -16,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import LabpipeError
+from labpipe.errors import LabpipeError, refusal
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -85,6 +85,9 @@ def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lam
         # The reader of a pipe went away; what Python would flush at exit has nowhere to go.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except OSError as error:
+        print(f"labpipe {options.command}: {refusal(error)}", file=sys.stderr)
+        return BAD_INPUT
 
 
 def _spare_the_collector() -> None:

@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
-from labpipe.errors import LabpipeError, ProcessingError, complaint
+from labpipe.errors import LabpipeError, ProcessingError, complaint, refusal
 from labpipe.pipeline.process import Processed, goal_of, name_of, process_test
 from labpipe.pipeline.targets import refuse_repeated
 from labpipe.pipeline.workers import Died, in_processes
@@ -126,6 +126,8 @@ def _process(
         return Refused(test, str(error))
     except MemoryError:
         return Refused(test, _too_large(test))
+    except OSError as error:
+        return Refused(test, f"{test}: {refusal(error)}")
     result = replace(done.result, recordings={}, aligned=None, curve=None, shape=None, bending=None)
     return replace(done, result=result)
 

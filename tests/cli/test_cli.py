@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -178,3 +179,11 @@ def test_a_name_that_the_terminal_cannot_show(lab: Lab) -> None:
         env=os.environ | {"PYTHONIOENCODING": "ascii"},
     )
     assert (ended.returncode, ended.stdout[:10]) == (0, b"T\\u529b1  ")
+
+
+@pytest.mark.parametrize("command", ["process", "report", "bundle", "model", "inspect", "check"])
+def test_a_path_that_no_system_takes(run: Run, command: str) -> None:
+    ran = run(command, "x" * 300)
+    assert ran.status == 2
+    assert "Traceback" not in ran.err
+    assert re.search("File name too long|file name too long|nothing of that name", ran.err)
