@@ -198,6 +198,8 @@ def _falls(pull: Pull, min_drop: float) -> list[Fall]:
 def _seen(f: Floats, min_drop: float) -> Floats:
     """How distinct a fall behind each sample is: more than 1 is worth a look."""
     best = np.zeros(len(f))
+    if not np.ptp(f) > 0.0:
+        return best
     for window in (scale for scale in _SCALES if 8 * scale <= len(f)):
         size = _sizes(f, window)
         spread = max(MAD * median(np.abs(size)), 1e-9 * float(np.ptp(f)))

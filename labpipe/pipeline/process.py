@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import get_args
 
+import numpy as np
+
 from labpipe import __version__
 from labpipe.errors import ProcessingError, StoreError, complaint
 from labpipe.pipeline.exports import read_inputs
@@ -20,7 +22,9 @@ from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol
 from labpipe.protocol.rig import FigureName
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.words import is_name_of_a_test
+from labpipe.records.arrays import Floats
 from labpipe.records.bending import Bending
+from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.lock import locked
 from labpipe.store.read import RawTest, read_name, read_raw, read_run
@@ -227,7 +231,37 @@ def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
             remedy="Process the test again from its exports.",
         )
         raise StoreError(message)
-    return raw, parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
+    protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
+    _require_fitting(raw, protocol, result_path)
+    return raw, protocol
+
+
+def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> None:
+    """Refuse a raw group that is not that of its protocol, or whose times no reader would take."""
+    for role, source in protocol.sources.items():
+        recording = raw.recordings.get(role, Recording(""))
+        names = [channel.name for channel in recording.channels]
+        missing = sorted(set(source.all_channels) - set(names))
+        if missing or role not in raw.recordings:
+            expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
+            found = ", ".join(map(repr, names)) or "none"
+        elif not all(map(_goes_on, _times(recording))):
+            expected, found = "times that go on", "some that go back, or are no numbers"
+        else:
+            continue
+        remedy = "Process the test again from its exports."
+        place = f"raw/{role}"
+        text = complaint(result_path, place, expected=expected, found=found, remedy=remedy)
+        raise StoreError(text)
+
+
+def _times(recording: Recording) -> list[Floats]:
+    tracks = [] if recording.markers is None else [recording.markers.time]
+    return [*(clock.time for clock in recording.clocks), *tracks]
+
+
+def _goes_on(time: Floats) -> bool:
+    return bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all())
 
 
 def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:

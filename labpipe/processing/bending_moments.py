@@ -46,7 +46,7 @@ class TipPull:
 
         Returns
         -------
-        shape (n, 2), N, along x and y.
+        shape (n, 2), N, along x and y; NaN where the tip is farther than the string is long.
 
         Notes
         -----
@@ -55,7 +55,8 @@ class TipPull:
         """
         tension = reading + self.tension_at_rest
         lean = np.zeros_like(tip) if self.string is None else (self.anchor - tip) / self.string
-        across = tension * np.sqrt(1.0 - lean**2) - self.weight
+        across = tension * np.sqrt(np.where(np.abs(lean) <= 1.0, 1.0 - lean**2, np.nan))
+        across -= self.weight
         return np.stack([tension * lean, across], axis=-1)
 
 

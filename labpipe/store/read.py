@@ -204,12 +204,17 @@ def _outcome(root: Any) -> dict[str, Any]:
         "curve": None if curve is None else _curve(curve),
         "results": _results(root[layout.RESULTS]),
         "quality": read_notes(root[layout.QUALITY]),
-        "display": json.loads(text(root, layout.DISPLAY)),
+        "display": _display(root),
         "run": _run(root),
         "figures": texts(root, layout.FIGURES),
         "slips": () if curve is None else _slips(curve),
         "lines": () if curve is None else _lines(curve),
     }
+
+
+def _display(root: Any) -> dict[str, str]:
+    said = json.loads(text(root, layout.DISPLAY))
+    return {str(quantity): str(unit) for quantity, unit in said.items()}
 
 
 def _inputs(raw: Any) -> tuple[InputFile, ...]:

@@ -97,16 +97,34 @@ def read_recording(group: Any) -> Recording:
     ------
     StoreError
         If a dataset has another unit, axis or number type than the layout says.
+    KeyError, ValueError
+        If a channel has no clock, or it or a body is not as long as its times.
     """
     has_markers = layout.MARKERS in group
-    return Recording(
+    recording = Recording(
         **{name: text(group, name) for name in layout.RECORDING_TEXTS},
         clocks=tuple(_clock(group, name) for name in texts(group, "clocks")),
         channels=tuple(_channel(group, name) for name in texts(group, "channels")),
         markers=_markers(group) if has_markers else None,
-        metadata=json.loads(text(group, layout.METADATA)),
+        metadata=dict(json.loads(text(group, layout.METADATA)).items()),
         notes=read_notes(group[layout.NOTES]),
     )
+    _require_alike(recording)
+    return recording
+
+
+def _require_alike(recording: Recording) -> None:
+    """Refuse, with a ValueError, what is not as long as its times."""
+    pairs = [
+        (each.name, each.values, recording.clock(each.clock).time) for each in recording.channels
+    ]
+    if recording.markers is not None:
+        time = recording.markers.time
+        pairs += [(body.name, body.position, time) for body in recording.markers.bodies]
+    for name, values, time in pairs:
+        if len(values) != len(time):
+            message = f"{name} has {len(values)} values at {len(time)} times"
+            raise ValueError(message)
 
 
 def _clock(group: Any, name: str) -> Clock:

@@ -62,6 +62,11 @@ def test_small_drops_are_not_looked_at() -> None:
     assert found(SMOOTH - 0.47 * (D > 0.02) + noise(), min_drop=1.0) == ()
 
 
+def test_a_force_that_never_changes() -> None:
+    for force in (0.0, 3.0):
+        assert found(np.full(len(D), force)) == ()
+
+
 def test_too_few_samples() -> None:
     few = find_slips(D[:20], SMOOTH[:20], min_drop=0.2, decision=SlipDecision.MARKED)
     assert few == Failure("too_few_samples", "20 samples in the branch, 64 are needed")

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -103,3 +104,23 @@ def test_a_name_that_leads_elsewhere(lab: Lab, tmp_path: Path, name: str) -> Non
         with pytest.raises(StoreError, match=said):
             process_test(lab.result, out=out, figures=False)
     assert state(tmp_path) == before
+
+
+def test_a_raw_group_that_is_not_that_of_the_protocol(lab: Lab) -> None:
+    import h5py
+
+    process_test(lab.sheet, figures=False)
+    with h5py.File(lab.result, "r+") as opened:
+        opened["raw/force/force"].attrs["name"] = "farce"
+    said = r"raw/force: expected the channels of its protocol, force, found 'farce'\. Process"
+    with pytest.raises(StoreError, match=said):
+        process_test(lab.result, figures=False)
+    with h5py.File(lab.result, "r+") as opened:
+        opened["raw/force/force"].attrs["name"] = "force"
+        opened["raw/markers/markers/time"][3] = np.inf
+    with pytest.raises(StoreError, match=r"raw/markers: expected times that go on, found some"):
+        process_test(lab.result, figures=False)
+    with h5py.File(lab.result, "r+") as opened:
+        opened["raw"].attrs.create("roles", ["markers"], dtype=h5py.string_dtype())
+    with pytest.raises(StoreError, match=r"raw/force: expected the channels .*, found none"):
+        process_test(lab.result, figures=False)

@@ -45,6 +45,12 @@ def test_a_string_leans_towards_its_anchor() -> None:
     assert force[0] == pytest.approx([2.0 * 0.06, 2.0 * np.sqrt(1.0 - 0.06**2)])
 
 
+def test_a_string_that_does_not_reach() -> None:
+    pull = TipPull(string=0.5, weight=0.0, tension_at_rest=0.0, anchor=0.08)
+    force = pull.force(np.array([2.0, 2.0]), np.array([0.08, -0.45]))
+    assert np.isnan(force[:, 1]).tolist() == [False, True]
+
+
 def test_without_a_string_the_force_is_normal_to_the_axis() -> None:
     force = TipPull(None, 0.0, 0.0, 0.08).force(np.array([2.0]), np.array([0.02]))
     assert force == pytest.approx(np.array([[0.0, 2.0]]))

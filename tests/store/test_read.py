@@ -269,3 +269,22 @@ def test_text_that_is_none(path: Path, name: str) -> None:
         root.attrs.create(name, np.array(b"A2\xff", dtype=h5py.string_dtype()))
     with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
         read_outcome(path)
+
+
+def shorter(group: h5py.Group, name: str, old: h5py.Dataset) -> h5py.Dataset:
+    return group.create_dataset(name, data=old[:-1])
+
+
+def test_a_channel_that_is_not_as_long_as_its_times(path: Path) -> None:
+    replaced(path, "raw/force/Out1", shorter)
+    said = r"Out1 has \d+ values at \d+ times"
+    with pytest.raises(StoreError, match=rf"a whole result file, found a damaged one \({said}"):
+        read_raw(path)
+
+
+@pytest.mark.parametrize("display", ["0", "[]", "nothing"])
+def test_display_units_that_are_none(path: Path, display: str) -> None:
+    with h5py.File(path, "a") as root:
+        root.attrs["display"] = display
+    with pytest.raises(StoreError, match="expected a whole result file, found a damaged one"):
+        read_outcome(path)
