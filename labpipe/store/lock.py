@@ -12,6 +12,7 @@ from labpipe.errors import StoreError, complaint
 from labpipe.store.replace import storing
 
 LOCK_FILE = ".labpipe.lock"
+_NOT_BY_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
 
 
 @contextmanager
@@ -45,7 +46,7 @@ def locked(folder: Path) -> Iterator[None]:
 def _own(path: Path) -> int:
     """Open the lock file and lock it; anew if its last owner removed it in between."""
     while True:
-        handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | _NOT_BY_LINK, 0o666)
         if not _try_lock(handle):
             os.close(handle)
             message = complaint(

@@ -21,6 +21,7 @@ _CAUSES = {
     errno.EROFS: ("a folder to write in", "a read-only disk", "Choose another folder with --out."),
     errno.ENOENT: ("a folder to write in", "no such folder", "Make the folder first."),
     errno.ENOTDIR: ("a folder to write in", "a file in its place", "Choose another folder."),
+    errno.ELOOP: ("a folder of its own", "a link to another place", "Take the link away."),
     errno.EISDIR: ("a file to replace", "a folder in its place", "Move the folder away."),
     errno.EEXIST: ("a folder to write in", "a file in its place", "Choose another folder."),
 }
@@ -109,7 +110,7 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
 
 def is_cut_off(folder: Path) -> bool:
     """Whether files of a folder are being replaced, or a process was killed when it did so."""
-    return (folder / _COMMIT).is_dir()
+    return (folder / _COMMIT).is_dir() and not (folder / _COMMIT).is_symlink()
 
 
 def is_there(path: Path) -> bool:
@@ -148,7 +149,7 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
     gone = [name for name in owned if name not in files and (folder / name).is_file()]
     (stage / _GONE).write_text("\n".join(gone), encoding="utf-8")
     for name in files:
-        _require_place(folder / name)
+        _require_place(folder, name)
     _flush_all(stage)
     moves: list[_Move] = []
     try:
@@ -196,6 +197,8 @@ def _moves(folder: Path) -> list[_Move]:
     commit = folder / _COMMIT
     gone = (commit / _GONE).read_text(encoding="utf-8").splitlines()
     names = [*gone, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
+    for name in names:
+        _require_place(folder, name)
     return [_Move(commit / _FILES / name, folder / name, commit / _ASIDE / name) for name in names]
 
 
@@ -215,12 +218,15 @@ def _files(folder: Path) -> list[str]:
     return [path.relative_to(folder).as_posix() for path in found]
 
 
-def _require_place(goal: Path) -> None:
-    """Refuse what would not go before anything is moved."""
+def _require_place(folder: Path, name: str) -> None:
+    """Refuse what would not go, or would go elsewhere, before anything is moved."""
+    goal = folder / name
     if goal.is_dir():
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
     if goal.parent.exists() and not goal.parent.is_dir():
-        raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+    if not goal.parent.resolve().is_relative_to(folder.resolve()):
+        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
 
 
 def _flush_all(folder: Path) -> None:

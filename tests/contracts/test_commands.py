@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from labpipe import __version__
 from labpipe.cli import BAD_INPUT, DONE
-from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario
+from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario, state
 
 COMMANDS = (
     *("demo", "inspect", "new", "check", "process", "report"),
@@ -162,6 +163,7 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
         "inputs",
         "results",
         "quality",
+        "run",
     }
     assert said["schema"] == 1
     assert set(said["inputs"][0]) == {"role", "file", "sha256"}
@@ -208,3 +210,38 @@ def test_json_of_inspect(run: Run, lab: Lab, name: str) -> None:
         wanted = {"frames", "rate", "start", "end", "names", "missing", "rigid_bodies"}
         assert wanted <= set(said["markers"])
         assert said["markers"]["frames"] == 851
+
+
+def test_nothing_is_written_but_where_it_is_asked(
+    run: Run,
+    tmp_path: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+    repository: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of every command that has ``--out``, and of those that only look."""
+    small = small_scenario()
+    straight = replace(small, mechanics=replace(small.mechanics, slack=None))
+    lab = make_lab(tmp_path_factory.mktemp("straight"), straight)
+    sheet, out = repository / "examples" / "wires.xlsx", tmp_path / "asked" / "out"
+    work = tmp_path / "work"
+    work.mkdir()
+    monkeypatch.chdir(work)
+    assert run("process", lab.raw, "--no-figures", "--out", out / "tests").status == 0
+    commands: list[tuple[object, ...]] = [
+        ("process", out / "tests" / "T1" / "result.h5", "--out", out / "again", "--no-figures"),
+        ("report", out / "tests", "--out", out / "report"),
+        ("model", sheet, "--out", out / "model", "--no-figures"),
+        ("bundle", "7 B1", "--wire", sheet, "--out", out / "bundle", "--no-figures"),
+        ("calibrate", out / "tests", "--wire", sheet, "--out", out / "calibration", "--no-figures"),
+        ("simulate", "--out", out / "raw", "--rate", "200 Hz", "--cycles", "1"),
+        ("inspect", lab.raw / "take.csv"),
+        ("check", lab.raw),
+    ]
+    before = state(lab.home), state(repository / "examples")
+    for command in commands:
+        ran = run(*command)
+        assert ran.status in {0, 1}, ran.err
+    assert before == (state(lab.home), state(repository / "examples"))
+    assert not list(work.iterdir())
+    assert {path.name for path in tmp_path.iterdir()} == {"asked", "work"}

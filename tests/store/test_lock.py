@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -72,3 +73,15 @@ def test_file_in_place_of_the_folder(tmp_path: Path, folder: str) -> None:
     with pytest.raises(StoreError, match=said), locked(tmp_path / folder):
         pass
     assert (tmp_path / "x").read_text() == ""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links are another matter on Windows")
+def test_a_link_makes_no_file_elsewhere(tmp_path: Path) -> None:
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / LOCK_FILE).symlink_to(tmp_path / "elsewhere")
+    with (
+        pytest.raises(StoreError, match="found a link to another place"),
+        locked(tmp_path / "here"),
+    ):
+        pass
+    assert not (tmp_path / "elsewhere").exists()

@@ -12,6 +12,7 @@ import pytest
 
 from labpipe.errors import StoreError
 from labpipe.store.replace import (
+    finish_cut_off,
     is_cut_off,
     is_there,
     replacing,
@@ -58,6 +59,7 @@ def test_no_folder(tmp_path: Path) -> None:
         (errno.EROFS, "expected a folder to write in, found a read-only disk. Choose"),
         (errno.ENOTDIR, "expected a folder to write in, found a file in its place. Choose"),
         (errno.EEXIST, "expected a folder to write in, found a file in its place. Choose"),
+        (errno.ELOOP, "expected a folder of its own, found a link to another place. Take the link"),
         (errno.EISDIR, "expected a file to replace, found a folder in its place. Move the folder"),
         (errno.EIO, "expected a file that can be written, found .*Input/output error.*Look at"),
     ],
@@ -260,3 +262,39 @@ def test_who_writes_next_finishes_it(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), replacing_together(tmp_path) as stage:
         write_and_leave(stage / "r.h5", ZeroDivisionError)
     assert contents(tmp_path) == {"r.h5": "new"}
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Path:
+    """A folder beside the one that is written; nothing in it may change."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "b").write_text("own")
+    (tmp_path / "here").mkdir()
+    return tmp_path / "elsewhere"
+
+
+def test_files_do_not_go_through_a_link(elsewhere: Path) -> None:
+    here = elsewhere.with_name("here")
+    (here / "figures").symlink_to(elsewhere)
+    said = "expected a folder of its own, found a link to another place. Take the link away"
+    with pytest.raises(StoreError, match=said), replacing_together(here) as stage:
+        write_new(stage)
+    assert contents(elsewhere) == {"b": "own"}
+    assert [path.name for path in here.iterdir()] == ["figures"]
+
+
+@pytest.mark.parametrize("gone", ["../elsewhere/b", "{0}/b"])
+def test_what_somebody_else_prepared_moves_nothing_elsewhere(elsewhere: Path, gone: str) -> None:
+    commit = elsewhere.with_name("here") / ".labpipe.commit"
+    (commit / "files").mkdir(parents=True)
+    (commit / "gone").write_text(gone.format(elsewhere))
+    with pytest.raises(OSError, match="symbolic links"):
+        finish_cut_off(commit.parent)
+    assert contents(elsewhere) == {"b": "own"}
+
+
+def test_a_link_is_nothing_to_be_finished(elsewhere: Path) -> None:
+    here = elsewhere.with_name("here")
+    (elsewhere / "files").mkdir()
+    (here / ".labpipe.commit").symlink_to(elsewhere)
+    assert not finish_cut_off(here)
