@@ -7,9 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.fitting.noise import long_run_variance
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 
 _BINS_PER_SIDE = 600
+_ROUNDS = 30
+_LEAST_OF_LINE, _LEAST_OF_LEVEL = 5, 3
+"""Samples of a line and of the level between two lines: two may be the sides of a corner."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +78,76 @@ def fit_corner(
     return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
 
 
+def fit_stop(
+    time: Floats, values: Floats, *, near: tuple[float, float], window: float
+) -> tuple[Corner, Corner] | None:
+    """Fit a line, a level and a line: where a motion stops, and where it goes on.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit; increasing time
+    near : s, first guesses of stop and start, in order
+    window : s before the stop and after the start
+
+    Returns
+    -------
+    Both corners, or None where no level is left between the lines, or where the lines do not meet
+    it.
+
+    Notes
+    -----
+    Every sample belongs to the line before, the level or the line after; each is fitted by least
+    squares, and the corners are where they meet. Then the samples are shared out again, until
+    nothing changes. A level that is too long at first loses about half of the excess each time.
+    Standard errors use the long-run variance of the residuals. NaN are left out.
+    """
+    chosen = (time >= near[0] - window) & (time <= near[1] + window) & ~np.isnan(values)
+    middle = 0.5 * (near[0] + near[1])
+    t, y = time[chosen] - middle, values[chosen]
+    ends: tuple[float, float] = (near[0] - middle, near[1] - middle)
+    shared: Ints = np.zeros(0, dtype=np.int64)
+    slopes, level = (0.0, 0.0), 0.0
+    for _ in range(_ROUNDS):
+        parts = np.searchsorted(ends, t)
+        if np.array_equal(parts, shared):
+            break
+        shared = parts
+        before, between, after = (parts == number for number in range(3))
+        if min(before.sum(), after.sum()) < _LEAST_OF_LINE or between.sum() < _LEAST_OF_LEVEL:
+            return None
+        first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
+        slopes, level = (float(first[0]), float(second[0])), float(y[between].mean())
+        if 0.0 in slopes:
+            return None
+        ends = (level - float(first[1])) / slopes[0], (level - float(second[1])) / slopes[1]
+        if not -window < ends[0] < ends[1] < window:
+            return None
+    sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
+    misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
+    moves = [-slope * (side != 0.0) for slope, side in zip(slopes, sides, strict=True)]
+    columns = [np.ones_like(t), *sides]
+    return (
+        _corner(
+            np.column_stack([*columns, moves[1], moves[0]]),
+            misfit,
+            np.array([level, ends[0]]),
+            middle,
+            len(t),
+        ),
+        _corner(
+            np.column_stack([*columns, moves[0], moves[1]]),
+            misfit,
+            np.array([level, ends[1]]),
+            middle,
+            len(t),
+        ),
+    )
+
+
 def _corner(
     jacobian: Floats, misfit: Floats, parameters: Floats, near: float, count: int
 ) -> Corner:
-    variance = long_run_variance(misfit, parameters=len(parameters))
+    variance = long_run_variance(misfit, parameters=jacobian.shape[1])
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0
     information = (jacobian / scale).T @ (jacobian / scale)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from labpipe.fitting.corners import Corner, fit_corner
+from labpipe.fitting.corners import Corner
 from labpipe.fitting.estimates import Failure
 from labpipe.fitting.repeats import fit_lag
 from labpipe.fitting.reversals import Reversal, fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
+from labpipe.pipeline.turns import Turn
 from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
+from labpipe.processing.falls_of_force import turn_near
 from labpipe.processing.strokes import Stroke, goes_down
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
@@ -21,83 +23,21 @@ from labpipe.records.quality import Severity
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""
-_SEEN = 0.5
-"""s on each side of a turning point in which the motion must have been seen."""
 _CONTRADICTED = 4.0
 """Standard errors by which the lag of the repeated cycle may differ from that of the corners."""
+_RELAXES = 0.01
+"""Share of its range that a force loses in a dwell before the lag of the repeated cycle is doubted;
+with 0.04 the drift was off by two standard errors."""
+_ROUGH = 1.0
+"""s on each side of what a force was roughly seen to turn at, in which its corner is looked for."""
 _WORST_CORNER = 0.1
 """s; a corner of the force known no better than this says nothing about a clock."""
-
-
-@dataclass(frozen=True, slots=True)
-class Turn:
-    """Where a motion turns: at once, or after a dwell.
-
-    Parameters
-    ----------
-    stroke : number of the stroke that ends there
-    arrival, departure : corners of the motion; one and the same where there is no dwell
-    """
-
-    stroke: int
-    arrival: Corner
-    departure: Corner
-
-    @property
-    def middle(self) -> float:
-        """Time halfway between arrival and departure, s."""
-        return 0.5 * (self.arrival.time + self.departure.time)
-
-    @property
-    def corners(self) -> tuple[Corner, ...]:
-        """The corners, each once."""
-        return (self.arrival,) if self.arrival is self.departure else (self.arrival, self.departure)
-
-    def window(self, most: float) -> float:
-        """Seconds on each side of a corner that hold no other corner."""
-        dwell = self.departure.time - self.arrival.time
-        return min(most, 0.95 * dwell) if dwell > 0 else most
-
-
-def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float) -> list[Turn]:
-    """Find when a motion turns, by straight lines on both sides of each corner.
-
-    Parameters
-    ----------
-    motion : the travel on its own clock
-    strokes : of that motion
-    window : s on each side, cut to the length of strokes and dwells
-
-    Returns
-    -------
-    The turns in order. Those without a clear corner, or not seen themselves, are left out.
-    """
-    turns = []
-    for number, (before, after) in enumerate(pairwise(strokes)):
-        ends = motion.time[[before.start, before.stop, after.start, after.stop]]
-        spans = np.diff(ends)
-        if spans[1] == 0.0:
-            arrival = departure = _line_corner(motion, ends[1], window, min(spans[0], spans[2]))
-        else:
-            arrival = _line_corner(motion, ends[1], window, min(spans[0], spans[1]))
-            departure = _line_corner(motion, ends[2], window, min(spans[1], spans[2]))
-        if arrival is not None and departure is not None:
-            turns.append(Turn(number, arrival, departure))
-    return turns
-
-
-def _line_corner(motion: Signal, near: float, window: float, room: float) -> Corner | None:
-    around = np.abs(motion.time - near) <= _SEEN
-    if np.isnan(motion.values[around]).mean() > 0.3:
-        return None
-    reach = min(window, 0.95 * float(room))
-    corner = fit_corner(motion.time, motion.values, near=float(near), window=reach, degree=1)
-    return corner if corner is not None and np.isfinite(corner.time_error) else None
 
 
 def align_clocks(
     bench: Bench,
     align: AlignTurningPoints,
+    motion: Signal,
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
 ) -> ClockFit | None:
@@ -107,7 +47,7 @@ def align_clocks(
     ----------
     bench : its raw force is used; gets notes, doubts, and what blocks it
     align : windows and limits of the protocol
-    strokes, turns : of the motion
+    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
 
     Returns
     -------
@@ -121,58 +61,110 @@ def align_clocks(
         return None
     if goes_down(force.values):  # a reversed bridge turns when any other does
         force = replace(force, values=-force.values)
-    peaks = [turn for turn in turns if strokes[turn.stroke].sign > 0]
-    seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
-    pairs, is_ambiguous = match_peaks(np.array([peak.middle for peak in peaks]), seen)
+    pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
+    found = {turn.stroke: turn for turn in turns}
     events = [
-        (corner, pulled)
-        for first, second in pairs.tolist()
-        for corner in peaks[first].corners
-        if (
-            pulled := force_corner(
-                force, peaks[first], corner, seen[second], window=align.force_window
-            )
-        )
-        is not None
+        event
+        for stroke, near in pairs
+        if stroke in found
+        and (event := turn_event(force, found[stroke], near, window=align.force_window)) is not None
     ]
     if not events:
-        bench.block("no_common_peak", _why_no_event(force, peaks, seen, len(pairs)), where="align")
+        bench.block("no_common_peak", _why_no_event(force, len(pairs), counted), where="align")
         return None
     if is_ambiguous:
         message = "another pairing of the peaks fits as well; the smaller offset was taken"
         bench.doubt("clock", "alignment_ambiguous", message, where="align")
     fit = _fitted(events, None)
-    if len(events) > 2:
-        fit = _fitted(events, _consistent(bench, _repeat(bench, strokes, force, fit), fit))
+    if len(events) > 2 and not _relaxes(force, turns, fit):
+        fit = _fitted(events, _consistent(bench, _repeat(motion, strokes, turns, force, fit), fit))
     _judge(bench, fit, align)
     return fit
 
 
-def force_corner(
-    force: Signal, turn: Turn, corner: Corner, seen: float, *, window: float
-) -> Reversal | None:
-    """Find a corner of the force: roughly in a wide window, then in the stated one around it.
+def match_strokes(
+    motion: Signal, force: Signal, strokes: tuple[Stroke, ...], *, sign: int
+) -> tuple[list[tuple[int, float]], bool, str]:
+    """Pair the upper turns of a motion with the peaks of a force: all of them, before any is used.
+
+    Parameters
+    ----------
+    motion, force : each on its own clock
+    strokes : of the motion
+    sign : of the strokes that load
+
+    Returns
+    -------
+    pairs : number of the stroke that ends at the turn, and s, where the force roughly turns
+    is_ambiguous : whether another pairing fits as well
+    counted : in words, how many peaks of each there are
+    """
+    tops = [
+        (number, 0.5 * float(motion.time[before.stop] + motion.time[after.start]))
+        for number, (before, after) in enumerate(pairwise(strokes))
+        if before.sign == sign
+    ]
+    seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
+    pairs, is_ambiguous = match_peaks(np.array([top for _, top in tops]), seen)
+    matched = [(tops[first][0], float(seen[second])) for first, second in pairs.tolist()]
+    return matched, is_ambiguous, f"{len(tops)} peaks of the motion, {len(seen)} of the force"
+
+
+def turn_event(
+    force: Signal, turn: Turn, near: float, *, window: float
+) -> tuple[Corner, Reversal] | None:
+    """Find where the force turns when a motion does.
 
     Parameters
     ----------
     force : on its own clock
-    turn, corner : of the motion, and one of its corners
-    seen : s, where the force was roughly seen to turn
-    window : s on each side; cut to the length of a dwell
+    turn : of the motion
+    near : s, where the force was roughly seen to turn: anywhere in the dwell
+    window : s on each side of a corner
 
     Returns
     -------
-    The corner, or None where its time is not known to 0.1 s.
+    The corner of the motion, and that of the force; None where that is not known to 0.1 s. With a
+    dwell both corners of the force make one event, for the motion says how far they are apart: of
+    two windows or less in one fit, so that none is taken for the other, else each for itself.
     """
-    wide, window = turn.window(4.0 * window), turn.window(window)
-    near = float(seen) + corner.time - turn.middle
-    rough = fit_corner(*_around(force, near, wide), near=near, window=wide, degree=2)
-    if rough is None or not rough.time_error < _WORST_CORNER:
+    dwell = turn.dwell
+    reach = dwell + _ROUGH  # the force may have been seen to turn at either corner
+    first = turn_near(force.time, force.values, near=near, reach=reach, width=window, dwell=dwell)
+    if first is None:
         return None
-    pulled = fit_reversal(*_around(force, rough.time, window), near=rough.time, window=window)
-    if pulled is None or not pulled.corner.time_error < _WORST_CORNER:
-        return None
-    return pulled
+    if dwell <= 2.0 * window:
+        known_to = max(corner.time_error for corner in turn.corners)
+        found = [(replace(turn.arrival, time_error=known_to), first, dwell)]
+    else:
+        found = [(turn.arrival, first, 0.0), (turn.departure, first + dwell, 0.0)]
+    events = []
+    for corner, at, wait in found:
+        inside = _around(force, at, window + wait)
+        pulled = fit_reversal(*inside, near=at, window=window, dwell=wait)
+        if pulled is not None and pulled.corner.time_error < _WORST_CORNER:
+            events.append((corner, pulled))
+    return _mean_event(events)
+
+
+def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal] | None:
+    """One event of the corners of a turn, weighted by what is known of each."""
+    if len(events) < 2:
+        return events[0] if events else None
+    seen, felt = [each for each, _ in events], [each for _, each in events]
+    times = np.array([[one.time, two.corner.time] for one, two in events])
+    errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
+    together = np.hypot(errors[:, 0], errors[:, 1])
+    weights = together**-2.0 / (together**-2.0).sum()
+    lags = times[:, 1] - times[:, 0]
+    apart = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
+    at, error = weights @ times, apart * np.sqrt(weights**2 @ errors**2)
+    shape_error = float(weights @ [each.shape_error for each in felt])
+    corner = replace(felt[0].corner, time=float(at[1]), time_error=float(error[1]))
+    return (
+        replace(seen[0], time=float(at[0]), time_error=float(error[0])),
+        Reversal(corner, shape_error),
+    )
 
 
 def _around(signal: Signal, at: float, window: float) -> tuple[Floats, Floats]:
@@ -180,7 +172,7 @@ def _around(signal: Signal, at: float, window: float) -> tuple[Floats, Floats]:
     return signal.time[span], signal.values[span]
 
 
-def _why_no_event(force: Signal, peaks: list[Turn], seen: Floats, pairs: int) -> str:
+def _why_no_event(force: Signal, pairs: int, counted: str) -> str:
     """What to tell a person when no peak was found on both clocks."""
     start = float(np.nanmean(force.values[: max(1, len(force.values) // 100)]))
     if start - np.nanmin(force.values) > 2.0 * (np.nanmax(force.values) - start):
@@ -190,21 +182,21 @@ def _why_no_event(force: Signal, peaks: list[Turn], seen: Floats, pairs: int) ->
             f"{pairs} peaks of the motion lie at peaks of the force, but none of these is a "
             f"corner known to {_WORST_CORNER:g} s: noise or mains hum on the force?"
         )
-    return f"{len(peaks)} peaks of the motion, {len(seen)} of the force, no pair"
+    return f"{counted}, no pair"
 
 
 def _repeat(
-    bench: Bench, strokes: tuple[Stroke, ...], force: Signal, fit: ClockFit
+    motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn], force: Signal, fit: ClockFit
 ) -> Repeat | None:
     """Lag from the second cycle to the last, seen on both clocks.
 
     The first cycle is left out: it is the one that deforms the specimen for the first time.
     """
-    motion = bench.raw["travel"]
+    tops = {turn.stroke: turn.middle for turn in turns}
     cycles = [
-        tuple(float(motion.time[index]) for index in (up.start, up.stop, down.stop))
-        for up, down in pairwise(strokes)
-        if up.sign > 0 > down.sign
+        (float(motion.time[up.start]), tops[number], float(motion.time[down.stop]))
+        for number, (up, down) in enumerate(pairwise(strokes))
+        if up.sign > 0 > down.sign and number in tops
     ]
     if len(cycles) < 3:
         return None
@@ -232,6 +224,22 @@ def _repeat(
     if isinstance(moved, Failure) or isinstance(pulled, Failure):
         return None
     return Repeat(moved.value, pulled.value, float(np.hypot(moved.error, pulled.error)))
+
+
+def _relaxes(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:
+    """Whether a force is lost while the machine waits, so that no cycle is quite like another."""
+    levels = []
+    for turn in turns:
+        ends = np.array([turn.arrival.time, turn.departure.time])
+        start, stop = fit.to_force_time(ends).tolist()
+        inside = start + np.array([[0.1, 0.35], [0.65, 0.9]]) * (stop - start)
+        parts = [force.values[slice(*np.searchsorted(force.time, part))] for part in inside]
+        if all(np.isfinite(part).any() for part in parts):
+            levels.append([float(np.nanmean(part)) for part in parts])
+    if not levels:
+        return False
+    span = float(np.nanmax(force.values) - np.nanmin(force.values))
+    return max(abs(before - after) for before, after in levels) > _RELAXES * span
 
 
 def _consistent(bench: Bench, repeat: Repeat | None, fit: ClockFit) -> Repeat | None:

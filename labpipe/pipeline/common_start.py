@@ -10,8 +10,8 @@ import numpy as np
 from labpipe.fitting.corners import Corner
 from labpipe.fitting.reversals import Reversal
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import Turn, force_corner
-from labpipe.processing.alignment import match_peaks, rough_peaks
+from labpipe.pipeline.clocks import match_strokes, turn_event
+from labpipe.pipeline.turns import Turn
 from labpipe.processing.falls_of_force import sharpest_turn
 from labpipe.processing.strokes import Stroke, goes_down
 from labpipe.protocol.rig import AlignCommonStart
@@ -30,7 +30,11 @@ class Seen:
 
 
 def start_together(
-    bench: Bench, align: AlignCommonStart, strokes: tuple[Stroke, ...], turns: list[Turn]
+    bench: Bench,
+    align: AlignCommonStart,
+    motion: Signal,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
 ) -> ClockFit:
     """Fit the force's clock to the motion's, both started by one trigger.
 
@@ -38,7 +42,7 @@ def start_together(
     ----------
     bench : its raw force is used; gets notes, and a doubt where the two did not start together
     align : channel and limits of the protocol
-    strokes, turns : of the motion
+    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
 
     Returns
     -------
@@ -60,7 +64,7 @@ def start_together(
             f"{bench.raw[align.channel].unit}: is it the right channel, and is the cell connected?"
         )
         bench.block("constant_channel", message, where=align.channel)
-    seen = _seen(bench, align, strokes, turns)
+    seen = _seen(bench.raw[align.channel], align, motion, strokes, turns)
     at_turn = _weighted(seen)
     together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
     fit = _fitted(seen, align, together=together)
@@ -69,29 +73,33 @@ def start_together(
 
 
 def _seen(
-    bench: Bench, align: AlignCommonStart, strokes: tuple[Stroke, ...], turns: list[Turn]
+    force: Signal,
+    align: AlignCommonStart,
+    motion: Signal,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
 ) -> list[Seen]:
     """Turns at the top of loading that the force has seen as well."""
-    force = bench.raw[align.channel]
     if goes_down(force.values):  # a reversed bridge turns when any other does
         force = replace(force, values=-force.values)
-    peaks = [turn for turn in turns if strokes[turn.stroke].sign == strokes[0].sign]
-    found = []
-    for peak, near in _paired(force, peaks, align.force_window):
-        for corner in peak.corners:
-            pulled = force_corner(force, peak, corner, near, window=align.force_window)
-            if pulled is not None:
-                found.append(_event(corner, pulled))
-    return found
+    found = {turn.stroke: turn for turn in turns}
+    return [
+        _event(*event)
+        for stroke, near in _paired(motion, force, strokes, align)
+        if stroke in found
+        and (event := turn_event(force, found[stroke], near, window=align.force_window)) is not None
+    ]
 
 
-def _paired(force: Signal, peaks: list[Turn], width: float) -> list[tuple[Turn, float]]:
-    if len(peaks) == 1:
-        near = sharpest_turn(force.time, force.values, width=width)
-        return [] if near is None else [(peaks[0], near)]
-    seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
-    pairs, _ = match_peaks(np.array([peak.middle for peak in peaks]), seen)
-    return [(peaks[first], float(seen[second])) for first, second in pairs.tolist()]
+def _paired(
+    motion: Signal, force: Signal, strokes: tuple[Stroke, ...], align: AlignCommonStart
+) -> list[tuple[int, float]]:
+    """Strokes that end at the top of loading, and where the force roughly turns there."""
+    loads = [each.sign == strokes[0].sign for each in strokes[:-1]]
+    if sum(loads) == 1:
+        near = sharpest_turn(force.time, force.values, width=align.force_window)
+        return [] if near is None else [(0, near)]
+    return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
 
 
 def _event(corner: Corner, pulled: Reversal) -> Seen:

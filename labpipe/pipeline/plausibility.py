@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from labpipe.fitting.estimates import Failure
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import Turn
 from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import Stroke, goes_down, noise_level
+from labpipe.processing.strokes import goes_down, noise_level
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
@@ -19,8 +16,6 @@ from labpipe.records.quality import Severity
 GRAVITY = 9.80665
 _SPEED = 0.2
 """Share by which the mean speed of a branch may differ from that of the rig."""
-_ROUNDED = (0.05, 0.25)
-"""s on each side of a turning point that are held against the corner."""
 _SETTLED = 0.25
 """s by which a zero may reach into the motion before it is doubted."""
 _PULLED = 0.02
@@ -212,84 +207,3 @@ def check_sign(bench: Bench, motion: Signal) -> None:
     bench.doubt("force", "force_reversed", message, where=bench.force)
     if bench.clock_fit is not None:  # two clocks are joined at the peaks of the force
         bench.doubt("clock", "force_reversed", message, where=bench.force)
-
-
-def check_turns(
-    bench: Bench, motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn]
-) -> None:
-    """Doubt turning points that were not seen, or that are no corners.
-
-    Parameters
-    ----------
-    bench : gets the doubts
-    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
-    """
-    found = {turn.stroke for turn in turns}
-    for number, (before, _) in enumerate(pairwise(strokes)):
-        if number not in found:
-            at = float(motion.time[before.stop])
-            message = f"the motion was not seen to turn near {at:.2f} s"
-            during = _unseen(motion, at)
-            for quantity in ("displacement", "force", "clock"):
-                bench.doubt(
-                    quantity,
-                    "turn_not_seen",
-                    message,
-                    where="travel",
-                    during=during,
-                    clock=motion.clock,
-                )
-    for turn in turns:
-        if turn.arrival is turn.departure:
-            _check_corner(bench, motion, turn)
-
-
-def _unseen(motion: Signal, at: float) -> tuple[float, float]:
-    """From the last sample before a turn to the first behind it, s."""
-    known = motion.time[~np.isnan(motion.values)]
-    before, after = known[known < at], known[known > at]
-    return float(before[-1] if len(before) else at), float(after[0] if len(after) else at)
-
-
-def _check_corner(bench: Bench, motion: Signal, turn: Turn) -> None:
-    """A machine that slows down, or waits a moment, cuts the corner of the travel."""
-    away = [_mean_near(motion, turn.middle + shift, 0.25) for shift in (-1.0, -0.5, 0.5, 1.0)]
-    speeds = [
-        (b[1] - a[1]) / (b[0] - a[0]) if b[0] > a[0] else float("nan")
-        for a, b in (away[:2], away[2:])
-    ]
-    fall = 0.5 * (speeds[0] - speeds[1])  # m per second away from the corner
-    noise = noise_level(motion.values)
-    for width in _ROUNDED:
-        apart = np.abs(motion.time - turn.middle)
-        near = apart[apart <= width]
-        if not len(near):
-            continue
-        samples = len(near)
-        expected = turn.arrival.value - fall * float(near.mean())
-        cut = abs(_mean_near(motion, turn.middle, width)[1] - expected)
-        if cut > 6.0 * noise / np.sqrt(samples) + 5e-6:
-            message = (
-                f"the travel turns {1e6 * cut:.0f} um off a corner at {turn.middle:.2f} s: the "
-                "machine slows down or waits there, so that the moment of turning is less sure "
-                "than stated"
-            )
-            during = (turn.middle - width, turn.middle + width)
-            bench.doubt(
-                "displacement",
-                "turn_rounded",
-                message,
-                where="travel",
-                during=during,
-                clock=motion.clock,
-            )
-            bench.doubt("clock", "turn_rounded", message, where="travel")
-            return
-
-
-def _mean_near(motion: Signal, at: float, width: float) -> tuple[float, float]:
-    """Mean time and value of the samples that are known within some seconds of a time."""
-    near = (np.abs(motion.time - at) <= width) & ~np.isnan(motion.values)
-    if not near.any():
-        return float("nan"), float("nan")
-    return float(motion.time[near].mean()), float(motion.values[near].mean())

@@ -7,7 +7,7 @@ from typing import TypeGuard, assert_never
 
 import numpy as np
 
-from labpipe.pipeline.bench import Bench, at_times_of_curve
+from labpipe.pipeline.bench import Bench, Signal, at_times_of_curve
 from labpipe.pipeline.bundle_results import (
     beam_results,
     hardening_results,
@@ -15,7 +15,7 @@ from labpipe.pipeline.bundle_results import (
     loading_stiffness_results,
     plateau_results,
 )
-from labpipe.pipeline.clocks import Turn, align_clocks, turning_points
+from labpipe.pipeline.clocks import align_clocks
 from labpipe.pipeline.common_start import start_together
 from labpipe.pipeline.corrections import correct_curve, without_strays
 from labpipe.pipeline.cycle_results import (
@@ -34,7 +34,6 @@ from labpipe.pipeline.plausibility import (
     check_rest,
     check_rig,
     check_sign,
-    check_turns,
 )
 from labpipe.pipeline.recording_checks import check_channels, check_end
 from labpipe.pipeline.steps import step_or_refuse
@@ -51,6 +50,7 @@ from labpipe.pipeline.tensile_results import (
     slack_result,
     slip_results,
 )
+from labpipe.pipeline.turns import Turn, check_turns, turning_points
 from labpipe.pipeline.zeros import use_rest_there_is
 from labpipe.processing.strokes import (
     Stroke,
@@ -152,7 +152,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         for turn in turns:
             times[turn.stroke, 1] = turn.arrival.time
             times[turn.stroke + 1, 0] = turn.departure.time
-        bench.clock_fit = _joined(bench, protocol.align, strokes, turns)
+        bench.clock_fit = _joined(bench, protocol.align, motion, strokes, turns)
         check_turns(bench, motion, strokes, turns)
     branches = split_branches(motion.time, strokes, turning_times=times)
     if bench.span is not None:
@@ -181,12 +181,13 @@ def _joins_clocks(align: Align, bench: Bench) -> TypeGuard[AlignTurningPoints | 
 def _joined(
     bench: Bench,
     align: AlignTurningPoints | AlignCommonStart,
+    motion: Signal,
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
 ) -> ClockFit | None:
     if isinstance(align, AlignCommonStart):
-        return start_together(bench, align, strokes, turns)
-    return align_clocks(bench, align, strokes, turns)
+        return start_together(bench, align, motion, strokes, turns)
+    return align_clocks(bench, align, motion, strokes, turns)
 
 
 def _aligned(bench: Bench) -> Aligned:

@@ -13,7 +13,6 @@ from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.fitting.loops import secant_stiffness
 from labpipe.fitting.noise import long_run_variance
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, SpanBend
-from labpipe.pipeline.clocks import turning_points
 from labpipe.pipeline.corrections import loading_branch
 from labpipe.pipeline.outcomes import (
     NO_BRANCH,
@@ -23,6 +22,7 @@ from labpipe.pipeline.outcomes import (
     while_loading,
     with_force_scale,
 )
+from labpipe.pipeline.turns import turning_points
 from labpipe.processing.alignment import match_peaks
 from labpipe.processing.sections import Sections, find_sections
 from labpipe.processing.strokes import Stroke, find_strokes

@@ -98,8 +98,8 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     -----
     Extremes are found with hysteresis: a new one counts once the motion has come back from it by
     `min_stroke`. A dwell is told from a smooth reversal by the time t1 spent within a tolerance of
-    the extreme and t4 within four times that: a corner has t4 = 4 t1, a parabola t4 = 2 t1, a
-    dwell t4 < 1.5 t1. NaN are bridged by straight lines.
+    the extreme, on both sides together, and t4 within four times that: a corner has t4 = 4 t1, a
+    parabola t4 = 2 t1, a dwell t4 < 1.5 t1. NaN are bridged by straight lines.
     """
     if not min_stroke > 0:
         message = f"min_stroke={min_stroke}: expected a positive length"
@@ -110,11 +110,19 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     if not known.all():
         motion = np.interp(time, time[known], motion[known])
     extremes = _extremes(motion, min_stroke)
+    if not extremes:
+        return ()
     tolerance = 5.0 * noise_level(motion)
-    pairs = list(pairwise(extremes))
+    stays = [
+        (_stay(time, motion, (at, before), tolerance), _stay(time, motion, (at, after), tolerance))
+        for before, at, after in zip(
+            [None, *extremes[:-1]], extremes, [*extremes[1:], None], strict=True
+        )
+    ]
+    dwells = [_dwell(*stay) for stay in stays]
     return tuple(
-        _trimmed(time, motion, pair, tolerance, (pair == pairs[0], pair == pairs[-1]))
-        for pair in pairs
+        _trimmed(time, motion, pair, (leaving[1], arriving[0]))
+        for pair, (leaving, arriving) in zip(pairwise(extremes), pairwise(dwells), strict=True)
     )
 
 
@@ -155,47 +163,67 @@ def _next_turn(values: Floats, start: int, min_stroke: float) -> tuple[int, int 
 
 
 def _trimmed(
-    time: Floats,
-    motion: Floats,
-    extremes: tuple[int, int],
-    tolerance: float,
-    outermost: tuple[bool, bool],
+    time: Floats, motion: Floats, extremes: tuple[int, int], dwells: tuple[float, float]
 ) -> Stroke:
     """Cut the dwell from both ends of the stretch between two extremes."""
     first, last = extremes
     sign = 1 if motion[last] > motion[first] else -1
-    backwards = slice(last, first - 1 if first else None, -1)
-    shortest = float(time[last] - time[first]) * max(0.005, 5.0 / (last - first))
-    start = _dwell(
-        time[first : last + 1],
-        motion[first : last + 1],
-        tolerance,
-        0.0 if outermost[0] else shortest,
-    )
-    stop = _dwell(
-        time[last] - time[backwards],
-        motion[backwards],
-        tolerance,
-        0.0 if outermost[1] else shortest,
-    )
     hair = 1e-6 * float(time[last] - time[first]) / (last - first)  # sums of times are not exact
-    begin = int(np.searchsorted(time, time[first] + start - hair))
-    end = int(np.searchsorted(time, time[last] - stop - hair))
+    begin = int(np.searchsorted(time, time[first] + dwells[0] - hair))
+    end = int(np.searchsorted(time, time[last] - dwells[1] - hair))
     if begin >= end:  # it moves no further than its noise: nobody can tell a dwell from that
         begin, end = first, last
     return Stroke(begin, end, sign)
 
 
-def _dwell(time: Floats, motion: Floats, tolerance: float, shortest: float) -> float:
-    """Seconds that a motion stays at its first value before it leaves for good."""
-    travel = np.abs(motion - motion[0])
+@dataclass(frozen=True, slots=True)
+class _Stay:
+    """How long a motion is near an extreme, on one side of it.
+
+    Parameters
+    ----------
+    near, wide : s, within a tolerance of it, and within four times that
+    shortest : s, of a dwell that can be told from a corner
+    """
+
+    near: float
+    wide: float
+    shortest: float
+
+    @property
+    def dwell(self) -> float:
+        """Time at the extreme itself, s."""
+        return max(0.0, (4.0 * self.near - self.wide) / 3.0)
+
+
+def _stay(
+    time: Floats, motion: Floats, ends: tuple[int, int | None], tolerance: float
+) -> _Stay | None:
+    """How long a motion is near an extreme, looking from there to the next; None at an end."""
+    at, other = ends
+    if other is None:
+        return None
+    part = slice(at, other + 1) if other > at else slice(at, other - 1 if other else None, -1)
+    since, travel = np.abs(time[part] - time[at]), np.abs(motion[part] - motion[at])
     tolerance = max(tolerance, 1e-4 * float(travel[-1]))
     near, wide = (
-        float(time[np.flatnonzero(travel <= factor * tolerance)[-1]] - time[0])
-        for factor in (1.0, 4.0)
+        float(since[np.flatnonzero(travel <= factor * tolerance)[-1]]) for factor in (1.0, 4.0)
     )
-    dwells = 2.0 * near - wide > shortest and (shortest == 0.0 or wide < 1.5 * near)
-    return (4.0 * near - wide) / 3.0 if dwells else 0.0
+    return _Stay(near, wide, float(since[-1]) * max(0.005, 5.0 / abs(other - at)))
+
+
+def _dwell(before: _Stay | None, after: _Stay | None) -> tuple[float, float]:
+    """Seconds that a motion dwells before and after an extreme, whose place in a dwell is chance.
+
+    At the ends of the movement there is one side alone, and any rest is none of the stroke's.
+    """
+    sides = [side for side in (before, after) if side is not None]
+    near, wide = sum(side.near for side in sides), sum(side.wide for side in sides)
+    shortest = min(side.shortest for side in sides)
+    dwells = 2.0 * near - wide > (shortest if len(sides) > 1 else 0.0)
+    if not dwells or (len(sides) > 1 and not wide < 1.5 * near):
+        return 0.0, 0.0
+    return 0.0 if before is None else before.dwell, 0.0 if after is None else after.dwell
 
 
 def split_branches(

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import align_clocks, turning_points
+from labpipe.pipeline.clocks import align_clocks
+from labpipe.pipeline.turns import check_turns, turning_points
 from labpipe.processing.alignment import Repeat
 from labpipe.processing.strokes import Stroke, find_strokes
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from tests.builders.doubts import doubted
+from tests.builders.dwelling_tests import Dwelling
 
 OFFSET, DRIFT = 1.25, 80e-6
 ALIGN = AlignTurningPoints.model_validate(
@@ -35,15 +37,13 @@ def triangle(time: Floats, cycles: int) -> Floats:
     return np.where(moving, np.minimum(phase, 20.0 - phase) / 10.0, 0.0)
 
 
-def bench(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4, dwell: bool = False) -> Bench:
+def bench(cycles: int, *, drift: float = DRIFT, noise: float = 1e-4) -> Bench:
     random = np.random.default_rng(cycles)
     motion_time = np.arange(0.0, 12.0 + 20.0 * cycles, 0.02)
     force_time = np.arange(0.0, 12.0 + 20.0 * cycles, 0.002)
     marker_time = (force_time - OFFSET) / (1.0 + drift)
     travel = 0.05 * triangle(motion_time, cycles)
     force = triangle(marker_time, cycles) ** 0.8
-    if dwell:
-        travel = np.minimum(travel, 0.04)
     made = Bench()
     for name, clock, time, values in (
         ("travel", "markers", motion_time, travel + random.normal(0, 1e-5, len(travel))),
@@ -59,42 +59,12 @@ def strokes_of(made: Bench) -> tuple[Stroke, ...]:
     return find_strokes(travel.time, travel.values, min_stroke=0.01)
 
 
-def test_turns_of_the_motion() -> None:
-    made = bench(2)
-    turns = turning_points(made.raw["travel"], strokes_of(made), window=8.0)
-    assert [turn.stroke for turn in turns] == [0, 1, 2]
-    for turn in turns:
-        assert turn.middle == pytest.approx(15.0 + 10.0 * turn.stroke, abs=2e-3)
-        assert len(turn.corners) == 1
-        assert turn.window(3.0) == 3.0
-
-
-def test_a_dwell_has_two_corners() -> None:
-    """Held at 40 of 50 mm: from 8 s to 12 s after the start of each cycle."""
-    made = bench(2, dwell=True)
-    turns = turning_points(made.raw["travel"], strokes_of(made), window=8.0)
-    assert [len(turn.corners) for turn in turns] == [2, 1, 2]
-    first = turns[0]
-    assert first.arrival.time == pytest.approx(13.0, abs=5e-3)
-    assert first.departure.time == pytest.approx(17.0, abs=5e-3)
-    assert first.window(25.0) == pytest.approx(0.95 * 4.0, abs=0.01)
-
-
-def test_a_turn_that_was_not_seen_is_left_out() -> None:
-    made = bench(2)
-    travel = made.raw["travel"]
-    hidden = np.where(np.abs(travel.time - 15.0) < 0.4, np.nan, travel.values)
-    made.raw["travel"] = replace(travel, values=hidden)
-    turns = turning_points(made.raw["travel"], strokes_of(made), window=8.0)
-    assert [turn.stroke for turn in turns] == [1, 2]
-
-
 @pytest.mark.parametrize("cycles", [2, 3, 5])
 def test_offset_and_drift(cycles: int) -> None:
     made = bench(cycles)
     strokes = strokes_of(made)
     turns = turning_points(made.raw["travel"], strokes, window=8.0)
-    fit = align_clocks(made, ALIGN, strokes, turns)
+    fit = align_clocks(made, ALIGN, made.raw["travel"], strokes, turns)
     assert fit is not None
     assert fit.offset == pytest.approx(OFFSET, abs=3e-3)
     assert fit.drift == pytest.approx(DRIFT, abs=6e-5)
@@ -106,7 +76,7 @@ def test_offset_and_drift(cycles: int) -> None:
 def aligned(made: Bench, align: AlignTurningPoints = ALIGN) -> Bench:
     strokes = strokes_of(made)
     turns = turning_points(made.raw["travel"], strokes, window=8.0)
-    made.clock_fit = align_clocks(made, align, strokes, turns)
+    made.clock_fit = align_clocks(made, align, made.raw["travel"], strokes, turns)
     return made
 
 
@@ -172,7 +142,7 @@ def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
     made = bench(3)
     strokes = strokes_of(made)
     turns = turning_points(made.raw["travel"], strokes, window=ALIGN.motion_window)
-    fit = align_clocks(made, ALIGN, strokes, turns)
+    fit = align_clocks(made, ALIGN, made.raw["travel"], strokes, turns)
     assert fit is not None
     assert ("repeated" in fit.method) is is_used
     assert fit.offset == pytest.approx(OFFSET, abs=5e-3)
@@ -181,3 +151,78 @@ def test_cycles_that_are_not_alike_are_joined_by_their_turns_alone(
     if said:
         assert said[0].startswith("the force of the last cycle lies 20.202 s behind that of the")
         assert said[0].endswith("not alike, and the turning points alone join the clocks")
+
+
+def joined(test: Dwelling, *, hidden: int | None = None) -> Bench:
+    """Both records of a test on a bench, their clocks joined; one turn of the motion hidden."""
+    made = Bench()
+    time, travel = test.seen_by_cameras()
+    if hidden is not None:
+        turn = test.corners[hidden, 1] + 0.5 * test.dwell
+        travel[np.abs(time - turn) < 0.5 * test.dwell + 0.6] = np.nan
+    made.raw["travel"] = made.signals["travel"] = Signal(time, travel, "m", "markers")
+    made.raw["force"] = Signal(*test.seen_by_load_cell(), "N", "force")
+    made.displacement = "travel"
+    motion = made.raw["travel"]
+    strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
+    turns = turning_points(motion, strokes, window=25.0)
+    align = ALIGN.model_copy(update={"max_residual": 10e-3})
+    made.clock_fit = align_clocks(made, align, motion, strokes, turns)
+    check_turns(made, motion, strokes, turns)
+    return made
+
+
+def dwelling(dwell: float, relaxes: float, seed: int) -> Dwelling:
+    rng = np.random.default_rng([round(100 * dwell), seed])
+    offset, drift = float(rng.uniform(-8.0, 8.0)), float(rng.uniform(-8e-5, 8e-5))
+    return Dwelling(dwell, relaxes=relaxes, offset=offset, drift=drift, seed=seed)
+
+
+@pytest.mark.parametrize("relaxes", [0.0, 0.04])
+@pytest.mark.parametrize("dwell", [0.0, 0.2, 0.5, 1.0, 2.0, 5.0])
+def test_a_machine_that_waits_at_its_turns(dwell: float, relaxes: float) -> None:
+    """Whatever the offset, whether the force relaxes or not: one event for each peak."""
+    for seed in range(2):
+        test = dwelling(dwell, relaxes, seed)
+        made = joined(test)
+        fit = made.clock_fit
+        assert fit is not None
+        off, error = fit.offset - test.offset, fit.offset_interval.standard_error
+        assert abs(off) < 3.5 * error < 0.03
+        assert len(fit.event_times_motion) == 3
+        assert not doubted(made)
+        if relaxes == 0.0 or dwell == 0.0:
+            assert "repeated cycle" in fit.method
+        elif dwell >= 1.0:
+            assert "repeated cycle" not in fit.method
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("relaxes", [0.0, 0.04])
+@pytest.mark.parametrize("dwell", [0.0, 0.2, 0.5, 1.0, 2.0, 5.0])
+def test_offsets_hold_however_long_a_machine_waits(dwell: float, relaxes: float) -> None:
+    held = 0
+    for seed in range(40):
+        test = dwelling(dwell, relaxes, seed)
+        fit = joined(test).clock_fit
+        assert fit is not None
+        held += fit.offset_interval.lower <= test.offset <= fit.offset_interval.upper
+    assert held >= 34  # of 40 intervals of 95 %, as in 999 studies of 1000
+
+
+@pytest.mark.parametrize("hidden", [0, 2, 4])
+def test_a_turn_that_was_not_seen_shifts_no_cycle(hidden: int) -> None:
+    """Peaks are paired before those are left out whose turn the cameras missed."""
+    test = Dwelling(1.0, offset=-7.3, stroke=0.012, speed=4e-3, rest=9.0)
+    fit = joined(test, hidden=hidden).clock_fit
+    assert fit is not None
+    assert fit.offset == pytest.approx(test.offset, abs=0.01)
+    assert len(fit.event_times_motion) == 2
+
+
+def test_a_wait_that_relaxes_faster_than_it_unloads() -> None:
+    """Both corners of the force have one time: the steep one is not taken for the other."""
+    test = Dwelling(0.5, relaxes=0.1, offset=4.2, seed=3)
+    fit = joined(test).clock_fit
+    assert fit is not None
+    assert fit.offset == pytest.approx(test.offset, abs=0.012)

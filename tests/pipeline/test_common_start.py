@@ -9,8 +9,8 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import turning_points
 from labpipe.pipeline.common_start import start_together
+from labpipe.pipeline.turns import turning_points
 from labpipe.processing.strokes import find_strokes
 from labpipe.protocol.rig import AlignCommonStart
 from labpipe.records.curve import ClockFit
@@ -44,7 +44,7 @@ def fitted(made: Bench) -> ClockFit:
     motion = made.raw["displacement"]
     strokes = find_strokes(motion.time, motion.values, min_stroke=5e-3)
     turns = turning_points(motion, strokes, window=ALIGN.motion_window)
-    return start_together(made, ALIGN, strokes, turns)
+    return start_together(made, ALIGN, motion, strokes, turns)
 
 
 def test_a_sharp_corner_decides() -> None:

@@ -11,9 +11,8 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.clocks import turning_points
 from labpipe.pipeline.exports import name_channels
-from labpipe.pipeline.plausibility import check_rest, check_rig, check_sign, check_turns
+from labpipe.pipeline.plausibility import check_rest, check_rig, check_sign
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
@@ -63,16 +62,8 @@ def branches(motion: Floats) -> tuple[Branch, ...]:
     return split_branches(TIME, find_strokes(TIME, motion, min_stroke=5e-3))
 
 
-def turned(motion: Floats) -> Bench:
-    made = bench(motion)
-    strokes = find_strokes(TIME, motion, min_stroke=5e-3)
-    turns = turning_points(made.raw["travel"], strokes, window=25.0)
-    check_turns(made, made.raw["travel"], strokes, turns)
-    return made
-
-
 def test_all_well(protocol: Protocol) -> None:
-    made = turned(SHARP)
+    made = bench(SHARP)
     made.zeroed["force"] = (0.0, 2.0)
     check_rig(made, protocol, branches(SHARP))
     check_rest(made, branches(SHARP))
@@ -348,25 +339,3 @@ def test_zero_on_another_clock_without_a_fit_is_taken_as_it_stands() -> None:
     made.zeroed["force"] = (4.0, 6.0)
     check_rest(made, branches(SHARP))
     assert "force" in doubted(made)
-
-
-def test_a_turn_that_was_not_seen() -> None:
-    made = turned(np.where((TIME > 24.5) & (TIME < 25.5), np.nan, SHARP))
-    assert set(doubted(made)) == {"displacement", "force", "clock"}
-    assert doubted(made)["clock"].startswith(
-        "turn_not_seen: the motion was not seen to turn near 2"
-    )
-
-
-@pytest.mark.parametrize("wait", [0.15, 0.2])
-def test_a_turn_that_is_no_corner(wait: float) -> None:
-    half = wait / 2
-    made = turned(travel((0, 0), (5, 0), (25 - half, 20), (25 + half, 20), (45 + half, 0), (50, 0)))
-    assert set(doubted(made)) == {"displacement", "clock"}
-    assert doubted(made)["clock"].startswith("turn_rounded: the travel turns ")
-
-
-def test_noise_alone_rounds_no_turn() -> None:
-    for seed in range(20):
-        noise = np.random.default_rng(seed).normal(0, 2e-5, len(TIME))
-        assert not turned(SHARP + noise).doubts

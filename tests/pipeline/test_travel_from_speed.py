@@ -60,7 +60,7 @@ def test_a_speed_that_contradicts(without: tuple[str, ...]) -> None:
     )
     if "frame" in without:
         expected = (
-            "speed_unexpected: the force rises for 58.82 s before it turns, speed and stroke of "
+            "speed_unexpected: the force rises for 58.83 s before it turns, speed and stroke of "
             "the rig say 65.33 s: look at rig.crosshead_speed and rig.stroke"
         )
     assert expected in reason

@@ -99,6 +99,19 @@ def test_dwell_belongs_to_neither_branch() -> None:
     assert time[second.start] == pytest.approx(35.0, abs=0.1)
 
 
+@pytest.mark.parametrize("dwell", [1.0, 3.0])
+def test_where_the_largest_sample_of_a_dwell_is_does_not_matter(dwell: float) -> None:
+    """It is chance: the dwell is looked at on both of its sides together."""
+    times, places = (0.0, 5.0, 45.0, 45.0 + dwell, 85.0 + dwell), (0.0, 0.0, 40.0, 40.0, 0.0)
+    time = np.arange(0.0, 90.0, STEP)
+    for seed in range(20):
+        noise = np.random.default_rng(seed).normal(0.0, 1e-5, len(time))
+        motion = 1e-3 * np.interp(time, times, places) + noise
+        first, second = find_strokes(time, motion, min_stroke=5e-3)
+        assert time[first.stop] == pytest.approx(45.0, abs=0.1)
+        assert time[second.start] == pytest.approx(45.0 + dwell, abs=0.1)
+
+
 def test_a_smooth_reversal_is_no_dwell() -> None:
     time = np.arange(0.0, 20.0, 0.002)
     noise = np.random.default_rng(2).normal(0, 2e-5, len(time))
