@@ -91,14 +91,14 @@ def model_wires(
         tables = tuple(wire.table for wire in made)
         gone = _gone(folder, [spec.name for spec in specs])
         modelled = Modelled(sheet, folder, tables, refused, (), gone)
-        with locked(folder), replacing_together(folder) as stage:
+        owned = _files_of((*refused, *gone))
+        with locked(folder), replacing_together(folder, owned=owned) as stage:
             say("tables and decks")
             with storing(folder):
                 written = _write(modelled, [wire.decks for wire in made], stage, pool)
             if figures:
                 written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say)
             files = tuple(folder / path.relative_to(stage) for path in written)
-    _forget(folder, (*refused, *gone))
     return replace(modelled, files=files)
 
 
@@ -229,13 +229,14 @@ def _gone(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
         return ()  # no model, or not one of labpipe's: nothing that this command wrote
 
 
-def _forget(folder: Path, refused: Iterable[str]) -> None:
-    """Take away the files of wires that are refused now: they would speak for another row."""
-    for name in refused:
-        drawn = [f"{stem}{ending}" for stem in own_figures(name) for ending in (".svg", ".png")]
-        figures = [folder / FIGURES_FOLDER / file for file in drawn]
-        for path in (*deck_paths(name, folder), *figures):
-            path.unlink(missing_ok=True)
+def _files_of(names: Iterable[str]) -> list[str]:
+    """Files of wires below the folder; of one that is refused now they would speak otherwise."""
+    files: list[str] = []
+    for name in names:
+        files += [path.as_posix() for path in deck_paths(name, Path())]
+        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in own_figures(name)]
+        files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
+    return files
 
 
 def as_json(modelled: Modelled) -> dict[str, object]:
