@@ -22,8 +22,8 @@ import pickle, sys
 try:
     import resource
     resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[2]),) * 2)
-except ImportError:
-    pass  # Windows sets no such limit: a process that asks for too much is ended all the same
+except (ImportError, OSError, ValueError):
+    pass  # no such limit here: a process that asks for too much is ended all the same
 from labpipe.readers.workbooks import cells_of
 pickle.dump(cells_of(sys.argv[1]), sys.stdout.buffer, protocol=5)
 """
