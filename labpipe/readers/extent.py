@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,6 +22,7 @@ MOST: Final = 10_000_000
 SPARSE: Final = 20
 """Beyond that, as many cells are laid out as this many times those that are filled."""
 
+_BEYOND = 4 * MOST
 _LARGE = 2_000_000
 """Bytes, once unpacked: at about 100 MB a second."""
 _CHUNK = 1 << 20
@@ -93,6 +94,48 @@ def check_extent(path: Path, *, most: int = MOST) -> None:
         if not _is_small(list(reach.values()), most):
             worst = max(reach, key=lambda name: reach[name].size)
             raise _too_far(path, _title(parts, worst), reach[worst])
+
+
+def check_size(path: Path, sheet: str, rows: int, columns: int) -> None:
+    """Refuse a sheet that is larger than any that can be worked with, before it is laid out.
+
+    Parameters
+    ----------
+    path, sheet : as for `check_table`
+    rows, columns : as the library counts them
+
+    Raises
+    ------
+    ReadError
+        As `check_extent`.
+    """
+    if rows * columns > _BEYOND:
+        last = f"{_letters(columns)}{rows}"
+        raise _too_far(path, sheet, _Reach(rows, columns, last=last), filled="few")
+
+
+def check_table(path: Path, sheet: str, rows: Sequence[Sequence[object]]) -> None:
+    """Refuse a sheet that was laid out and is all but empty: to look through it takes minutes.
+
+    Parameters
+    ----------
+    path : of the workbook, for messages
+    sheet : its name
+    rows : of cells, all of one length; a blank one is an empty text
+
+    Raises
+    ------
+    ReadError
+        As `check_extent`.
+    """
+    size = len(rows) * len(rows[0]) if rows else 0
+    if size <= MOST:
+        return
+    filled = sum(cell != "" for row in rows for cell in row)
+    if size > SPARSE * filled:
+        columns = len(rows[0])
+        reach = _Reach(len(rows), columns, filled, f"{_letters(columns)}{len(rows)}")
+        raise _too_far(path, sheet, reach)
 
 
 def _is_small(reaches: list[_Reach], most: int) -> bool:
@@ -206,13 +249,13 @@ def _title(parts: zipfile.ZipFile, name: str) -> str:
     return name
 
 
-def _too_far(path: Path, sheet: str, reach: _Reach) -> ReadError:
+def _too_far(path: Path, sheet: str, reach: _Reach, filled: str = "") -> ReadError:
     text = complaint(
         path,
         f"sheet '{sheet}', cell {reach.last}",
         expected="cells that lie together",
-        found=f"a sheet of {reach.rows} rows and {reach.columns} columns with {reach.cells} filled"
-        " cells",
+        found=f"a sheet of {reach.rows} rows and {reach.columns} columns with"
+        f" {filled or reach.cells} filled cells",
         remedy="Delete the rows and columns behind the table, and save the workbook.",
     )
     return ReadError(text)

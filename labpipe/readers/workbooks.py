@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from labpipe.errors import ReadError
 from labpipe.readers.files import read_head, reading
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ except (ImportError, OSError, ValueError):
 from labpipe.readers.workbooks import cells_of
 pickle.dump(cells_of(sys.argv[1]), sys.stdout.buffer, protocol=5)
 """
+_REFUSED = "labpipe.errors.ReadError: "
 _MEMORY, _PATIENCE = 4 << 30, 120.0
 """Bytes and seconds that a child may take; the largest sheet of an old workbook takes 1 GB."""
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
@@ -152,11 +155,16 @@ def cells_of(path: Path) -> Sheets:
     """Read the cells of all sheets, whatever becomes of this process; see `open_sheets`."""
     from python_calamine import CalamineWorkbook
 
+    from labpipe.readers.extent import check_size, check_table
+
+    sheets: dict[str, Sequence[Sequence[object]]] = {}
     with CalamineWorkbook.from_path(path) as book:
-        return {
-            name: book.get_sheet_by_name(name).to_python(skip_empty_area=False)
-            for name in book.sheet_names
-        }
+        for name in book.sheet_names:
+            sheet = book.get_sheet_by_name(name)
+            check_size(path, name, sheet.total_height, sheet.total_width)
+            sheets[name] = sheet.to_python(skip_empty_area=False)
+            check_table(path, name, sheets[name])
+    return sheets
 
 
 class _ChildError(Exception):
@@ -189,6 +197,8 @@ def _in_a_child(path: Path) -> Sheets:
     if child.returncode:
         said = child.stderr.decode(errors="replace").strip().splitlines() or ["no reason"]
         message = said[-1 if child.returncode == 1 else 0]  # its error, or its last words
+        if message.startswith(_REFUSED):
+            raise ReadError(message.removeprefix(_REFUSED))
         raise _ChildError(message, is_refusal=message.startswith("python_calamine."))
     try:
         sheets: Sheets = pickle.loads(child.stdout)
@@ -214,7 +224,8 @@ def _by_openpyxl(path: Path) -> Sheets:
     """Read a workbook that calamine refuses with the slower but more patient library."""
     import openpyxl
 
-    with path.open("rb") as stream:
+    with path.open("rb") as stream, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of what it leaves out, which is not read here
         book = openpyxl.load_workbook(stream, read_only=True, data_only=True)
         return {
             sheet.title: [

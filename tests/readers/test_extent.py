@@ -14,7 +14,7 @@ from labpipe.readers import read_export, recognise_export
 from labpipe.readers.campaign_sheet import read_campaign_sheet
 from labpipe.readers.curve_columns import CurveColumn
 from labpipe.readers.curve_csv import read_curve
-from labpipe.readers.extent import check_extent
+from labpipe.readers.extent import check_extent, check_size, check_table
 from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.readers.workbooks import forget_sheets, open_sheets
 from tests.readers.load_frame.exports import (
@@ -155,3 +155,21 @@ def test_whoever_opens_a_workbook_is_safe(tmp_path: Path, opens: Callable[[Path]
     with pytest.raises(ReadError, match=r"sheet 'Take', cell XFD1048576: expected cells that lie"):
         opens(path)
     forget_sheets()
+
+
+def test_a_table_that_is_all_but_empty(tmp_path: Path) -> None:
+    blank: list[object] = [""] * 5000
+    rows = [["a", *blank[1:]], *[blank] * 2500]
+    with pytest.raises(ReadError, match=r"sheet 'v', cell GJH2501: expected cells that lie togeth"):
+        check_table(tmp_path / "a.xls", "v", rows)
+    check_table(tmp_path / "a.xls", "v", [[1.0] * 5000] * 2500)
+    check_table(tmp_path / "a.xls", "v", rows[:1000])
+    check_table(tmp_path / "a.xls", "v", [])
+
+
+def test_a_table_that_is_too_large_to_be_laid_out(tmp_path: Path) -> None:
+    with pytest.raises(
+        ReadError, match=r"cell CGOH874: .* 874 rows and 57858 columns with few fil"
+    ):
+        check_size(tmp_path / "a.xls", "v", 874, 57858)
+    check_size(tmp_path / "a.xls", "v", 1_048_576, 38)

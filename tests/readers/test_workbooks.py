@@ -125,12 +125,25 @@ def test_an_old_workbook_that_ends_the_process_that_reads_it(
 
 
 @pytest.mark.realdata
-def test_a_wrong_place_in_an_old_workbook(realdata: Path, tmp_path: Path) -> None:
-    """A number of the yarn tests, said to stand in row and column 65536: 137 GB of cells."""
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [
+        (b"\xff\xff\xff\xff", r"a\.xls: expected a whole workbook, found a damaged one"),
+        (
+            b"\xff\xff\xff\x00",
+            r"a\.xls, sheet 'cotton-4', cell IV65536: expected cells that lie to",
+        ),
+    ],
+    ids=["137 GB of cells", "the last cell that there is"],
+)
+def test_a_wrong_place_in_an_old_workbook(
+    realdata: Path, tmp_path: Path, place: bytes, said: str
+) -> None:
+    """A number of the yarn tests, said to stand in another row and column."""
     content = bytearray((realdata / "zwick" / "yarn_compressionTests.xls").read_bytes())
     number = b"\x03\x02\x0e\x00"
     at = content.index(number, len(content) // 2) + len(number)
-    content[at : at + 4] = b"\xff\xff\xff\xff"
+    content[at : at + 4] = place
     (tmp_path / "a.xls").write_bytes(content)
-    with pytest.raises(ReadError, match=r"a\.xls: expected a whole workbook, found a damaged one"):
+    with pytest.raises(ReadError, match=said):
         open_sheets(tmp_path / "a.xls")
