@@ -56,6 +56,8 @@ def lay_out(recordings: Mapping[str, Recording], protocol: Protocol) -> tuple[Be
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, fewest=_FEWEST)
             signal = _signal(channel, source, clock, role)
+            if curve is not None and words.get(channel.name) in (curve.reverse or ()):
+                signal = replace(signal, values=-signal.values)
             bench.raw[channel.name] = bench.signals[channel.name] = signal
             quantity = words.get(channel.name, channel.name)
             _note_missing(bench, channel, signal, quantity)

@@ -42,7 +42,10 @@ _TO_THE_TOP = frozenset({"peak_force", "failure_force", "energy", "energy_to_bre
 """Numbers that a repaired slip anywhere on the way has raised."""
 
 
-_MAY_BE_WHY = frozenset({"frozen_channel", "saturation"})
+_BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
+_SIGNED = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}
+"""What more a number rests on that changes its sign when force and displacement both do."""
+_MAY_BE_WHY = frozenset({"frozen_channel", "saturation", "force_reversed", "displacement_reversed"})
 """Doubts that may well be why there is no number: the curve itself is wrong."""
 _CUT_SHORT = frozenset({"not_reached", "no_travel"})
 """Failures that such a doubt explains: it comes first."""
@@ -80,7 +83,10 @@ def to_result(
     name = asked.name + part
     if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
         outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
-    doubts = [why for each in asked.quantities for why in bench.why_doubtful(each, during)]
+    signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNED.get(asked.unit, ())
+    doubts = [
+        why for each in (*asked.quantities, *signs) for why in bench.why_doubtful(each, during)
+    ]
     if isinstance(outcome, Failure):
         why = [each for each in doubts if each.partition(": ")[0] in _MAY_BE_WHY]
         what = [f"{outcome.code}: {outcome.message}"]

@@ -7,7 +7,7 @@ import numpy as np
 from labpipe.fitting.estimates import Failure
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import goes_down, noise_level
+from labpipe.processing.strokes import noise_level
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
@@ -20,8 +20,6 @@ _SETTLED = 0.25
 """s by which a zero may reach into the motion before it is doubted."""
 _PULLED = 0.02
 """Share of the largest force below zero that is taken for the zero of a load that only presses."""
-_BLOCKS = 200
-"""Means that a record of the force is looked at in, to tell a load from noise."""
 _SUNK = 0.2
 """Share by which mid-span may sink otherwise than the displacement says. Round rollers alone make
 up to a tenth: the specimen rolls up on them, and lies below them at the nominal supports."""
@@ -180,30 +178,3 @@ def check_mid_span(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -
         "the load was from the specimen"
     )
     bench.doubt("displacement", "mid_span_differs", message, where="mid_span")
-
-
-def check_sign(bench: Bench, motion: Signal) -> None:
-    """Doubt a force that goes down where the motion goes up: a bridge wired the other way round.
-
-    Parameters
-    ----------
-    bench : gets the doubt, in place of that of a string that pushes
-    motion : that the curve is split by; a motion that goes down may well load downwards
-    """
-    force = bench.signals[bench.force].values
-    if not goes_down(force) or goes_down(motion.values):
-        return
-    known = force[~np.isnan(force)]
-    means = [float(block.mean()) for block in np.array_split(known, min(_BLOCKS, len(known)))]
-    lowest, highest = min(means), max(*means, 0.0)
-    if lowest >= -2.0 * highest - 5.0 * noise_level(known):
-        return
-    message = (
-        f"the force goes to {lowest:.3g} N while the specimen is loaded: the bridge is reversed, "
-        "or the gain has the wrong sign; give its calibration a gain of the other sign"
-    )
-    bench.notes[:] = [note for note in bench.notes if note.code != "force_negative"]
-    bench.doubts[:] = [doubt for doubt in bench.doubts if doubt.code != "force_negative"]
-    bench.doubt("force", "force_reversed", message, where=bench.force)
-    if bench.clock_fit is not None:  # two clocks are joined at the peaks of the force
-        bench.doubt("clock", "force_reversed", message, where=bench.force)

@@ -33,9 +33,9 @@ from labpipe.pipeline.plausibility import (
     check_mid_span,
     check_rest,
     check_rig,
-    check_sign,
 )
 from labpipe.pipeline.recording_checks import check_channels, check_end
+from labpipe.pipeline.signs import check_signs
 from labpipe.pipeline.steps import step_or_refuse
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
@@ -163,8 +163,8 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
     use_rest_there_is(bench, branches)
     check_rig(bench, protocol, branches)
     check_end(bench, motion, branches)
-    check_sign(bench, motion)
     check_rest(bench, branches)
+    check_signs(bench, protocol, branches)
     if not bench.blocked:
         bench.aligned = _aligned(bench)
         bench.curve = _curve(bench, motion.time, branches)

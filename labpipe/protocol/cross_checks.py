@@ -189,11 +189,25 @@ def _curve_faults(outline: Outline) -> Faults:
         if found not in (None, unit):
             expected = f"a channel in {unit}"
             yield Fault(("curve", key), expected, f"{name!r} in {found}", "Name another channel.")
-    clocks = {outline.clock_of(str(name)) for name in curve.values()} - {None}
+    yield from _reverse_faults(outline, curve)
+    names = (curve.get("force"), curve.get("displacement"))
+    clocks = {outline.clock_of(str(name)) for name in names} - {None}
     if len(clocks) > 1 and not outline.joins_clocks:
         remedy = "Set 'align.method' to 'turning-points'."
         path: KeyPath = ("align", "method") if outline.block("align") else ("curve",)
         yield Fault(path, "a method that joins the two clocks of the curve", "none", remedy)
+
+
+def _reverse_faults(outline: Outline, curve: Values) -> Faults:
+    """Find a sign to be turned of a channel that labpipe makes itself."""
+    said = curve.get("reverse")
+    measured = [channel.name for channel in outline.channels]
+    for word in said if isinstance(said, list) else []:
+        name = curve.get(word) if isinstance(word, str) else None
+        if name in outline.made and name not in measured:
+            remedy = "Its sign is that of the specimen frame: take it out of 'curve.reverse'."
+            found = f"{name!r}, which a step makes"
+            yield Fault(("curve", "reverse"), "a channel that a source gives", found, remedy)
 
 
 def _branch_faults(outline: Outline) -> Faults:

@@ -170,11 +170,37 @@ class Slack(Block):
     _behind_start = field_validator("stop")(behind_start(Share))
 
 
+def _words_once(value: object) -> object:
+    words = value if isinstance(value, list | tuple) else None
+    if words is None or set(words) - {"force", "displacement"} or len(set(words)) < len(words):
+        raise error_of(expected="a list of 'force' and 'displacement', or of neither", found=value)
+    return tuple(words)
+
+
+Reverse: TypeAlias = Annotated[
+    tuple[Literal["force", "displacement"], ...],
+    PlainValidator(_words_once),
+    PlainSerializer(list),
+    WithJsonSchema(
+        {
+            "type": "array",
+            "items": {"enum": ["force", "displacement"]},
+            "uniqueItems": True,
+        }
+    ),
+]
+
+
 class CurveBlock(Block):
     """Which channels make the curve, and how it is corrected: in the order of the keys."""
 
     force: Snake
     displacement: Snake
+    reverse: Reverse | None = Field(
+        None,
+        description="force, displacement: channels that count down as the specimen is loaded; an "
+        "empty list says that their signs are meant",
+    )
     compliance: MachineCompliance | None = None
     failure: Failure | None = None
     slips: Slips | None = None

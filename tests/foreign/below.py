@@ -81,16 +81,10 @@ NOT_OK: dict[Case, str] = {
 UNNAMED: set[tuple[str, str]] = {
     ("conduit-bundle", "begins-under-load"),
     ("corrugated-tube", "begins-under-load"),
-    ("corrugated-tube", "counts-down"),
     ("force-displacement", "begins-under-load"),
     ("pet-tape", "begins-under-load"),
-    ("pet-tape", "counts-down"),
     ("stiff-bar", "begins-under-load"),
-    ("stiff-bar", "counts-down"),
-    ("tensile", "counts-down"),
-    ("three-point-bend", "counts-down"),
     ("twist-tube", "begins-under-load"),
-    ("twist-tube", "counts-down"),
 }
 
 # Tests that end in a fault of labpipe itself.

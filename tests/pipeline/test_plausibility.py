@@ -12,13 +12,13 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.exports import name_channels
-from labpipe.pipeline.plausibility import check_rest, check_rig, check_sign
+from labpipe.pipeline.plausibility import check_rest, check_rig
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, ClockFit, Interval, Shape
+from labpipe.records.curve import Branch, Shape
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
 from tests.builders.doubts import doubted
@@ -87,51 +87,6 @@ def test_a_string_cannot_push(protocol: Protocol) -> None:
     check_rig(made, protocol, branches(SHARP))
     assert doubted(made)["force"].startswith("force_negative: the force falls to -0.2")
     assert "a string cannot push: the zero is wrong or drifts" in doubted(made)["force"]
-
-
-def test_a_reversed_bridge(protocol: Protocol) -> None:
-    """Said once, by its cause: not as a string that pushes."""
-    made = bench(SHARP, -160.0 * SHARP)
-    check_rig(made, protocol, branches(SHARP))
-    check_sign(made, made.raw["travel"])
-    assert doubted(made)["force"] == (
-        "force_reversed: the force goes to -3.19 N while the specimen is loaded: the bridge is "
-        "reversed, or the gain has the wrong sign; give its calibration a gain of the other sign"
-    )
-    assert [note.code for note in made.notes] == ["force_reversed"]
-
-
-@pytest.mark.parametrize(
-    ("motion", "force"),
-    [
-        (SHARP, 20.0 * SHARP),
-        (-SHARP, -20.0 * SHARP),
-        (-SHARP, 20.0 * SHARP),
-        (SHARP, 20.0 * SHARP - 0.3),
-        (SHARP, np.random.default_rng(0).normal(0.0, 0.1, len(TIME))),
-        (SHARP, np.full(len(TIME), np.nan)),
-    ],
-    ids=["up", "down", "pressed, as some frames sign it", "off zero", "noise", "nothing"],
-)
-def test_no_reversed_bridge(motion: Floats, force: Floats) -> None:
-    made = bench(motion, force)
-    check_sign(made, made.raw["travel"])
-    assert not doubted(made)
-
-
-def test_a_reversed_bridge_leaves_no_peaks_to_join_clocks_by() -> None:
-    made = bench(SHARP, -160.0 * SHARP)
-    nothing = np.array([0.0])
-    clocks = Interval(-1.0, 1.0)
-    made.clock_fit = ClockFit(0.0, 0.0, clocks, clocks, 0.0, nothing, nothing, nothing, "")
-    check_sign(made, made.raw["travel"])
-    assert doubted(made)["clock"] == doubted(made)["force"]
-
-
-def test_motion_that_nobody_saw_tells_no_sign() -> None:
-    made = bench(np.full(len(TIME), np.nan), 20.0 * SHARP)
-    check_sign(made, made.raw["travel"])
-    assert not doubted(made)
 
 
 def test_what_presses_on_two_supports_cannot_pull(repository: Path) -> None:

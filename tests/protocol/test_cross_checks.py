@@ -43,6 +43,13 @@ CASES = {
         "p.yaml, line 22, column 16 (curve.force): expected a channel in N, found 'travel' in m."
         " Name another channel.",
     ),
+    "sign of what a step makes": (
+        "displacement: deflection",
+        "displacement: deflection, reverse: [displacement]",
+        "p.yaml, line 22, column 58 (curve.reverse): expected a channel that a source gives, found"
+        " 'deflection', which a step makes. Its sign is that of the specimen frame: take it out of"
+        " 'curve.reverse'.",
+    ),
     "curve over two clocks": (
         "{method: turning-points, channel: force, motion_window: 25 s, force_window: 2 s,\n"
         "  max_residual: 5 ms, max_drift: 500 ppm}",
