@@ -45,8 +45,8 @@ _PAST = 0.9
 
 def clock_results(bench: Bench) -> list[Result]:
     """``clock_offset`` (s) and ``clock_drift`` (1): force time against marker time."""
-    method = "weighted straight line through turning points seen on both clocks"
     fit = bench.clock_fit
+    method = "how the clocks of force and motion were joined" if fit is None else fit.method
     offset: Estimate | Failure = blocked_or(bench, Failure("one_clock", "there is only one clock"))
     drift = offset
     if fit is not None:

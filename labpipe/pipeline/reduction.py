@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TypeGuard, assert_never
+from typing import TypeAlias, TypeGuard, assert_never
 
 import numpy as np
 
@@ -36,6 +36,7 @@ from labpipe.pipeline.plausibility import (
 )
 from labpipe.pipeline.recording_checks import check_channels, check_end
 from labpipe.pipeline.signs import check_signs
+from labpipe.pipeline.stated_clocks import take_stated_clocks
 from labpipe.pipeline.steps import step_or_refuse
 from labpipe.pipeline.stiffness_results import (
     line_stiffness,
@@ -87,7 +88,7 @@ from labpipe.protocol.results import (
     TwoSegments,
     UnloadingStiffness,
 )
-from labpipe.protocol.rig import Align, AlignCommonStart, AlignTurningPoints
+from labpipe.protocol.rig import Align, AlignCommonStart, AlignStated, AlignTurningPoints
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Series
@@ -153,7 +154,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
             times[turn.stroke, 1] = turn.arrival.time
             times[turn.stroke + 1, 0] = turn.departure.time
         bench.clock_fit = _joined(bench, protocol.align, motion, strokes, turns)
-        check_turns(bench, motion, strokes, turns)
+        check_turns(bench, motion, strokes, turns, for_clock=protocol.align.method != "stated")
     branches = split_branches(motion.time, strokes, turning_times=times)
     if bench.span is not None:
         from labpipe.pipeline.three_point import align_cameras  # loaded by these tests alone
@@ -171,23 +172,33 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         correct_curve(bench, protocol.curve)
 
 
-def _joins_clocks(align: Align, bench: Bench) -> TypeGuard[AlignTurningPoints | AlignCommonStart]:
+Joined: TypeAlias = AlignTurningPoints | AlignCommonStart | AlignStated
+
+
+def _joins_clocks(align: Align, bench: Bench) -> TypeGuard[Joined]:
     """Whether force and displacement have clocks that are to be joined."""
-    if isinstance(align, AlignCommonStart):
-        return bench.raw[align.channel].clock != bench.raw[bench.displacement].clock
+    if isinstance(align, AlignCommonStart | AlignStated):
+        channel = bench.raw[align.channel or bench.force]
+        return channel.clock != bench.raw[bench.displacement].clock
     return isinstance(align, AlignTurningPoints)
 
 
 def _joined(
     bench: Bench,
-    align: AlignTurningPoints | AlignCommonStart,
+    align: Joined,
     motion: Signal,
     strokes: tuple[Stroke, ...],
     turns: list[Turn],
 ) -> ClockFit | None:
-    if isinstance(align, AlignCommonStart):
-        return start_together(bench, align, motion, strokes, turns)
-    return align_clocks(bench, align, motion, strokes, turns)
+    match align:
+        case AlignStated():
+            return take_stated_clocks(bench, align, motion, strokes)
+        case AlignCommonStart():
+            return start_together(bench, align, motion, strokes, turns)
+        case AlignTurningPoints():
+            return align_clocks(bench, align, motion, strokes, turns)
+        case _ as never:
+            assert_never(never)
 
 
 def _aligned(bench: Bench) -> Aligned:

@@ -144,7 +144,12 @@ def _is_seen(motion: Signal, at: float) -> bool:
 
 
 def check_turns(
-    bench: Bench, motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn]
+    bench: Bench,
+    motion: Signal,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
+    *,
+    for_clock: bool = True,
 ) -> None:
     """Doubt turning points that were not seen, or that are no corners.
 
@@ -152,6 +157,7 @@ def check_turns(
     ----------
     bench : gets the doubts
     motion, strokes, turns : the travel, its strokes, and the turns that were found between them
+    for_clock : whether clocks were joined at these turns, and are doubtful as well
     """
     found = {turn.stroke for turn in turns}
     for number, (before, _) in enumerate(pairwise(strokes)):
@@ -171,6 +177,12 @@ def check_turns(
     for turn in turns:
         _check_corners(bench, motion, turn)
     _check_waits(bench, motion, [turn for turn in turns if turn.dwell > 0.0])
+    if not for_clock:
+        bench.doubts[:] = [
+            doubt
+            for doubt in bench.doubts
+            if doubt.quantity != "clock" or doubt.code not in ("turn_not_seen", "turn_rounded")
+        ]
 
 
 def _unseen(motion: Signal, at: float) -> tuple[float, float]:

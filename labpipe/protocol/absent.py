@@ -104,7 +104,7 @@ def _needed(protocol: Protocol) -> set[str]:
         names |= {protocol.curve.force, protocol.curve.displacement}
     if protocol.branches is not None:
         names.add(protocol.branches.channel)
-    if not isinstance(protocol.align, AlignNone):
+    if not isinstance(protocol.align, AlignNone) and protocol.align.channel is not None:
         names.add(protocol.align.channel)
     return names
 

@@ -169,7 +169,8 @@ def _align_faults(outline: Outline) -> Faults:
     if not outline.joins_clocks:
         return
     sources = [channel.name for channel in outline.channels]
-    yield from _channel_faults(align, ("align", "channel"), sources)
+    if align.get("channel") is not None:
+        yield from _channel_faults(align, ("align", "channel"), sources)
     here = ("align", "method")
     if not outline.turning_points:
         return

@@ -165,4 +165,4 @@ class Outline:
     @property
     def joins_clocks(self) -> bool:
         """Say whether two clocks are joined."""
-        return self.block("align").get("method") in ("turning-points", "common-start")
+        return self.block("align").get("method") in ("turning-points", "common-start", "stated")

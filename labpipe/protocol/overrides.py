@@ -69,8 +69,16 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
             merged.told.append(sheet.place(Fault(place[:2], expected, found, _LEFT[key], "key")))
         else:
             _put(merged, key, sheet, place, gone)
+    _say_why(merged, overrides.get("align"))
     _take_out(merged, gone)
     return merged
+
+
+def _say_why(merged: Document, override: Mapping[str, Any] | None) -> None:
+    """Give clocks that a sheet states the reason of the override, unless they have their own."""
+    align = merged.data.get("align") if isinstance(merged.data, Mapping) else None
+    if override and isinstance(align, dict) and align.get("method") == "stated":
+        align.setdefault("because", override["because"])
 
 
 def _take_out(merged: Document, gone: Mapping[KeyPath, object]) -> None:

@@ -155,6 +155,10 @@ Offset = Annotated[float, Quantity("m", "mm", "0.8 mm")]
 """A length that may also be zero or negative."""
 Distance = Annotated[float, Quantity("m", "mm", "4 mm", least=0.0)]
 Area = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.0)]
+Moment = Annotated[float, Quantity("s", "s", "1.234 s")]
+"""A time that may also be zero or negative."""
+Drift = Annotated[float, Quantity("1", "ppm", "40 ppm", least=-0.01, most=0.01)]
+"""By how much one clock runs faster than another."""
 Duration = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
 Force = Annotated[float, Quantity("N", "N", "5 mN", least=0.0)]
 Compliance = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", above=0.0)]

@@ -18,10 +18,12 @@ from labpipe.protocol.quantities import (
     Area,
     Compliance,
     Distance,
+    Drift,
     Duration,
     Force,
     Length,
     Mass,
+    Moment,
     Offset,
     Ratio,
     Share,
@@ -130,8 +132,24 @@ class AlignCommonStart(Block):
     force_window: Duration = Field(1.0, description="On each side of a corner of the channel")
 
 
+class AlignStated(Block):
+    """Clocks that somebody has compared: force time = offset + (1 + drift) x motion time."""
+
+    method: Literal["stated"]
+    channel: Snake | None = Field(
+        None, description="A channel on the clock of the force; that of the curve if left out"
+    )
+    offset: Moment = Field(description="Time of the force at time zero of the motion")
+    drift: Drift = Field(0.0, description="By how much the clock of the force runs faster")
+    uncertainty: Duration | None = Field(
+        None, description="Standard uncertainty of the offset; one sample if left out"
+    )
+    because: Text = Field(description="Where the offset comes from")
+    motion_window: Duration = Field(10.0, description="On each side of a turn of the motion")
+
+
 Align: TypeAlias = Annotated[
-    AlignNone | AlignTurningPoints | AlignCommonStart, Field(discriminator="method")
+    AlignNone | AlignTurningPoints | AlignCommonStart | AlignStated, Field(discriminator="method")
 ]
 
 

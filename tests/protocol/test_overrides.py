@@ -10,7 +10,7 @@ import pytest
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import ComplianceResult, Stiffness
-from labpipe.protocol.rig import AlignNone
+from labpipe.protocol.rig import AlignNone, AlignStated
 from labpipe.protocol.schema import Protocol
 from tests.protocol.conftest import SHEET, Tell
 
@@ -189,6 +189,29 @@ overrides:
 
     assert protocol.align == AlignNone()
     assert (protocol.curve, protocol.results) == (None, ())
+
+
+STATED = "{method: stated, offset: 1.234 s, drift: -20 ppm, uncertainty: 20 ms"
+
+
+def test_clocks_are_stated_for_one_test(lab: Path, write: Callable[[str], Path]) -> None:
+    """The reason of the override is that of the offset, unless it has its own."""
+    for own, said in (("", "the lamp"), (", because: seen in frame 62", "seen in frame 62")):
+        text = f"overrides:\n  align: {{value: {STATED}{own}}}, because: the lamp}}\n"
+        path = write(SHEET + text)
+        align = resolve(load_test_sheet(path), path, lab / "protocols").align
+        assert isinstance(align, AlignStated)
+        assert (align.offset, align.drift, align.uncertainty) == (1.234, -20e-6, 0.02)
+        assert align.because == said
+        assert align.channel is None
+
+
+def test_what_a_statement_lacks(tell: Tell) -> None:
+    (found,) = tell(f"{SHEET}overrides:\n  align: {{value: {{method: stated}}, because: x}}\n")
+    assert found == (
+        "test/test.yaml, line 7, column 18 (align): expected the key 'offset', found no such key. "
+        "Add the key 'offset'."
+    )
 
 
 OVERRIDES = {
