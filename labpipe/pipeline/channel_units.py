@@ -112,8 +112,10 @@ def _another_channel(source: ChannelSource) -> str:
 
 def _contradicts(stated: str, said: str, si_unit: str) -> bool:
     """Tell whether two units cannot both be right; one that nobody can make out says nothing."""
+    if stated in _SILENT or _same(stated, said, si_unit):
+        return False
     meant = _meant(stated)
-    return stated not in _SILENT and is_unit(meant) and not _same(meant, said, si_unit)
+    return is_unit(meant) and not _same(meant, said, si_unit)
 
 
 def _meant(stated: str) -> str:

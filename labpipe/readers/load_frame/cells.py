@@ -49,6 +49,11 @@ def is_unit(text: str) -> bool:
     return known or any(is_like(text, unit) for unit in _SI)
 
 
+def hold_units(cells: Sequence[str]) -> bool:
+    """Tell whether one at least of some cells is a unit; the quick ones are tried first."""
+    return any(cell in _COMMON for cell in cells) or any(is_unit(cell) for cell in cells if cell)
+
+
 def is_like(text: str, unit: str) -> bool:
     """Tell whether a text is a unit of the dimension of another."""
     try:

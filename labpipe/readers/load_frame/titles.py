@@ -11,8 +11,8 @@ from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.cells import (
     are_units,
     bare_unit,
+    hold_units,
     is_number,
-    is_unit,
     name_and_unit,
     quoted,
     without_brackets,
@@ -127,11 +127,11 @@ def _with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
 def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
     units = _stripped(rows[first - 1]) if first else ()
     kind = f"a row of units{f' in {card.brackets}' if card.brackets else ''} above the numbers"
+    names = _stripped(rows[first - 2]) if first > 1 else ()
     bare = [bare_unit(cell, card.brackets) for cell in units if cell]
-    are_known = bool(card.brackets) or any(cell and is_unit(cell) for cell in bare)
+    are_known = bool(card.brackets) or hold_units(_without_names(units, names))
     if not bare or None in bare or not are_known or any(is_number(cell) for cell in units):
         raise fault(first - 1, kind, quoted(units))
-    names = _stripped(rows[first - 2]) if first > 1 else ()
     if _lacks_names(names, units):
         expected = "a row of names, then a row of units, above the numbers"
         raise fault(first - 1, expected, f"{quoted(names)} above {quoted(units)}")
