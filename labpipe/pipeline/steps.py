@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
-from labpipe.pipeline.zeros import LEAST, line_zero, mean_level, needed
+from labpipe.pipeline.zeros import FEWEST, LEAST, line_zero, mean_level, needed
 from labpipe.processing.filtering import (
     in_pieces,
     low_pass,
@@ -140,9 +140,9 @@ def _take_marker_step(
 def _zero(bench: Bench, step: Zero) -> None:
     signal = bench.signals[step.channel]
     _need_time(signal, step.channel, "a stretch in s")
-    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - step.over)
-    first = int(np.searchsorted(signal.time, start))
-    last = int(np.searchsorted(signal.time, start + step.over, side="right"))
+    first, last = _stretch(signal, step)
+    over = max(step.over, float(signal.time[last - 1] - signal.time[first]))
+    start = float(signal.time[0] if step.at == "start" else signal.time[-1] - over)
     rest = signal.values[first:last]
     known = rest[~np.isnan(rest)]
     beside = signal.values[last:] if step.at == "start" else signal.values[:first]
@@ -150,20 +150,20 @@ def _zero(bench: Bench, step: Zero) -> None:
     if len(known) < least:
         apart = median(np.diff(signal.time))
         message = (
-            f"{step.channel}: {len(known)} samples in the {step.over:g} s to zero on, {least} are "
+            f"{step.channel}: {len(known)} samples in the {over:.4g} s to zero on, {least} are "
             f"needed, and there are {1.0 / apart:.4g} per second"
         )
         raise ShortStretchError(message, (least + 0.5) * apart)
     if step.by == "mean":
-        bench.zeroed[step.channel] = (start, start + step.over)
+        bench.zeroed[step.channel] = (start, start + over)
         level, error = mean_level(known, beside)
-        how = f"the mean over {step.over:g} s"
+        how = f"the mean over {over:.4g} s"
     else:
-        bench.lined[step.channel] = (start, start + step.over)
+        bench.lined[step.channel] = (start, start + over)
         values = known if step.at == "start" else known[::-1]
         level, error, rested = line_zero(values, beside)
-        lasts = step.over * rested / len(values)
-        how = f"the outer end of a line over {step.over:g} s"
+        lasts = over * rested / len(values)
+        how = f"the outer end of a line over {over:.4g} s"
         how = f"the mean over the {lasts:.3g} s before the motion" if rested else how
     zeroed = replace(signal, values=signal.values - level, zero_error=error)
     raw = bench.raw[step.channel]
@@ -175,6 +175,19 @@ def _zero(bench: Bench, step: Zero) -> None:
     if len(known) < LEAST:
         said += f", {len(known)} samples: their noise is judged by the rest of the record"
     bench.note("zeroed", Severity.INFO, step.channel, said)
+
+
+def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:
+    """Samples to zero on, from the first to behind the last: `FEWEST` at least.
+
+    A stretch that suits a quick recorder holds two samples of a slow one.
+    """
+    time = signal.time
+    if step.at == "start":
+        last = int(np.searchsorted(time, time[0] + step.over, side="right"))
+        return 0, min(max(last, FEWEST), len(time))
+    first = int(np.searchsorted(time, time[-1] - step.over))
+    return max(min(first, len(time) - FEWEST), 0), len(time)
 
 
 def _need_time(signal: Signal, name: str, what: str) -> None:

@@ -24,6 +24,10 @@ SHORT = 100
 """Samples of a stretch below which the rest of the record says what its noise is like."""
 
 
+_QUARTER = 25
+"""Samples of the stretches that a record of fewer than `SHORT` is cut into."""
+
+
 def needed(beside: Floats) -> int:
     """Samples that a stretch to zero on must hold.
 
@@ -35,9 +39,10 @@ def needed(beside: Floats) -> int:
     -----
     Beside a hundred more samples, three are enough: with 3 to 6 of them the intervals of
     `mean_level` and `end_level` hold 94 to 96 of 100 true values, in white noise and in noise that
-    remembers ten samples.
+    remembers ten samples. Beside 25 they hold as many in noise that remembers up to two samples,
+    and 73 in noise that remembers ten, which so short a record cannot tell from its curve.
     """
-    return FEWEST if smooth_stretches(beside) else LEAST
+    return FEWEST if _cut(beside) else LEAST
 
 
 def mean_level(values: Floats, beside: Floats) -> tuple[float, float]:
@@ -97,7 +102,11 @@ def line_zero(values: Floats, beside: Floats) -> tuple[float, float, int]:
 
 
 def _stretches(values: Floats, beside: Floats) -> Sequence[Floats]:
-    return smooth_stretches(beside) if len(values) < SHORT else ()
+    return _cut(beside) if len(values) < SHORT else ()
+
+
+def _cut(beside: Floats) -> Sequence[Floats]:
+    return smooth_stretches(beside, width=SHORT if len(beside) >= SHORT else _QUARTER)
 
 
 def _blocks(values: Floats) -> Floats:

@@ -271,3 +271,17 @@ def test_table_2_3_comes_back(tmp_path: Path, run: Run) -> None:
         assert found[0]["value"] == pytest.approx(first, rel=0.012), sample
         assert found[1]["value"] == pytest.approx(second, rel=0.012), sample
         assert found[0]["unit"] == "1/m"
+
+
+def test_a_quick_pull_at_10_hz(tmp_path: Path) -> None:
+    """Fifty samples, half a millimetre apart: the peak is known to a step, the slopes as ever."""
+    usual = twist_tube("1a")
+    quick = Done(tmp_path, replace(usual, instruments=replace(usual.instruments, rate=10.0)))
+    assert quick.status == 0
+    results = quick.lab.results
+    assert {each["status"] for each in results.values()} == {"ok"}
+    for name in ("peak_force.1", "failure_force", "failure_displacement", "energy_to_break"):
+        assert results[name]["lower"] <= quick.truth[name] <= results[name]["upper"], name
+    for name in ("stiffness_first", "stiffness_second"):
+        assert results[name]["value"] == pytest.approx(quick.truth[name], rel=0.01)
+    assert "over 0.2 s at the start, 3 samples: their noise" in quick.lab.notes["zeroed"]

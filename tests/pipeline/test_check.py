@@ -183,8 +183,10 @@ def test_parts_that_overlap_are_told(lab: Path, say: Say) -> None:
 ZERO = "steps:\n  - {step: zero, channel: force, over: 2 ms}\n"
 
 
-def test_a_step_that_the_data_cannot_go_through_is_told(say: Say) -> None:
+def test_a_step_that_the_data_cannot_go_through_is_told(lab: Path, say: Say) -> None:
     """At once for each step, as `labpipe process` says it for the first one."""
+    time = np.arange(20) * 0.001
+    write_mat_v5(lab / FOLDER / "force.mat", [Axis(time)], [Signal("Model/Load", "Out1", time)])
     steps = f"{ZERO}  - {{step: zero, channel: force, over: 3 ms, at: end}}\nmarkers:"
 
     messages = say((WIRE, "markers: {clamp", f"{steps} {{clamp"))

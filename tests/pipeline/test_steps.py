@@ -157,13 +157,15 @@ def test_rows_are_smoothed_by_counting() -> None:
     assert not in_rows("{step: decimate, channel: force, factor: 4}").signals["force"].has_time
 
 
-def test_zero_needs_samples() -> None:
-    with pytest.raises(ShortStretchError) as refused:
-        after("{step: zero, channel: force, over: 15 ms}")
-    assert str(refused.value) == (
-        "force: 2 samples in the 0.015 s to zero on, 3 are needed, and there are 100 per second"
-    )
-    assert refused.value.needed == pytest.approx(0.035)
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_a_stretch_of_a_quick_recorder_is_widened_for_a_slow_one(at: str) -> None:
+    """What holds two samples becomes one of three, and says so."""
+    bench = after(f"{{step: zero, channel: force, over: 15 ms, at: {at}}}")
+    (note,) = (note for note in bench.notes if note.code == "zeroed")
+    assert f"the mean over 0.02 s at the {at}, 3 samples: their noise" in note.message
+    start, stop = bench.zeroed["force"]
+    assert stop - start == pytest.approx(0.02)
+    assert (start if at == "start" else stop) == pytest.approx(TIME[0 if at == "start" else -1])
 
 
 @pytest.mark.parametrize(("by", "error"), [("mean", 5**-0.5), ("line", 0.6**0.5)])
@@ -179,10 +181,14 @@ def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
 def test_few_samples_of_a_short_record() -> None:
     made = protocol("{step: zero, channel: force, over: 0.5 s}")
     bench = Bench()
-    signal = Signal(np.linspace(0.0, 5.9, 60), VALUES[:60], "N", "frame")
+    signal = Signal(np.linspace(0.0, 2.9, 30), VALUES[:30], "N", "frame")
     bench.raw["force"] = bench.signals["force"] = signal
-    with pytest.raises(ShortStretchError, match=r"6 samples in the 0.5 s to zero on, 8 are needed"):
+    with pytest.raises(ShortStretchError) as refused:
         take_step(bench, MarkerBench(), made.steps[0], made)
+    assert str(refused.value) == (
+        "force: 6 samples in the 0.5 s to zero on, 8 are needed, and there are 10 per second"
+    )
+    assert refused.value.needed == pytest.approx(0.85)
 
 
 @pytest.mark.parametrize(
