@@ -52,6 +52,7 @@ from labpipe.pipeline.tensile_results import (
     slip_results,
 )
 from labpipe.pipeline.turns import Turn, check_turns, turning_points
+from labpipe.pipeline.zero_changes import check_zeros
 from labpipe.pipeline.zeros import use_rest_there_is
 from labpipe.processing.strokes import (
     Stroke,
@@ -169,6 +170,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
     if not bench.blocked:
         bench.aligned = _aligned(bench)
         bench.curve = _curve(bench, motion.time, branches)
+        check_zeros(bench, protocol)
         correct_curve(bench, protocol.curve)
 
 
