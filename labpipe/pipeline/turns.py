@@ -19,6 +19,8 @@ _FIRST_WAIT = 0.2
 _WAITED, _TOGETHER = (2.0, 1.5), 3
 """A wait is longer than so many times what noise makes of a corner: one alone, and where the median
 of so many turns at least is."""
+_SAMPLES = 3
+"""Samples that a wait at a single turn takes at least."""
 _NO_WAIT = 1e-6
 """s; a wait as short as that is none."""
 _ROUNDED = (0.05, 0.25)
@@ -88,10 +90,11 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
         if one is not None:
             found.append(one)
     all_wait = _all_wait(motion, [wait for _, wait in found])
+    shortest = _SAMPLES * median(np.diff(motion.time))
     turns = []
     for turn, wait in found:
         waits = wait is not None and (
-            all_wait or wait.dwell > _WAITED[0] * _from_noise(motion, wait)
+            all_wait or wait.dwell > max(_WAITED[0] * _from_noise(motion, wait), shortest)
         )
         chosen = wait if waits or turn is None else turn
         if chosen is not None:

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.result import Status
+from tests.builders.doubts import doubted
+from tests.builders.reduced import loop, reduced
+
+NOISE = 0.005
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_a_test_whose_zero_stays(noise: float) -> None:
+    assert not doubted(reduced(*loop(noise=noise))[0])
+
+
+@pytest.mark.parametrize("size", [0.1, -0.1])
+def test_a_force_that_jumps_is_doubted_from_there_on(size: float) -> None:
+    """A tenth of the peak, in the second unloading."""
+    time, path, force = loop(noise=NOISE)
+    bench, results = reduced(time, path, force + np.where(time > 35.0, size, 0.0))
+    assert doubted(bench)["force"].startswith("zero_jump: the force jumps by ")
+    assert results["peak_force.1"].status is Status.OK
+    assert results["energy.1"].status is Status.OK
+    assert results["energy.2"].status is Status.DOUBTFUL
+
+
+def test_a_specimen_that_loses_force_while_it_is_loaded_may_slip() -> None:
+    time, path, force = loop(cycles=1)
+    bench, _ = reduced(time, path, force - np.where((time > 8.0) & (time < 12.0), 0.05, 0.0))
+    assert "zero_jump" not in str(bench.doubts)
+
+
+@pytest.mark.parametrize(("drift", "is_seen"), [(0.1, True), (-0.1, True), (0.01, False)])
+def test_a_zero_that_drifts(drift: float, is_seen: bool) -> None:
+    time, path, force = loop(noise=NOISE)
+    bench, results = reduced(time, path, force + drift * time / time[-1])
+    assert ("zero_drift" in str(bench.doubts)) is is_seen
+    assert (results["energy.2"].status is Status.DOUBTFUL) is is_seen
+    assert results["peak_displacement.1"].status is Status.OK
+
+
+def test_a_crosshead_zeroed_in_mid_record() -> None:
+    time, path, force = loop(noise=NOISE)
+    bench, results = reduced(time, path + np.where(time < 1.0, 0.05, 0.0), force)
+    assert "zeroed in mid-record" in doubted(bench)["displacement"]
+    assert results["peak_force.1"].status is Status.DOUBTFUL
