@@ -230,17 +230,31 @@ def curve_of(bench: Bench) -> Curve:
 
 
 def stretch_of_cycle(bench: Bench, branches: list[Branch]) -> slice:
-    """Samples of the curve from the start of a cycle to its end, both turning samples included.
+    """Samples of the curve from the turn where a cycle begins to that where it ends, both included.
 
-    A last loading without an unloading lasts as long as force is known: what is held belongs to it.
+    Where the motion rests between two cycles, they part at its extreme. A last loading without an
+    unloading lasts as long as force is known: what is held belongs to it.
     """
     curve, last = curve_of(bench), branches[-1]
-    if last != curve.branches[-1]:
-        return slice(branches[0].start, last.stop + 1)
+    first, behind = (curve.branches.index(each) for each in (branches[0], last))
+    start = _turn_before(bench, first) if first else branches[0].start
+    if behind + 1 < len(curve.branches):
+        return slice(start, _turn_before(bench, behind + 1) + 1)
     if last.direction is Direction.UNLOADING:
-        return slice(branches[0].start, last.stop)
+        return slice(start, last.stop)
     known = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
-    return slice(branches[0].start, max(known, last.stop))
+    return slice(start, max(known, last.stop))
+
+
+def _turn_before(bench: Bench, number: int) -> int:
+    """Sample at which the motion turns before a branch that is not the first one."""
+    curve = curve_of(bench)
+    rest = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
+    seen = sense_over(bench, curve.displacement) * curve.displacement[rest]
+    if np.isnan(seen).all():
+        return rest.stop - 1
+    is_top = curve.branches[number - 1].direction is Direction.LOADING
+    return rest.start + int(np.nanargmax(seen) if is_top else np.nanargmin(seen))
 
 
 def _clock_error(bench: Bench) -> float:

@@ -170,7 +170,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
     if not bench.blocked:
         bench.aligned = _aligned(bench)
         bench.curve = _curve(bench, motion.time, branches)
-        check_zeros(bench, protocol)
+        check_zeros(bench)
         correct_curve(bench, protocol.curve)
 
 

@@ -10,7 +10,6 @@ from labpipe.fitting.loops import sense_of_loading
 from labpipe.pipeline.bench import Bench
 from labpipe.processing.level_jumps import level_jumps
 from labpipe.processing.strokes import noise_level
-from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction
 
@@ -30,20 +29,19 @@ _FEWEST = 3
 """Samples of a rest."""
 
 
-def check_zeros(bench: Bench, protocol: Protocol) -> None:
+def check_zeros(bench: Bench) -> None:
     """Doubt what follows a jump of force or displacement, and forces whose zero drifted.
 
     Parameters
     ----------
     bench : with a curve of unfiltered force; gets the doubts
-    protocol : says whether a string holds the specimen, which may hang slack afterwards
     """
     curve = bench.curve
     if curve is None or not curve.branches:
         return
     _doubt_displacement(bench, curve)
     if not _doubt_force(bench, curve):
-        _doubt_drift(bench, curve, has_string=protocol.rig.string is not None)
+        _doubt_drift(bench, curve)
 
 
 def _doubt_displacement(bench: Bench, curve: Curve) -> None:
@@ -115,25 +113,39 @@ def _held_after_loading(curve: Curve, sample: int) -> bool:
     return bool(before) and resting and before[-1].direction is Direction.LOADING
 
 
-def _doubt_drift(bench: Bench, curve: Curve, *, has_string: bool) -> None:
+def _doubt_drift(bench: Bench, curve: Curve) -> None:
+    """Compare the force at rest before and after.
+
+    A specimen with friction, or one that stays longer, pushes back when it is home again: a force
+    against the sense of loading is a drift if it grows from cycle to cycle, too.
+    """
     first, last = curve.branches[0], curve.branches[-1]
-    before, after = curve.force[: first.start], curve.force[last.stop :]
-    before, after = before[~np.isnan(before)], after[~np.isnan(after)]
+    before, after = _known(curve.force[: first.start]), _known(curve.force[last.stop :])
     if not _came_back(curve, first, last) or min(len(before), len(after)) < _FEWEST:
         return
-    # Only the end of a long rest: a specimen relaxes.
-    change = median(after[-len(before) :]) - median(before)
-    part = slice(first.start, last.stop)
-    most = float(np.nanmax(np.abs(curve.force[part] - median(before))))
+    level = median(before)
+    change = median(after[-len(before) :]) - level  # the end of a long rest: a specimen relaxes
+    part = curve.force[first.start : last.stop]
+    most = float(np.nanmax(np.abs(part - level)))
     error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
-    if abs(change) < max(_DRIFT * most, _SURE * error) or (has_string and change < 0.0):
+    limit, sense = max(_DRIFT * most, _SURE * error), sense_of_loading(part)
+    if abs(change) < limit or (sense * change < 0.0 and abs(_later_change(curve)) < limit):
         return
     message = (
-        f"at rest the force is {median(before):.4g} N before the test and "
-        f"{median(before) + change:.4g} N after it, {abs(change) / most:.0%} of the largest force "
-        "apart: the zero drifted, or the specimen is held under load"
+        f"at rest the force is {level:.4g} N before the test and {level + change:.4g} N after it, "
+        f"{abs(change) / most:.0%} of the largest force apart: the zero drifted, or the specimen "
+        "is held under load"
     )
     bench.doubt("force", "zero_drift", message, where=bench.force)
+
+
+def _later_change(curve: Curve) -> float:
+    """How much the force at the end of unloading changes from the first cycle to the last, N."""
+    ends = [each.stop for each in curve.branches if each.direction is Direction.UNLOADING]
+    levels = [curve.force[max(end - _FEWEST, 0) : end + _FEWEST] for end in (ends[0], ends[-1])]
+    if any(np.isnan(level).all() for level in levels):
+        return 0.0
+    return float(np.nanmedian(levels[1]) - np.nanmedian(levels[0]))
 
 
 def _came_back(curve: Curve, first: Branch, last: Branch) -> bool:

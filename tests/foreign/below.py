@@ -12,8 +12,8 @@ Case = tuple[str, int, str]
 WRONG: dict[Case, set[str]] = {
     # kink_displacement +3.5 %; a bend without a corner, its interval is twice as wide
     ("taped-bundle", 48, ""): {"kink_displacement"},
-    # peak_force.1 -99.2 %
-    ("tensile", 0, "begins-under-load"): {"peak_force.1"},
+    # At 10 Hz the last sample before the break lies up to a step before it: 1.5 % of the force.
+    ("twist-tube", 108, ""): {"energy_to_break", "failure_force"},
     # break_point -35.1 %, energy_to_break -29.4 %, failure_displacement -12.6 %
     ("twist-tube", 0, "begins-under-load"): {
         "break_point",
@@ -50,7 +50,6 @@ WRONG: dict[Case, set[str]] = {
 
 # Sound tests with results that are not `ok`, and the reason given.
 NOT_OK: dict[Case, str] = {
-    ("twist-tube", 108, ""): "are needed",
     ("three-point-bend", 0, ""): "partial_cycle",
     ("three-point-bend", 108, ""): "partial_cycle",
     ("conduit-bundle", 0, ""): "no_camera_clock",
