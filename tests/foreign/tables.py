@@ -123,9 +123,13 @@ def tables(lines: list[Row], commit: str) -> str:
     tests = sum(not line["fault"] for line in lines)
     counts = counted(lines)
     judged, few = sum(each.ok >= LEAST for each in counts), sum(each.below for each in counts)
+    sound = [row for line in lines if not line["fault"] for row in line["rows"]]
+    sound = [row for row in sound if row["status"] == "ok"]
     rows = [
         f"Measured at commit `{commit}`: {len(lines)} tests, {tests} of them without a fault. Of"
-        f" {judged} results that were `ok` {LEAST} times or more, {few} hold too seldom.\n"
+        f" {judged} results that were `ok` {LEAST} times or more, {few} hold too seldom. Of all"
+        f" {len(sound)} numbers that were `ok`, {sum(_wrong(row, '') for row in sound)} are wrong:"
+        " farther off than 2 % and than three half widths.\n"
     ]
     rows += ["| test | result | ok | doubtful | failed | held | % | width |", _rule("llrrrrrr")]
     for each in counts:

@@ -25,8 +25,8 @@ RELATIVE = (
     # Five standard deviations of noise that the largest of thousands of samples shows: 0.15 %. As
     # much again for the travel within the filter, and for a zero of ten samples.
     (r"peak_force|energy|peak_displacement|plateau_force|failure_force", 0.004),
-    # A step of 10 Hz at 5 mm/s is 2 % of the way to the break of a twist tube, of 100 Hz 0.2 %.
-    (r"failure_displacement|energy_to_break", 0.02),
+    # A step of 100 Hz at 5 mm/s is 0.2 % of the way to the break of a twist tube.
+    (r"failure_displacement|energy_to_break", 0.004),
     # Hundreds of samples in a window: slopes are known to 0.1 %; cameras to 0.3 %.
     (
         r"initial_stiffness|stiffness(_first|_second)?|modulus_.*|.*_per_peak_force|compliance",
@@ -41,6 +41,9 @@ RELATIVE = (
     # Lines over 0.1 mm, and a fall of 3 % in noise of 0.03 %.
     (r"slack|slip_drop", 0.05),
 )
+AT_10_HZ = {"failure_displacement": 0.02, "energy_to_break": 0.035, "failure_force": 0.03}
+"""The break is a step or less behind the last sample: at 5 mm/s half a millimetre of 26, along
+which the force does 3 % of the work; threads that give way cost 2.7 % of the force in it."""
 ABSOLUTE = {"clock_offset": 10e-3, "clock_drift": 200e-6}
 """s, 1. Half a frame at 50 per second, and that over the time from the first turn to the last."""
 
@@ -59,23 +62,26 @@ MAY_DOUBT = {"failure_displacement", "failure_force", "energy_to_break"}
 Ask = Callable[[str, int, str], Said]
 
 
-def bound(name: str, truth: float) -> float:
+def bound(name: str, truth: float, seed: int) -> float:
     """How far a value may be off."""
     if name in ABSOLUTE:
         return ABSOLUTE[name]
+    if seed >= 108 and name in AT_10_HZ:
+        return AT_10_HZ[name] * abs(truth)
     plain = name.partition(".")[0]
     share = next(share for pattern, share in RELATIVE if re.fullmatch(pattern, plain))
     return share * abs(truth)
 
 
-def far_off(said: Said, fault: str) -> set[str]:
+def far_off(said: Said, seed: int, fault: str) -> set[str]:
     """Results that are `ok` and wrong; of a crosshead that counts down, whatever their sign."""
     seen = [row for row in said.rows if row["status"] == "ok"]
     plain = abs if fault == "counts-down" else float
     return {
         row["name"]
         for row in seen
-        if not abs(plain(row["value"]) - plain(row["truth"])) <= bound(row["name"], row["truth"])
+        if not abs(plain(row["value"]) - plain(row["truth"]))
+        <= bound(row["name"], row["truth"], seed)
     }
 
 
@@ -94,7 +100,7 @@ def ask(tmp_path_factory: pytest.TempPathFactory) -> Ask:
 @pytest.mark.parametrize(("kind", "seed", "fault"), [*CLEAN, *FAULTY])
 def test_nothing_ok_is_far_off(ask: Ask, kind: str, seed: int, fault: str) -> None:
     """An entry of `WRONG` that is right now is taken out of the list."""
-    assert far_off(ask(kind, seed, fault), fault) == WRONG.get((kind, seed, fault), set())
+    assert far_off(ask(kind, seed, fault), seed, fault) == WRONG.get((kind, seed, fault), set())
 
 
 @pytest.mark.parametrize(
