@@ -50,10 +50,6 @@ WRONG: dict[Case, set[str]] = {
 NOT_OK: dict[Case, str] = {
     ("three-point-bend", 0, ""): "partial_cycle",
     ("three-point-bend", 108, ""): "partial_cycle",
-    ("force-displacement", 0, ""): "zero_drift",
-    ("force-displacement", 24, ""): "zero_drift",
-    ("force-displacement", 48, ""): "zero_drift",
-    ("force-displacement", 108, ""): "zero_drift",
     ("conduit-bundle", 0, ""): "no_camera_clock",
 }
 
