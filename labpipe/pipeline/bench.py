@@ -114,6 +114,7 @@ class Bench:
     doubts : why results are doubtful, in the order in which it was found
     zeroed : by signal, the stretch (s, on its own clock) at rest that its zero was taken from
     lined : as `zeroed`, a stretch in which the machine may have moved already
+    taken_off : by signal, the level that its zero is at in the export, in SI
     failure : where the specimen broke; None where it did not, or nobody asked
     slips : the slip ledger
     slack : displacement before the specimen was taut, m; None where nobody asked
@@ -144,6 +145,7 @@ class Bench:
     doubts: list[Doubt] = field(default_factory=list)
     zeroed: dict[str, tuple[float, float]] = field(default_factory=dict)
     lined: dict[str, tuple[float, float]] = field(default_factory=dict)
+    taken_off: dict[str, float] = field(default_factory=dict)
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
     slack: Estimate | Failure | None = None

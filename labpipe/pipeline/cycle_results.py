@@ -77,7 +77,7 @@ def peak_displacement(bench: Bench) -> list[Result]:
 
 def energy(bench: Bench) -> list[Result]:
     """``energy.<cycle>`` (J): work dissipated over one cycle."""
-    asked = Asked("energy", "J", _ALL, "integral of force, trapezoids", needs=2)
+    asked = Asked("energy", "J", (*_ALL, "start"), "integral of force, trapezoids", needs=2)
     return per_cycle(bench, asked, energy_of)
 
 

@@ -45,7 +45,12 @@ _TO_THE_TOP = frozenset({"peak_force", "failure_force", "energy", "energy_to_bre
 _BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
 _SIGNED = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}
 """What more a number rests on that changes its sign when force and displacement both do."""
-_MAY_BE_WHY = frozenset({"frozen_channel", "saturation", "force_reversed", "displacement_reversed"})
+_MAY_BE_WHY = frozenset(
+    {
+        *("frozen_channel", "saturation", "force_reversed", "displacement_reversed"),
+        "begins_under_load",
+    }
+)
 """Doubts that may well be why there is no number: the curve itself is wrong."""
 _CUT_SHORT = frozenset({"not_reached", "no_travel"})
 """Failures that such a doubt explains: it comes first."""

@@ -7,6 +7,7 @@ from typing import TypeAlias, TypeGuard, assert_never
 
 import numpy as np
 
+from labpipe.pipeline.beginnings import check_begin
 from labpipe.pipeline.bench import Bench, Signal, at_times_of_curve
 from labpipe.pipeline.bundle_results import (
     beam_results,
@@ -172,6 +173,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         bench.curve = _curve(bench, motion.time, branches)
         check_zeros(bench)
         correct_curve(bench, protocol.curve)
+        check_begin(bench, branches)
 
 
 Joined: TypeAlias = AlignTurningPoints | AlignCommonStart | AlignStated

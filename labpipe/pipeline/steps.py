@@ -165,6 +165,7 @@ def _zero(bench: Bench, step: Zero) -> None:
         lasts = over * rested / len(values)
         how = f"the outer end of a line over {over:.4g} s"
         how = f"the mean over the {lasts:.3g} s before the motion" if rested else how
+    bench.taken_off[step.channel] = bench.taken_off.get(step.channel, 0.0) + level
     zeroed = replace(signal, values=signal.values - level, zero_error=error)
     raw = bench.raw[step.channel]
     bench.raw[step.channel] = (

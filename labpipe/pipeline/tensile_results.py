@@ -70,7 +70,8 @@ def _in_steps(failure: FailurePoint) -> str:
 
 def energy_to_break_result(bench: Bench) -> list[Result]:
     """``energy_to_break`` (J): work done on the specimen up to its failure."""
-    asked = Asked("energy_to_break", "J", CURVE, "integral of force up to the failure, trapezoids")
+    method = "integral of force up to the failure, trapezoids"
+    asked = Asked("energy_to_break", "J", (*CURVE, "start"), method)
     failure = _failure(bench)
     if isinstance(failure, Failure):
         return [to_result(bench, asked, failure)]

@@ -158,6 +158,7 @@ def _zero_again(bench: Bench, name: str, rest: tuple[float, float], *, wanted: f
     if len(known) < LEAST:
         return
     level, error = mean_level(known, raw.values[~inside])
+    bench.taken_off[name] = bench.taken_off.get(name, 0.0) + level
     for signals in (bench.raw, bench.signals):
         old = signals[name]
         signals[name] = replace(old, values=old.values - level, zero_error=error)

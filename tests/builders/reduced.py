@@ -47,13 +47,20 @@ def loop(*, cycles: int = 2, noise: float = 0.0, seed: int = 0) -> tuple[Floats,
 
 
 def reduced(
-    time: Floats, displacement: Floats, force: Floats, *, more: str = RESULTS
+    time: Floats,
+    displacement: Floats,
+    force: Floats,
+    *,
+    more: str = RESULTS,
+    replaced: tuple[str, str] = ("", ""),
 ) -> tuple[Bench, dict[str, Result]]:
+    """The bench and the results by name; `more` and what is `replaced` make the protocol."""
     channels = (
         Channel("force", "A", force, unit="V"),
         Channel("displacement", "B", displacement, unit="m"),
     )
     recording = Recording("dspace-mat", clocks=(Clock("time", time),), channels=channels)
-    protocol = parse_protocol(PROTOCOL + more, "p.yaml")
+    text = PROTOCOL.replace(*replaced) if replaced[0] else PROTOCOL
+    protocol = parse_protocol(text + more, "p.yaml")
     bench, results = reduce_recordings({"force": recording}, protocol)
     return bench, {each.name: each for each in results}

@@ -12,38 +12,6 @@ Case = tuple[str, int, str]
 WRONG: dict[Case, set[str]] = {
     # kink_displacement +3.5 %; a bend without a corner, its interval is twice as wide
     ("taped-bundle", 48, ""): {"kink_displacement"},
-    # break_point -35.1 %, energy_to_break -29.4 %, failure_displacement -12.6 %
-    ("twist-tube", 0, "begins-under-load"): {
-        "break_point",
-        "energy_to_break",
-        "failure_displacement",
-        "failure_force",
-        "peak_force.1",
-        "stiffness_first",
-        "stiffness_first_per_peak_force",
-        "stiffness_second_per_peak_force",
-    },
-    # break_point -58.3 %, energy_to_break -55.7 %, failure_displacement -11.6 %
-    ("pet-tape", 0, "begins-under-load"): {
-        "break_point",
-        "energy_to_break",
-        "failure_displacement",
-        "failure_force",
-        "modulus",
-        "peak_force.1",
-        "segment_stiffness_first",
-        "stiffness_first",
-    },
-    # modulus_annulus -4.7 %, modulus_thin_wall -4.7 %, stiffness -4.7 %
-    ("corrugated-tube", 0, "begins-under-load"): {
-        "modulus_annulus",
-        "modulus_thin_wall",
-        "stiffness",
-    },
-    # energy.1 -5.2 %
-    ("force-displacement", 0, "begins-under-load"): {"energy.1"},
-    # peak_displacement.1 -12.0 %
-    ("conduit-bundle", 0, "begins-under-load"): {"peak_displacement.1"},
 }
 
 # Sound tests with results that are not `ok`, and the reason given.
@@ -54,14 +22,7 @@ NOT_OK: dict[Case, str] = {
 }
 
 # Faults of the rig that nothing in the output names.
-UNNAMED: set[tuple[str, str]] = {
-    ("conduit-bundle", "begins-under-load"),
-    ("corrugated-tube", "begins-under-load"),
-    ("force-displacement", "begins-under-load"),
-    ("pet-tape", "begins-under-load"),
-    ("stiff-bar", "begins-under-load"),
-    ("twist-tube", "begins-under-load"),
-}
+UNNAMED: set[tuple[str, str]] = set()
 
 # Tests that end in a fault of labpipe itself.
 CRASHES: set[Case] = set()
