@@ -7,9 +7,10 @@ import numpy as np
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch
+from labpipe.pipeline.held_at_rest import Held, held, stated
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result, while_loading
 from labpipe.pipeline.plausibility import GRAVITY
-from labpipe.pipeline.string_at_rest import AtRest, at_rest
+from labpipe.pipeline.string_at_rest import at_rest
 from labpipe.processing.bending_moments import TipPull, bent
 from labpipe.processing.bending_test import BendingErrors, BendingTest
 from labpipe.processing.law_table import law_points
@@ -43,7 +44,8 @@ def bending_stiffness(bench: Bench, entry: MomentCurvature, protocol: Protocol) 
     if law is None:
         _, _, message = bench.bending.reason.partition(": ")
         return [to_result(bench, asked, Failure("no_law", message))]
-    doubt, during = _misfit(bench), while_loading(bench)
+    doubt = _misfit(bench) or _bent_before(bench.bending, law, entry)
+    during = while_loading(bench)
     return [to_result(bench, asked, _stiffness(law, entry), doubt=doubt, during=during)]
 
 
@@ -149,28 +151,24 @@ def _pull(
         bench.note("force_taken_normal", Severity.INFO, "rig.string", message)
         return TipPull(None, 0.0, 0.0, tip), None
     weight = GRAVITY * string.counterweight
-    before = _before(bench, shape, weight)
-    if weight == 0.0 or before.why_not_straight:
-        return TipPull(string.length, weight, 0.0, tip), None
-    ahead = (
-        "" if np.isnan(before.ahead) else f"the clamp is {1e3 * before.ahead:.2g} mm ahead of it, "
-    )
-    message = (
-        f"at rest the tip stood {1e3 * before.sag:.2g} mm below the clamp's axis, {ahead}so the "
-        f"string was taut at rest: it is taken to carry all of the counterweight, {weight:.3g} N; "
-        "carrying nothing is in the intervals"
-    )
-    bench.note("tension_at_rest", Severity.INFO, "rig.string", message)
-    return TipPull(string.length, weight, weight, tip), 0.0
+    if weight == 0.0:
+        return TipPull(string.length, 0.0, 0.0, tip), None
+    before = held_before(bench, string)
+    note = before.note
+    bench.note(note.code, note.severity, note.where, note.message)
+    return TipPull(string.length, before.weight, before.tension, tip), before.other
 
 
-def _before(bench: Bench, shape: Shape, weight: float) -> AtRest:
-    """String and wire before the first loading."""
+def held_before(bench: Bench, string: LoadString) -> Held:
+    """What the string held before the first loading: as stated, or as the test tells."""
+    weight = GRAVITY * string.counterweight
+    if string.at_rest != "by-data":
+        return stated(string.at_rest, weight)
     curve, first = bench.curve, loading_branch(bench)
     if curve is None or first is None:
         message = "expected a curve with a loading branch"
         raise ValueError(message)
-    return at_rest(bench.aligned, shape, curve, first, weight)
+    return held(at_rest(bench.aligned, bench.shape, curve, first, weight))
 
 
 def _tell(bench: Bench, bending: Bending) -> None:
@@ -186,6 +184,19 @@ def _tell(bench: Bench, bending: Bending) -> None:
             f"{law.floor:.2g} 1/m are noise"
         )
     bench.note("moment_curvature", Severity.INFO, "shape", said)
+
+
+def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> str:
+    """Why a number is doubtful: the wire had been bent as far the other way before the test."""
+    resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
+    moment = float(np.interp(entry.at, law.curvature, law.moment))
+    if resting <= moment:
+        return ""
+    return (
+        f"bent_before: at rest the wire hung under a moment of {1e3 * resting:.3g} N mm, more than "
+        f"the {1e3 * moment:.3g} N mm at {entry.at:g} 1/m: below that it is not loaded for the "
+        "first time"
+    )
 
 
 def _misfit(bench: Bench) -> str:

@@ -187,6 +187,8 @@ def _rest_notes(
     string = protocol.rig.string
     if string is None or string.counterweight == 0.0:
         return ()
+    if string.at_rest == "taut":
+        return ()
     rest = at_rest(result.aligned, result.shape, curve, branch, GRAVITY * string.counterweight)
     if rest.why_not_straight:
         raise NotUsableError(rest.why_not_straight)

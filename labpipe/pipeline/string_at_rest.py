@@ -1,20 +1,26 @@
-"""Whether the string held a wire straight before its test, as a first loading from straight needs.
+"""Whether a string held a wire straight at rest, or the wire hung under the counterweight.
 
-The model of a first loading takes the wire straight at rest and the string taut, carrying the
-counterweight. A string that is slack, or only just spans, leaves the counterweight to the wire: it
-hangs and has been bent one way before it is bent the other. Two things tell: the clamp is ahead of
-the tip by the slack once the string pulls, and the tip stands below the axis of the clamp at rest.
+A string that is taut at rest carries the counterweight, and nothing bends the wire. One that is
+slack, or only just spans, leaves the counterweight to the wire: it hangs, and has been bent one way
+before it is bent the other. The test itself tells, in four ways:
+
+- the string goes slack in a later cycle: the clamp moves and the tip moves with it. What the force
+  then lies below that at rest is what the string carried at rest;
+- the force falls below that at rest: a string that carried nothing cannot;
+- the clamp is ahead of the tip once the string pulls: the string was slack by as much;
+- the tip stands below the axis of the clamp at rest by as much as the counterweight bends the wire.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Aligned, Branch, Curve, Shape
+from labpipe.records.curve import Aligned, Branch, Curve, Direction, Shape
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.statistics.block_means import block_means
 
@@ -25,7 +31,24 @@ SLACK = 0.2e-3
 HANGS, LEANS = 0.5, 0.1
 """Shares of the deflection that the counterweight gives the wire: a tip that stands lower than the
 first hung, one that stands lower than the second is told, for wires are not quite straight."""
+STRAIGHT, LEAST_REACH = 0.25, 0.5e-3
+"""Share of that deflection within which a wire is straight, for wires are curled; and m that it is
+at least, to be told from the direction of the clamp."""
+NOTHING, ALL = 0.25, 0.75
+"""Shares of the counterweight: a string that carried less carried nothing, one that carried more
+carried all of it."""
+_PULLED = 0.05
+"""Share of the counterweight by which a force lies below that at rest, so that a string held it."""
+_SURELY = 5.0
+"""Standard errors of a mean by which a force is different."""
 _BLOCKS = 100
+_FEW = 50
+"""Samples that a mean of a force is taken over to be told from another."""
+_STRETCH, _FOLLOWS, _LEAST_SLACK = 0.25e-3, 0.3, 2
+"""m of travel that are looked at together, how much of it the deflection follows where the string
+is slack, and how many stretches of a stroke there are at least."""
+
+State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,12 +62,19 @@ class AtRest:
     sag : m, of the tip below the axis of the clamp at rest; NaN where the test has no shape
     reach : m, deflection at which the force is that of the counterweight, or the largest
     weight : N, of the counterweight
+    lowest : N, lowest force after the first loading, against that at rest; NaN where not seen
+    slackened : N, force while the string is slack after the first loading, against that at rest;
+        NaN where it never is
+    error : N, standard error of these two
     """
 
     ahead: float
     sag: float
     reach: float
     weight: float
+    lowest: float = float("nan")
+    slackened: float = float("nan")
+    error: float = 0.0
 
     @property
     def is_known(self) -> bool:
@@ -52,8 +82,66 @@ class AtRest:
         return bool(np.isfinite(self.ahead) or np.isfinite(self.sag))
 
     @property
+    def share(self) -> float:
+        """Sag as a share of that under the counterweight; NaN where this cannot be told."""
+        return self.sag / self.reach if self.reach >= LEAST_REACH else float("nan")
+
+    @property
+    def carries(self) -> float:
+        """Tension at rest, N, by the force of the slack string; NaN where it never was slack."""
+        return -self.slackened
+
+    @property
+    def was_pulled(self) -> bool:
+        """Whether the force falls below that at rest, so that the string carried something then."""
+        return self.lowest < -max(_PULLED * self.weight, _SURELY * self.error)
+
+    @property
+    def state(self) -> State:
+        """What the evidence says, the most direct first."""
+        carried_nothing = self.ahead > SLACK and not self.was_pulled
+        if np.isfinite(self.slackened):
+            if self.carries >= ALL * self.weight:
+                return "taut"
+            if self.carries > NOTHING * self.weight:
+                return "part"
+            carried_nothing = True
+        if carried_nothing:
+            if self.share > HANGS:
+                return "slack"
+            return "off the wire" if abs(self.share) <= LEANS else "unknown"
+        if self.share > HANGS:  # the string just spans to a wire that hangs, or the wire is curled
+            return "unknown" if self.was_pulled else "slack"
+        return "taut" if self.was_pulled or abs(self.share) <= STRAIGHT else "unknown"
+
+    @property
+    def facts(self) -> str:
+        """The evidence in words."""
+        found = []
+        if np.isfinite(self.sag):
+            found.append(
+                f"its tip stood {1e3 * self.sag:.2g} mm below the axis of the clamp, where the "
+                f"counterweight bends it by {1e3 * self.reach:.3g} mm"
+            )
+        if np.isfinite(self.ahead):
+            found.append(
+                f"the clamp is {1e3 * self.ahead:.2g} mm ahead of it when the string pulls"
+            )
+        if np.isfinite(self.slackened):
+            found.append(
+                f"later the string goes slack at {1e3 * self.slackened:.3g} mN against the force "
+                "at rest"
+            )
+        elif np.isfinite(self.lowest):
+            found.append(f"the lowest force is {1e3 * self.lowest:.3g} mN against that at rest")
+        return "; ".join(found) if found else "the test shows neither travel nor shape"
+
+    @property
     def why_not_straight(self) -> str:
         """Why the test is no first loading from straight, with the numbers; empty where it is."""
+        state = self.state
+        if state in ("taut", "off the wire"):
+            return ""
         below = "" if np.isnan(self.sag) else f", its tip {1e3 * self.sag:.3g} mm below"
         weight = f"{1e3 * self.weight:.3g} mN"
         if self.ahead > SLACK:
@@ -63,7 +151,7 @@ class AtRest:
                 f"{weight}{below}; a first loading begins with a straight wire that the string "
                 "holds"
             )
-        if self.sag > HANGS * self.reach:
+        if state != "unknown" or self.share > HANGS:
             return (
                 f"its wire hung at rest: the tip stood {1e3 * self.sag:.3g} mm below the axis of "
                 f"the clamp, where the counterweight of {weight} bends the wire by about "
@@ -76,7 +164,7 @@ class AtRest:
 def at_rest(
     aligned: Aligned | None, shape: Shape | None, curve: Curve, first: Branch, weight: float
 ) -> AtRest:
-    """Look at the string and the wire before a test.
+    """Look at the string and the wire before a test, and at what the force tells of it later.
 
     Parameters
     ----------
@@ -89,7 +177,22 @@ def at_rest(
     force = block_means(curve.force[part], _BLOCKS)
     reached = deflection[force >= weight]
     reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
-    return AtRest(_ahead(aligned, curve, part), _sag(shape, first), reach, weight)
+    travel = _travel(aligned, curve)
+    ahead = float("nan") if travel is None else _ahead(travel, curve, part)
+    later = curve.force[first.stop :]
+    slackened = np.zeros(0) if travel is None else _while_slack(travel, curve, first)
+    rest = curve.force[: first.start]
+    rest = rest[np.isfinite(rest)]
+    scatter = float(rest.std()) if len(rest) else 0.0
+    return AtRest(
+        ahead=ahead,
+        sag=_sag(shape, first),
+        reach=reach,
+        weight=weight,
+        lowest=_lowest(later),
+        slackened=_median(slackened),
+        error=scatter / float(np.sqrt(min(len(rest), _FEW) or 1)),
+    )
 
 
 def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
@@ -108,14 +211,51 @@ def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
         yield QualityNote("wire_not_straight", Severity.WARNING, test, message)
 
 
-def _ahead(aligned: Aligned | None, curve: Curve, part: slice) -> float:
-    """How far the clamp is ahead of the tip where the string has begun to pull, m."""
+def _travel(aligned: Aligned | None, curve: Curve) -> Floats | None:
     travel = None if aligned is None else aligned.series.get("travel")
     if travel is None or len(travel.values) != len(curve.displacement):
-        return float("nan")
+        return None
+    return travel.values
+
+
+def _ahead(travel: Floats, curve: Curve, part: slice) -> float:
+    """How far the clamp is ahead of the tip where the string has begun to pull, m."""
     deflection = curve.displacement[part]
     is_early = (deflection > EARLY[0]) & (deflection < EARLY[1])
-    return _median((travel.values[part] - deflection)[is_early])
+    return _median((travel[part] - deflection)[is_early])
+
+
+def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
+    """Forces of stretches after the first loading in which the tip stays with the clamp, N."""
+    found: list[float] = []
+    for branch in curve.branches:
+        if branch.start < first.stop:
+            continue
+        means = _stretches(travel, curve, branch)
+        moved = np.abs(np.diff(means, axis=0))
+        slack = means[1:, 2][moved[:, 1] < _FOLLOWS * moved[:, 0]].tolist()
+        if len(slack) >= _LEAST_SLACK:  # where it goes slack or taut it may still pull a little
+            found += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
+    return np.array(found, dtype=np.float64)
+
+
+def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
+    """Means of travel, deflection and force over stretches of travel, shape (n, 3)."""
+    part = slice(branch.start, branch.stop)
+    columns = np.column_stack([travel[part], curve.displacement[part], curve.force[part]])
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    count = int(np.ptp(columns[:, 0]) / _STRETCH) if len(columns) else 0
+    if count < 2 or len(columns) < 2 * count:
+        return np.zeros((1, 3))
+    return np.array([block.mean(axis=0) for block in np.array_split(columns, count)])
+
+
+def _lowest(force: Floats) -> float:
+    """Lowest of the means over `_FEW` samples, N."""
+    known = force[np.isfinite(force)]
+    if len(known) < _FEW:
+        return float("nan")
+    return float(block_means(known, len(known) // _FEW).min())
 
 
 def _sag(shape: Shape | None, first: Branch) -> float:

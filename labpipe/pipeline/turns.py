@@ -207,7 +207,9 @@ def _check_corners(bench: Bench, motion: Signal, turn: Turn) -> None:
             limit = 6.0 * noise / np.sqrt(len(off)) + _CUT
         else:
             cut = float(np.sqrt(np.mean(off**2)))
-            limit = float(np.hypot(noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(off))), _CUT))
+            limit = float(
+                np.hypot(noise * np.sqrt(1.0 + 6.0 * np.sqrt(2.0 / len(off))), 2.0 * _CUT)
+            )
         if cut > limit:
             message = (
                 f"the travel turns {1e6 * cut:.0f} um off a corner at {turn.middle:.2f} s: the "

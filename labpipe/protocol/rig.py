@@ -57,7 +57,10 @@ class LoadString(Block):
     """The string between specimen and load cell."""
 
     length: Length
-    counterweight: Mass = 0.0
+    counterweight: Mass = Field(0.0, description="Hangs at the tip")
+    at_rest: Literal["by-data", "taut", "slack"] = Field(
+        "by-data", description="Whether the string carried the counterweight before the test"
+    )
 
 
 class Rig(Block):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -72,6 +74,7 @@ def test_a_taut_string_and_a_straight_wire() -> None:
     assert found.ahead == pytest.approx(0.02e-3)
     assert found.sag == pytest.approx(0.1e-3)
     assert found.reach == pytest.approx(WEIGHT / 4.0, rel=0.1)
+    assert found.state == "taut"
     assert found.why_not_straight == ""
     assert list(notes_of("T1", found)) == []
 
@@ -121,3 +124,96 @@ def test_a_force_that_never_reaches_the_counterweight() -> None:
     weak = at_rest(None, shape(30e-3), one, one.branches[0], weight=1.0)
     assert weak.reach == pytest.approx(DEEP, rel=0.01)
     assert weak.why_not_straight.startswith("its wire hung at rest: the tip stood 30 mm below")
+
+
+def moved(*, tension: float, slack_for: float = 0.0) -> AtRest:
+    """A cycle whose string goes slack for some m at its end; the zero hides a tension at rest."""
+    rng = np.random.default_rng(6)
+    travel = np.concatenate(
+        [np.zeros(200), np.linspace(0.0, 0.02, 2000), np.linspace(0.02, 0.0, 2000)]
+    )
+    deflection = np.maximum(travel - slack_for, 0.0)
+    deflection[:2200] = travel[:2200]
+    force = np.where(deflection > 0.0, 20.0 * deflection, 0.0) - tension * (deflection <= 0.0)
+    if not slack_for:
+        force = 20.0 * deflection - tension * (1.0 - travel / 0.02)
+    force[:2200] = 20.0 * deflection[:2200]
+    time = np.arange(len(travel)) / 50.0
+    branches = (
+        Branch(200, 2200, 1, Direction.LOADING, time[200], time[2200]),
+        Branch(2200, 4200, 1, Direction.UNLOADING, time[2200], time[-1]),
+    )
+    branch = np.repeat([-1, 0, 1], [200, 2000, 2000])
+    one = Curve(
+        time=time,
+        displacement=deflection + rng.normal(0.0, 2e-5, len(time)),
+        force=force + rng.normal(0.0, 5e-4, len(time)),
+        branch=branch,
+        cycle=np.where(branch < 0, 0, 1),
+        branches=branches,
+    )
+    noisy = travel + rng.normal(0.0, 1e-5, len(time))
+    return at_rest(Aligned(time, {"travel": Series(noisy, "m")}), None, one, branches[0], WEIGHT)
+
+
+@pytest.mark.parametrize("tension", [0.0, 0.012, WEIGHT])
+def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) -> None:
+    found = moved(tension=tension, slack_for=3e-3)
+    assert found.carries == pytest.approx(tension, abs=3e-4)
+    assert found.lowest == pytest.approx(-tension, abs=3e-4)
+    assert found.error < 2e-4
+    assert found.was_pulled is (tension > 0.0)
+
+
+def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
+    found = moved(tension=0.02)
+    assert np.isnan(found.slackened)
+    assert found.lowest == pytest.approx(-0.015, abs=2e-3)
+    assert found.was_pulled
+
+
+EVIDENCE = AtRest(ahead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest=-1e-4, error=5e-5)
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("ahead", "sag", "lowest", "slackened", "state"),
+    [
+        (0.0, 0.0, -0.008, NAN, "taut"),
+        (0.0, 0.0, 0.0, NAN, "taut"),
+        (0.0, 5.5e-3, 0.0, NAN, "slack"),  # it just spans
+        (1.2e-3, 5.5e-3, 0.0, NAN, "slack"),
+        (1.2e-3, 0.1e-3, 0.0, NAN, "off the wire"),
+        (1.2e-3, 1.5e-3, 0.0, NAN, "unknown"),
+        (1.2e-3, 0.0, -0.02, NAN, "taut"),  # the clamp had play
+        (0.0, 2e-3, 0.0, NAN, "unknown"),  # a curled wire, or half of its weight held
+        (0.0, 2e-3, -0.008, NAN, "taut"),  # a curled wire
+        (0.0, 5e-3, -0.008, NAN, "unknown"),
+        (0.0, -4e-3, 0.0, NAN, "unknown"),
+        (0.0, 0.0, -0.026, -0.026, "taut"),
+        (0.0, 2e-3, -0.026, -0.026, "taut"),
+        (0.0, 2.5e-3, -0.013, -0.013, "part"),
+        (0.0, 5e-3, 0.0, 0.0, "slack"),
+        (0.0, 0.0, 0.0, 0.0, "off the wire"),
+        (0.0, NAN, 0.0, NAN, "unknown"),
+        (NAN, NAN, NAN, NAN, "unknown"),
+    ],
+)
+def test_what_the_evidence_says(
+    ahead: float, sag: float, lowest: float, slackened: float, state: str
+) -> None:
+    """The force of a slack string before its lowest force, that before the clamp, then the sag."""
+    found = replace(EVIDENCE, ahead=ahead, sag=sag, lowest=lowest, slackened=slackened)
+    assert found.state == state
+    assert (found.why_not_straight == "") is (
+        state in ("taut", "off the wire")
+        or (state == "unknown" and ahead == 0.0 and sag < 4e-3)
+        or bool(np.isnan(sag))
+    )
+
+
+def test_a_stiff_wire_hangs_too_little_to_be_told_by_its_sag() -> None:
+    stiff = replace(EVIDENCE, reach=0.2e-3, sag=0.2e-3)
+    assert np.isnan(stiff.share)
+    assert stiff.state == "unknown"
+    assert replace(stiff, lowest=-0.01).state == "taut"

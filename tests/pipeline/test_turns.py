@@ -91,6 +91,10 @@ def test_a_turn_that_was_not_seen() -> None:
     )
 
 
+_EITHER = "turn_rounded: the machine waits for "
+"""Or slows down there for longer: the travel does not tell which."""
+
+
 @pytest.mark.parametrize("slows_for", [0.5, 0.8, 1.2])
 def test_a_machine_that_slows_down(slows_for: float) -> None:
     """It comes to a stop evenly and goes back as evenly: no corner, and no wait."""
@@ -102,4 +106,4 @@ def test_a_machine_that_slows_down(slows_for: float) -> None:
     noise = np.random.default_rng(0).normal(0.0, 1e-5, len(TIME))
     made, _ = turns_of(rounded + noise)
     assert set(doubted(made)) == {"displacement", "clock"}
-    assert doubted(made)["clock"].startswith("turn_rounded: the travel turns ")
+    assert doubted(made)["clock"].startswith(("turn_rounded: the travel turns ", _EITHER))
