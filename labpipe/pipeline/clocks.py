@@ -16,6 +16,7 @@ from labpipe.pipeline.turns import Turn
 from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
 from labpipe.processing.falls_of_force import turn_near
 from labpipe.processing.strokes import Stroke, goes_down
+from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
@@ -28,6 +29,8 @@ _CONTRADICTED = 4.0
 _RELAXES = 0.01
 """Share of its range that a force loses in a dwell before the lag of the repeated cycle is doubted;
 with 0.04 the drift was off by two standard errors."""
+_RESTS = 0.2
+"""Share of its range above its lowest value below which a signal rests."""
 _ROUGH = 1.0
 """s on each side of what a force was roughly seen to turn at, in which its corner is looked for."""
 _WORST_CORNER = 0.1
@@ -73,7 +76,11 @@ def align_clocks(
         bench.block("no_common_peak", _why_no_event(force, len(pairs), counted), where="align")
         return None
     if is_ambiguous:
-        message = "another pairing of the peaks fits as well; the smaller offset was taken"
+        message = (
+            "another pairing of the peaks may be the right one, as not all of the test is in both "
+            f"records ({counted}); if you know the offset, state it: "
+            f"{in_test_sheet('align', '{method: stated, offset: ...}')}"
+        )
         bench.doubt("clock", "alignment_ambiguous", message, where="align")
     fit = _fitted(events, None)
     if len(events) > 2 and not _relaxes(force, turns, fit):
@@ -96,7 +103,8 @@ def match_strokes(
     Returns
     -------
     pairs : number of the stroke that ends at the turn, and s, where the force roughly turns
-    is_ambiguous : whether another pairing fits as well
+    is_ambiguous : whether another pairing fits as well, or would have to be looked for beyond a
+        record that begins or ends in mid-test
     counted : in words, how many peaks of each there are
     """
     tops = [
@@ -105,9 +113,21 @@ def match_strokes(
         if before.sign == sign
     ]
     seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
-    pairs, is_ambiguous = match_peaks(np.array([top for _, top in tops]), seen)
+    times = np.array([top for _, top in tops])
+    pairs, is_ambiguous = match_peaks(times, seen)
+    if len(pairs) and len(times) > 1 and not (_is_whole(motion) and _is_whole(force)):
+        lag = float(np.median(seen[pairs[:, 1]] - times[pairs[:, 0]]))
+        is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
     matched = [(tops[first][0], float(seen[second])) for first, second in pairs.tolist()]
     return matched, is_ambiguous, f"{len(tops)} peaks of the motion, {len(seen)} of the force"
+
+
+def _is_whole(signal: Signal) -> bool:
+    """Whether a record begins and ends at rest, far below its peaks."""
+    known = signal.values[~np.isnan(signal.values)]
+    size = max(1, len(known) // 200)
+    ends = float(known[:size].mean()), float(known[-size:].mean())
+    return max(ends) < float(known.min()) + _RESTS * float(np.ptp(known))
 
 
 def turn_event(

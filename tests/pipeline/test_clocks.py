@@ -226,3 +226,26 @@ def test_a_wait_that_relaxes_faster_than_it_unloads() -> None:
     fit = joined(test).clock_fit
     assert fit is not None
     assert fit.offset == pytest.approx(test.offset, abs=0.012)
+
+
+@pytest.mark.parametrize(("first", "last", "said"), [(1, 2, True), (0, 3, False)])
+def test_records_that_lack_different_cycles_are_not_matched_in_silence(
+    first: int, last: int, said: bool
+) -> None:
+    """The cameras began after the first peak, the force stopped before the last: two peaks each."""
+    test = Dwelling(0.0, offset=2.0, seed=4)
+    time, travel = test.seen_by_cameras()
+    clock, force = test.seen_by_load_cell()
+    begin = float(test.corners[2 * first - 1, 0]) + 8.0 if first else 0.0
+    end = float(test.corners[2 * last - 1, 0]) + 8.0 if last < 3 else float(clock[-1])
+    made = Bench()
+    seen = time >= begin
+    made.raw["travel"] = Signal(time[seen], travel[seen], "m", "markers")
+    made.raw["force"] = Signal(clock[clock <= end], force[clock <= end], "N", "force")
+    made.signals, made.displacement = dict(made.raw), "travel"
+    aligned(made)
+    assert ("alignment_ambiguous" in str(doubted(made))) is said
+    if said:
+        assert "if you know the offset, state it: 'align: {value: {method: stated" in str(
+            doubted(made)["clock"]
+        )
