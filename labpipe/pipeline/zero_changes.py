@@ -129,7 +129,7 @@ def _doubt_drift(bench: Bench, curve: Curve) -> None:
     most = float(np.nanmax(np.abs(part - level)))
     error = noise_level(curve.force) * sqrt(1.0 / len(before) + 1.0 / len(after))
     limit, sense = max(_DRIFT * most, _SURE * error), sense_of_loading(part)
-    if abs(change) < limit or (sense * change < 0.0 and abs(_later_change(curve)) < limit):
+    if abs(change) < limit or (sense * change < 0.0 and not _grows(curve, limit)):
         return
     message = (
         f"at rest the force is {level:.4g} N before the test and {level + change:.4g} N after it, "
@@ -139,13 +139,17 @@ def _doubt_drift(bench: Bench, curve: Curve) -> None:
     bench.doubt("force", "zero_drift", message, where=bench.force)
 
 
-def _later_change(curve: Curve) -> float:
-    """How much the force at the end of unloading changes from the first cycle to the last, N."""
+def _grows(curve: Curve, limit: float) -> bool:
+    """Whether the force at the end of unloading changes from the first cycle to the last."""
     ends = [each.stop for each in curve.branches if each.direction is Direction.UNLOADING]
-    levels = [curve.force[max(end - _FEWEST, 0) : end + _FEWEST] for end in (ends[0], ends[-1])]
-    if any(np.isnan(level).all() for level in levels):
-        return 0.0
-    return float(np.nanmedian(levels[1]) - np.nanmedian(levels[0]))
+    levels = [
+        _known(curve.force[max(end - _FEWEST, 0) : end + _FEWEST]) for end in (ends[0], ends[-1])
+    ]
+    if not all(len(level) for level in levels):
+        return False
+    # The median of few samples scatters 1.25 times as much as their mean.
+    error = 1.25 * noise_level(curve.force) * sqrt(sum(1.0 / len(level) for level in levels))
+    return abs(median(levels[1]) - median(levels[0])) > max(limit, _SURE * error)
 
 
 def _came_back(curve: Curve, first: Branch, last: Branch) -> bool:
