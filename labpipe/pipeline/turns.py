@@ -16,7 +16,7 @@ _SEEN = 0.5
 """s on each side of a turning point in which the motion must have been seen."""
 _FIRST_WAIT = 0.2
 """s; how long a wait is looked for where the strokes show none."""
-_WAITED, _TOGETHER = (2.0, 1.5), 3
+_WAITED, _TOGETHER = (2.4, 1.5), 3
 """A wait is longer than so many times what noise makes of a corner: one alone, and where the median
 of so many turns at least is."""
 _SAMPLES = 3
@@ -78,7 +78,7 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
 
     Notes
     -----
-    At 1 mm/s, with 10 um of noise and 50 frames per second, a wait of 70 ms is seen at a single
+    At 1 mm/s, with 10 um of noise and 50 frames per second, a wait of 80 ms is seen at a single
     turn, and one of 50 ms at times where five turns are looked at together. What lasts for fewer
     than three samples passes for a corner.
     """
