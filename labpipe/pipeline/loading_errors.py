@@ -9,12 +9,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from labpipe.fitting.estimates import Failure
+from labpipe.fitting.loops import largest_sample
 from labpipe.fitting.noise import long_run_variance
+from labpipe.processing.strokes import noise_level
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.steps import SpecimenFrame, Zero
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve
 from labpipe.records.result import TestResult
+
+_CYCLE = 2
+"""Branches of a cycle."""
 
 
 def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
@@ -60,13 +66,20 @@ def scale_error(result: TestResult) -> float:
 
     Returns
     -------
-    That of the first peak, which holds what another shape through the markers would make of it;
-    0 where the peak has no interval.
+    That of the first peak, which holds what another shape through the markers would make of it,
+    less what is its own: noise of the largest sample, and how far a corner reaches beyond it. 0
+    where the peak has no interval.
     """
+    curve = result.curve
     peak = next((each for each in result.results if each.name == "peak_displacement.1"), None)
-    if peak is None or peak.interval is None or not peak.value:
+    if curve is None or peak is None or peak.interval is None or not peak.value:
         return 0.0
-    return peak.interval.standard_error / abs(peak.value)
+    cycle = slice(curve.branches[0].start, curve.branches[:_CYCLE][-1].stop)
+    values = np.sign(peak.value) * curve.displacement[cycle]
+    own = largest_sample(values, noise=noise_level(values))
+    error = 0.0 if isinstance(own, Failure) else own.error
+    shared = peak.interval.standard_error**2 - error**2
+    return float(np.sqrt(max(shared, 0.0))) / abs(peak.value)
 
 
 def zero_error(time: Floats, values: Floats, over: float | None) -> float:

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.fitting.estimates import Estimate
+from labpipe.fitting.loops import largest_sample
 from labpipe.pipeline.loading_errors import (
     force_zero_error,
     place_error,
     scale_error,
     zero_error,
 )
+from labpipe.processing.strokes import noise_level
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Direction, Interval
@@ -126,8 +129,18 @@ def test_a_loading_of_one_point_has_no_speed(protocol: Protocol) -> None:
     assert place_error(result(joined(0.02)), protocol, curve(), short) == alone
 
 
-def test_the_scale_is_known_as_well_as_the_peak() -> None:
-    assert scale_error(result()) == pytest.approx(2e-4)
+def test_the_scale_is_known_as_well_as_the_peak_less_what_is_its_own() -> None:
+    made = result().curve
+    assert made is not None
+    assert PEAK.value is not None
+    values = made.displacement[made.branches[0].start : made.branches[-1].stop]
+    own = largest_sample(values, noise=noise_level(values))
+    assert isinstance(own, Estimate)
+    shared = Interval.normal_95(PEAK.value, float(np.hypot(own.error, 2e-4 * PEAK.value)))
+    known = replace(PEAK, interval=shared)
+    assert scale_error(result(results=(known,))) == pytest.approx(2e-4)
+    less = replace(PEAK, interval=Interval.normal_95(PEAK.value, 0.5 * own.error))
+    assert scale_error(result(results=(less,))) == 0.0
     assert scale_error(result(results=())) == 0.0
     failed = Result(PEAK.name, None, "m", status=Status.FAILED, reason="no_cycle: none")
     assert scale_error(result(results=(failed,))) == 0.0

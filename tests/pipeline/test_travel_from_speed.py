@@ -99,7 +99,7 @@ def test_a_force_that_never_turns() -> None:
     with pytest.raises(Exception, match="expected a corner where it turns from rising") as info:
         reduced(BendingRecord(rigidity=0.0, noise=(1e-12, 0.0, 0.0)), without=ALONE)
     assert str(info.value).startswith(
-        "steps.1 (travel-from-speed): force: expected a corner where it turns from rising to "
+        "steps.4 (travel-from-speed): force: expected a corner where it turns from rising to "
         "falling, which says when the frame turned, found none: look whether it is the right "
         "channel, and whether the unloading was recorded. Look at the exports with"
     )
