@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.oddities import moves_at_end
+from labpipe.processing.oddities import moves_at_end, standing_stretches
 from labpipe.processing.strokes import noise_level
 from labpipe.processing.stuck_channels import Stuck, stuck_runs
 from labpipe.protocol.schema import Protocol
@@ -18,6 +20,14 @@ _CUT_FILES = {"truncated", "rows_differ"}
 _ARRIVED = {Direction.LOADING: 0.005, Direction.UNLOADING: 0.02}
 """Share of the stroke within which a branch has come to where those before it ended: near the peak
 the force is steep, at the end of unloading it is small."""
+_PARTS = 40
+"""Parts of a branch that a motion is averaged over, to see where it stands."""
+_BACK = 0.1
+"""Share of the stroke within which a motion is back where it began; of a hold between two."""
+_AT_HOME = 0.02
+"""Share of the stroke within which a motion has not left yet, or has come home."""
+_SHORTEST, _ROWS = 0.25, 5.0
+"""s, or rows without times, that a motion stands at least to be told of."""
 _MISSED = 0.02
 """Share of a branch that the record of the force may lack at its end."""
 
@@ -104,6 +114,77 @@ def check_end(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -> Non
     missing = max(_MISSED * (last.stop_time - last.start_time), 2.0 * _apart(motion.time))
     if until < last.stop_time - missing:
         bench.cut_at["force"] = until
+
+
+def note_holds(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -> None:
+    """Say where the motion stands in the middle of the test, and for how long.
+
+    Parameters
+    ----------
+    bench : gets the note
+    motion : that the branches were split by
+    branches : of the motion; the rests before the first and where it began are no part of it
+    """
+    unit, least = ("s", _SHORTEST) if motion.has_time else ("rows", _ROWS)
+    seen = _holds(motion, branches) if branches else []
+    held = [each for each in seen if each[1] - each[0] >= least]
+    if not held:
+        return
+    lasts = sorted({f"{stop - start:.4g}" for start, stop in held}, key=float)
+    how_long = lasts[0] if len(lasts) == 1 else f"{lasts[0]} to {lasts[-1]}"
+    often = "once" if len(held) == 1 else f"{len(held)} times"
+    place = float(np.interp(sum(held[0]) / 2.0, motion.time, motion.values))
+    message = (
+        f"the motion stands {often} in the middle of the test, for {how_long} {unit}; first at "
+        f"{1e3 * place:.4g} mm, from {held[0][0]:.4g} {unit} on"
+    )
+    bench.note("hold", Severity.INFO, bench.displacement, message)
+
+
+def _holds(motion: Signal, branches: tuple[Branch, ...]) -> list[tuple[float, float]]:
+    """Begin and end, s, of what stands between branches, on their way, and behind the last one."""
+    found = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
+    size = max(1, int(np.median([each.stop - each.start for each in branches])) // _PARTS)
+    speed = float(np.median([_speed(motion, each) for each in branches]))
+    stroke, began = np.ptp(motion.values[~np.isnan(motion.values)]), branches[0].start
+    for branch in branches:
+        goes_on = branch is branches[-1] and not _is_back(motion, branches[0])
+        part = slice(branch.start, None if goes_on else branch.stop)
+        outer = branch in (branches[0], branches[-1])
+        known = ~np.isnan(motion.values[part])
+        time, values = motion.time[part][known], motion.values[part][known]
+        for start, stop in standing_stretches(time, values, size=size, speed=speed):
+            away = abs(float(np.median(values[start:stop]) - motion.values[began]))
+            if not outer or away > _AT_HOME * stroke:  # a rest before or behind the test is none
+                found.append((float(time[start]), float(time[stop - 1])))
+    return _merged(found)
+
+
+def _speed(motion: Signal, branch: Branch) -> float:
+    """Speed over the faster half of a branch, m/s."""
+    part = motion.values[branch.start : branch.stop : max(1, (branch.stop - branch.start) // 10)]
+    lasts = (branch.stop_time - branch.start_time) / max(1, len(part) - 1)
+    steps = np.abs(np.diff(part))
+    steps = np.sort(steps[~np.isnan(steps)])
+    return float(np.median(steps[len(steps) // 2 :])) / lasts if len(steps) and lasts else 0.0
+
+
+def _merged(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Stretches in order; those that nearly touch are one."""
+    merged: list[tuple[float, float]] = []
+    for start, stop in sorted(found):
+        if merged and start - merged[-1][1] <= _BACK * (stop - start):
+            merged[-1] = (merged[-1][0], max(stop, merged[-1][1]))
+        else:
+            merged.append((start, stop))
+    return merged
+
+
+def _is_back(motion: Signal, first: Branch) -> bool:
+    """Whether the motion ends about where it began, so that it rests there."""
+    known = motion.values[~np.isnan(motion.values)]
+    away = abs(float(known[-1] - motion.values[first.start]))
+    return away <= _BACK * float(np.ptp(known))
 
 
 def _is_unfinished(bench: Bench, motion: Signal, branches: tuple[Branch, ...]) -> bool:

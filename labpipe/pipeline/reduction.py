@@ -35,7 +35,7 @@ from labpipe.pipeline.plausibility import (
     check_rest,
     check_rig,
 )
-from labpipe.pipeline.recording_checks import check_channels, check_end
+from labpipe.pipeline.recording_checks import check_channels, check_end, note_holds
 from labpipe.pipeline.signs import check_signs
 from labpipe.pipeline.stated_clocks import take_stated_clocks
 from labpipe.pipeline.steps import step_or_refuse
@@ -53,7 +53,7 @@ from labpipe.pipeline.tensile_results import (
     slip_results,
 )
 from labpipe.pipeline.turns import Turn, check_turns, turning_points
-from labpipe.pipeline.zero_changes import check_zeros
+from labpipe.pipeline.zero_changes import check_break, check_zeros
 from labpipe.pipeline.zeros import use_rest_there_is
 from labpipe.processing.strokes import (
     Stroke,
@@ -166,6 +166,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
     use_rest_there_is(bench, branches)
     check_rig(bench, protocol, branches)
     check_end(bench, motion, branches)
+    note_holds(bench, motion, branches)
     check_rest(bench, branches)
     check_signs(bench, protocol, branches)
     if not bench.blocked:
@@ -174,6 +175,7 @@ def _make_curve(bench: Bench, protocol: Protocol) -> None:
         check_zeros(bench)
         correct_curve(bench, protocol.curve)
         check_begin(bench, branches)
+        check_break(bench)
 
 
 Joined: TypeAlias = AlignTurningPoints | AlignCommonStart | AlignStated

@@ -6,6 +6,7 @@ from math import sqrt
 
 import numpy as np
 
+from labpipe.fitting.failure import FailurePoint
 from labpipe.fitting.loops import sense_of_loading
 from labpipe.pipeline.bench import Bench
 from labpipe.processing.level_jumps import level_jumps
@@ -27,6 +28,8 @@ _SURE = 6.0
 """Standard errors below which nobody can tell."""
 _FEWEST = 3
 """Samples of a rest."""
+_TAIL = 10
+"""Samples behind a break that are more than a rebound."""
 
 
 def check_zeros(bench: Bench) -> None:
@@ -135,6 +138,32 @@ def _doubt_drift(bench: Bench, curve: Curve) -> None:
         f"at rest the force is {level:.4g} N before the test and {level + change:.4g} N after it, "
         f"{abs(change) / most:.0%} of the largest force apart: the zero drifted, or the specimen "
         "is held under load"
+    )
+    bench.doubt("force", "zero_drift", message, where=bench.force)
+
+
+def check_break(bench: Bench) -> None:
+    """Doubt a force that stands below zero once the specimen is broken.
+
+    Parameters
+    ----------
+    bench : with its failure; gets the doubt. What is left of a specimen may still pull a little,
+        so that a force above zero is left alone, and so is a rebound of a few samples
+    """
+    curve, failure = bench.curve, bench.failure
+    if curve is None or not isinstance(failure, FailurePoint):
+        return
+    after = _known(curve.force[failure.sample + 1 :])
+    sense = sense_of_loading(curve.force[: failure.sample + 1])
+    if len(after) < _TAIL:
+        return
+    level, most = sense * median(after[len(after) // 2 :]), float(np.nanmax(np.abs(curve.force)))
+    error = noise_level(curve.force) * sqrt(2.0 / len(after))
+    if level > -max(_DRIFT * most, _SURE * error):
+        return
+    message = (
+        f"the force stands at {sense * level:.4g} N once the specimen is broken, "
+        f"{-level / most:.0%} of its peak below zero: its zero was taken under load, or drifted"
     )
     bench.doubt("force", "zero_drift", message, where=bench.force)
 

@@ -15,6 +15,14 @@ _SURE = 0.15
 """Share of the mean speed to which a speed is to be known."""
 _LAST = 0.02
 """Share of a stretch whose speed is that at its end; more where noise asks for it."""
+_STANDS = 0.05
+"""Share of its usual speed below which a motion stands."""
+_IN_A_ROW = 3
+"""Steps between means in a row that are as slow."""
+_AT_A_TURN = 5
+"""As many at a turn: a round one has fewer."""
+_SURE_OF_REST = 3.0
+"""Standard errors by which the means of a motion that stands may move."""
 _CORNERS = 200
 """Places at which a corner is tried."""
 _SURELY, _MOSTLY = 25.0, 0.5
@@ -75,6 +83,45 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     late, high = time[-size:] - time[-size:].mean(), values[-size:]
     slope = float(late @ high) / float(late @ late)
     return slope * float(np.sign(way)) >= _AS_FAST * speed
+
+
+def standing_stretches(
+    time: Floats, values: Floats, *, size: int, speed: float
+) -> list[tuple[int, int]]:
+    """Find where a motion that goes one way stands still, on its way or at its ends.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and m, of one stroke and maybe what follows it, without NaN
+    size : samples that are averaged, a small part of a stroke
+    speed : that is usual, m/s
+
+    Returns
+    -------
+    First sample of each stretch, and the first one behind it. Empty where the noise of the means
+    hides a motion at full speed.
+
+    Notes
+    -----
+    The motion stands where its means move, three times in a row or more, at less than a twentieth
+    of the usual speed, or no more than their noise; five times at the ends, where a round turn is
+    slow as well.
+    """
+    count = len(values) // size
+    if count <= _AT_A_TURN:
+        return []
+    at = time[: count * size].reshape(count, size).mean(axis=1)
+    means = values[: count * size].reshape(count, size).mean(axis=1)
+    speeds = np.abs(np.diff(means)) / np.diff(at)
+    noise = _SURE_OF_REST * sqrt(2.0 / size) * noise_level(values) / (size * median(np.diff(time)))
+    if not speed > 3.0 * noise:
+        return []
+    found = []
+    for start, stop in stretches_of(speeds <= max(_STANDS * speed, noise)):
+        inner = start > 0 and stop < len(speeds)
+        if stop - start >= (_IN_A_ROW if inner else _AT_A_TURN):
+            found.append((start * size, (stop + 1) * size))
+    return found
 
 
 def samples_at_rest(values: Floats) -> int:

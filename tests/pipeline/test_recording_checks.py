@@ -188,3 +188,56 @@ def test_cycles_that_end_where_the_last_one_did() -> None:
     record = up_and_down(cycles=3, rest=0.0)
     kept = (record.displacement > 1.02e-3) | (record.time < 1.0)
     assert ended(record.where(kept)) == np.inf
+
+
+def held(record: PlainRecord) -> str:
+    """What is noted of holds."""
+    bench, _ = reduced(*record.arrays(), more=RESULTS)
+    return next((note.message for note in bench.notes if note.code == "hold"), "")
+
+
+def with_dwells(lasts: float, noise: float = 1e-3, rate: float = 50.0) -> PlainRecord:
+    """Two cycles that stand at each turn."""
+    record = up_and_down(rate=rate, noise=noise)
+    corners = [2.0, 7.0, 12.0, 17.0, 22.0]
+    time: Floats = np.arange(0.0, 24.0 + 3.0 * lasts, 1.0 / rate)
+    moved = np.interp(
+        time,
+        [0.0, *(corner + lasts * (i - end) for i, corner in enumerate(corners) for end in (1, 0))],
+        [0.0, *(corner for corner in corners for _ in range(2))],
+    )
+    path, force = (
+        np.interp(moved, record.time, each) for each in (record.displacement, record.force)
+    )
+    return PlainRecord(time, path, force)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+@pytest.mark.parametrize("rate", [10.0, 50.0, 500.0])
+def test_dwells_at_the_turns_are_noted(noise: float, rate: float) -> None:
+    said = held(with_dwells(1.5, noise, rate))
+    assert said.startswith("the motion stands 3 times in the middle of the test, for 1.")
+    assert "; first at 10" in said or "; first at 9.9" in said
+    bench, _ = reduced(*with_dwells(1.5, noise, rate).arrays(), more=RESULTS)
+    assert "partial_cycle" not in str(bench.doubts)
+
+
+def test_a_hold_at_the_end_and_one_in_mid_branch() -> None:
+    time: Floats = np.arange(0.0, 100.0, 0.05)
+    path = 1e-3 * np.minimum(time, 10.0)
+    assert held(PlainRecord(time, path, 100.0 * path)).startswith(
+        "the motion stands once in the middle of the test, for 8"
+    )
+    path = 1e-3 * np.interp(
+        time, [0.0, 5.0, 25.0, 30.0, 35.0, 45.0], [0.0, 5.0, 5.0, 10.0, 10.0, 0.0]
+    )
+    said = held(PlainRecord(time, path, 100.0 * path))
+    assert said.startswith("the motion stands 2 times in the middle of the test, for 5 to 1")
+    assert "; first at 5 mm, from 5" in said
+
+
+@pytest.mark.parametrize("is_round", [False, True])
+@pytest.mark.parametrize("rate", [10.0, 50.0, 500.0])
+@pytest.mark.parametrize("noise", [0.0, 1e-3, 1e-2])
+def test_no_hold_without_one(is_round: bool, rate: float, noise: float) -> None:
+    assert not held(up_and_down(rate=rate, is_round=is_round, noise=noise))

@@ -7,6 +7,12 @@ from labpipe.records.result import Status
 from tests.builders.doubts import doubted
 from tests.builders.reduced import loop, reduced
 
+PULLED = "results:\n  - {result: peak-force}\n  - {result: peak-displacement}\n"
+FAILURE = (
+    "displacement: displacement}",
+    "displacement: displacement, failure: {force_below: 50 %}}",
+)
+
 NOISE = 0.005
 
 
@@ -46,3 +52,24 @@ def test_a_crosshead_zeroed_in_mid_record() -> None:
     bench, results = reduced(time, path + np.where(time < 1.0, 0.05, 0.0), force)
     assert "zeroed in mid-record" in doubted(bench)["displacement"]
     assert results["peak_force.1"].status is Status.DOUBTFUL
+
+
+@pytest.mark.parametrize(
+    ("left", "is_seen"), [(-0.06, True), (-0.02, False), (0.0, False), (0.06, False)]
+)
+def test_the_force_once_the_specimen_is_broken(left: float, is_seen: bool) -> None:
+    time = np.arange(0.0, 12.0, 0.02)
+    force = np.where(time < 10.0, 0.1 * time, left)
+    force += np.random.default_rng(0).normal(0.0, 1e-3, len(time))
+    bench, results = reduced(time, 1e-3 * time, force, more=PULLED, replaced=FAILURE)
+    assert ("zero_drift" in str(bench.doubts)) is is_seen
+    assert (results["peak_force.1"].status is Status.DOUBTFUL) is is_seen
+    if is_seen:
+        assert "once the specimen is broken, 6% of its peak below zero" in doubted(bench)["force"]
+
+
+def test_a_rebound_is_no_zero() -> None:
+    time = np.arange(0.0, 10.1, 0.02)
+    force = np.where(time < 10.0, 0.1 * time, -0.2)
+    bench, _ = reduced(time, 1e-3 * time, force, more=PULLED, replaced=FAILURE)
+    assert "zero_drift" not in str(bench.doubts)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.processing.oddities import moves_at_end, samples_at_rest, stretches_of, times_of
+from labpipe.processing.oddities import (
+    moves_at_end,
+    samples_at_rest,
+    standing_stretches,
+    stretches_of,
+    times_of,
+)
 from labpipe.records.arrays import Floats
 
 TIME = np.arange(0.0, 5.0, 0.02)
@@ -79,3 +85,18 @@ def test_a_noise_that_remembers_seldom_looks_like_a_corner() -> None:
         found += samples_at_rest(slow) > 0
         assert samples_at_rest(slow + 2.0 * np.arange(100.0)) == 0
     assert found < 20
+
+
+def test_where_a_motion_stands() -> None:
+    walk = np.interp(TIME, [0.0, 1.0, 3.0, 5.0], [0.0, 1.0, 1.0, 3.0])
+    ((start, stop),) = standing_stretches(TIME, walk, size=5, speed=1.0)
+    assert TIME[start] == pytest.approx(1.0, abs=0.2)
+    assert TIME[stop] == pytest.approx(3.0, abs=0.2)
+    shaken = path(walk, 1.0)
+    assert standing_stretches(TIME, shaken, size=5, speed=1.0) == []  # nobody can tell
+    assert standing_stretches(TIME[:8], walk[:8], size=2, speed=1.0) == []
+    turns = 1.0 - np.cos(np.pi * TIME / 5.0)
+    assert standing_stretches(TIME, turns, size=5, speed=1.0) == []
+    ((start, stop),) = standing_stretches(TIME, np.minimum(TIME, 1.0), size=1, speed=1.0)
+    assert start == pytest.approx(50, abs=2)
+    assert stop == 250
