@@ -21,7 +21,6 @@ ELSEWHERE = {
     "pipeline/calibration_json.py": "pipeline/test_calibrating.py",
     "pipeline/comparison_json.py": "pipeline/test_third_curves.py",
     # Numbers of a cycle, through the results that are made of them.
-    "pipeline/cycle_numbers.py": "pipeline/test_cycle_results.py",
     # Columns of curves from elsewhere, through reading them.
     "readers/curve_columns.py": "readers/test_curve_csv.py",
     # What reading checks, through reading.

@@ -173,8 +173,12 @@ def unloading_stiffness_of(
 
 
 def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
-    """Value at the turning point a branch starts from, by a parabola through its beginning."""
-    begin = slice(part.start, part.start + min(50, (part.stop - part.start) // 10))
+    """Value at the turning point a branch starts from, by a parabola through its beginning.
+
+    The samples from that moment on: a branch may hold some of the wait before it.
+    """
+    first = max(part.start, int(np.searchsorted(time, part.start_time)))
+    begin = slice(first, first + min(50, (part.stop - first) // 10))
     known = ~np.isnan(values[begin])
     t, y = time[begin][known] - part.start_time, values[begin][known]
     if len(y) < 8:
