@@ -20,7 +20,6 @@ ELSEWHERE = {
     "pipeline/bent_shapes.py": "end_to_end/test_calibrate.py",
     "pipeline/calibration_json.py": "pipeline/test_calibrating.py",
     "pipeline/comparison_json.py": "pipeline/test_third_curves.py",
-    # Numbers of a cycle, through the results that are made of them.
     # Columns of curves from elsewhere, through reading them.
     "readers/curve_columns.py": "readers/test_curve_csv.py",
     # What reading checks, through reading.
