@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-slow check bench schema clean
+.PHONY: demo golden test test-slow check bench schema clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -12,8 +12,11 @@ BIN := .venv/bin
 demo: .venv/.ready  ## synthetic campaigns in real vendor formats, processed, with figures to look at
 	$(BIN)/labpipe demo
 
+golden: .venv/.ready  ## numbers of the demo and of real exports against those kept (PROCESSED=processed/demo: made just now)
+	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED))
+
 # The matrices are small: more than one thread of BLAS only waits for the others.
-test test-slow: export OPENBLAS_NUM_THREADS = 1
+golden test test-slow: export OPENBLAS_NUM_THREADS = 1
 
 test: .venv/.ready  ## everything but the slow studies
 	$(BIN)/python -m pytest -n 2

@@ -1,0 +1,1 @@
+"""Tests of labpipe. A package, as another one called tests may be installed."""

@@ -1,0 +1,56 @@
+"""The tests whose numbers are kept: those of the demo, and every real export that is a test."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+from labpipe.cli import main
+from labpipe.cli.demo import CAMPAIGNS
+from tests.golden.rows import Row, rows
+from tests.plain.bench import process
+from tests.plain.test_real_exports import CASES
+
+REAL = "real"
+JOBS = min(os.cpu_count() or 1, 4)
+
+
+def made_demo(folder: Path) -> Path:
+    """Run the demo without figures; the folder of its processed campaigns."""
+    with contextlib.redirect_stdout(io.StringIO()):
+        main(["demo", str(folder), "--no-figures"])
+    return folder / "processed" / "demo"
+
+
+def demo_rows(processed: Path) -> dict[str, list[Row]]:
+    """Rows of each campaign of the demo."""
+    return {name: _of_campaign(processed / name) for name in CAMPAIGNS}
+
+
+def _of_campaign(folder: Path) -> list[Row]:
+    tests = sorted(path.parent for path in folder.glob("*/result.h5"))
+    return [row for test in tests for row in rows(test.name, test)]
+
+
+def real_rows(realdata: Path, folder: Path) -> list[Row]:
+    """Process every real export that is a test, a folder each, and take its rows."""
+    of_one = partial(_of_export, realdata, folder)
+    with ProcessPoolExecutor(JOBS, mp_context=get_context("forkserver")) as pool:
+        return [row for each in pool.map(of_one, sorted(CASES)) for row in each]
+
+
+def _of_export(realdata: Path, folder: Path, name: str) -> list[Row]:
+    case = CASES[name]
+    ran = process(folder / name, case.sheet(), case.files(realdata))
+    return rows(name, folder / name / "processed" / "c" / "T", status=f"exit {ran.status}")
+
+
+def real_folder(repository: Path) -> Path:
+    """Where the real exports lie, if they do."""
+    named = os.environ.get("LABPIPE_REALDATA")
+    return Path(named) if named else repository.parent / "shared" / "realdata"

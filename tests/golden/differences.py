@@ -1,0 +1,71 @@
+"""In what two sets of rows differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from math import inf
+
+from tests.golden.rows import COLUMNS, NUMBERS, Row
+
+RELATIVE = 1e-9
+FLOORS = {"m": 1e-15, "N": 1e-12, "J": 1e-15, "s": 1e-12, "N/m": 1e-9, "Pa": 1e-3, "N*m^2": 1e-15}
+"""In the unit: numbers closer than this are the same, however small they are.
+
+A bound, or an offset, may lie at zero, where no relative difference means anything: rounding of the
+numbers that it is made of is all that is left. Each floor is at least six digits below what the
+best instrument of the lab resolves (1 um, 1 mN, 1 us) and what follows from it.
+"""
+FLOOR = 1e-12
+"""Of pure numbers, and of every unit that is not named above."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One field of one row, or a row that only one side has."""
+
+    row: Row
+    field: str
+    old: str
+    new: str
+
+    def __str__(self) -> str:
+        where = f"{self.row.test:<20} {self.row.name:<28} {self.field:<7}"
+        told = f"{where} {self.old or '-':>24} -> {self.new or '-':<24}"
+        return f"{told} {self.relative:.2g}" if self.relative is not None else told.rstrip()
+
+    @property
+    def relative(self) -> float | None:
+        """Change over the old number; None where there are no two numbers."""
+        if self.field not in NUMBERS or not (self.old and self.new):
+            return None
+        old, new = float(self.old), float(self.new)
+        return abs(new - old) / abs(old) if old else inf
+
+
+def differences(old: Iterable[Row], new: Iterable[Row]) -> list[Difference]:
+    """Every difference, in the order of the old rows, then what is new."""
+    before, after = ({row.key: row for row in each} for each in (old, new))
+    found: list[Difference] = []
+    for key, row in before.items():
+        found += between(row, after[key]) if key in after else [Difference(row, "row", "there", "")]
+    found += [
+        Difference(row, "row", "", "there") for key, row in after.items() if key not in before
+    ]
+    return found
+
+
+def between(old: Row, new: Row) -> Iterator[Difference]:
+    """The fields in which two rows of one name differ."""
+    for field in COLUMNS:
+        before, after = getattr(old, field), getattr(new, field)
+        if before != after and not (field in NUMBERS and same(before, after, old.unit)):
+            yield Difference(new, field, before, after)
+
+
+def same(old: str, new: str, unit: str) -> bool:
+    """Whether two numbers differ by nothing but rounding."""
+    if not (old and new):
+        return False
+    before, after = float(old), float(new)
+    return abs(after - before) <= RELATIVE * abs(before) + FLOORS.get(unit, FLOOR)

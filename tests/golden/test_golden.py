@@ -1,0 +1,60 @@
+"""A number that changes is seen, and what is only worded afresh is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from tests.golden.differences import differences
+from tests.golden.rows import Row, codes, read, write
+
+ROW = Row("T", "result", "peak_force.1", "ok", "", "N", "3.5", "3.4", "3.6", "0.95", "12")
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"value": "3.50000001"},
+        {"lower": "3.39999998"},
+        {"upper": ""},
+        {"level": "0.9"},
+        {"unit": "kN"},
+        {"n": "13"},
+        {"status": "doubtful"},
+        {"codes": "zero_jump"},
+    ],
+)
+def test_each_change_is_a_difference(changed: dict[str, str]) -> None:
+    (found,) = differences([ROW], [replace(ROW, **changed)])
+    ((field, new),) = changed.items()
+    assert (found.field, found.new) == (field, new)
+
+
+def test_rounding_is_none() -> None:
+    assert not differences([ROW], [replace(ROW, value="3.5000000000001")])
+
+
+def test_a_bound_at_zero_has_a_floor() -> None:
+    assert not differences([replace(ROW, lower="0.0")], [replace(ROW, lower="1e-15")])
+    assert differences([replace(ROW, lower="0.0")], [replace(ROW, lower="1e-9")])
+
+
+def test_results_that_are_gone_and_new() -> None:
+    other = replace(ROW, name="peak_force.2")
+    gone, new = differences([ROW], [other])
+    assert (gone.row.name, gone.new) == ("peak_force.1", "")
+    assert (new.row.name, new.old) == ("peak_force.2", "")
+
+
+def test_codes_of_either_shape() -> None:
+    text = "no_break: force never falls; is it whole: yes; partial_cycle: ends; no_break: again"
+    listed = [{"code": each, "message": "worded afresh"} for each in ("no_break", "partial_cycle")]
+    assert codes(text) == codes(listed) == "no_break partial_cycle"
+    assert codes("") == codes([]) == ""
+
+
+def test_rows_are_read_as_written(tmp_path: Path) -> None:
+    write(tmp_path / "rows.csv", [ROW])
+    assert read(tmp_path / "rows.csv") == [ROW]
