@@ -2,6 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+KeyPath: TypeAlias = tuple[str | int, ...]
+"""Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
+
+At: TypeAlias = Literal["key", "value"]
+
 
 class LabpipeError(Exception):
     """Bad input or usage, told in one message without a traceback.
@@ -28,6 +36,25 @@ class ProcessingError(LabpipeError):
 
 class StoreError(LabpipeError):
     """A result file cannot be written, or is not one that this version understands."""
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing that is wrong in a YAML file, and where.
+
+    Parameters
+    ----------
+    path : way to the value
+    expected, found : as in every message of labpipe
+    remedy : what to do about it; may be empty
+    at : whether the key itself is at fault, or its value
+    """
+
+    path: KeyPath
+    expected: str
+    found: str
+    remedy: str = ""
+    at: At = "value"
 
 
 def complaint(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from labpipe.errors import ReadError, UsageError, complaint, nearest
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault, ReadError, UsageError, complaint, nearest
 from labpipe.protocol.sheet import SHEET_NAME
 from labpipe.protocol.sheet_text import test_sheet_faults, write_test_sheet
 from labpipe.protocol.shipped import find_protocol

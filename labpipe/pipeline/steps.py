@@ -20,7 +20,6 @@ from labpipe.processing.filtering import (
     window_length,
 )
 from labpipe.protocol.overrides import in_test_sheet
-from labpipe.protocol.quantities import Span
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.steps import (
     Decimate,
@@ -36,6 +35,7 @@ from labpipe.protocol.steps import (
 )
 from labpipe.records.arrays import Floats, median
 from labpipe.records.quality import Severity
+from labpipe.records.setting_types import Span
 
 
 class ShortStretchError(ValueError):

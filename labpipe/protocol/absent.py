@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import asdict
 from types import MappingProxyType
 from typing import Final
 
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault
 from labpipe.protocol.results import ResultEntry, result_names
 from labpipe.protocol.rig import AlignNone
 from labpipe.protocol.schema import Protocol
@@ -131,5 +132,4 @@ def _is_made_from_speed(kept: Protocol) -> bool:
 
 
 def _names(entries: tuple[ResultEntry, ...]) -> set[str]:
-    said = [(entry.result, entry.model_dump(by_alias=True)) for entry in entries]
-    return {name for tag, entry in said for name in result_names(tag, entry)}
+    return {name for each in entries for name in result_names(each.result, asdict(each))}

@@ -19,11 +19,12 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, core_schema
 
+from labpipe.errors import Fault
 from labpipe.protocol.block import Block
-from labpipe.protocol.faults import Fault, error_of, raised
-from labpipe.protocol.quantities import Length, Offset, Whole
+from labpipe.protocol.faults import error_of, raised
 from labpipe.protocol.words import Line
 from labpipe.records.bundle import NONE, PACKED, Bundle, BundleWire
+from labpipe.records.setting_types import Length, Offset, Whole
 
 DENSEST = pi / sqrt(12)
 """Share of a plane that equal circles cover where they lie densest (Thue 1910)."""

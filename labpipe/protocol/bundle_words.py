@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import ValidationError
 
-from labpipe.errors import UsageError, complaint
+from labpipe.errors import Fault, UsageError, complaint
 from labpipe.protocol.bundle import SheetBundle
-from labpipe.protocol.faults import Fault, faults_of
+from labpipe.protocol.faults import faults_of
 from labpipe.records.bundle import PACKED, Bundle
 
 

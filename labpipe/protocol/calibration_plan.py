@@ -7,12 +7,12 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
+from labpipe.errors import Fault
 from labpipe.protocol.block import Block
 from labpipe.protocol.comparison_plan import Comparison, same_names
-from labpipe.protocol.faults import Fault
-from labpipe.protocol.quantities import Length, Quantity, Whole
 from labpipe.protocol.schema import known_version
 from labpipe.protocol.words import Remark, Text
+from labpipe.records.setting_types import Length, Quantity, Whole
 
 Friction = Annotated[float, Quantity("N", "N", "0.05 N", above=0.0)]
 Modulus = Annotated[float, Quantity("Pa", "MPa", "1000 MPa", above=0.0)]

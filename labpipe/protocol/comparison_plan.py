@@ -7,10 +7,11 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
+from labpipe.errors import Fault
 from labpipe.protocol.block import Block
-from labpipe.protocol.faults import Fault, error_of
-from labpipe.protocol.quantities import Length
+from labpipe.protocol.faults import error_of
 from labpipe.protocol.words import Text, file_inside
+from labpipe.records.setting_types import Length
 from labpipe.units import si_factor
 
 

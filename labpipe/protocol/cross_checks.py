@@ -6,7 +6,8 @@ import re
 from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
-from labpipe.protocol.faults import Fault, KeyPath, did_you_mean, one_of
+from labpipe.errors import Fault, KeyPath
+from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.outline import Outline, Values
 from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.quantities import SI_UNITS

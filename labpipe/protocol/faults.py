@@ -4,18 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any
 
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
-from labpipe.errors import nearest
-
-KeyPath: TypeAlias = tuple[str | int, ...]
-"""Way from the top of a YAML file to one value in it: keys, and item numbers counted from 0."""
-
-At: TypeAlias = Literal["key", "value"]
+from labpipe.errors import At, Fault, KeyPath, nearest
 
 _TYPE = "labpipe"
 _SHOWN = 200
@@ -31,25 +25,6 @@ _EXPECTED = {
     "bool_type": "true or false",
     "bool_parsing": "true or false",
 }
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing that is wrong, and where.
-
-    Parameters
-    ----------
-    path : way to the value in the YAML file
-    expected, found : as in every message of labpipe
-    remedy : what to do about it; may be empty
-    at : whether the key itself is at fault, or its value
-    """
-
-    path: KeyPath
-    expected: str
-    found: str
-    remedy: str = ""
-    at: At = "value"
 
 
 def one_of(word: str, known: Iterable[str]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault
 from labpipe.protocol.sheet import COPY_IT, TestSheet
 from labpipe.protocol.yaml_text import Document
 

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import yaml
 from pydantic import ValidationError
 
-from labpipe.errors import ProtocolError
+from labpipe.errors import Fault, ProtocolError
 from labpipe.protocol.absent import absent_faults, without_absent
 from labpipe.protocol.block import Block
-from labpipe.protocol.faults import Fault, did_you_mean, faults_of, one_of
+from labpipe.protocol.faults import did_you_mean, faults_of, one_of
 from labpipe.protocol.links import are_followed, link_faults
 from labpipe.protocol.overrides import with_overrides
 from labpipe.protocol.schema import Protocol

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
-from labpipe.errors import nearest
-from labpipe.protocol.faults import KeyPath
+from labpipe.errors import KeyPath, nearest
 from labpipe.protocol.quantities import SI_UNITS
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
 

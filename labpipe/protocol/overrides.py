@@ -6,7 +6,8 @@ import copy
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from labpipe.protocol.faults import Fault, KeyPath, did_you_mean
+from labpipe.errors import Fault, KeyPath
+from labpipe.protocol.faults import did_you_mean
 from labpipe.protocol.results import result_names
 from labpipe.protocol.yaml_text import Document, Spot
 from labpipe.units import whole_number

@@ -3,175 +3,195 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Annotated, Final, Literal, TypeAlias
+from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
-from pydantic import Field, field_validator
-
-from labpipe.protocol.block import Block
-from labpipe.protocol.faults import Fault
-from labpipe.protocol.quantities import (
+from labpipe.errors import Fault
+from labpipe.records.setting_types import (
+    Above,
     Curvature,
     Distance,
     Force,
+    Key,
     Length,
     Ratio,
     Share,
-    behind_start,
+    Snake,
+    StiffnessName,
+    Tagged,
 )
-from labpipe.protocol.words import Snake
 
 
-class ClockResult(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockResult:
     """``clock_offset`` (s) and ``clock_drift`` (1) of the two clocks."""
 
-    result: Literal["clock"]
+    result: ClassVar = "clock"
 
 
-class PeakForce(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeakForce:
     """``peak_force.<cycle>`` (N)."""
 
-    result: Literal["peak-force"]
+    result: ClassVar = "peak-force"
 
 
-class PeakDisplacement(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeakDisplacement:
     """``peak_displacement.<cycle>`` (m)."""
 
-    result: Literal["peak-displacement"]
+    result: ClassVar = "peak-displacement"
 
 
-class _Window(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
     """A stretch of displacement."""
 
-    result: str
-    start: Distance = Field(alias="from")
-    stop: Distance = Field(alias="to")
-
-    _behind_start = field_validator("stop")(behind_start(Distance))
+    start: Annotated[Distance, Key("from")]
+    stop: Annotated[Distance, Key("to"), Above("start")]
 
 
-class InitialStiffness(_Window):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class InitialStiffness(Window):
     """``initial_stiffness`` (N/m): slope at the start of the first loading."""
 
-    result: Literal["initial-stiffness"]
+    result: ClassVar = "initial-stiffness"
 
 
-class Stiffness(_Window):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stiffness(Window):
     """A straight line (N/m) over a window of the first loading, under a name of its own."""
 
-    result: Literal["stiffness"]
-    name: Snake = Field("stiffness", description="Such as stiffness_first")
+    result: ClassVar = "stiffness"
+    name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
 
-class UnloadingStiffness(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnloadingStiffness:
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
-    result: Literal["unloading-stiffness"]
+    result: ClassVar = "unloading-stiffness"
     over: Length
 
 
-class Energy(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Energy:
     """``energy.<cycle>`` (J): dissipated over one cycle."""
 
-    result: Literal["energy"]
+    result: ClassVar = "energy"
 
 
-class ResidualDisplacement(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ResidualDisplacement:
     """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
 
-    result: Literal["residual-displacement"]
+    result: ClassVar = "residual-displacement"
     force_below: Force
 
 
-class TipTravel(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TipTravel:
     """``tip_travel`` (m): how far the tip moves from where it began."""
 
-    result: Literal["tip-travel"]
+    result: ClassVar = "tip-travel"
 
 
-class MomentCurvature(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MomentCurvature:
     """``<name>`` (N m^2): bending stiffness by the measured moment-curvature law."""
 
-    result: Literal["moment-curvature"]
-    at: Curvature = Field(description="Curvature of the first loading")
-    kind: Literal["secant", "tangent"] = Field(
-        "secant", description="secant: moment / curvature; tangent: slope of the law"
-    )
-    name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_20")
+    result: ClassVar = "moment-curvature"
+    at: Annotated[Curvature, "Curvature of the first loading"]
+    kind: Annotated[
+        Literal["secant", "tangent"], "secant: moment / curvature; tangent: slope of the law"
+    ] = "secant"
+    name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
 
 
-class MidSpan(_Window):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MidSpan(Window):
     """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent span."""
 
-    result: Literal["mid-span"]
-    corrections: tuple[Literal["large-deflection"], ...] = Field(
-        (), description="large-deflection: the supports push along the specimen as well"
-    )
+    result: ClassVar = "mid-span"
+    corrections: Annotated[
+        tuple[Literal["large-deflection"], ...],
+        "large-deflection: the supports push along the specimen as well",
+    ] = ()
 
 
-class Twist(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Twist:
     """``twist`` (rad): how far the section at mid-span has turned about the axis."""
 
-    result: Literal["twist"]
+    result: ClassVar = "twist"
 
 
-class Kink(_Window):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kink(Window):
     """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
 
-    result: Literal["kink"]
+    result: ClassVar = "kink"
 
 
-class Plateau(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plateau:
     """``end_slope`` (1); where it is small also ``plateau_displacement`` (m), ``plateau_force``."""
 
-    result: Literal["plateau"]
-    slope_below: Share = Field(description="Share of the initial slope, such as 10 %")
-    of: Snake = Field(
-        "initial_stiffness", description="Name of the stiffness above that is the initial slope"
+    result: ClassVar = "plateau"
+    slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
+    of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
+        "initial_stiffness"
     )
-    over: Length = Field(0.005, description="Stretch that a tangent is read from")
+    over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
 
 
-class LoadingStiffness(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadingStiffness:
     """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
 
-    result: Literal["loading-stiffness"]
+    result: ClassVar = "loading-stiffness"
     over: Length
 
 
-class Hardening(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hardening:
     """``hardening.<cycle>`` (1) of later cycles: ``loading_stiffness`` over that of the first."""
 
-    result: Literal["hardening"]
+    result: ClassVar = "hardening"
     over: Length
 
 
-class Roller(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Roller:
     """The rollers of two supports."""
 
     diameter: Length | None = None
-    friction: Ratio | None = Field(None, description="Coefficient, of rollers that do not turn")
+    friction: Annotated[Ratio | None, "Coefficient, of rollers that do not turn"] = None
 
 
-class BendingStiffness(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BendingStiffness:
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
-    result: Literal["bending-stiffness"]
-    of: Snake = Field(description="Name of a stiffness above, such as initial_stiffness")
-    support: Literal["cantilever", "three-point"] = Field(
-        description="cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span"
-    )
-    length_uncertainty: Distance = Field(0.0, description="Standard uncertainty of L")
-    name: Snake = Field("bending_stiffness", description="Such as bending_stiffness_at_start")
-    corrections: tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...] = (
-        Field((), description="Of three-point: what an exactly bent elastic beam does otherwise")
-    )
+    result: ClassVar = "bending-stiffness"
+    of: Annotated[StiffnessName, "Name of a stiffness above, such as initial_stiffness"]
+    support: Annotated[
+        Literal["cantilever", "three-point"],
+        "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
+    ]
+    length_uncertainty: Annotated[Distance, "Standard uncertainty of L"] = 0.0
+    name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
+    corrections: Annotated[
+        tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...],
+        "Of three-point: what an exactly bent elastic beam does otherwise",
+    ] = ()
     roller: Roller | None = None
 
-    @classmethod
-    def between(cls, data: object) -> list[Fault]:
+    @staticmethod
+    def between(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Refuse a correction without what it is made of."""
-        return list(_correction_faults(data)) if isinstance(data, Mapping) else []
+        yield from _correction_faults(entry)
 
 
 def _correction_faults(entry: Mapping[str, object]) -> Iterator[Fault]:
@@ -194,62 +214,69 @@ def _correction_faults(entry: Mapping[str, object]) -> Iterator[Fault]:
             yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
 
-class TwoSegments(_Window):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwoSegments(Window):
     """``segment_stiffness_first``, ``segment_stiffness_second`` (N/m) and ``break_point`` (m)."""
 
-    result: Literal["two-segments"]
+    result: ClassVar = "two-segments"
 
 
-class NormalisedStiffness(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NormalisedStiffness:
     """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
 
-    result: Literal["normalised-stiffness"]
-    of: Snake = Field(description="Name of a stiffness above, such as stiffness_first")
+    result: ClassVar = "normalised-stiffness"
+    of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
 
-class Modulus(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Modulus:
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
-    result: Literal["modulus"]
-    of: Snake = Field(description="Name of a stiffness above, such as stiffness")
-    area: Literal["stated", "rectangle", "annulus", "thin-wall"] = Field(
-        description="Which area of specimen.section it refers to"
-    )
-    name: Snake = Field("modulus", description="Such as modulus_annulus")
+    result: ClassVar = "modulus"
+    of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness"]
+    area: Annotated[
+        Literal["stated", "rectangle", "annulus", "thin-wall"],
+        "Which area of specimen.section it refers to",
+    ]
+    name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
 
-class FailureResult(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FailureResult:
     """``failure_displacement`` (m) and ``failure_force`` (N)."""
 
-    result: Literal["failure"]
+    result: ClassVar = "failure"
 
 
-class EnergyToBreak(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnergyToBreak:
     """``energy_to_break`` (J): work done up to the failure."""
 
-    result: Literal["energy-to-break"]
+    result: ClassVar = "energy-to-break"
 
 
-class SlipResults(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlipResults:
     """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N); no result where nothing slipped."""
 
-    result: Literal["slips"]
+    result: ClassVar = "slips"
 
 
-class SlackResult(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SlackResult:
     """``slack`` (m): displacement before the specimen is taut."""
 
-    result: Literal["slack"]
+    result: ClassVar = "slack"
 
 
-class ComplianceResult(Block):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComplianceResult:
     """``compliance`` (m/N) of frame and grips, from a test of a stiff bar."""
 
-    result: Literal["compliance"]
-    start: Force = Field(alias="from")
-    stop: Force = Field(alias="to")
-
-    _behind_start = field_validator("stop")(behind_start(Force))
+    result: ClassVar = "compliance"
+    start: Annotated[Force, Key("from")]
+    stop: Annotated[Force, Key("to"), Above("start")]
 
 
 ResultEntry: TypeAlias = Annotated[
@@ -278,7 +305,7 @@ ResultEntry: TypeAlias = Annotated[
     | MomentCurvature
     | MidSpan
     | Twist,
-    Field(discriminator="result"),
+    Tagged("result"),
 ]
 
 _FIXED_NAMES: Final = MappingProxyType(

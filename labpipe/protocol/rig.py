@@ -9,29 +9,30 @@ from pydantic import (
     PlainSerializer,
     PlainValidator,
     WithJsonSchema,
-    field_validator,
 )
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import error_of
-from labpipe.protocol.quantities import (
+from labpipe.protocol.words import Text
+from labpipe.records.setting_types import (
+    Above,
     Area,
     Compliance,
     Distance,
     Drift,
     Duration,
     Force,
+    Key,
     Length,
     Mass,
     Moment,
     Offset,
     Ratio,
     Share,
+    Snake,
     Speed,
     Whole,
-    behind_start,
 )
-from labpipe.protocol.words import Snake, Text
 
 
 class Section(Block):
@@ -185,10 +186,8 @@ class Slips(Block):
 class Slack(Block):
     """Toe compensation: where a line through the steep part meets zero force, travel begins."""
 
-    start: Share = Field(alias="from", description="Of the largest force, such as 10 %")
-    stop: Share = Field(alias="to", description="Of the largest force, such as 30 %")
-
-    _behind_start = field_validator("stop")(behind_start(Share))
+    start: Annotated[Share, Key("from"), "Of the largest force, such as 10 %"]
+    stop: Annotated[Share, Key("to"), Above("start"), "Of the largest force, such as 30 %"]
 
 
 def _words_once(value: object) -> object:

@@ -12,9 +12,10 @@ from pydantic import (
     field_validator,
 )
 
+from labpipe.errors import Fault
 from labpipe.protocol.block import Block
 from labpipe.protocol.cross_checks import cross_faults
-from labpipe.protocol.faults import Fault, error_of
+from labpipe.protocol.faults import error_of
 from labpipe.protocol.results import ResultEntry
 from labpipe.protocol.rig import (
     Align,

@@ -10,15 +10,14 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, ConfigDict, Field, WithJsonSchema
 
+from labpipe.errors import Fault
 from labpipe.protocol.block import Block
 from labpipe.protocol.bundle import SheetBundle
-from labpipe.protocol.faults import Fault, did_you_mean, error_of, shown
-from labpipe.protocol.quantities import (
-    Length,
-)
+from labpipe.protocol.faults import did_you_mean, error_of, shown
 from labpipe.protocol.source import Role
-from labpipe.protocol.words import FileStem, Line, Remark, Snake, Text, file_inside
+from labpipe.protocol.words import FileStem, Line, Remark, Text, file_inside
 from labpipe.records.result import Specimen
+from labpipe.records.setting_types import Length, Snake
 from labpipe.units import parse_quantity
 
 SHEET_NAME = "test.yaml"

@@ -9,7 +9,8 @@ from datetime import date
 import yaml
 from pydantic import ValidationError
 
-from labpipe.protocol.faults import Fault, faults_of
+from labpipe.errors import Fault
+from labpipe.protocol.faults import faults_of
 from labpipe.protocol.sheet import TestSheet
 
 _HEAD = "# One test: what was tested, and which exports belong to it.\n"

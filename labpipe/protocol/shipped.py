@@ -5,7 +5,8 @@ from __future__ import annotations
 import sysconfig
 from pathlib import Path
 
-from labpipe.protocol.faults import Fault, did_you_mean, one_of
+from labpipe.errors import Fault
+from labpipe.protocol.faults import did_you_mean, one_of
 
 _SUFFIXES = (".yaml", ".yml")
 

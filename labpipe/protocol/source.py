@@ -14,11 +14,9 @@ from pydantic import (
 )
 
 from labpipe.protocol.block import Block
-from labpipe.protocol.quantities import (
-    SI_UNITS,
-    Ratio,
-)
-from labpipe.protocol.words import Snake, Text
+from labpipe.protocol.quantities import SI_UNITS
+from labpipe.protocol.words import Text
+from labpipe.records.setting_types import Ratio, Snake
 from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]

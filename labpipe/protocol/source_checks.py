@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from labpipe.protocol.faults import Fault, KeyPath, did_you_mean, one_of
+from labpipe.errors import Fault, KeyPath
+from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.outline import CHANNEL_KEYS, ChannelOutline, Outline, Values
 from labpipe.protocol.quantities import SI_UNITS
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES, si_unit_like

@@ -2,129 +2,137 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self, TypeAlias
+from dataclasses import dataclass, field, replace
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
-from pydantic import Field, PrivateAttr
-
-from labpipe.protocol.block import Block
-from labpipe.protocol.quantities import (
+from labpipe.records.setting_types import (
+    ChannelName,
     Duration,
     Frequency,
     Length,
     Ratio,
-    SpanOf,
+    Snake,
+    Span,
+    Tagged,
     Whole,
 )
-from labpipe.protocol.words import Snake
 
 
-class _Step(Block):
-    """One step, and where it stands in the list."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Step:
+    """One step, and where it stands in the list, which is no setting."""
 
-    _number: int = PrivateAttr(0)
+    number: int = field(default=0, compare=False)
 
     @property
     def key(self) -> str:
         """Dotted key of the step, as an override begins: ``steps.2``."""
-        return f"steps.{self._number}"
+        return f"steps.{self.number}"
 
     def numbered(self, number: int) -> Self:
         """Give back the same step, knowing its number in the list as written, from 0."""
-        step = self.model_copy()
-        step._number = number
-        return step
+        return replace(self, number=number)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class RepairMarkers(_Step):
     """Undo label switches, fill short gaps, flag what was touched."""
 
-    step: Literal["repair-markers"]
-    max_gap: Duration = Field(description="Longer gaps stay gaps")
-    max_jump: Length = Field(description="Farther than a marker moves between two frames")
-    frozen: Duration = Field(description="A track that stands still for longer is lost")
+    step: ClassVar = "repair-markers"
+    max_gap: Annotated[Duration, "Longer gaps stay gaps"]
+    max_jump: Annotated[Length, "Farther than a marker moves between two frames"]
+    frozen: Annotated[Duration, "A track that stands still for longer is lost"]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class SpecimenFrame(_Step):
     """Turn the markers into the frame of the specimen; with a clamp, this makes `travel`."""
 
-    step: Literal["specimen-frame"]
-    over: Duration = Field(description="Stretch at the start that defines the straight specimen")
-    max_out_of_plane: Length = Field(
-        0.001, description="Doubtful when the markers leave a plane by more, rms"
+    step: ClassVar = "specimen-frame"
+    over: Annotated[Duration, "Stretch at the start that defines the straight specimen"]
+    max_out_of_plane: Annotated[Length, "Doubtful when the markers leave a plane by more, rms"] = (
+        0.001
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class FitShape(_Step):
     """Fit a smooth curve through the markers of every frame; this makes `deflection`."""
 
-    step: Literal["fit-shape"]
+    step: ClassVar = "fit-shape"
     terms: Annotated[int, Whole(2, 12)]
-    tip: Literal["free", "loaded"] = Field(description="free: no bending moment at the tip")
+    tip: Annotated[Literal["free", "loaded"], "free: no bending moment at the tip"]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ThreePointShape(_Step):
     """Fit the bent axis between two supports through sections of markers; makes `mid_span`."""
 
-    step: Literal["three-point-shape"]
-    over: Duration = Field(description="Stretch at the start in which the specimen is straight")
-    section: Length = Field(
-        0.004, description="Markers nearer to each other than this, along the axis, share a section"
-    )
-    facing: Literal["side", "load", "away"] = Field(
-        "side",
-        description="Where on the specimen the markers are: across the load, where the load goes "
-        "to, or where it comes from",
-    )
+    step: ClassVar = "three-point-shape"
+    over: Annotated[Duration, "Stretch at the start in which the specimen is straight"]
+    section: Annotated[
+        Length, "Markers nearer to each other than this, along the axis, share a section"
+    ] = 0.004
+    facing: Annotated[
+        Literal["side", "load", "away"],
+        "Where on the specimen the markers are: across the load, where the load goes to, or where "
+        "it comes from",
+    ] = "side"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class TravelFromSpeed(_Step):
     """Make a displacement from crosshead speed and stroke; a measured one goes before it."""
 
-    step: Literal["travel-from-speed"]
-    channel: Snake = Field(description="Displacement that it makes where no source gives one")
-    force: Snake = Field(description="Channel in which the turn is looked for")
-    window: Duration = Field(1.0, description="On each side of the force's corner at the turn")
-    rate: Frequency = Field(50.0, description="How often the displacement is made")
-    speed_uncertainty: Ratio = Field(0.005, description="Standard uncertainty of rig's speed")
+    step: ClassVar = "travel-from-speed"
+    channel: Annotated[Snake, "Displacement that it makes where no source gives one"]
+    force: Annotated[ChannelName, "Channel in which the turn is looked for"]
+    window: Annotated[Duration, "On each side of the force's corner at the turn"] = 1.0
+    rate: Annotated[Frequency, "How often the displacement is made"] = 50.0
+    speed_uncertainty: Annotated[Ratio, "Standard uncertainty of rig's speed"] = 0.005
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Zero(_Step):
     """Subtract the mean of a stretch without load."""
 
-    step: Literal["zero"]
-    channel: Snake
+    step: ClassVar = "zero"
+    channel: ChannelName
     over: Duration
     at: Literal["start", "end"] = "start"
-    by: Literal["mean", "line"] = Field(
-        "mean",
-        description="line: what a straight line through the stretch says of its outer end, for "
-        "machines that move from the first sample on",
-    )
+    by: Annotated[
+        Literal["mean", "line"],
+        "line: what a straight line through the stretch says of its outer end, for machines that "
+        "move from the first sample on",
+    ] = "mean"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Smooth(_Step):
     """Smooth by a centred moving average."""
 
-    step: Literal["smooth"]
-    channel: Snake
+    step: ClassVar = "smooth"
+    channel: ChannelName
     method: Literal["moving-average"]
-    span: SpanOf
+    span: Span
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class LowPass(_Step):
     """Smooth by a zero-phase Butterworth filter."""
 
-    step: Literal["low-pass"]
-    channel: Snake
+    step: ClassVar = "low-pass"
+    channel: ChannelName
     cutoff: Frequency
     order: Annotated[int, Whole(1, 8)]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Decimate(_Step):
     """Keep every so many samples."""
 
-    step: Literal["decimate"]
-    channel: Snake
+    step: ClassVar = "decimate"
+    channel: ChannelName
     factor: Annotated[int, Whole(2, 100_000)]
     method: Literal["filtered", "stride"] = "filtered"
 
@@ -139,5 +147,5 @@ Step: TypeAlias = Annotated[
     | Smooth
     | LowPass
     | Decimate,
-    Field(discriminator="step"),
+    Tagged("step"),
 ]

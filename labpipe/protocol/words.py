@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated
 
-from pydantic import BeforeValidator, WithJsonSchema
+from pydantic import BeforeValidator, GetJsonSchemaHandler, WithJsonSchema
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.faults import error_of
+from labpipe.records.setting_types import Word
 
 _CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
 """Ends of lines, and characters that no page, workbook or drawing can hold."""
@@ -58,13 +62,36 @@ def _file_stem(value: object) -> str:
     return text
 
 
-def _word(pattern: str, meaning: str) -> BeforeValidator:
-    def check(value: object) -> str:
-        if re.fullmatch(pattern, _text(value)) is None:
-            raise error_of(expected=meaning, found=value)
+@dataclass(frozen=True, slots=True)
+class WordText:
+    """How YAML reads a text of one form.
+
+    Parameters
+    ----------
+    of : the form
+    """
+
+    of: Word
+
+    def parse(self, value: object) -> str:
+        """Take a text that has the form.
+
+        Raises
+        ------
+        PydanticCustomError
+            If it has another one.
+        """
+        if re.fullmatch(self.of.pattern, _text(value)) is None:
+            raise error_of(expected=self.of.meaning, found=value)
         return str(value)
 
-    return BeforeValidator(check)
+    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.parse)
+
+    def __get_pydantic_json_schema__(
+        self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"type": "string", "pattern": f"^{self.of.pattern}$"}
 
 
 def file_inside(folder: str, remedy: str) -> BeforeValidator:
@@ -109,9 +136,4 @@ FileStem = Annotated[
     str,
     BeforeValidator(_file_stem),
     WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
-]
-Snake = Annotated[
-    str,
-    _word(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first"),
-    WithJsonSchema({"type": "string", "pattern": r"^[a-z][a-z0-9_]*$"}),
 ]

@@ -14,8 +14,8 @@ from typing import Any, TypeAlias
 
 import yaml
 
-from labpipe.errors import ProtocolError, complaint
-from labpipe.protocol.faults import Fault, KeyPath, shown
+from labpipe.errors import Fault, KeyPath, ProtocolError, complaint
+from labpipe.protocol.faults import shown
 
 Mark: TypeAlias = tuple[int, int]
 """Line and column, counted from 1."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 
 import jsonschema
@@ -61,14 +62,15 @@ def test_a_test_sheet_that_names_it_resolves(path: Path, tmp_path: Path) -> None
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_what_it_asks_for_is_told_apart_and_shown_in_its_own_units(path: Path) -> None:
     protocol = load_protocol(path)
-    entries = [entry.model_dump(by_alias=True) for entry in protocol.results]
-    names = [name for entry in entries for name in result_names(entry["result"], entry)]
+    names = [
+        name for entry in protocol.results for name in result_names(entry.result, asdict(entry))
+    ]
 
     assert len(names) == len(set(names))
     assert set(protocol.groups.main) <= set(names)
     shown = set(protocol.report.display)
     assert shown >= ({"force", "displacement"} if protocol.curve else set())
-    if any(entry["result"] == "stiffness" for entry in entries):
+    if any(entry.result == "stiffness" for entry in protocol.results):
         assert "stiffness" in shown
 
 

@@ -247,7 +247,7 @@ def test_another_shape_widens_places() -> None:
     signal = bench.signals["displacement"]
     bench.signals["displacement"] = replace(signal, alternative=1.01 * signal.values)
     after = {each.name: each for each in kink_results(bench, low=2e-4, high=5e-3)}
-    entry = Plateau.model_validate({"result": "plateau", "slope_below": "20 %"})
+    entry = Plateau(slope_below=0.2)
     after |= {each.name: each for each in plateau_results(bench, entry)}
     for name in ("kink_displacement", "plateau_displacement"):
         assert after[name].value == before[name].value

@@ -149,7 +149,7 @@ def test_markers_off_their_plane_leave_the_deflection_in_doubt(
     mend, turn, _ = steps(protocol)
     bench, markers = Bench(), MarkerBench(tracks=tracks)
     repair(bench, markers, mend, protocol.markers)
-    strict = turn.model_copy(update={"max_out_of_plane": 1e-7})
+    strict = replace(turn, max_out_of_plane=1e-7)
     turn_into_specimen(bench, markers, strict, protocol.markers)
     assert doubted(bench)["displacement"].startswith("out_of_plane: ")
 

@@ -1,12 +1,16 @@
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal
 
 import pytest
-from pydantic import Field, ValidationError
+from pydantic import Field, TypeAdapter, ValidationError
 
-from labpipe.protocol.block import Block
-from labpipe.protocol.faults import Fault, error_of, faults_of
+from labpipe.errors import Fault
+from labpipe.protocol.block import Block, block_of, validated
+from labpipe.protocol.faults import error_of, faults_of
+from labpipe.records.setting_types import Above, Distance, Key, Length, Snake, Span, Tagged
 
 
 class Inner(Block):
@@ -81,3 +85,86 @@ def test_the_error_of_a_validator_reads_like_a_message() -> None:
     assert error_of(expected="a", found={}, remedy="Do.").message() == (
         "expected a, found an empty block. Do."
     )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grip:
+    """One grip."""
+
+    jaw: Length | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Line:
+    """A straight line."""
+
+    kind: ClassVar = "line"
+    start: Annotated[Distance, Key("from")]
+    stop: Annotated[Distance, Key("to"), Above("start"), "Where it ends"]
+    name: Snake = "line"
+    grip: Grip | None = None
+    number: int = field(default=0, compare=False)
+
+    @staticmethod
+    def between(entry: Mapping[str, object]) -> Iterator[Fault]:
+        """Refuse a line of the name of another kind."""
+        if entry.get("name") == "span":
+            yield Fault(("name",), "another name", "'span'", "Rename it.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stretch:
+    """A stretch of time."""
+
+    kind: ClassVar = "stretch"
+    over: Span
+
+
+Entry = Annotated[Line | Stretch, Tagged("kind")]
+ENTRIES: TypeAdapter[Any] = TypeAdapter(validated(tuple[Entry, ...]))
+
+
+def _refused(*entries: Mapping[str, object]) -> list[tuple[object, ...]]:
+    data = list(entries)
+    with pytest.raises(ValidationError) as info:
+        ENTRIES.validate_python(data)
+    faults = faults_of(info.value, data=data, keys=())
+    return [(each.path, each.expected, each.found, each.at) for each in faults]
+
+
+def test_plain_settings_come_out_of_yaml_and_go_back() -> None:
+    line = {"kind": "line", "from": "1 mm", "to": "2 mm", "grip": {"jaw": "5 mm"}}
+    found = ENTRIES.validate_python([line, {"kind": "stretch", "over": "51 samples"}])
+
+    assert found == (
+        Line(start=0.001, stop=0.002, grip=Grip(jaw=0.005)),
+        Stretch(over=Span("samples", 51.0)),
+    )
+    assert [type(each) for each in found] == [Line, Stretch]
+    assert ENTRIES.dump_python(found, mode="json", by_alias=True) == [
+        {"kind": "line", "from": "1 mm", "to": "2 mm", "name": "line", "grip": {"jaw": "5 mm"}},
+        {"kind": "stretch", "over": "51 samples"},
+    ]
+
+
+def test_all_faults_of_plain_settings_are_told_at_once() -> None:
+    line = {"kind": "line", "from": "2 mm", "to": "1 mm", "name": "span", "number": 1}
+
+    assert _refused(line, {"kind": "lien"}, {"kind": "line", "from": "2"}) == [
+        ((0, "to"), "more than 'from' (2 mm)", "'1 mm'", "value"),
+        ((0, "number"), "one of the keys 'name', 'from', 'grip', 'kind', 'to'", "'number'", "key"),
+        ((0, "name"), "another name", "'span'", "value"),
+        ((1, "kind"), "one of 'line', 'stretch'", "'lien'", "value"),
+        ((2, "from"), "a quantity with a unit such as mm", "'2'", "value"),
+        ((2,), "the key 'to'", "no such key", "value"),
+    ]
+
+
+def test_plain_settings_are_described_for_editors() -> None:
+    schema = block_of(Line, "kind").model_json_schema()
+
+    assert schema["description"] == "A straight line."
+    assert schema["required"] == ["kind", "from", "to"]
+    assert schema["properties"]["to"]["description"] == "Where it ends"
+    assert schema["properties"]["kind"]["const"] == "line"
+    assert "number" not in schema["properties"]

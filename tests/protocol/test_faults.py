@@ -2,7 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.protocol.faults import Fault, did_you_mean, one_of, raised, shown
+from labpipe.errors import Fault
+from labpipe.protocol.faults import did_you_mean, one_of, raised, shown
 
 
 def test_valid_words_come_nearest_first_and_not_all_of_many() -> None:

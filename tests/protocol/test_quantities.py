@@ -10,8 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
-from labpipe.protocol.quantities import (
-    SI_UNITS,
+from labpipe.protocol.block import validated
+from labpipe.protocol.quantities import SI_UNITS, QuantityText, WholeText
+from labpipe.records.setting_types import (
     Area,
     Compliance,
     Distance,
@@ -25,7 +26,6 @@ from labpipe.protocol.quantities import (
     Ratio,
     Share,
     Span,
-    SpanOf,
     Speed,
     Whole,
 )
@@ -53,7 +53,7 @@ OTHERS = {
 
 
 def _parse(kind: Any, text: object) -> object:
-    return TypeAdapter(kind).validate_python(text)
+    return TypeAdapter(validated(kind)).validate_python(text)
 
 
 def _fault(kind: Any, text: object) -> str:
@@ -126,19 +126,19 @@ def test_lengths_of_zero_and_below_are_refused(kind: object, text: str, value: f
             " Write it with its unit, such as '0.2 um/N'.",
         ),
         (
-            SpanOf,
+            Span,
             "51",
             "expected a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or"
             " '51 samples', found '51'. Write it with its unit.",
         ),
-        (SpanOf, "0 samples", "expected a span of at least 1 sample, found '0 samples'."),
+        (Span, "0 samples", "expected a span of at least 1 sample, found '0 samples'."),
         (
-            SpanOf,
+            Span,
             "120 %",
             "expected a pure number (also in % or ppm) from 0.0001 % up, at most 100 %,"
             " found '120 %'.",
         ),
-        (SpanOf, "0 s", "expected a quantity with a unit such as s above 0 s, found '0 s'."),
+        (Span, "0 s", "expected a quantity with a unit such as s above 0 s, found '0 s'."),
     ],
 )
 def test_what_is_refused_is_told(kind: object, text: object, message: str) -> None:
@@ -147,7 +147,7 @@ def test_what_is_refused_is_told(kind: object, text: object, message: str) -> No
 
 @pytest.mark.parametrize("text", ["three", "2.5", "1", "13", "", True, None, "0x3"])
 def test_a_whole_number_in_its_range(text: object) -> None:
-    whole = Whole(2, 12)
+    whole = WholeText(Whole(2, 12))
 
     with pytest.raises(ValueError, match="expected a whole number from 2 to 12, found "):
         whole.parse(text)
@@ -165,7 +165,7 @@ def test_a_whole_number_in_its_range(text: object) -> None:
     ],
 )
 def test_a_span_in_its_four_ways(text: str, span: Span) -> None:
-    adapter = TypeAdapter(SpanOf)
+    adapter = TypeAdapter(validated(Span))
 
     assert adapter.validate_python(text) == span
     assert adapter.validate_python(adapter.dump_python(span)) == span
@@ -178,9 +178,9 @@ KINDS = (
 )
 
 
-def _quantities() -> Iterator[Quantity]:
+def _quantities() -> Iterator[QuantityText]:
     for kind in KINDS:
-        yield from (each for each in get_args(kind) if isinstance(each, Quantity))
+        yield from (QuantityText(each) for each in get_args(kind) if isinstance(each, Quantity))
 
 
 @given(
@@ -189,36 +189,36 @@ def _quantities() -> Iterator[Quantity]:
     prefix=st.sampled_from(["", "shown"]),
 )
 def test_a_quantity_written_reads_back_as_the_same_float(
-    quantity: Quantity, number: float, prefix: str
+    quantity: QuantityText, number: float, prefix: str
 ) -> None:
-    unit = quantity.shown if prefix else quantity.unit
+    unit = quantity.of.shown if prefix else quantity.of.unit
     try:
         value = quantity.parse(f"{number!r} {unit}")
     except ValueError:
-        value = number * si_factor(unit, quantity.unit)
-        assert value in (0.0, float("inf")) or value > quantity.most
+        value = number * si_factor(unit, quantity.of.unit)
+        assert value in (0.0, float("inf")) or value > quantity.of.most
         return
 
     assert quantity.parse(quantity.written(value)) == value
 
 
 def test_a_quantity_is_written_as_a_person_would() -> None:
-    assert Quantity("m", "mm", "1 mm").written(0.053) == "53 mm"
+    assert QuantityText(Quantity("m", "mm", "1 mm")).written(0.053) == "53 mm"
 
 
 def test_a_value_too_large_for_the_unit_of_people_is_written_in_si() -> None:
-    assert Quantity("m", "mm", "1 mm").written(1e308) == "1e+308 m"
+    assert QuantityText(Quantity("m", "mm", "1 mm")).written(1e308) == "1e+308 m"
 
 
 @given(st.sampled_from(["5 mm", "-.5e3 s", "+2. N/V", "3 %", "1e-3ppm"]))
 def test_the_json_schema_takes_a_number_with_unit(text: str) -> None:
-    jsonschema.validate(text, TypeAdapter(Length).json_schema())
+    jsonschema.validate(text, TypeAdapter(validated(Length)).json_schema())
 
 
 @pytest.mark.parametrize("text", ["mm", "5", 5, "five mm"])
 def test_the_json_schema_refuses_what_has_no_unit(text: object) -> None:
     with pytest.raises(jsonschema.ValidationError, match=re.escape(repr(text))):
-        jsonschema.validate(text, TypeAdapter(Length).json_schema())
+        jsonschema.validate(text, TypeAdapter(validated(Length)).json_schema())
 
 
 @pytest.mark.parametrize("quantity", SI_UNITS)

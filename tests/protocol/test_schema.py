@@ -3,7 +3,6 @@ from __future__ import annotations
 import pytest
 
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.quantities import Span
 from labpipe.protocol.rig import (
     AlignNone,
     AlignTurningPoints,
@@ -12,6 +11,7 @@ from labpipe.protocol.rig import (
     Slips,
 )
 from labpipe.protocol.steps import Smooth
+from labpipe.records.setting_types import Span
 from tests.protocol.conftest import Told
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault
 from labpipe.protocol.shipped import find_protocol, known_protocols, protocol_folders
 
 

@@ -5,15 +5,16 @@ from typing import Annotated, Any
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
+from labpipe.protocol.block import validated
 from labpipe.protocol.words import (
     FileStem,
     Line,
     Remark,
-    Snake,
     Text,
     file_inside,
     is_name_of_a_test,
 )
+from labpipe.records.setting_types import Snake
 
 LINE = "text on one line, without control characters"
 
@@ -45,7 +46,7 @@ LINE = "text on one line, without control characters"
 )
 def test_what_is_refused_is_told(kind: Any, value: object, message: str) -> None:
     with pytest.raises(ValidationError) as info:
-        TypeAdapter(kind).validate_python(value)
+        TypeAdapter(validated(kind)).validate_python(value)
     assert info.value.errors()[0]["msg"].strip() == message
 
 

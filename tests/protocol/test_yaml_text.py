@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.errors import ProtocolError
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault, ProtocolError
 from labpipe.protocol.yaml_text import Spot, parse_yaml, read_text
 
 

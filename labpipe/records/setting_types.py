@@ -1,0 +1,151 @@
+"""Types in which steps and results declare their settings: units, ranges and keys, as plain data.
+
+A setting is a field of a frozen dataclass whose type says by `typing.Annotated` how YAML writes it:
+``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the annotation is
+the description that people read in an editor. Nothing here reads YAML: `labpipe.protocol.block`
+makes the validator, the JSON schema and the error messages of these types.
+
+**Units**: coherent SI inside; the marker of a type says in which unit people write it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Literal, TypeAlias
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A float that YAML writes with its unit.
+
+    Parameters
+    ----------
+    unit : SI unit of the float, ``1`` for a pure number
+    shown : unit in which a resolved protocol writes it
+    example : how a person writes it
+    above : in `unit`, the value must be larger; None for no such bound
+    least, most : in `unit`, smallest and largest valid value
+    """
+
+    unit: str
+    shown: str
+    example: str
+    above: float | None = None
+    least: float = -math.inf
+    most: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A whole number within a range.
+
+    Parameters
+    ----------
+    least, most : smallest and largest valid value
+    """
+
+    least: int
+    most: int
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A text of one form.
+
+    Parameters
+    ----------
+    pattern : regular expression of the whole text
+    meaning : the same in words, for messages
+    """
+
+    pattern: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """How YAML calls a field whose name Python does not take, such as ``from``.
+
+    Parameters
+    ----------
+    name : the key
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Above:
+    """A quantity that must be larger than another one of the same block and type.
+
+    Parameters
+    ----------
+    field : name of the other field, which is declared before
+    """
+
+    field: str
+
+
+@dataclass(frozen=True, slots=True)
+class Existing:
+    """A word that must name something that exists where it is written.
+
+    Parameters
+    ----------
+    kind : a channel that a source or an earlier step gives, or a stiffness above in the list
+    """
+
+    kind: Literal["channel", "stiffness"]
+
+
+@dataclass(frozen=True, slots=True)
+class Tagged:
+    """One of several kinds of settings, told apart by a key.
+
+    Parameters
+    ----------
+    key : in YAML; every kind has its value as a class variable of that name
+    """
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Length of a stretch of a channel that a filter looks at.
+
+    Parameters
+    ----------
+    kind : what the length is measured in
+    value : s for ``time``, m for ``travel``, a ratio for ``branch``, a count for ``samples``
+    """
+
+    kind: Literal["time", "travel", "branch", "samples"]
+    value: float
+
+
+Length: TypeAlias = Annotated[float, Quantity("m", "mm", "53 mm", above=0.0)]
+Offset: TypeAlias = Annotated[float, Quantity("m", "mm", "0.8 mm")]
+"""A length that may also be zero or negative."""
+Distance: TypeAlias = Annotated[float, Quantity("m", "mm", "4 mm", least=0.0)]
+Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.0)]
+Moment: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
+"""A time that may also be zero or negative."""
+Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", least=-0.01, most=0.01)]
+"""By how much one clock runs faster than another."""
+Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
+Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", least=0.0)]
+Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", above=0.0)]
+Mass: TypeAlias = Annotated[float, Quantity("kg", "g", "2.7 g", least=0.0)]
+Speed: TypeAlias = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", above=0.0)]
+Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", above=0.0)]
+Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
+Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0)]
+Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
+"""A part of a whole."""
+Snake: TypeAlias = Annotated[
+    str, Word(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
+]
+ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
+StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
