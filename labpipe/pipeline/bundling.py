@@ -11,10 +11,10 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.protocol.bundle_words import bundle_in_words
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet import SHEET_NAME
-from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import save_bundle_figure

@@ -25,9 +25,9 @@ from labpipe.pipeline.tested_wires import (
 )
 from labpipe.pipeline.third_curves import hold_third_curves, read_third_curves
 from labpipe.pipeline.validation_groups import compare
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.protocol.calibration_plan import CalibrationPlan
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.calibration import (
     COPPER_SCALE,
     INSULATION_MODULUS,

@@ -15,7 +15,7 @@ from pathlib import Path
 from labpipe import __version__
 from labpipe.decks import deck_paths, deck_texts, write_texts
 from labpipe.errors import ProcessingError, UsageError, complaint
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.wire_figures import own_figures, save_wire_figures
 from labpipe.report.wire_workbook import save_wire_workbook

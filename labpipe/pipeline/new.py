@@ -12,7 +12,7 @@ from labpipe.protocol.sheet import SHEET_NAME
 from labpipe.protocol.sheet_text import test_sheet_faults, write_test_sheet
 from labpipe.protocol.shipped import find_protocol
 from labpipe.protocol.source import ROLES
-from labpipe.readers.campaign_sheet import CampaignSheet, Cell, read_campaign_sheet
+from labpipe.readers.sheet_cells import Cell, Table, read_campaign_sheet
 from labpipe.store.replace import replacing, storing
 
 DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
@@ -195,7 +195,7 @@ def _unknown(name: str, file: Path, place: str) -> str:
     return complaint(file, place, expected=expected, found=repr(name), remedy=remedy)
 
 
-def _from_row(table: CampaignSheet, row: Sequence[Cell]) -> NewTest:
+def _from_row(table: Table, row: Sequence[Cell]) -> NewTest:
     values, places = {}, {}
     for heading, cell in zip(table.heading, row, strict=True):
         name, unit = _column(heading)

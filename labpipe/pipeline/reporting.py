@@ -24,9 +24,9 @@ from labpipe.pipeline.grouping import (
 )
 from labpipe.pipeline.settings import Settings, setting_notes, settings_by_test, settings_of
 from labpipe.pipeline.targets import find_results, refuse_repeated, shared_folder
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.rig import Groups
-from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve

@@ -42,7 +42,8 @@ from labpipe.readers.load_frame.content import decode, is_binary, read_content
 from labpipe.readers.load_frame.place import lines_of
 from labpipe.readers.load_frame.regrouped import is_grouped
 from labpipe.readers.load_frame.rows import PLAIN
-from labpipe.readers.sheet_cells import Cell, Row, is_workbook, workbook_cells
+from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
+from labpipe.readers.workbooks import is_workbook
 from labpipe.records.arrays import Floats
 
 __all__ = ["FEWEST", "CurveColumn", "read_curve"]

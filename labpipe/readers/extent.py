@@ -55,7 +55,7 @@ class _Reach:
     def add(self, column: int, row: int) -> None:
         """Take in one cell, its place counted from 1."""
         if column * row >= self.columns * self.rows:
-            self.last = f"{_letters(column)}{row}"
+            self.last = f"{column_letters(column)}{row}"
         self.rows, self.columns = max(self.rows, row), max(self.columns, column)
         self.cells += 1
 
@@ -110,7 +110,7 @@ def check_size(path: Path, sheet: str, rows: int, columns: int) -> None:
         As `check_extent`.
     """
     if rows * columns > _BEYOND:
-        last = f"{_letters(columns)}{rows}"
+        last = f"{column_letters(columns)}{rows}"
         raise _too_far(path, sheet, _Reach(rows, columns, last=last), filled="few")
 
 
@@ -134,7 +134,7 @@ def check_table(path: Path, sheet: str, rows: Sequence[Sequence[object]]) -> Non
     filled = sum(cell != "" for row in rows for cell in row)
     if size > SPARSE * filled:
         columns = len(rows[0])
-        reach = _Reach(len(rows), columns, filled, f"{_letters(columns)}{len(rows)}")
+        reach = _Reach(len(rows), columns, filled, f"{column_letters(columns)}{len(rows)}")
         raise _too_far(path, sheet, reach)
 
 
@@ -224,8 +224,8 @@ def _number(letters: str) -> int:
     return number
 
 
-def _letters(number: int) -> str:
-    """Letters of a column, the inverse of `_number`."""
+def column_letters(number: int) -> str:
+    """Letters of a column counted from 1: AB for 28."""
     letters = ""
     while number:
         number, letter = divmod(number - 1, 26)

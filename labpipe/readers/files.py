@@ -97,9 +97,9 @@ def read_head(path: Path, size: int = 65536) -> bytes:
         remedy = "Name one of the files in it." if kind == "a folder" else "Name a plain file."
         raise ReadError(complaint(path, "", expected="a file", found=kind, remedy=remedy))
     if not head:
-        remedy = "Export the recording again."
-        found = "an empty file (0 bytes)"
-        raise ReadError(complaint(path, "", expected="an export", found=found, remedy=remedy))
+        found, remedy = "an empty file (0 bytes)", "Save or export it again."
+        expected = "a file with content"
+        raise ReadError(complaint(path, "", expected=expected, found=found, remedy=remedy))
     return head
 
 

@@ -17,8 +17,9 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.files import read_head, reading
-from labpipe.readers.workbooks import opened_workbook
+from labpipe.readers.extent import column_letters
+from labpipe.readers.files import reading
+from labpipe.readers.workbooks import is_workbook, opened_workbook
 
 _XLSX = "an xlsx workbook"
 _MOST = 1_000_000
@@ -61,31 +62,24 @@ class Table:
     rows: tuple[Row, ...]
 
 
-def is_workbook(path: Path) -> bool:
-    """Whether a file is a workbook (a zip archive) rather than text.
+def read_campaign_sheet(path: Path) -> Table:
+    """Read the table of a campaign: one row per test; what its columns mean is not known here.
+
+    Parameters
+    ----------
+    path : an xlsx workbook, of which the first sheet is read, or a csv
 
     Raises
     ------
     ReadError
-        If there is no such file, or it is empty.
+        If the file is neither, is damaged, holds no row below a heading, or has cells beyond it.
     """
-    return read_head(path).startswith(b"PK\x03\x04")
+    cells = workbook_cells(path) if is_workbook(path) else csv_cells(path)
+    return as_table(cells, path, rows_of="one row per test")
 
 
-def sheet_names(path: Path) -> list[str]:
-    """Names of the sheets of a workbook, in its order.
-
-    Raises
-    ------
-    ReadError
-        If the workbook is damaged.
-    """
-    with opened_workbook(path, _XLSX, most=_MOST) as book:
-        return list(book.sheet_names)
-
-
-def hidden_sheets(path: Path) -> set[str]:
-    """Names of the sheets of a workbook that the spreadsheet program does not show.
+def sheets_of(path: Path) -> dict[str, bool]:
+    """Names of the sheets of a workbook, and whether the spreadsheet program shows them.
 
     Raises
     ------
@@ -95,36 +89,33 @@ def hidden_sheets(path: Path) -> set[str]:
     from python_calamine import SheetVisibleEnum
 
     with opened_workbook(path, _XLSX, most=_MOST) as book:
-        sheets = book.sheets_metadata
-    return {each.name for each in sheets if each.visible != SheetVisibleEnum.Visible}
+        return {
+            each.name: each.visible == SheetVisibleEnum.Visible for each in book.sheets_metadata
+        }
 
 
-def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
+def workbook_cells(path: Path, sheet: str = "", where: str = "") -> list[list[Cell]]:
     """All cells of one sheet of a workbook; a last row repeats those that cannot be read.
 
     Parameters
     ----------
     path : the workbook
-    sheet : number, counted from 0, or name
+    sheet : its name; the first one if empty
+    where : it is, put before the places of its cells
 
     Raises
     ------
     ReadError
         If the workbook is damaged.
     """
-    from openpyxl.utils import get_column_letter
-
     with opened_workbook(path, _XLSX, most=_MOST) as book:
-        page = (
-            book.get_sheet_by_name(sheet)
-            if isinstance(sheet, str)
-            else book.get_sheet_by_index(sheet)
-        )
+        page = book.get_sheet_by_name(sheet) if sheet else book.get_sheet_by_index(0)
         rows = page.to_python(skip_empty_area=False)
-        unread = _unread(path, page.name)
+        before = f"{where}, " if where else ""
+        unread = _unread(path, page.name, before)
     shown = [
         [
-            Cell(_shown(value), f"cell {get_column_letter(column)}{line}")
+            Cell(_shown(value), f"{before}cell {column_letters(column)}{line}")
             for column, value in enumerate(row, start=1)
         ]
         for line, row in enumerate(rows, start=1)
@@ -132,10 +123,9 @@ def workbook_cells(path: Path, sheet: int | str = 0) -> list[list[Cell]]:
     return [*shown, unread] if unread else shown
 
 
-def _unread(path: Path, name: str) -> list[Cell]:
+def _unread(path: Path, name: str, before: str) -> list[Cell]:
     """Cells that calamine gives as blank: errors, and formulas that were never worked out."""
     from openpyxl import load_workbook
-    from openpyxl.utils import get_column_letter
 
     if not _has_formulas(path):  # most sheets: spares reading them twice more
         return []
@@ -146,7 +136,7 @@ def _unread(path: Path, name: str) -> list[Cell]:
         for page in pages:
             page.reset_dimensions()  # what a file says of its size may be wrong
         found = [
-            Cell("", f"cell {get_column_letter(column)}{line}", unread=why)
+            Cell("", f"{before}cell {column_letters(column)}{line}", unread=why)
             for line, rows in enumerate(zip(*(page.iter_rows() for page in pages), strict=True), 1)
             for column, (formula, value) in enumerate(zip(*rows, strict=True), 1)
             if (why := _why_unread(formula, value))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.bundle import PACKED, Bundle, BundleWire
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.wire.wire_table import wire_table

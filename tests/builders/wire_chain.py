@@ -19,11 +19,11 @@ from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.first_loadings import FirstLoading, first_loading
 from labpipe.pipeline.process import reduce_test
 from labpipe.pipeline.tested_wires import built_wire
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import MomentCurvature
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import TestSheet
-from labpipe.readers.wire_sheet import read_wire_sheet
 from labpipe.store.read import RawTest
 from labpipe.virtual_lab.cameras import record_take
 from labpipe.virtual_lab.load_cell import record_force

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.pipeline.bent_shapes import STEPS, bent_shapes
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.wire.calibration import Wire
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.from_spec import build

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from labpipe.pipeline.bundle_places import find_places
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.bundle import Bundle
 from labpipe.records.result import Result, Status
 from labpipe.wire.bundle.model import bundle_model

@@ -127,7 +127,7 @@ HEAD = "deflection / mm,force / N\n"
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "curve.csv: expected an export, found an empty file (0 bytes)."),
+        ("", "curve.csv: expected a file with content, found an empty file (0 bytes)."),
         ("deflection / mm,force / N\n", "curve.csv: expected rows of numbers, found none. Give"),
         (
             "time / s,forse / N\n0,0\n1,1\n2,2\n",

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.readers import read_export, recognise_export
-from labpipe.readers.campaign_sheet import read_campaign_sheet
 from labpipe.readers.curve_columns import CurveColumn
 from labpipe.readers.curve_csv import read_curve
 from labpipe.readers.extent import check_extent, check_size, check_table
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.readers.sheet_cells import read_campaign_sheet
 from labpipe.readers.workbooks import forget_sheets, open_sheets
 from tests.readers.load_frame.exports import (
     LAST,

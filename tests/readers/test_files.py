@@ -43,7 +43,9 @@ def test_what_cannot_be_opened_is_named(tmp_path: Path) -> None:
         read_head(tmp_path)
     empty = tmp_path / "empty.csv"
     empty.touch()
-    with pytest.raises(ReadError, match=r"expected an export, found an empty file \(0 bytes\)"):
+    with pytest.raises(
+        ReadError, match=r"expected a file with content, found an empty file \(0 bytes\)"
+    ):
         read_head(empty)
 
 

@@ -42,7 +42,7 @@ def test_what_is_no_workbook_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("a,b", encoding="utf-8")
     begin_sheets(tmp_path / "a.csv")
     (tmp_path / "empty.xlsx").touch()
-    with pytest.raises(ReadError, match="expected an export, found an empty file"):
+    with pytest.raises(ReadError, match="expected a file with content, found an empty file"):
         begin_sheets(tmp_path / "empty.xlsx")
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.virtual_lab.stranded import WIRES
 from labpipe.virtual_lab.wire_sheet import write_wire_sheet
 from labpipe.wire.from_spec import build

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.cross_section import CrossSection, Layer, concentric

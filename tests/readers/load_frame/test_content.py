@@ -44,5 +44,7 @@ def test_none_fits() -> None:
 
 def test_an_empty_file(tmp_path: Path) -> None:
     (tmp_path / "a.csv").touch()
-    with pytest.raises(ReadError, match=r"a\.csv: expected an export, found an empty file"):
+    with pytest.raises(
+        ReadError, match=r"a\.csv: expected a file with content, found an empty file"
+    ):
         read_content(tmp_path / "a.csv")

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from openpyxl import Workbook
 
 from labpipe.errors import ReadError
-from labpipe.readers.wire_sheet import read_wire_sheet
+from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.wire import WireSpec
 from tests.readers.load_frame.exports import changed, workbook
 
@@ -179,100 +179,88 @@ def test_a_stress_table_takes_the_place_of_the_copper(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("cells", "message"),
+    ("cells", "place", "said"),
     [
         (
             {"strands": 8},
-            "cell C2 (strands): expected 7 strands as 1 lay angle give (1 + 6), found 8. Correct"
-            " the number of strands or the layers, or fill in layer_counts.",
+            "C2 (strands)",
+            ["7 strands", "1 lay angle give (1 + 6)", "found 8.", "layer_counts"],
         ),
         (
             {"strands": 19, "layer_counts": "1;6;11"},
-            "cell C2 (strands): expected 18 strands as the layer counts give (1 + 6 + 11),"
-            " found 19. Correct the number of strands or the layers, or fill in layer_counts.",
+            "C2 (strands)",
+            ["18 strands", "layer counts give (1 + 6 + 11)", "found 19."],
         ),
         (
             {"lay_angles_deg": "12;-15", "layer_counts": "1;6"},
-            "cell E2 (lay_angles_deg): expected one lay angle for each ring of 1 + 6, 1, found 2."
-            " Give one angle per ring; the core has none.",
+            "E2 (lay_angles_deg)",
+            ["each ring of 1 + 6, 1, found 2", "the core has none"],
         ),
-        (
-            {"lay_angles_deg": 90},
-            "cell E2 (lay_angles_deg): expected angles between -90 and 90 deg, parted by ';',"
-            " found '90'. Correct the cell.",
-        ),
+        ({"lay_angles_deg": 90}, "E2 (lay_angles_deg)", ["from -80 to 80 deg", "found '90'"]),
         (
             {"conductor_area_mm2": 0.58},
-            "cell G2 (conductor_area_mm2): expected the 0.563 mm^2 of the strands within 2%,"
-            " found 0.58 mm^2. Correct the area or the strand diameter, or empty one of them.",
+            "G2 (conductor_area_mm2)",
+            ["0.563 mm^2", "within 2%", "found 0.58 mm^2"],
         ),
         (
             {"strand_diameters_mm": "0.3;0.3"},
-            "cell G2 (strand_diameters_mm): expected one of both, found strand_diameter_mm and"
-            " strand_diameters_mm. Empty one of the cells.",
+            "G2 (strand_diameters_mm)",
+            ["one of both", "strand_diameter_mm and strand_diameters_mm"],
         ),
         (
             {"strand_diameter_mm": None, "strand_diameters_mm": "0.3"},
-            "cell G2 (strand_diameters_mm): expected 2 diameters, one per layer, found 1."
-            " Correct the list.",
+            "G2 (strand_diameters_mm)",
+            ["2 diameters, one per layer, found 1."],
         ),
         (
             {"strand_diameter_mm": None},
-            "cell D2 (strand_diameter_mm): expected a conductor area or a strand diameter,"
-            " found blank cells. Fill in conductor_area_mm2 or strand_diameter_mm.",
+            "D2 (strand_diameter_mm)",
+            ["a conductor area or a strand diameter", "blank cells", "Fill in conductor_area_mm2"],
         ),
         (
             {"insulation_thickness_mm": 0.8},
-            "cell F2 (insulation_thickness_mm): expected a wall less than half of the wire's"
-            " 1.6 mm, found 0.8 mm. Correct the wall or the wire's diameter.",
+            "F2 (insulation_thickness_mm)",
+            ["less than half of the wire's 1.6 mm, found 0.8 mm"],
         ),
         (
             {"strand_diameter_mm": 1.1},
-            "cell D2 (strand_diameter_mm): expected strands in a bore of 1 mm (1.6 mm less two"
-            " walls of 0.3 mm), found one of 1.1 mm. Correct the wire's diameter, its wall or the"
-            " strands.",
+            "D2 (strand_diameter_mm)",
+            ["bore of 1 mm (1.6 mm less two walls of 0.3 mm), found one of 1.1 mm"],
         ),
         (
             {"strand_diameter_mm": 0.4},
-            "cell D2 (strand_diameter_mm): expected copper in a bore of 1 mm (1.6 mm less two"
-            " walls of 0.3 mm), 0.7854 mm^2, found 0.8796 mm^2. Correct the wire's diameter, its"
-            " wall or the strands.",
+            "D2 (strand_diameter_mm)",
+            ["copper in a bore of 1 mm", "0.7854 mm^2, found 0.8796 mm^2"],
         ),
         (
             {"wire_diameter_mm": None},
-            "cell B2 (wire_diameter_mm): expected a number > 0 in mm, found a blank cell."
-            " Fill it in.",
+            "B2 (wire_diameter_mm)",
+            ["from 0.05 to 200 mm, found a blank cell. Fill it in."],
         ),
-        (
-            {"wire_diameter_mm": "1,6"},
-            "cell B2 (wire_diameter_mm): expected a number with a point, found the decimal comma"
-            " of '1,6'. Write 1.6.",
-        ),
-        (
-            {"layout": "hexagon"},
-            "cell G2 (layout): expected one of 'auto', 'hexagonal', 'concentric', 'packed',"
-            " 'compressed', found 'hexagon'. Did you mean 'hexagonal'?",
-        ),
+        ({"wire_diameter_mm": "1,6"}, "B2 (wire_diameter_mm)", ["'1,6'", "decimal point: 1.6."]),
+        ({"layout": "hexagon"}, "G2 (layout)", ["'hexagon'. Did you mean 'hexagonal'?"]),
         (
             {"layer_radii_mm": "0;0.3"},
-            "cell G2 (layer_radii_mm): expected a blank cell, found radii, for the layout 'auto'"
-            " that sets its own. Say compressed as the layout, or empty the cell.",
+            "G2 (layer_radii_mm)",
+            ["a blank cell", "layout 'auto' that sets its own", "Say compressed"],
         ),
         (
             {"layer_radii_mm": "0.3", "layout": "compressed"},
-            "cell G2 (layer_radii_mm): expected 2 radii that grow, one per layer, found '0.3'."
-            " Correct the list.",
+            "G2 (layer_radii_mm)",
+            ["2 radii that grow, one per layer, found '0.3'"],
         ),
         (
             {"largest_curvature_per_m": 1250},
-            "cell G2 (largest_curvature_per_m): expected a curvature below 1250 1/m, where the"
-            " bending radius is the wire's, found 1250 1/m. Give a smaller one.",
+            "G2 (largest_curvature_per_m)",
+            ["below 1250 1/m", "found 1250 1/m"],
         ),
-        ({"wire": None}, "cell A2 (wire): expected a name, found a blank cell. Name the wire."),
+        ({"wire": None}, "A2 (wire)", ["a name, found a blank cell. Name the wire."]),
     ],
 )
-def test_rows_that_are_refused(sheet: Path, cells: Row, message: str) -> None:
-    assert fault(sheet, **cells) == message
+def test_rows_that_are_refused(sheet: Path, cells: Row, place: str, said: list[str]) -> None:
+    message = fault(sheet, **cells)
+    assert message.startswith(f"cell {place}: expected ")
+    assert [words for words in said if words not in message] == []
 
 
 def test_all_faults_are_told_at_once(sheet: Path) -> None:
@@ -287,18 +275,11 @@ def test_all_faults_are_told_at_once(sheet: Path) -> None:
 
 def test_headings_are_told_before_the_rows(sheet: Path) -> None:
     row = {name.replace("diameter", "diamter"): cell for name, cell in A2.items()}
-    assert faults(sheet, row | {"strands": "x"}) == [
-        "cell B1: expected one of 'wire_diameter_mm', 'strand_diameter_mm',"
-        " 'strand_diameters_mm', ..., found 'wire_diamter_mm'. Did you mean 'wire_diameter_mm'?",
-        "cell D1: expected one of 'strand_diameter_mm', 'strand_diameters_mm',"
-        " 'wire_diameter_mm', ..., found 'strand_diamter_mm'. Did you mean 'strand_diameter_mm'?",
-    ]
-
-
-def test_a_layout_like_none(sheet: Path) -> None:
-    assert fault(sheet, layout="xyz").endswith(
-        "'compressed', found 'xyz'. Correct the cell, or empty it."
-    )
+    first, second = faults(sheet, row | {"strands": "x"})
+    assert first.startswith("cell B1: expected one of 'wire_diameter_mm', ")
+    assert first.endswith("found 'wire_diamter_mm'. Did you mean 'wire_diameter_mm'?")
+    assert second.startswith("cell D1: expected one of 'strand_diameter_mm', ")
+    assert second.endswith("found 'strand_diamter_mm'. Did you mean 'strand_diameter_mm'?")
 
 
 def written(tmp_path: Path, *lines: str) -> Path:
@@ -330,8 +311,8 @@ def test_a_title_above_the_heading_and_units_below_it(tmp_path: Path) -> None:
 def test_an_empty_csv(tmp_path: Path) -> None:
     path = written(tmp_path, "")
     assert refused(path) == [
-        f"{path}: expected a wire sheet, found an empty file (0 bytes)."
-        " Fill in the sheet and save it."
+        f"{path}: expected a file with content, found an empty file (0 bytes)."
+        " Save or export it again."
     ]
 
 
@@ -449,3 +430,78 @@ def test_the_example_sheet_holds_the_wires_of_the_source(repository: Path) -> No
         assert spec.insulation_thickness == pytest.approx(wall * 1e-3, rel=1e-12)
         assert spec.layout == ("compressed" if spec.name.startswith("B") else "auto")
         assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"}
+
+
+def test_names_that_share_a_file_are_told_with_both_cells(sheet: Path) -> None:
+    again, like = faults(sheet, A2, A2 | {"wire": "A3"}, A2, A2 | {"wire": "a3"})
+    assert again.startswith("cell A4 (wire): expected each wire once, found 'A2' again, as in ")
+    assert again.endswith("cell A2. Give each wire a name of its own.")
+    assert like.startswith("cell A5 (wire): expected names that differ in more than the case")
+    assert "found 'a3', and 'A3' in sheet 'wires', cell A3." in like
+    accents = [A2 | {"wire": name} for name in ("caf\u00e9", "CAFE\u0301", "STRASSE", "straße")]
+    assert [line.partition(" ")[0] for line in faults(sheet, *accents)] == ["cell", "cell"]
+
+
+def with_table(path: Path, name: str, *rows: list[object]) -> Path:
+    book = Workbook()
+    page, table = book.active, book.create_sheet("soft")
+    assert page is not None
+    page.title = "wires"
+    page.append([*A2, "stress_table"])
+    page.append([*A2.values(), name])
+    for cells in rows:
+        table.append(cells)
+    book.save(path)
+    return path
+
+
+def test_a_stress_table_of_the_workbook_in_other_letters(sheet: Path) -> None:
+    rows: list[list[object]] = [["Strain", "stress_MPa", "from"], [0, 0, "us"], [0.001, 110, "us"]]
+    [spec] = read_wire_sheet(with_table(sheet, "SOFT", *rows))
+    assert spec.stress_table == ((0.001,), (110e6,))
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "said"),
+    [
+        ("soft", [["strain", "stress"], [0.1, 1]], "sheet 'soft', cell A1: expected a column 'str"),
+        ("soft", [["strain", "stress_mpa"]], "sheet 'soft': expected a heading and one row per po"),
+        (
+            "sofd",
+            [["strain", "stress_mpa"]],
+            "sheet 'wires', cell G2 (stress_table): expected the name of a sheet ('soft', 'wires')",
+        ),
+        (
+            "soft",
+            [["strain", "stress_mpa"], [0.001, "x"], [5, None]],
+            "sheet 'soft', cell B2 (stress_mpa): expected a number from 0 to 100000 MPa, found 'x'",
+        ),
+        (
+            "soft",
+            [["strain", "stress_mpa"], [0.002, 110], [0.001, 120]],
+            "sheet 'soft', cell A3: expected a strain above 0.002, found 0.001. Put the rows in",
+        ),
+    ],
+)
+def test_stress_tables_that_are_refused(
+    sheet: Path, name: str, rows: list[list[object]], said: str
+) -> None:
+    first, *others = refused(with_table(sheet, name, *rows))
+    assert first.startswith(said)
+    assert [line.partition(":")[0] for line in others] in (
+        [],
+        ["sheet 'soft', cell A3 (strain)", "sheet 'soft', cell B3 (stress_mpa)"],
+    )
+
+
+def test_a_stress_table_beside_a_csv(tmp_path: Path) -> None:
+    text = ",".join([*A2, "stress_table"])
+    path = written(
+        tmp_path,
+        text,
+        f"{A2_LINES[1]},../soft.csv",
+        "A3" + A2_LINES[1].removeprefix("A2") + ",none.csv",
+    )
+    outside, missing = refused(path)
+    assert outside.startswith("line 2, column 7 (stress_table): expected the name of a csv in the")
+    assert missing.startswith(f"{tmp_path / 'none.csv'}: expected a file, found none of that name")

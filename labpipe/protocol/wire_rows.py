@@ -1,0 +1,507 @@
+"""The grammar of a wire sheet: a row per wire, a column per dimension, its unit in its name."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from itertools import pairwise
+from typing import Annotated, Any, Final, Literal, Self, TypeVar
+
+from pydantic import BeforeValidator, ValidationError, model_validator
+from pydantic_core import CoreSchema, core_schema
+
+from labpipe.errors import nearest
+from labpipe.protocol.block import Block
+from labpipe.protocol.faults import Fault, error_of, faults_of, raised
+from labpipe.records.wire import WireSpec
+
+Numbers = tuple[float, ...]
+Curve = tuple[Numbers, Numbers]
+"""Strains and stresses, Pa."""
+_B = TypeVar("_B", bound=Block)
+
+AREAS_AGREE = 0.02
+"""Share by which a conductor area may differ from that of the strands' diameters."""
+FIRST_SLOPES = (1e9, 1e12)
+"""Slopes (Pa) between which the first one is: a wrong unit of strain or stress is outside."""
+_TOUCHING = 1e-3  # of the bore: less is rounding of the sheet
+_ROUNDING = 1e-6  # of the first slope
+_UNITS = {
+    "mm": ("_mm", 1e-3),
+    "mm^2": ("_mm2", 1e-6),
+    "deg": ("_deg", math.pi / 180.0),
+    "MPa": ("_mpa", 1e6),
+    "GPa": ("_gpa", 1e9),
+    "N": ("_n", 1.0),
+    "1/m": ("_per_m", 1.0),
+    "": ("", 1.0),
+}
+"""How the name of a column ends, and the factor to SI, by the unit."""
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+_THOUSANDS = re.compile(r"[-+]?[1-9]\d{0,2}(?:,\d{3})+")
+_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+")
+_NOT_IN_NAMES = re.compile(r'[\\/:*?"<>|\x00-\x1f]|^[. ]|[. ]$')
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", flags=re.IGNORECASE)
+_LONGEST_NAME = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """Annotation of a number whose unit is part of the column's name, or of several by ``;``.
+
+    Parameters
+    ----------
+    unit : as shown to people; empty for a pure number
+    least, most : in that unit; they are wider than any wire needs: outside is only a wrong unit or
+        a slip of the hand, and no number inside is too large to work with
+    several : whether a cell holds a list
+    whole : whether only whole numbers are allowed
+    period : after which numbers mean the same again, such as 360 deg
+    """
+
+    unit: str
+    least: float
+    most: float
+    several: bool = False
+    whole: bool = False
+    period: float = math.inf
+
+    @property
+    def factor(self) -> float:
+        """From the unit to SI."""
+        return _UNITS[self.unit][1]
+
+    @property
+    def allowed(self) -> str:
+        """What a cell may hold, such as ``a number from 0.05 to 200 mm``."""
+        kind = f"{'whole ' * self.whole}number"
+        kind, parted = (f"{kind}s", ", parted by ';'") if self.several else (f"a {kind}", "")
+        return f"{kind} from {self.least:.10g} to {self.most:.10g} {self.unit}".rstrip() + parted
+
+    def parse(self, text: object) -> float | Numbers:
+        """Read the number, or the numbers, of a cell; they stay in the unit of the column.
+
+        Raises
+        ------
+        PydanticCustomError
+            If one of them is no number with a decimal point, or out of range.
+        """
+        cell = str(text)
+        if not cell:
+            raise raised([Fault((), self.allowed, "a blank cell", "Fill it in.")], text)
+        parts = [part.strip() for part in cell.split(";")] if self.several else [cell]
+        numbers = tuple(self._number(part, cell) for part in parts)
+        return numbers if self.several else numbers[0]
+
+    def _number(self, part: str, cell: str) -> float:
+        fits = _NUMBER.fullmatch(part) and self.least <= float(part) <= self.most
+        if not fits or (self.whole and float(part) % 1.0):
+            remedy = _comma_remedy(part, alone=self.several and ";" not in cell)
+            remedy = remedy or "Correct the cell; is the unit right?"
+            raise error_of(expected=self.allowed, found=cell, remedy=remedy)
+        value = math.fmod(float(part), self.period)
+        return int(value) if self.whole else value
+
+    def in_si(self, value: float) -> float:
+        """Turn a number of the column into SI; twelve digits, so that 1.4 mm is 0.0014 m."""
+        return value if self.whole else float(f"{value * self.factor:.12g}")
+
+    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
+        return core_schema.no_info_plain_validator_function(self.parse)
+
+
+def _comma_remedy(part: str, *, alone: bool) -> str:
+    """What to do about a comma in a number; it may part numbers where no semicolon does."""
+    point, listed = part.replace(",", "."), ";".join(each.strip() for each in part.split(","))
+    if alone and _DECIMAL_COMMA.fullmatch(part):
+        return f"Part numbers by ';': write {listed} for two, {point} for one."
+    if alone and "," in part:
+        return f"Part them by ';': {listed}."
+    if _THOUSANDS.fullmatch(part):
+        whole = part.replace(",", "")
+        return f"Write {whole} or {point}, as meant." if part.count(",") == 1 else f"Write {whole}."
+    return f"Write it with a decimal point: {point}." if _DECIMAL_COMMA.fullmatch(part) else ""
+
+
+def _name(value: object) -> str:
+    """Take a name that a file can have, too."""
+    name = str(value)
+    if not name:
+        raise raised([Fault((), "a name", "a blank cell", "Name the wire.")], value)
+    if _NOT_IN_NAMES.search(name) or _RESERVED.fullmatch(name) or len(name) > _LONGEST_NAME:
+        remedy = f'Leave out \\ / : * ? " < > |, and dots at either end; use {_LONGEST_NAME}'
+        remedy += " letters at most."
+        raise error_of(expected="a name that a file can have", found=value, remedy=remedy)
+    return name
+
+
+class WireRow(Block):
+    """A wire as people describe it; numbers in the units of the columns."""
+
+    wire: Annotated[str, BeforeValidator(_name)]
+    wire_diameter_mm: Annotated[float, Column("mm", 0.05, 200.0)]
+    strands: Annotated[int, Column("", 1, 2000, whole=True)]
+    insulation_thickness_mm: Annotated[float, Column("mm", 0.001, 100.0)]
+    lay_angles_deg: Annotated[Numbers, Column("deg", -80.0, 80.0, several=True)] = ()
+    conductor_area_mm2: Annotated[float | None, Column("mm^2", 1e-5, 4e4)] = None
+    strand_diameter_mm: Annotated[float | None, Column("mm", 0.005, 50.0)] = None
+    strand_diameters_mm: Annotated[Numbers, Column("mm", 0.005, 50.0, several=True)] = ()
+    layer_counts: Annotated[tuple[int, ...], Column("", 1, 2000, several=True, whole=True)] = ()
+    layer_radii_mm: Annotated[Numbers, Column("mm", 0.0, 100.0, several=True)] = ()
+    insulation_modulus_mpa: Annotated[float | None, Column("MPa", 0.1, 1e7)] = None
+    conductor_modulus_gpa: Annotated[float | None, Column("GPa", 0.1, 1000.0)] = None
+    poisson: Annotated[float | None, Column("", -0.5, 0.5)] = None
+    copper_k_mpa: Annotated[float | None, Column("MPa", 1.0, 1e4)] = None
+    copper_n: Annotated[float | None, Column("", 0.01, 0.99)] = None
+    friction_strand: Annotated[float | None, Column("", 0.0, 10.0)] = None
+    friction_insulation: Annotated[float | None, Column("", 0.0, 10.0)] = None
+    radial_force_n: Annotated[float | None, Column("N", 0.0, 1e6)] = None
+    length_mm: Annotated[float | None, Column("mm", 1.0, 1e5)] = None
+    tension_n: Annotated[float | None, Column("N", 0.0, 1e7)] = None
+    orientation_deg: Annotated[float | None, Column("deg", -3600.0, 3600.0, period=360.0)] = None
+    largest_curvature_per_m: Annotated[float | None, Column("1/m", 0.001, 1e5)] = None
+    layout: Annotated[
+        Literal["auto", "hexagonal", "concentric", "packed", "compressed"],
+        BeforeValidator(lambda text: str(text).casefold()),
+    ] = "auto"
+    stress_table: str = ""
+    remark: str = ""
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Refuse a stress table beside the numbers that it stands for."""
+        row = data if isinstance(data, Mapping) else {}
+        given = [name for name in _OF_THE_CURVE if row.get(name)]
+        if not (row.get("stress_table") and given):
+            return []
+        expected = "either a stress table, whose first slope is the modulus, or the numbers"
+        found, remedy = f"a stress table and {', '.join(given)}", "Empty one or the other."
+        return [Fault(("stress_table",), expected, found, remedy)]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_blanks(cls, data: Mapping[str, str]) -> dict[str, str]:
+        """Take a blank cell for a column that is not there, unless it is needed."""
+        return {key: text for key, text in data.items() if text or key in NEEDED}
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> Self:
+        if faults := [*_layer_faults(self)] or [*_room_faults(self)]:
+            raise raised(faults, self)
+        return self
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Strands of each layer, the core included."""
+        rings = range(1, len(self.lay_angles_deg) + 1)
+        return self.layer_counts or (1, *(6 * ring for ring in rings))
+
+    @property
+    def diameters(self) -> Numbers:
+        """Strand diameter of each layer, mm."""
+        if self.strand_diameters_mm:
+            return self.strand_diameters_mm
+        area = self.conductor_area_mm2 or 0.0
+        one = self.strand_diameter_mm or math.sqrt(4.0 * area / (math.pi * sum(self.counts)))
+        return (one,) * len(self.counts)
+
+    @property
+    def copper(self) -> float:
+        """Area of all strands, mm^2."""
+        pairs = zip(self.counts, self.diameters, strict=True)
+        return float(sum(count * math.pi * diameter**2 / 4.0 for count, diameter in pairs))
+
+
+COLUMNS: Final[Mapping[str, Column]] = {
+    name: column
+    for name, field in WireRow.model_fields.items()
+    for column in field.metadata
+    if isinstance(column, Column)
+}
+"""The columns of numbers."""
+NEEDED: Final = tuple(n for n, field in WireRow.model_fields.items() if field.is_required())
+"""Columns in which no cell may be blank."""
+SIZES: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2")
+"""Columns of which every sheet has at least one."""
+_OF_THE_CURVE = ("conductor_modulus_gpa", "copper_k_mpa", "copper_n")
+_ALWAYS_THERE = (*NEEDED, "lay_angles_deg")
+
+
+def _layer_faults(row: WireRow) -> Iterator[Fault]:
+    """Find what does not agree among strands, layers, angles, diameters and radii."""
+    counts, angles = row.counts, len(row.lay_angles_deg)
+    shown = " + ".join(map(str, counts))
+    if sum(counts) != row.strands:
+        by = f"{angles} lay angle{'s' * (angles != 1)}"
+        by = "the layer counts" if row.layer_counts else by
+        expected = f"{sum(counts)} strands as {by} give ({shown})"
+        remedy = "Correct the number of strands or the layers, or fill in layer_counts."
+        yield Fault(("strands",), expected, str(row.strands), remedy)
+        return
+    rings = len(counts) - int(counts[0] == 1)
+    if angles != rings:
+        expected = f"one lay angle for each ring of {shown}, {rings}"
+        remedy = "Give one angle per ring; the core has none."
+        yield Fault(("lay_angles_deg",), expected, str(angles), remedy)
+    yield from _size_faults(row)
+    yield from _radius_faults(row)
+
+
+def _size_faults(row: WireRow) -> Iterator[Fault]:
+    one, each, area = row.strand_diameter_mm, row.strand_diameters_mm, row.conductor_area_mm2
+    if one and each:
+        found = "strand_diameter_mm and strand_diameters_mm"
+        yield Fault(("strand_diameters_mm",), "one of both", found, "Empty one of the cells.")
+    elif each and len(each) != len(row.counts):
+        expected = f"{len(row.counts)} diameters, one per layer"
+        yield Fault(("strand_diameters_mm",), expected, str(len(each)), "Correct the list.")
+    elif not (one or each or area):
+        expected = "a conductor area or a strand diameter"
+        remedy = "Fill in conductor_area_mm2 or strand_diameter_mm."
+        yield Fault(("strand_diameter_mm",), expected, "blank cells", remedy)
+    elif area and abs(area / row.copper - 1.0) > AREAS_AGREE:
+        expected = f"the {row.copper:.4g} mm^2 of the strands within {AREAS_AGREE:.0%}"
+        remedy = "Correct the area or the strand diameter, or empty one of them."
+        yield Fault(("conductor_area_mm2",), expected, f"{area:.4g} mm^2", remedy)
+
+
+def _radius_faults(row: WireRow) -> Iterator[Fault]:
+    radii, layers = row.layer_radii_mm, len(row.counts)
+    if radii and row.layout != "compressed":
+        found = f"radii, for the layout {row.layout!r} that sets its own"
+        remedy = "Say compressed as the layout, or empty the cell."
+        yield Fault(("layer_radii_mm",), "a blank cell", found, remedy)
+    elif radii and (len(radii) != layers or any(a >= b for a, b in pairwise(radii))):
+        expected = f"{layers} radii that grow, one per layer"
+        found = repr(";".join(f"{radius:g}" for radius in radii))
+        yield Fault(("layer_radii_mm",), expected, found, "Correct the list.")
+
+
+def _room_faults(row: WireRow) -> Iterator[Fault]:
+    """Find strands that cannot be in the bore, and a bend tighter than the wire."""
+    outer, wall = row.wire_diameter_mm, row.insulation_thickness_mm
+    bore = outer - 2.0 * wall
+    if bore <= 0.0:
+        expected = f"a wall less than half of the wire's {outer:.4g} mm"
+        remedy = "Correct the wall or the wire's diameter."
+        yield Fault(("insulation_thickness_mm",), expected, f"{wall:.4g} mm", remedy)
+        return
+    room = f"{bore:.4g} mm ({outer:.4g} mm less two walls of {wall:.4g} mm)"
+    remedy = "Correct the wire's diameter, its wall or the strands."
+    size = next(name for name in SIZES if getattr(row, name))
+    thickest, widest = max(row.diameters), bore * (1.0 + _TOUCHING)
+    if thickest > widest:
+        expected = f"strands in a bore of {room}"
+        yield Fault((size,), expected, f"one of {thickest:.4g} mm", remedy)
+    elif row.copper > math.pi / 4.0 * widest**2:
+        expected = f"copper in a bore of {room}, {math.pi / 4.0 * bore**2:.4g} mm^2"
+        yield Fault((size,), expected, f"{row.copper:.4g} mm^2", remedy)
+    largest, tightest = row.largest_curvature_per_m, 2e3 / outer
+    if largest is not None and largest >= tightest:
+        expected = f"a curvature below {tightest:.4g} 1/m, where the bending radius is the wire's"
+        yield Fault(
+            ("largest_curvature_per_m",), expected, f"{largest:.4g} 1/m", "Give a smaller one."
+        )
+
+
+def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | None) -> WireSpec:
+    """Make the record of a row, with words for what it leaves open.
+
+    Parameters
+    ----------
+    row : of the sheet
+    blank : columns that are there and blank in this row: perhaps a slip, unlike one left out
+    place : of the row, such as ``sheet 'wires', row 4``
+    curve : the stress table that the row names
+
+    Returns
+    -------
+    The wire in SI.
+    """
+    values: dict[str, Any] = {"layer_counts": row.counts, "stress_table": curve}
+    values["strand_diameters"] = tuple(map(COLUMNS["strand_diameter_mm"].in_si, row.diameters))
+    values["lay_angles"] = tuple(map(COLUMNS["lay_angles_deg"].in_si, row.lay_angles_deg))
+    if row.layer_radii_mm:
+        values["layer_radii"] = tuple(map(COLUMNS["layer_radii_mm"].in_si, row.layer_radii_mm))
+    for name in COLUMNS:
+        value = getattr(row, name)
+        if isinstance(value, float) and name not in SIZES:
+            values[field_of(name)] = COLUMNS[name].in_si(value)
+    if "layout" in row.model_fields_set:
+        values["layout"] = row.layout
+    of_curve = _OF_THE_CURVE if curve else ()
+    silent = {field_of(name): name for name in _WITH_DEFAULT if name not in of_curve}
+    defaults = {
+        field: default_words(name) + " (blank in this row)" * (name in blank)
+        for field, name in silent.items()
+        if field not in values
+    }
+    return WireSpec(name=row.wire, **values, defaults=defaults, place=place)
+
+
+_WITH_DEFAULT = (
+    *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson", "copper_k_mpa", "copper_n"),
+    *("friction_strand", "friction_insulation", "radial_force_n", "length_mm", "tension_n"),
+    *("orientation_deg", "largest_curvature_per_m", "layout"),
+)
+
+
+def field_of(name: str) -> str:
+    """Field of `WireSpec` that a column fills: its name without the unit."""
+    return name.removesuffix(_UNITS[COLUMNS[name].unit][0]) if name in COLUMNS else name
+
+
+def default_words(name: str) -> str:
+    """Say the value that is taken where a column is blank, such as ``tension 0 N``.
+
+    Parameters
+    ----------
+    name : of a column whose field of `WireSpec` has a default
+    """
+    field = field_of(name)
+    if field == "largest_curvature":
+        return "largest curvature at a bending radius of five wire diameters"
+    value = next(each.default for each in fields(WireSpec) if each.name == field)
+    if value is MISSING:
+        message = f"{name}: allowed are columns with a default"
+        raise ValueError(message)
+    column = COLUMNS.get(name)
+    shown = f"{value}" if column is None else f"{value / column.factor:.6g} {column.unit}"
+    return f"{field.replace('_', ' ')} {shown}".rstrip()
+
+
+class StressPoint(Block):
+    """One point of a measured stress-strain curve."""
+
+    strain: Annotated[float, Column("", 0.0, 0.6)]
+    stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
+
+
+def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
+    """Read the texts of a row by column, or find all that is wrong with them.
+
+    Parameters
+    ----------
+    kind : `WireRow` or `StressPoint`
+    texts : by column; a blank cell is an empty text
+    """
+    try:
+        return kind.model_validate(texts)
+    except ValidationError as error:
+        return faults_of(error, data=texts, keys=kind.keys())
+
+
+def curve_fault(points: Sequence[StressPoint]) -> tuple[int, Fault] | None:
+    """Find the first point that makes no curve: strains grow, stresses never fall, nor stiffen.
+
+    Parameters
+    ----------
+    points : in the order of the table; one at zero may come first
+
+    Returns
+    -------
+    Number of the point, counted from 0, and what is wrong with it.
+    """
+    last, first_slope = (0.0, 0.0), 0.0
+    for number, point in enumerate(points):
+        here = (point.strain, point.stress_mpa)
+        if number == 0 and not any(here):
+            continue
+        if wrong := _step_fault(last, here, first_slope):
+            return number, wrong
+        first_slope = first_slope or (here[1] - last[1]) / (here[0] - last[0])
+        last = here
+    if not first_slope:
+        return 0, Fault((), "a point beyond zero", "none", "Fill in the table.")
+    low, high = FIRST_SLOPES
+    if low <= first_slope * 1e6 <= high:
+        return None
+    expected = f"a first slope of {low / 1e9:g} to {high / 1e9:g} GPa"
+    remedy = "Give the strain as a plain number, not in per cent, and the stress in MPa."
+    first = next(number for number, point in enumerate(points) if point.strain)
+    return first, Fault((), expected, f"{first_slope / 1e3:.4g} GPa", remedy)
+
+
+def _step_fault(
+    last: tuple[float, float], here: tuple[float, float], first_slope: float
+) -> Fault | None:
+    """What is wrong with a point behind another one, both of strain and stress in MPa."""
+    remedy = "Put the rows in order and correct them."
+    step, rise = here[0] - last[0], here[1] - last[1]
+    if step <= 0.0:
+        return Fault((), f"a strain above {last[0]:g}", f"{here[0]:g}", remedy)
+    if rise < 0.0 or not (rise or first_slope):
+        expected = f"a stress of {last[1]:g} MPa or more, and more than zero"
+        return Fault((), expected, f"{here[1]:g} MPa", remedy)
+    if first_slope and rise / step > first_slope * (1.0 + _ROUNDING):
+        expected = f"a slope up to the first, {first_slope / 1e3:.4g} GPa"
+        return Fault((), expected, f"{rise / step / 1e3:.4g} GPa", remedy)
+    return None
+
+
+def curve_of(points: Sequence[StressPoint]) -> Curve:
+    """Strains and stresses (Pa) beyond zero."""
+    stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
+    beyond = [point for point in points if point.strain > 0.0]
+    return tuple(each.strain for each in beyond), tuple(stress(each.stress_mpa) for each in beyond)
+
+
+def column_name(heading: str) -> str:
+    """Name of the column that a heading means: in small letters, blanks as underscores."""
+    return re.sub(r"[\s-]+", "_", heading.casefold())
+
+
+def heading_faults(headings: Sequence[str]) -> Iterator[tuple[int, Fault]]:
+    """Find unknown, repeated and missing columns of a wire sheet.
+
+    Parameters
+    ----------
+    headings : of its columns
+
+    Yields
+    ------
+    The number of the column, counted from 0, and what is wrong with it.
+    """
+    names = [column_name(heading) for heading in headings]
+    meant = set(names)
+    for number, name in enumerate(names):
+        if name not in WireRow.model_fields:
+            column, fault = _unknown(name, headings[number])
+            meant.add(column)
+            yield number, fault
+        elif name in names[:number]:
+            remedy = "Remove or rename one of them."
+            yield number, Fault((), "each column once", f"{name!r} again", remedy)
+    for name in _ALWAYS_THERE:
+        if name not in meant:
+            yield 0, Fault((), f"a column {name!r}", "none", "Add it.")
+    if not meant & set(SIZES):
+        expected = f"a column {SIZES[2]!r}, {SIZES[0]!r} or {SIZES[1]!r}"
+        yield 0, Fault((), expected, "none of them", "Add one.")
+
+
+def _unknown(name: str, heading: str) -> tuple[str, Fault]:
+    """The column that an unknown one may mean, empty if none is like it, and words for it."""
+    known = list(WireRow.model_fields)
+    same = [column for column in COLUMNS if _is_in_another_unit(name, column)]
+    like = same or difflib.get_close_matches(name, known, n=1)
+    if not like:
+        expected = f"a column of a wire sheet, such as {', '.join(map(repr, _ALWAYS_THERE))}"
+        return "", Fault((), expected, repr(heading), "Correct its name, or remove the column.")
+    meant = like[0]
+    remedy = f"Did you mean {meant!r}?"
+    if same and COLUMNS[meant].unit:
+        remedy = f"Give it in {COLUMNS[meant].unit} as {meant!r}."
+    listed = dict.fromkeys([meant, *nearest(name, known, most=3)])
+    expected = f"one of {', '.join(map(repr, listed))}, ..."
+    return meant, Fault((), expected, repr(heading), remedy)
+
+
+def _is_in_another_unit(name: str, column: str) -> bool:
+    """Tell wire_diameter_in, or wire_diameter alone, for wire_diameter_mm."""
+    stem = field_of(column)
+    rest = name.removeprefix(stem)
+    return stem != column and rest != name and bool(re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", rest))

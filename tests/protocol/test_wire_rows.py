@@ -1,0 +1,229 @@
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from labpipe.protocol.faults import Fault
+from labpipe.protocol.wire_rows import (
+    COLUMNS,
+    NEEDED,
+    SIZES,
+    StressPoint,
+    WireRow,
+    column_name,
+    curve_fault,
+    curve_of,
+    default_words,
+    field_of,
+    heading_faults,
+    parse_row,
+    wire_spec,
+)
+from labpipe.records.wire import LAYOUTS, WireSpec
+
+SILENT = WireSpec("W", 1.6e-3, (1, 6), (0.32e-3,) * 2, (0.2,), 0.3e-3)
+A2 = {
+    "wire": "A2",
+    "wire_diameter_mm": "1.6",
+    "strands": "7",
+    "strand_diameter_mm": "0.32",
+    "lay_angles_deg": "12",
+    "insulation_thickness_mm": "0.3",
+}
+HEADING = list(A2)
+
+
+def told(*names: str) -> list[tuple[int, str, str, str]]:
+    found = heading_faults(names)
+    return [(number, each.expected, each.found, each.remedy) for number, each in found]
+
+
+def fault(**cells: str) -> Fault:
+    found = parse_row(WireRow, A2 | cells)
+    assert isinstance(found, list)
+    [only] = found
+    return only
+
+
+def row(**cells: str) -> WireRow:
+    found = parse_row(WireRow, A2 | cells)
+    assert isinstance(found, WireRow)
+    return found
+
+
+def test_every_number_of_a_spec_has_a_column() -> None:
+    elsewhere = {"name", "layout", "stress_table", "defaults", "place"}
+    merged = {"strands", "conductor_area", "strand_diameter"}
+    assert {field_of(name) for name in COLUMNS} - merged == {
+        each.name for each in fields(WireSpec)
+    } - elsewhere
+    assert get_args(WireRow.model_fields["layout"].annotation) == LAYOUTS
+
+
+def test_a_heading_however_it_is_written() -> None:
+    assert column_name("Wire diameter-MM") == "wire_diameter_mm"
+    assert told(*HEADING, "remark", "Layer Counts") == []
+
+
+def test_a_misspelt_column_is_told_once_with_the_nearest() -> None:
+    [(number, expected, found, remedy)] = told(*HEADING[:5], "insulation_thicknes_mm")
+    assert (number, found) == (5, "'insulation_thicknes_mm'")
+    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_modulus_mpa', ")
+    assert remedy == "Did you mean 'insulation_thickness_mm'?"
+
+
+@pytest.mark.parametrize(
+    ("written", "meant", "unit"),
+    [
+        ("wire_diameter_inch", "wire_diameter_mm", "mm"),
+        ("wire_diameter", "wire_diameter_mm", "mm"),
+        ("conductor_modulus_mpa", "conductor_modulus_gpa", "GPa"),
+        ("orientation_rad", "orientation_deg", "deg"),
+        ("largest_curvature_per_mm", "largest_curvature_per_m", "1/m"),
+        ("tension_kN", "tension_n", "N"),
+    ],
+)
+def test_a_column_in_another_unit_is_to_be_converted(written: str, meant: str, unit: str) -> None:
+    [(_, _, found, remedy)] = told(*(name for name in HEADING if name != meant), written)
+    assert (found, remedy) == (repr(written), f"Give it in {unit} as {meant!r}.")
+
+
+def test_missing_and_repeated_columns() -> None:
+    repeated, *missing = told("wire", "strands", "strands")
+    assert repeated[:3] == (2, "each column once", "'strands' again")
+    assert [expected for _, expected, _, _ in missing] == [
+        "a column 'wire_diameter_mm'",
+        "a column 'insulation_thickness_mm'",
+        "a column 'lay_angles_deg'",
+        "a column 'conductor_area_mm2', 'strand_diameter_mm' or 'strand_diameters_mm'",
+    ]
+    assert {number for number, *_ in missing} == {0}
+
+
+def test_a_column_like_none_is_told_what_a_sheet_has() -> None:
+    [(number, expected, found, _)] = told(*HEADING, "Farbe")
+    assert (number, found) == (6, "'Farbe'")
+    assert expected.startswith("a column of a wire sheet, such as 'wire', 'wire_diameter_mm'")
+
+
+def test_numbers_keep_their_unit_until_they_become_si() -> None:
+    read = row(lay_angles_deg="12; -15", layer_counts="1;3;3", conductor_modulus_gpa="110")
+    assert (read.wire_diameter_mm, read.counts) == (1.6, (1, 3, 3))
+    spec = wire_spec(read, (), "row 2", None)
+    assert (spec.wire_diameter, spec.conductor_modulus) == (0.0016, 110e9)
+    assert spec.lay_angles == pytest.approx((0.20943951, -0.26179939), abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("column", "text", "expected", "remedy"),
+    [
+        ("poisson", "x", "a number from -0.5 to 0.5", "Correct"),
+        ("length_mm", "nan", "a number from 1 to 100000 mm", "Correct"),
+        ("length_mm", "inf", "a number from 1 to 100000 mm", "Correct"),
+        ("length_mm", "1e999", "a number from 1 to 100000 mm", "Correct"),
+        ("tension_n", "-1", "a number from 0 to 10000000 N", "Correct"),
+        ("copper_n", "1", "a number from 0.01 to 0.99", "Correct"),
+        ("strands", "6.5", "a whole number from 1 to 2000", "Correct"),
+        ("strands", "1e300", "a whole number from 1 to 2000", "unit"),
+        ("wire_diameter_mm", "1e300", "a number from 0.05 to 200 mm", "unit"),
+        ("length_mm", "85e6", "a number from 1 to 100000 mm", "unit"),
+        ("conductor_modulus_gpa", "110e9", "a number from 0.1 to 1000 GPa", "unit"),
+        ("lay_angles_deg", "90", "numbers from -80 to 80 deg, parted by ';'", "Correct"),
+        ("lay_angles_deg", "12;85", "numbers from -80 to 80 deg, parted by ';'", "unit"),
+        ("strand_diameters_mm", "0.3;", "numbers from 0.005 to 50 mm, parted by ';'", "Correct"),
+        ("lay_angles_deg", "12;-15,5", "numbers from -80", "decimal point: -15.5."),
+        ("length_mm", "1,6", "a number from 1", "decimal point: 1.6."),
+        ("length_mm", "1,000", "a number from 1", "Write 1000 or 1.000, as meant."),
+        ("length_mm", "1,000,000", "a number from 1", "Write 1000000."),
+        ("layer_counts", "1,6,12", "whole numbers from 1", "Part them by ';': 1;6;12."),
+        ("lay_angles_deg", "12,15", "numbers", "write 12;15 for two, 12.15 for one."),
+    ],
+)
+def test_numbers_that_are_refused(column: str, text: str, expected: str, remedy: str) -> None:
+    found = fault(**{column: text})
+    assert (found.path, found.found) == ((column,), repr(text))
+    assert found.expected.startswith(expected)
+    assert remedy in found.remedy
+
+
+@pytest.mark.parametrize("name", ["A2", "A 2", "B1.5", "Ä"])
+def test_names_of_wires(name: str) -> None:
+    assert row(wire=name).wire == name
+
+
+@pytest.mark.parametrize("name", ["A/2", "..", "a.", "con", "NUL.csv", "a\tb", "a" * 101])
+def test_names_that_no_file_can_have(name: str) -> None:
+    found = fault(wire=name)
+    assert (found.path, found.expected) == (("wire",), "a name that a file can have")
+    assert "100 letters at most" in found.remedy
+
+
+def test_an_orientation_of_more_than_a_turn_is_what_is_left_of_it() -> None:
+    assert row(orientation_deg="450") == row(orientation_deg="90")
+    assert row(orientation_deg="-720").orientation_deg == 0.0
+
+
+def test_defaults_in_words() -> None:
+    assert default_words("insulation_modulus_mpa") == "insulation modulus 1000 MPa"
+    assert default_words("friction_strand") == "friction strand 0.21"
+    assert default_words("orientation_deg") == "orientation 0 deg"
+    assert default_words("layout") == "layout auto"
+    assert default_words("largest_curvature_per_m").endswith(
+        "a bending radius of five wire diameters"
+    )
+    with pytest.raises(ValueError, match=r"wire_diameter_mm: allowed are columns with a default"):
+        default_words("wire_diameter_mm")
+
+
+def test_every_column_with_its_range_and_default_is_documented(repository: Path) -> None:
+    page = (repository / "docs" / "how-to" / "wire-sheet.md").read_text(encoding="utf-8")
+    documented = dict(re.findall(r"^\| `(\w+)` \| ([^|]*) \|", page, flags=re.MULTILINE))
+    assert set(documented) == set(WireRow.model_fields)
+    for name, column in COLUMNS.items():
+        low, high, default = column.least, column.most, getattr(SILENT, field_of(name), None)
+        assert f"| {name.replace('_', ' ')} | {low:.10g} to {high:.10g} |" in page
+        assert math.isfinite(high * column.factor)
+        if isinstance(default, float) and name not in NEEDED:
+            assert float(documented[name]) == pytest.approx(default / column.factor)
+            assert low <= default / column.factor <= high
+
+
+def test_a_size_is_needed_once() -> None:
+    assert fault(strand_diameter_mm="").path == ("strand_diameter_mm",)
+    assert {name for name in SIZES if name in HEADING} == {"strand_diameter_mm"}
+
+
+def points(*pairs: tuple[float, float]) -> list[StressPoint]:
+    return [StressPoint.model_validate({"strain": str(a), "stress_mpa": str(b)}) for a, b in pairs]
+
+
+def test_a_curve_in_si_without_its_zero() -> None:
+    curve = points((0.0, 0.0), (0.001, 110.0), (0.1, 150.0))
+    assert curve_fault(curve) is None
+    assert curve_of(curve) == ((0.001, 0.1), (110e6, 150e6))
+
+
+@pytest.mark.parametrize(
+    ("pairs", "number", "expected", "found"),
+    [
+        ([(0.002, 110), (0.001, 120)], 1, "a strain above 0.002", "0.001"),
+        ([(0.001, 110), (0.002, 100)], 1, "a stress of 110 MPa or more, and more", "100 MPa"),
+        ([(0.001, 0), (0.002, 100)], 0, "a stress of 0 MPa or more, and more", "0 MPa"),
+        ([(0.001, 50), (0.002, 150)], 1, "a slope up to the first, 50 GPa", "100 GPa"),
+        ([(0, 0)], 0, "a point beyond zero", "none"),
+        ([(0, 0), (0.2, 110)], 1, "a first slope of 1 to 1000 GPa", "0.55 GPa"),
+        ([(1e-5, 90000)], 0, "a first slope of 1 to 1000 GPa", "9e+06 GPa"),
+    ],
+)
+def test_points_that_make_no_curve(
+    pairs: list[tuple[float, float]], number: int, expected: str, found: str
+) -> None:
+    wrong = curve_fault(points(*pairs))
+    assert wrong is not None
+    assert (wrong[0], wrong[1].found) == (number, found)
+    assert wrong[1].expected.startswith(expected)
