@@ -9,8 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TypeAlias
 
-from labpipe.errors import ReadError, complaint, nearest
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault, ReadError, complaint, nearest
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     Curve,

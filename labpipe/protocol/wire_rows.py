@@ -13,9 +13,9 @@ from typing import Annotated, Any, Final, Literal, Self, TypeVar
 from pydantic import BeforeValidator, ValidationError, model_validator
 from pydantic_core import CoreSchema, core_schema
 
-from labpipe.errors import nearest
+from labpipe.errors import Fault, nearest
 from labpipe.protocol.block import Block
-from labpipe.protocol.faults import Fault, error_of, faults_of, raised
+from labpipe.protocol.faults import error_of, faults_of, raised
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]

@@ -8,7 +8,7 @@ from typing import get_args
 
 import pytest
 
-from labpipe.protocol.faults import Fault
+from labpipe.errors import Fault
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     NEEDED,
