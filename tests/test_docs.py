@@ -163,20 +163,23 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
         assert (ROOT / "protocols" / f"{protocol.name}.yaml").exists()
 
 
-def result_names() -> set[str]:
-    """Names of every kind of result, without the cycle; where the protocol names it, the usual."""
-    kinds = get_args(get_args(results.ResultEntry)[0])
-    tags = [kind.result for kind in kinds]
-    assert len(tags) > 15
-    names = [name for tag in tags for name in results.result_names(tag, {"of": "<stiffness>"})]
-    return {name.partition(".")[0] for name in names}
+def result_units() -> dict[str, str]:
+    """Unit of every result by name, without the cycle; where the protocol names it, the usual."""
+    kinds = results.RESULTS.values()
+    assert len(kinds) > 15
+    named = (
+        (each.name_in(kind, {"of": "<stiffness>"}), each) for kind in kinds for each in kind.outputs
+    )
+    return {name.partition(".")[0]: each.unit for name, each in named}
 
 
 def test_every_result_is_documented_and_no_other() -> None:
     documented = sections(page("docs/reference/results.md"))
-    assert {heading.partition(".")[0] for heading in documented} == result_names()
+    units = {heading.partition(".")[0]: text for heading, text in documented.items()}
+    assert set(units) == set(result_units())
     for heading, text in documented.items():
-        assert "**Unit**: " in text, heading
+        unit = result_units()[heading.partition(".")[0]].replace("*", " ")
+        assert re.search(rf"\*\*Unit\*\*: {re.escape(unit)}( \(|\.)", text), heading
         assert "**Example**: " in text, heading
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator
 from dataclasses import asdict
-from types import MappingProxyType
 from typing import Final
 
 from labpipe.errors import Fault
@@ -13,14 +12,8 @@ from labpipe.protocol.rig import AlignNone
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.steps import Step, TravelFromSpeed
 
-_OF_MARKERS: Final = MappingProxyType(
-    {
-        "steps": frozenset({"repair-markers", "specimen-frame", "fit-shape", "three-point-shape"}),
-        "results": frozenset({"tip-travel", "moment-curvature", "mid-span", "twist"}),
-        "figures": frozenset({"wire-shapes", "moment-curvature", "marker-quality"}),
-    }
-)
-"""What a protocol asks for that needs a source of marker tracks."""
+_MARKER_FIGURES: Final = frozenset({"wire-shapes", "moment-curvature", "marker-quality"})
+"""Figures that need a source of marker tracks."""
 
 
 def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
@@ -45,10 +38,11 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     kept = protocol.model_copy(update={"sources": sources})
     no_markers = "markers" in protocol.sources and "markers" not in sources
     one_clock = _is_made_from_speed(kept)
-    gone = (_OF_MARKERS["results"] if no_markers else frozenset()) | (
-        {"clock"} if one_clock else set()
+    results = tuple(
+        each
+        for each in kept.results
+        if not (each.needs.shape and no_markers) and not (each.needs.clocks and one_clock)
     )
-    results = tuple(each for each in kept.results if each.result not in gone)
     left = _names(protocol.results) - _names(results)
     main = tuple(name for name in kept.groups.main if name not in left)
     update: dict[str, object] = {
@@ -59,7 +53,7 @@ def without_absent(protocol: Protocol, roles: Collection[str]) -> Protocol:
     if one_clock:
         update["align"] = AlignNone()
     if no_markers:
-        drawn = tuple(x for x in kept.report.figures if x not in _OF_MARKERS["figures"])
+        drawn = tuple(x for x in kept.report.figures if x not in _MARKER_FIGURES)
         update["report"] = kept.report.model_copy(update={"figures": drawn})
         update["markers"] = None
     return kept.model_copy(update=update)
@@ -113,7 +107,7 @@ def _needed(protocol: Protocol) -> set[str]:
 def _kept_steps(kept: Protocol, lost: set[str]) -> Iterator[Step]:
     """Steps that still have a channel; one that is made from speed exists behind its step."""
     for step in kept.steps:
-        if "markers" not in kept.sources and step.step in _OF_MARKERS["steps"]:
+        if "markers" not in kept.sources and step.on_markers:
             continue
         if isinstance(step, TravelFromSpeed):
             if step.channel not in kept.channels:

@@ -11,55 +11,16 @@ from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.outline import Outline, Values
 from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.quantities import SI_UNITS
-from labpipe.protocol.results import result_names
+from labpipe.protocol.results import RESULTS, result_names
 from labpipe.protocol.source_checks import source_faults
+from labpipe.protocol.steps import STEPS
+from labpipe.records.setting_types import Needs, defaults_of, existing_in
 from labpipe.units import si_factor
 
 Faults: TypeAlias = Iterator[Fault]
 
-_MARKER_STEPS = ("repair-markers", "specimen-frame", "fit-shape", "three-point-shape")
-_COMES_BEFORE = {"fit-shape": "specimen-frame", "three-point-shape": "repair-markers"}
-_SHAPE_OF = {
-    "tip-travel": ("fit-shape",),
-    "moment-curvature": ("fit-shape",),
-    "mid-span": ("three-point-shape",),
-    "twist": ("three-point-shape",),
-    "wire-shapes": ("fit-shape", "three-point-shape"),
-}
-"""Results and figures, and the steps of which one makes the shape that they show."""
-_BRANCH_RESULTS = (
-    "peak-force",
-    "peak-displacement",
-    "initial-stiffness",
-    "unloading-stiffness",
-    "energy",
-    "residual-displacement",
-    "stiffness",
-    "two-segments",
-    "failure",
-    "energy-to-break",
-    "slips",
-    "slack",
-    "compliance",
-    "moment-curvature",
-    "kink",
-    "plateau",
-    "loading-stiffness",
-    "hardening",
-    "bending-stiffness",
-    "mid-span",
-    "twist",
-)
-_NAMED = ("stiffness", "modulus", "moment-curvature", "bending-stiffness")
-_DEFAULT_OF = {"plateau": "initial_stiffness"}
-_MAKES_STIFFNESS = ("initial-stiffness", "stiffness", "two-segments")
-_NEEDS_OF_CURVE = {
-    "failure": "failure",
-    "energy-to-break": "failure",
-    "slips": "slips",
-    "slack": "slack",
-}
-"""Results that are read from what a correction of the curve finds."""
+_DRAWS_SHAPES = ("fit-shape", "three-point-shape")
+"""Steps of which one makes the shapes that `wire-shapes` shows."""
 
 
 def cross_faults(data: Values) -> list[Fault]:
@@ -93,12 +54,13 @@ def _step_faults(outline: Outline) -> Faults:
     before: list[str] = []
     for number, tag, step in outline.entries("steps", "step"):
         here: KeyPath = ("steps", number, "step")
-        if tag in _MARKER_STEPS:
+        kind = STEPS.get(tag)
+        if kind is not None and kind.on_markers:
             yield from _marker_step_faults(outline, tag, here, before)
+        for key in existing_in(kind, "channel") if kind is not None else ("channel",):
+            yield from _channel_faults(step, ("steps", number, key), known, outline)
         if tag == "travel-from-speed":
-            yield from _from_speed_faults(outline, step, number, known)
-        else:
-            yield from _channel_faults(step, ("steps", number, "channel"), known, outline)
+            yield from _from_speed_faults(outline, step, number)
         yield from _span_faults(outline, step, ("steps", number, "span"))
         known = [*known, *outline.made_by(tag, step)]
         before.append(tag)
@@ -111,15 +73,14 @@ def _marker_step_faults(outline: Outline, tag: str, here: KeyPath, before: list[
         yield Fault(here, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
     if tag in before:
         yield Fault(here, f"{tag!r} once", "a second one", "Remove one of them.")
-    needed = _COMES_BEFORE.get(tag)
+    needed = STEPS[tag].after
     if needed and needed not in before:
         remedy = f"Put the step {needed!r} before it."
         yield Fault(here, f"{needed!r} before {tag!r}", "no such step before", remedy)
 
 
-def _from_speed_faults(outline: Outline, step: Values, number: int, known: list[str]) -> Faults:
+def _from_speed_faults(outline: Outline, step: Values, number: int) -> Faults:
     """Find a travel that nothing can be made of, where no source can take its place."""
-    yield from _channel_faults(step, ("steps", number, "force"), known, outline)
     if outline.block("rig").get("cycles") not in (None, "1", 1):
         remedy = "Remove the step, or set 'rig.cycles' to 1."
         found = f"{outline.block('rig').get('cycles')}"
@@ -223,15 +184,18 @@ def _result_faults(outline: Outline) -> Faults:
     seen: dict[str, str] = {}
     stiffnesses: list[str] = []
     for number, tag, entry in outline.entries("results", "result"):
-        path: KeyPath = ("results", number, "result")
-        yield from _need_faults(outline, tag, path)
-        said = {"of": _DEFAULT_OF[tag], **entry} if tag in _DEFAULT_OF else entry
-        yield from _of_faults(said, (*path[:2], "of"), stiffnesses)
+        kind, path = RESULTS.get(tag), ("results", number, "result")
+        if kind is None:
+            continue
+        yield from _need_faults(outline, tag, kind.needs, path)
+        said = {**defaults_of(kind), **entry}
+        for key in existing_in(kind, "stiffness"):
+            yield from _of_faults(said.get(key), (*path[:2], key), stiffnesses)
         names = result_names(tag, entry)
         yield from _twice_faults(names, tag, seen, path)
         seen |= dict.fromkeys(names, tag)
-        if tag in _MAKES_STIFFNESS:
-            stiffnesses += [name for name in names if name != "break_point"]
+        made = zip(names, kind.outputs, strict=True)
+        stiffnesses += [name for name, of in made if of.unit == "N/m" and of.first is None]
 
 
 def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: KeyPath) -> Faults:
@@ -240,9 +204,9 @@ def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: 
     if again is None:
         return
     found = again
-    if tag in _NAMED:
+    if _has_name(tag):
         remedy = "Give it another 'name'."
-    elif seen[again] in _NAMED:
+    elif _has_name(seen[again]):
         remedy = f"Give the {seen[again]} of that name another 'name'."
     else:
         remedy = "Remove one of them."
@@ -250,9 +214,13 @@ def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: 
     yield Fault(path, "each result once", f"a second {found!r}", remedy)
 
 
-def _of_faults(entry: Values, path: KeyPath, stiffnesses: list[str]) -> Faults:
+def _has_name(tag: str) -> bool:
+    """Whether a protocol may name what a kind of result gives."""
+    return "name" in defaults_of(RESULTS[tag])
+
+
+def _of_faults(of: object, path: KeyPath, stiffnesses: list[str]) -> Faults:
     """Find a result that is to be made of a stiffness that does not stand above it."""
-    of = entry.get("of")
     if not isinstance(of, str) or of in stiffnesses:
         return
     expected = "a stiffness above it in the list"
@@ -262,28 +230,28 @@ def _of_faults(entry: Values, path: KeyPath, stiffnesses: list[str]) -> Faults:
     yield Fault(path, expected, repr(of), remedy)
 
 
-def _need_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
-    if tag in _BRANCH_RESULTS:
-        for block in ("curve", "branches"):
-            if not outline.block(block):
-                yield _lacking(path, block, repr(tag))
-    needed = _NEEDS_OF_CURVE.get(tag)
+def _need_faults(outline: Outline, tag: str, needs: Needs, path: KeyPath) -> Faults:
+    for block in ("curve", "branches") if needs.branches else ():
+        if not outline.block(block):
+            yield _lacking(path, block, repr(tag))
+    needed = needs.correction
     if needed and outline.block("curve") and not outline.block("curve", needed):
         out = in_test_sheet(f"results.{tag}", "null")
         remedy = f"Add the block {needed!r} to 'curve', or take the result out: {out}."
         yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
-    if tag == "clock" and not outline.joins_clocks:
+    if needs.clocks and not outline.joins_clocks:
         yield _lacking_word(path, "align.method", "turning-points", repr(tag))
-    yield from _shape_faults(outline, tag, path)
-    if tag == "moment-curvature":
+    if needs.shape:
+        yield from _shape_faults(outline, tag, (needs.shape,), path)
+    if needs.clamp:
         yield from _clamp_faults(outline, tag, path)
 
 
-def _shape_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
-    made = _SHAPE_OF.get(tag, ())
-    if made and not {step for _, step, _ in outline.entries("steps", "step")} & set(made):
-        remedy = f"Add the step {made[0]!r}."
-        yield Fault(path, f"the step {made[0]!r} for {tag!r}", "no such step", remedy)
+def _shape_faults(outline: Outline, tag: str, steps: tuple[str, ...], path: KeyPath) -> Faults:
+    """Find a result or a figure of a shape that none of some steps makes."""
+    if not {step for _, step, _ in outline.entries("steps", "step")} & set(steps):
+        remedy = f"Add the step {steps[0]!r}."
+        yield Fault(path, f"the step {steps[0]!r} for {tag!r}", "no such step", remedy)
 
 
 def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
@@ -308,7 +276,7 @@ def _figure_faults(outline: Outline) -> Faults:
         ):
             yield _lacking(path, "curve", repr(name))
         if name == "wire-shapes":
-            yield from _shape_faults(outline, name, path)
+            yield from _shape_faults(outline, name, _DRAWS_SHAPES, path)
         if name == "moment-curvature" and not _asks_for(outline, "moment-curvature"):
             remedy = "Add a result 'moment-curvature'."
             yield Fault(path, f"a result 'moment-curvature' for {name!r}", "none", remedy)

@@ -13,6 +13,7 @@ from typing import TypeAlias
 from labpipe.errors import KeyPath, nearest
 from labpipe.protocol.quantities import SI_UNITS
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES
+from labpipe.protocol.steps import STEPS
 
 Values: TypeAlias = Mapping[str, object]
 
@@ -112,11 +113,10 @@ class Outline:
 
     def made_by(self, tag: str, step: Values) -> tuple[str, ...]:
         """Channels that a step adds to those of the sources."""
-        if tag == "specimen-frame" and self.clamp:
-            return ("travel",)
-        if tag == "travel-from-speed":
-            return (str(step.get("channel")),)
-        return {"fit-shape": ("deflection",), "three-point-shape": ("mid_span",)}.get(tag, ())
+        if tag == "specimen-frame" and not self.clamp:
+            return ()
+        makes = STEPS[tag].makes if tag in STEPS else ()
+        return tuple(name.format_map({"channel": None, **step}) for name in makes)
 
     @property
     def made(self) -> list[str]:

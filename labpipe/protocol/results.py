@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
 from labpipe.errors import Fault
@@ -15,11 +14,14 @@ from labpipe.records.setting_types import (
     Force,
     Key,
     Length,
+    Needs,
+    Output,
     Ratio,
     Share,
     Snake,
     StiffnessName,
     Tagged,
+    kinds_of,
 )
 
 
@@ -28,6 +30,8 @@ class ClockResult:
     """``clock_offset`` (s) and ``clock_drift`` (1) of the two clocks."""
 
     result: ClassVar = "clock"
+    outputs: ClassVar = (Output("clock_offset", "s"), Output("clock_drift", "1"))
+    needs: ClassVar = Needs(clocks=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,6 +39,8 @@ class PeakForce:
     """``peak_force.<cycle>`` (N)."""
 
     result: ClassVar = "peak-force"
+    outputs: ClassVar = (Output("peak_force", "N", first=1),)
+    needs: ClassVar = Needs(branches=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +48,8 @@ class PeakDisplacement:
     """``peak_displacement.<cycle>`` (m)."""
 
     result: ClassVar = "peak-displacement"
+    outputs: ClassVar = (Output("peak_displacement", "m", first=1),)
+    needs: ClassVar = Needs(branches=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,6 +65,8 @@ class InitialStiffness(Window):
     """``initial_stiffness`` (N/m): slope at the start of the first loading."""
 
     result: ClassVar = "initial-stiffness"
+    outputs: ClassVar = (Output("initial_stiffness", "N/m"),)
+    needs: ClassVar = Needs(branches=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -64,6 +74,8 @@ class Stiffness(Window):
     """A straight line (N/m) over a window of the first loading, under a name of its own."""
 
     result: ClassVar = "stiffness"
+    outputs: ClassVar = (Output("{name}", "N/m"),)
+    needs: ClassVar = Needs(branches=True)
     name: Annotated[Snake, "Such as stiffness_first"] = "stiffness"
 
 
@@ -72,6 +84,8 @@ class UnloadingStiffness:
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
+    outputs: ClassVar = (Output("unloading_stiffness", "N/m", first=1),)
+    needs: ClassVar = Needs(branches=True)
     over: Length
 
 
@@ -80,6 +94,8 @@ class Energy:
     """``energy.<cycle>`` (J): dissipated over one cycle."""
 
     result: ClassVar = "energy"
+    outputs: ClassVar = (Output("energy", "J", first=1),)
+    needs: ClassVar = Needs(branches=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,6 +103,8 @@ class ResidualDisplacement:
     """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
 
     result: ClassVar = "residual-displacement"
+    outputs: ClassVar = (Output("residual_displacement", "m", first=1),)
+    needs: ClassVar = Needs(branches=True)
     force_below: Force
 
 
@@ -95,6 +113,8 @@ class TipTravel:
     """``tip_travel`` (m): how far the tip moves from where it began."""
 
     result: ClassVar = "tip-travel"
+    outputs: ClassVar = (Output("tip_travel", "m"),)
+    needs: ClassVar = Needs(shape="fit-shape")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,6 +122,8 @@ class MomentCurvature:
     """``<name>`` (N m^2): bending stiffness by the measured moment-curvature law."""
 
     result: ClassVar = "moment-curvature"
+    outputs: ClassVar = (Output("{name}", "N*m^2"),)
+    needs: ClassVar = Needs(branches=True, shape="fit-shape", clamp=True)
     at: Annotated[Curvature, "Curvature of the first loading"]
     kind: Annotated[
         Literal["secant", "tangent"], "secant: moment / curvature; tangent: slope of the law"
@@ -114,6 +136,11 @@ class MidSpan(Window):
     """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent span."""
 
     result: ClassVar = "mid-span"
+    outputs: ClassVar = (
+        Output("mid_span_bending_stiffness", "N*m^2"),
+        Output("mid_span_curvature", "1/m"),
+    )
+    needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     corrections: Annotated[
         tuple[Literal["large-deflection"], ...],
         "large-deflection: the supports push along the specimen as well",
@@ -125,6 +152,8 @@ class Twist:
     """``twist`` (rad): how far the section at mid-span has turned about the axis."""
 
     result: ClassVar = "twist"
+    outputs: ClassVar = (Output("twist", "rad"),)
+    needs: ClassVar = Needs(branches=True, shape="three-point-shape")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +161,8 @@ class Kink(Window):
     """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
 
     result: ClassVar = "kink"
+    outputs: ClassVar = (Output("kink_displacement", "m"), Output("kink_force", "N"))
+    needs: ClassVar = Needs(branches=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,6 +170,12 @@ class Plateau:
     """``end_slope`` (1); where it is small also ``plateau_displacement`` (m), ``plateau_force``."""
 
     result: ClassVar = "plateau"
+    outputs: ClassVar = (
+        Output("end_slope", "1"),
+        Output("plateau_displacement", "m"),
+        Output("plateau_force", "N"),
+    )
+    needs: ClassVar = Needs(branches=True)
     slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
     of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
         "initial_stiffness"
@@ -151,6 +188,8 @@ class LoadingStiffness:
     """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
 
     result: ClassVar = "loading-stiffness"
+    outputs: ClassVar = (Output("loading_stiffness", "N/m", first=1),)
+    needs: ClassVar = Needs(branches=True)
     over: Length
 
 
@@ -159,6 +198,8 @@ class Hardening:
     """``hardening.<cycle>`` (1) of later cycles: ``loading_stiffness`` over that of the first."""
 
     result: ClassVar = "hardening"
+    outputs: ClassVar = (Output("hardening", "1", first=2),)
+    needs: ClassVar = Needs(branches=True)
     over: Length
 
 
@@ -175,6 +216,8 @@ class BendingStiffness:
     """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
 
     result: ClassVar = "bending-stiffness"
+    outputs: ClassVar = (Output("{name}", "N*m^2"),)
+    needs: ClassVar = Needs(branches=True)
     of: Annotated[StiffnessName, "Name of a stiffness above, such as initial_stiffness"]
     support: Annotated[
         Literal["cantilever", "three-point"],
@@ -219,6 +262,12 @@ class TwoSegments(Window):
     """``segment_stiffness_first``, ``segment_stiffness_second`` (N/m) and ``break_point`` (m)."""
 
     result: ClassVar = "two-segments"
+    outputs: ClassVar = (
+        Output("segment_stiffness_first", "N/m"),
+        Output("segment_stiffness_second", "N/m"),
+        Output("break_point", "m"),
+    )
+    needs: ClassVar = Needs(branches=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,6 +275,8 @@ class NormalisedStiffness:
     """``<of>_per_peak_force`` (1/m): a stiffness over the largest force of the same sample."""
 
     result: ClassVar = "normalised-stiffness"
+    outputs: ClassVar = (Output("{of}_per_peak_force", "1/m"),)
+    needs: ClassVar = Needs()
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness_first"]
 
 
@@ -234,6 +285,8 @@ class Modulus:
     """``<name>`` (Pa): stiffness x gauge length / area."""
 
     result: ClassVar = "modulus"
+    outputs: ClassVar = (Output("{name}", "Pa"),)
+    needs: ClassVar = Needs()
     of: Annotated[StiffnessName, "Name of a stiffness above, such as stiffness"]
     area: Annotated[
         Literal["stated", "rectangle", "annulus", "thin-wall"],
@@ -247,6 +300,8 @@ class FailureResult:
     """``failure_displacement`` (m) and ``failure_force`` (N)."""
 
     result: ClassVar = "failure"
+    outputs: ClassVar = (Output("failure_displacement", "m"), Output("failure_force", "N"))
+    needs: ClassVar = Needs(branches=True, correction="failure")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -254,6 +309,8 @@ class EnergyToBreak:
     """``energy_to_break`` (J): work done up to the failure."""
 
     result: ClassVar = "energy-to-break"
+    outputs: ClassVar = (Output("energy_to_break", "J"),)
+    needs: ClassVar = Needs(branches=True, correction="failure")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -261,6 +318,8 @@ class SlipResults:
     """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N); no result where nothing slipped."""
 
     result: ClassVar = "slips"
+    outputs: ClassVar = (Output("slip_position", "m", first=1), Output("slip_drop", "N", first=1))
+    needs: ClassVar = Needs(branches=True, correction="slips")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -268,6 +327,8 @@ class SlackResult:
     """``slack`` (m): displacement before the specimen is taut."""
 
     result: ClassVar = "slack"
+    outputs: ClassVar = (Output("slack", "m"),)
+    needs: ClassVar = Needs(branches=True, correction="slack")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -275,6 +336,8 @@ class ComplianceResult:
     """``compliance`` (m/N) of frame and grips, from a test of a stiff bar."""
 
     result: ClassVar = "compliance"
+    outputs: ClassVar = (Output("compliance", "m/N"),)
+    needs: ClassVar = Needs(branches=True)
     start: Annotated[Force, Key("from")]
     stop: Annotated[Force, Key("to"), Above("start")]
 
@@ -308,30 +371,8 @@ ResultEntry: TypeAlias = Annotated[
     Tagged("result"),
 ]
 
-_FIXED_NAMES: Final = MappingProxyType(
-    {
-        "clock": ("clock_offset", "clock_drift"),
-        "peak-force": ("peak_force.1",),
-        "peak-displacement": ("peak_displacement.1",),
-        "initial-stiffness": ("initial_stiffness",),
-        "unloading-stiffness": ("unloading_stiffness.1",),
-        "energy": ("energy.1",),
-        "residual-displacement": ("residual_displacement.1",),
-        "two-segments": ("segment_stiffness_first", "segment_stiffness_second", "break_point"),
-        "failure": ("failure_displacement", "failure_force"),
-        "energy-to-break": ("energy_to_break",),
-        "slips": ("slip_position.1", "slip_drop.1"),
-        "slack": ("slack",),
-        "compliance": ("compliance",),
-        "tip-travel": ("tip_travel",),
-        "kink": ("kink_displacement", "kink_force"),
-        "plateau": ("end_slope", "plateau_displacement", "plateau_force"),
-        "loading-stiffness": ("loading_stiffness.1",),
-        "hardening": ("hardening.2",),
-        "mid-span": ("mid_span_bending_stiffness", "mid_span_curvature"),
-        "twist": ("twist",),
-    }
-)
+RESULTS: Final = kinds_of(ResultEntry)
+"""The kinds of results by their word in YAML."""
 
 
 def result_names(tag: str, entry: Mapping[str, object]) -> tuple[str, ...]:
@@ -342,10 +383,5 @@ def result_names(tag: str, entry: Mapping[str, object]) -> tuple[str, ...]:
     tag : such as ``two-segments``
     entry : the block as written, which may give a name of its own
     """
-    if tag == "normalised-stiffness":
-        return (f"{entry.get('of')}_per_peak_force",)
-    if tag in ("moment-curvature", "bending-stiffness"):
-        return (str(entry.get("name", "bending_stiffness")),)
-    if tag in ("stiffness", "modulus"):
-        return (str(entry.get("name", tag)),)
-    return _FIXED_NAMES.get(tag, ())
+    kind = RESULTS.get(tag)
+    return () if kind is None else tuple(each.name_in(kind, entry) for each in kind.outputs)

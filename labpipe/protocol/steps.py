@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Annotated, ClassVar, Literal, Self, TypeAlias
+from typing import Annotated, ClassVar, Final, Literal, Self, TypeAlias
 
 from labpipe.records.setting_types import (
     ChannelName,
@@ -15,13 +15,20 @@ from labpipe.records.setting_types import (
     Span,
     Tagged,
     Whole,
+    kinds_of,
 )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Step:
-    """One step, and where it stands in the list, which is no setting."""
+    """One step, and where it stands in the list, which is no setting.
 
+    It may work on markers, come after another step, and make channels.
+    """
+
+    on_markers: ClassVar = False
+    after: ClassVar = ""
+    makes: ClassVar[tuple[str, ...]] = ()
     number: int = field(default=0, compare=False)
 
     @property
@@ -39,6 +46,7 @@ class RepairMarkers(_Step):
     """Undo label switches, fill short gaps, flag what was touched."""
 
     step: ClassVar = "repair-markers"
+    on_markers: ClassVar = True
     max_gap: Annotated[Duration, "Longer gaps stay gaps"]
     max_jump: Annotated[Length, "Farther than a marker moves between two frames"]
     frozen: Annotated[Duration, "A track that stands still for longer is lost"]
@@ -49,6 +57,8 @@ class SpecimenFrame(_Step):
     """Turn the markers into the frame of the specimen; with a clamp, this makes `travel`."""
 
     step: ClassVar = "specimen-frame"
+    on_markers: ClassVar = True
+    makes: ClassVar = ("travel",)
     over: Annotated[Duration, "Stretch at the start that defines the straight specimen"]
     max_out_of_plane: Annotated[Length, "Doubtful when the markers leave a plane by more, rms"] = (
         0.001
@@ -60,6 +70,9 @@ class FitShape(_Step):
     """Fit a smooth curve through the markers of every frame; this makes `deflection`."""
 
     step: ClassVar = "fit-shape"
+    on_markers: ClassVar = True
+    after: ClassVar = "specimen-frame"
+    makes: ClassVar = ("deflection",)
     terms: Annotated[int, Whole(2, 12)]
     tip: Annotated[Literal["free", "loaded"], "free: no bending moment at the tip"]
 
@@ -69,6 +82,9 @@ class ThreePointShape(_Step):
     """Fit the bent axis between two supports through sections of markers; makes `mid_span`."""
 
     step: ClassVar = "three-point-shape"
+    on_markers: ClassVar = True
+    after: ClassVar = "repair-markers"
+    makes: ClassVar = ("mid_span",)
     over: Annotated[Duration, "Stretch at the start in which the specimen is straight"]
     section: Annotated[
         Length, "Markers nearer to each other than this, along the axis, share a section"
@@ -85,6 +101,7 @@ class TravelFromSpeed(_Step):
     """Make a displacement from crosshead speed and stroke; a measured one goes before it."""
 
     step: ClassVar = "travel-from-speed"
+    makes: ClassVar = ("{channel}",)
     channel: Annotated[Snake, "Displacement that it makes where no source gives one"]
     force: Annotated[ChannelName, "Channel in which the turn is looked for"]
     window: Annotated[Duration, "On each side of the force's corner at the turn"] = 1.0
@@ -149,3 +166,6 @@ Step: TypeAlias = Annotated[
     | Decimate,
     Tagged("step"),
 ]
+
+STEPS: Final = kinds_of(Step)
+"""The kinds of steps by their word in YAML."""

@@ -1,4 +1,4 @@
-"""Types in which steps and results declare their settings: units, ranges and keys, as plain data.
+"""How steps and results are declared: settings with units and ranges, what they give and need.
 
 A setting is a field of a frozen dataclass whose type says by `typing.Annotated` how YAML writes it:
 ``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the annotation is
@@ -11,8 +11,10 @@ makes the validator, the JSON schema and the error messages of these types.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Annotated, Literal, TypeAlias
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from functools import cache
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,3 +151,85 @@ Snake: TypeAlias = Annotated[
 ]
 ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
 StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A number that a kind of result puts into the summary.
+
+    Parameters
+    ----------
+    name : in the summary; ``{name}`` and ``{of}`` stand for the settings that are called so
+    unit : SI
+    first : number of the first of several, one per cycle or slip; None where there is one alone
+    """
+
+    name: str
+    unit: str
+    first: int | None = None
+
+    def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
+        """Name in the summary, of several the first.
+
+        Parameters
+        ----------
+        kind : the kind of result, with the defaults of its settings
+        entry : the settings as written, whether or not they are valid
+        """
+        stem = self.name.format_map({"of": None, **defaults_of(kind), **entry})
+        return stem if self.first is None else f"{stem}.{self.first}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Needs:
+    """What of a test a kind of result is read from.
+
+    Parameters
+    ----------
+    branches : a curve that is cut into loading and unloading
+    correction : block of ``curve`` that finds what the result tells; empty for none
+    clocks : two clocks that are joined
+    shape : step that makes the shape of the specimen; empty for none
+    clamp : a clamped end, and a curve on the clock of the markers
+    """
+
+    branches: bool = False
+    correction: str = ""
+    clocks: bool = False
+    shape: str = ""
+    clamp: bool = False
+
+
+def kinds_of(union: Any) -> dict[str, Any]:
+    """List the kinds of a union of settings by their tag.
+
+    Parameters
+    ----------
+    union : dataclasses, annotated with `Tagged`
+    """
+    kinds, tagged = get_args(union)
+    return {getattr(kind, tagged.key): kind for kind in get_args(kinds)}
+
+
+@cache
+def defaults_of(kind: Any) -> dict[str, Any]:
+    """Settings that a block may leave out, by name.
+
+    Parameters
+    ----------
+    kind : dataclass of settings
+    """
+    return {each.name: each.default for each in fields(kind) if each.default is not MISSING}
+
+
+@cache
+def existing_in(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
+    """Names of the settings that must name something that exists.
+
+    Parameters
+    ----------
+    kind : dataclass of settings
+    what : that they name
+    """
+    hints = get_type_hints(kind, include_extras=True).items()
+    return tuple(name for name, hint in hints if Existing(what) in get_args(hint))

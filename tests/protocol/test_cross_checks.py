@@ -428,3 +428,10 @@ def test_windows_of_different_names_live_together(wire: str) -> None:
     protocol = parse_protocol(wire.replace("  - {result: clock}\n", windows), "p.yaml")
 
     assert [entry.result for entry in protocol.results[:2]] == ["stiffness", "stiffness"]
+
+
+def test_a_result_of_no_stiffness_lacks_its_key_alone(told: Told) -> None:
+    lines = told(("- {result: clock}", "- {result: normalised-stiffness}"))
+
+    assert len(lines) == 1
+    assert "the key 'of', found no such key" in lines[0]

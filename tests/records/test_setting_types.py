@@ -1,11 +1,19 @@
 from __future__ import annotations
 
-from typing import get_args
+from dataclasses import dataclass
+from typing import Annotated, get_args
 
 import pytest
 
 from labpipe.records import setting_types
-from labpipe.records.setting_types import Quantity
+from labpipe.records.setting_types import (
+    ChannelName,
+    Output,
+    Quantity,
+    StiffnessName,
+    defaults_of,
+    existing_in,
+)
 from labpipe.units import parse_quantity, si_factor
 
 QUANTITIES = {
@@ -27,3 +35,20 @@ def test_the_example_is_in_the_range_and_the_shown_unit_fits(quantity: Quantity)
     assert si_factor(quantity.shown, quantity.unit) > 0.0
     assert quantity.least <= example <= quantity.most
     assert quantity.above is None or example > quantity.above
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ratio:
+    """A kind of result."""
+
+    of: Annotated[StiffnessName, "Name of a stiffness above"] = "stiffness"
+    channel: ChannelName
+    name: str = "ratio"
+
+
+def test_what_a_kind_of_result_is_called_and_rests_on() -> None:
+    assert existing_in(Ratio, "stiffness") == ("of",)
+    assert existing_in(Ratio, "channel") == ("channel",)
+    assert defaults_of(Ratio) == {"of": "stiffness", "name": "ratio"}
+    assert Output("{of}_{name}", "1").name_in(Ratio, {"name": "x"}) == "stiffness_x"
+    assert Output("{name}", "1", first=2).name_in(Ratio, {"name": 3}) == "3.2"
