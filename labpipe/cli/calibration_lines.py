@@ -79,7 +79,7 @@ def _group(each: ValidationGroup) -> str:
     head = f"  {f'{each.wire}, {1e3 * each.length:.4g} mm':<14}{len(each.samples):>8}"
     errors = each.errors
     if errors is None:
-        return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason}"
+        return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason or ''}"
     return (
         f"{head}{1e3 * errors.rmse:>9.3g}{f'{100.0 * errors.rmse_share:.2g} %':>9}"
         f"{f'{100.0 * errors.inside:.3g} %':>9}  {role}"

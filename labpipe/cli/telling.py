@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.numbers import shown_in
 
@@ -122,8 +123,8 @@ def _mean_line(number: GroupNumber, display: dict[str, str], width: int) -> str:
     value = mean.mean if mean is not None else None
     interval = mean.interval if mean is not None else None
     status = Status.FAILED if value is None else Status.OK
-    reason = "no sample has it" if value is None else ""
-    as_result = Result(number.name, value, number.unit, interval, status, reason)
+    reasons = (Reason("no_samples", "no sample has it"),) if value is None else ()
+    as_result = Result(number.name, value, number.unit, interval, status, reasons)
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
     return f"{_line(as_result, display, width)}{missing}"
 
@@ -137,7 +138,7 @@ def table(processed: Processed) -> str:
 
     Returns
     -------
-    A heading, one line per result, then what is doubtful or failed with its reason.
+    A heading, one line per result, then what is doubtful or failed with its reasons.
     """
     result = processed.result
     lines, width = [headline(processed)], _width(each.name for each in result.results)
@@ -145,8 +146,8 @@ def table(processed: Processed) -> str:
         lines += _lines(several, dict(result.display), width)
     reasons: dict[str, list[str]] = {}
     for each in result.results:
-        if each.reason:
-            reasons.setdefault(f"{each.status}: {each.reason}", []).append(each.name)
+        if each.reasons:
+            reasons.setdefault(f"{each.status}: {each.why}", []).append(each.name)
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
     lines += [f"  {note.severity}: {note.where}: {note.message}" for note in warnings]

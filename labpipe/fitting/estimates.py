@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import hypot
 
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,18 +27,8 @@ class Estimate:
     interval: Interval | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Failure:
-    """Why a number could not be had.
-
-    Parameters
-    ----------
-    code : stable, snake case
-    message : one sentence with the numbers
-    """
-
-    code: str
-    message: str
+Failure = Reason
+"""What stands in the place of an estimate that is not available: the reason why."""
 
 
 def widened(estimate: Estimate, *errors: float) -> Estimate:

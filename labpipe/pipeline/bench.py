@@ -12,7 +12,7 @@ from labpipe.fitting.failure import FailurePoint
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.bending import Bending
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Shape
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import MarkerTracks
 from labpipe.records.slips import Slip
 
@@ -78,21 +78,15 @@ class Doubt:
     Parameters
     ----------
     quantity : ``force``, ``displacement``, ``clock``, or the name of a channel beside them
-    code, message : of the reason
+    reason : code and sentence
     during : s, stretch of the record that is touched, on the clock `clock`; None for all
     clock : that `during` is counted on
     """
 
     quantity: str
-    code: str
-    message: str
+    reason: Reason
     during: tuple[float, float] | None = None
     clock: str = ""
-
-    @property
-    def reason(self) -> str:
-        """Code and sentence."""
-        return f"{self.code}: {self.message}"
 
 
 @dataclass(slots=True)
@@ -110,7 +104,7 @@ class Bench:
     other_clocks : by name, a third clock against that of the curve: its time = offset + (1 + drift)
         x time of the curve; all others are that of the force
     turning_times : shape (branches, 2), s, ends of the branches on the clock of the curve
-    blocked : why the stages after the last one reached are missing: code and sentence
+    blocked : why the stages after the last one reached are missing
     doubts : why results are doubtful, in the order in which it was found
     zeroed : by signal, the stretch (s, on its own clock) at rest that its zero was taken from
     lined : as `zeroed`, a stretch in which the machine may have moved already
@@ -141,7 +135,7 @@ class Bench:
     other_clocks: dict[str, ClockFit] = field(default_factory=dict)
     aligned: Aligned | None = None
     curve: Curve | None = None
-    blocked: str = ""
+    blocked: Reason | None = None
     doubts: list[Doubt] = field(default_factory=list)
     zeroed: dict[str, tuple[float, float]] = field(default_factory=dict)
     lined: dict[str, tuple[float, float]] = field(default_factory=dict)
@@ -185,7 +179,7 @@ class Bench:
         clock : role of the recording whose clock `during` is on
         """
         self.note(code, Severity.WARNING, where, message)
-        doubt = Doubt(quantity, code, message, during, clock)
+        doubt = Doubt(quantity, Reason(code, message), during, clock)
         if doubt not in self.doubts:
             self.doubts.append(doubt)
 
@@ -211,7 +205,7 @@ class Bench:
 
     def why_doubtful(
         self, quantity: str, during: tuple[float, float] | None = None
-    ) -> tuple[str, ...]:
+    ) -> tuple[Reason, ...]:
         """Tell why a number is doubtful that rests on a stretch of a quantity.
 
         Parameters
@@ -221,13 +215,13 @@ class Bench:
 
         Returns
         -------
-        Codes and sentences: of each code the first that touches the stretch, or the stretch that
+        Reasons: of each code the first that touches the stretch, or the stretch that
         the zero of the quantity was taken from.
         """
-        found: dict[str, str] = {}
+        found: dict[str, Reason] = {}
         for doubt in self.doubts:
             if doubt.quantity == quantity and self._touches(doubt, during):
-                found.setdefault(doubt.code, doubt.reason)
+                found.setdefault(doubt.reason.code, doubt.reason)
         return tuple(found.values())
 
     def _touches(self, doubt: Doubt, during: tuple[float, float] | None) -> bool:
@@ -252,7 +246,7 @@ class Bench:
     def block(self, code: str, message: str, *, where: str) -> None:
         """Write down an error after which later stages cannot be had; the first one counts."""
         self.note(code, Severity.ERROR, where, message)
-        self.blocked = self.blocked or f"{code}: {message}"
+        self.blocked = self.blocked or Reason(code, message)
 
     def from_curve_clock(self, at: float, clock: str) -> float:
         """Put a time of the curve on the clock of a recording; as it is while none are joined."""

@@ -22,7 +22,7 @@ from labpipe.protocol.steps import FitShape
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.bending import Bending, MeasuredLaw
 from labpipe.records.curve import AT_REST, Branch, Curve, Shape
-from labpipe.records.quality import Severity
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result
 
 _MISFIT = (3.0, 2e-5)
@@ -42,11 +42,11 @@ def bending_stiffness(bench: Bench, entry: MomentCurvature, protocol: Protocol) 
         return [to_result(bench, asked, blocked_or(bench, bench.bending))]
     law = bench.bending.law
     if law is None:
-        _, _, message = bench.bending.reason.partition(": ")
-        return [to_result(bench, asked, Failure("no_law", message))]
+        why = bench.bending.reason or Failure("no_law", "no law was found")
+        return [to_result(bench, asked, why)]
     doubt = _misfit(bench) or _bent_before(bench.bending, law, entry)
     during = while_loading(bench)
-    return [to_result(bench, asked, _stiffness(law, entry), doubt=doubt, during=during)]
+    return [to_result(bench, asked, _stiffness(law, entry), doubts=[doubt], during=during)]
 
 
 def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Estimate | Failure:
@@ -186,30 +186,32 @@ def _tell(bench: Bench, bending: Bending) -> None:
     bench.note("moment_curvature", Severity.INFO, "shape", said)
 
 
-def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> str:
+def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> Reason | None:
     """Why a number is doubtful: the wire had been bent as far the other way before the test."""
     resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
     moment = float(np.interp(entry.at, law.curvature, law.moment))
     if resting <= moment:
-        return ""
-    return (
-        f"bent_before: at rest the wire hung under a moment of {1e3 * resting:.3g} N mm, more than "
+        return None
+    return Reason(
+        "bent_before",
+        f"at rest the wire hung under a moment of {1e3 * resting:.3g} N mm, more than "
         f"the {1e3 * moment:.3g} N mm at {entry.at:g} 1/m: below that it is not loaded for the "
-        "first time"
+        "first time",
     )
 
 
-def _misfit(bench: Bench) -> str:
+def _misfit(bench: Bench) -> Reason | None:
     """Why the law is doubtful: markers lie farther off its shapes than their noise."""
     bending = bench.bending
     if not isinstance(bending, Bending) or bending.law is None or bench.shape is None:
-        return ""
+        return None
     law = bending.law
     limit = _MISFIT[0] * law.noise + _MISFIT[1]
     if not law.residual > limit:
-        return ""
-    return (
-        f"law_misfit: markers lie {1e6 * law.residual:.3g} um rms off the shapes of the law, more "
+        return None
+    return Reason(
+        "law_misfit",
+        f"markers lie {1e6 * law.residual:.3g} um rms off the shapes of the law, more "
         f"than {1e6 * limit:.3g} um: the wire does not bend alike all along, or string and offsets "
-        "are not as stated"
+        "are not as stated",
     )

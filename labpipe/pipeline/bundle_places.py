@@ -10,6 +10,7 @@ from itertools import chain
 from labpipe.records.bundle import Bundle, BundleModel
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.wire.bundle.model import bundle_model
@@ -24,7 +25,7 @@ class _Bounds:
     """Model of a bundle, or why there is none."""
 
     model: BundleModel | None
-    reason: str = ""
+    reasons: tuple[Reason, ...] = ()
 
 
 def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[BundlePlace]:
@@ -66,68 +67,76 @@ def _bundle(sample: Sample) -> Bundle | None:
 
 def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bundle, _Bounds]:
     tables: dict[str, WireTable] = {}
-    refused: dict[str, str] = {}
+    refused: dict[str, Reason] = {}
     for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
         if name not in wires:
-            refused[name] = f"not_in_sheet: no bounds: the sheet has no {name}"
+            refused[name] = Reason("not_in_sheet", f"no bounds: the sheet has no {name}")
             continue
         try:
             tables[name] = wire_table(wires[name])
         except ValueError as error:
-            refused[name] = f"no_law: no bounds: {name} of the sheet cannot be modelled: {error}"
+            message = f"no bounds: {name} of the sheet cannot be modelled: {error}"
+            refused[name] = Reason("no_law", message)
     return {bundle: _model(bundle, tables, refused) for bundle in bundles}
 
 
-def _model(bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, str]) -> _Bounds:
-    whys = [refused[wire.type] for wire in bundle.wires if wire.type in refused]
-    if whys:
-        return _Bounds(None, "; ".join([whys[0], *(why.partition(": ")[2] for why in whys[1:])]))
+def _model(
+    bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, Reason]
+) -> _Bounds:
+    reasons = tuple(refused[wire.type] for wire in bundle.wires if wire.type in refused)
+    if reasons:
+        return _Bounds(None, reasons)
     try:
         return _Bounds(bundle_model(bundle, tables))
     except ValueError as error:
-        return _Bounds(None, f"no_model: no bounds: {error}")
+        return _Bounds(None, (Reason("no_model", f"no bounds: {error}"),))
 
 
 def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     result = next((each for each in sample.results if each.name == STIFFNESS), None)
     value = None if result is None else result.value
     interval = None if result is None else result.interval
-    place = BundlePlace(group.name, sample.test, value, interval, reason=_why_no_value(result))
+    place = BundlePlace(group.name, sample.test, value, interval, reasons=_why_no_value(result))
     bundle = _bundle(sample)
     if bundle is None:
-        return replace(place, reason="no_bundle: no bounds: its test sheet says no bundle")
+        return _without(place, "no_bundle", "no bounds: its test sheet says no bundle")
     return _between(place, bounds[bundle])
 
 
-def _why_no_value(result: Result | None) -> str:
+def _without(place: BundlePlace, code: str, message: str) -> BundlePlace:
+    return replace(place, reasons=(Reason(code, message),))
+
+
+def _why_no_value(result: Result | None) -> tuple[Reason, ...]:
     if result is None:
-        return f"no_result: the test has no {STIFFNESS}"
-    return result.reason if result.value is None else ""
+        return (Reason("no_result", f"the test has no {STIFFNESS}"),)
+    return result.reasons if result.value is None else ()
 
 
 def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     number = next((each for each in group.numbers if each.name == STIFFNESS), None)
     mean = None if number is None or number.mean is None else number.mean.chosen
     value = None if mean is None else mean.mean
-    reason = f"no_result: no sample has a {STIFFNESS}" if mean is None else ""
-    place = BundlePlace(group.name, "", value, mean.interval if mean else None, reason=reason)
+    place = BundlePlace(group.name, "", value, mean.interval if mean else None)
+    if mean is None:
+        place = _without(place, "no_result", f"no sample has a {STIFFNESS}")
     shared = list(dict.fromkeys(map(_bundle, group.samples)))
     if len(shared) > 1 or shared[0] is None:
-        return replace(place, reason="bundles_differ: no bounds: its samples differ in them")
+        return _without(place, "bundles_differ", "no bounds: its samples differ in them")
     return _between(place, bounds[shared[0]])
 
 
 def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
     model = bounds.model
     if model is None:
-        return replace(place, reason=bounds.reason)
+        return replace(place, reasons=bounds.reasons)
     place = replace(
         place, low=model.low, free=model.free, high=model.high, principal=model.principal
     )
     if place.value is None:
         return place
     if not model.high > model.low:
-        return replace(place, reason="one_bound: no share: the two bounds are the same")
+        return _without(place, "one_bound", "no share: the two bounds are the same")
     share = partial(share_of_bounds, low=model.low, high=model.high)
     own = place.interval
     ends = None if own is None else Interval(share(own.lower), share(own.upper), own.level)

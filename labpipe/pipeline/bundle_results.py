@@ -37,7 +37,7 @@ from labpipe.protocol.results import BendingStiffness, Plateau
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, FittedLine
-from labpipe.records.quality import Severity
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result
 
 _LOST = 3
@@ -70,14 +70,14 @@ def kink_results(bench: Bench, *, low: float, high: float) -> list[Result]:
         FittedLine("behind_kink", found.second.value, found.force.value, at, found.stop),
     ]
     moved = other if isinstance(other, Kink) else found
-    doubt = marked_slip(bench, found.start, found.stop)
+    doubts = [marked_slip(bench, found.start, found.stop)]
     during = while_loading(bench, found.start, found.stop)
     outcomes = (
         _place(bench, found.displacement, moved.displacement),
         _level(bench, found.force, moved.force),
     )
     return [
-        to_result(bench, each, outcome, doubt=doubt, during=during)
+        to_result(bench, each, outcome, doubts=doubts, during=during)
         for each, outcome in zip((place, level), outcomes, strict=True)
     ]
 
@@ -106,26 +106,27 @@ def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
     bench.lines.append(FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop))
     moved = other if isinstance(other, EndSlope) else end
     first = bench.cycles()[0][:1]
-    doubt = (
+    doubts = [
         doubt_of(bench, entry.of) or broken_off(bench, first, CURVE) or _unseen_end(bench, first[0])
-    )
+    ]
     during = while_loading(bench)
-    found = to_result(bench, share, _changed(end.share, moved.share), doubt=doubt, during=during)
+    found = to_result(bench, share, _changed(end.share, moved.share), doubts=doubts, during=during)
     return [found, *_onset_results(bench, entry, initial, found)]
 
 
-def _unseen_end(bench: Bench, branch: Branch) -> str:
+def _unseen_end(bench: Bench, branch: Branch) -> Reason | None:
     """Why the end of a loading branch is doubtful: its force was not recorded up to there."""
     curve = curve_of(bench)
     d, f = (each[branch.start : branch.stop] for each in (curve.displacement, curve.force))
     known = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
     if not len(known) or known[-1] >= len(d) - _LOST:
-        return ""
+        return None
     end = 1e3 * float(d[known[-1]])
-    return (
-        f"gap: force and displacement are known up to {end:.4g} mm of the first loading alone, "
+    message = (
+        f"force and displacement are known up to {end:.4g} mm of the first loading alone, "
         f"{len(d) - 1 - known[-1]} samples before its end"
     )
+    return Reason("gap", message)
 
 
 def _onset_results(bench: Bench, entry: Plateau, initial: Estimate, end: Result) -> list[Result]:
@@ -142,14 +143,14 @@ def _onset_results(bench: Bench, entry: Plateau, initial: Estimate, end: Result)
     place = _place(bench, onset.displacement, moved.displacement)
     level = _level(bench, onset.force, moved.force)
     first = bench.cycles()[0][0]
-    doubt = doubt_of(bench, entry.of) or _unseen_end(bench, first)
+    doubts = [doubt_of(bench, entry.of) or _unseen_end(bench, first)]
     asked = (
         Asked("plateau_displacement", "m", CURVE, method),
         Asked("plateau_force", "N", CURVE, method),
     )
     during = while_loading(bench)
     return [
-        to_result(bench, each, outcome, doubt=doubt, during=during)
+        to_result(bench, each, outcome, doubts=doubts, during=during)
         for each, outcome in zip(asked, (place, level), strict=True)
     ]
 
@@ -256,8 +257,8 @@ def beam_results(bench: Bench, entry: BendingStiffness, protocol: Protocol) -> l
         )
         outcome, said = corrected(bench, entry, outcome, specimen, protocol.results)
         asked = replace(asked, method=f"{asked.method}{said}")
-    doubt, during = doubt_of(bench, entry.of), bench.windows.get(entry.of)
-    return [to_result(bench, asked, outcome, doubt=doubt, during=during)]
+    doubts, during = [doubt_of(bench, entry.of)], bench.windows.get(entry.of)
+    return [to_result(bench, asked, outcome, doubts=doubts, during=during)]
 
 
 def _both(bench: Bench, fit: _Fit[_Found]) -> tuple[_Found | Failure, _Found | Failure | None]:

@@ -133,7 +133,7 @@ def _group(each: ValidationGroup) -> dict[str, object]:
         "rmse": None if errors is None else _number(errors.rmse),
         "rmse_share": None if errors is None else _number(errors.rmse_share),
         "inside_band": None if errors is None else _number(errors.inside),
-        "reason": each.reason,
+        "reasons": [] if each.reason is None else [asdict(each.reason)],
         "prediction": None
         if prediction is None
         else {

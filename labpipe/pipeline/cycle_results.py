@@ -1,4 +1,4 @@
-"""From the bench to results: every number with interval, status and reason.
+"""From the bench to results: every number with interval, status and reasons.
 
 Each function gives the results of one entry of a protocol's list. The numbers come from
 `cycle_numbers`; here they get their names, their uncertainty from the shape, and their status.
@@ -36,6 +36,7 @@ from labpipe.pipeline.outcomes import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 
 _ALL = ("force", "displacement", "clock")
@@ -125,8 +126,8 @@ Numbers = Callable[[Bench, list[Branch], Floats], Estimate | Failure]
 """A number of one cycle, from the bench, the branches of the cycle and a displacement."""
 
 
-Seen = Callable[[Bench, list[Branch]], str]
-"""Why a number of one cycle is doubtful: code and sentence, empty where it is not."""
+Seen = Callable[[Bench, list[Branch]], Reason | None]
+"""Why a number of one cycle is doubtful; None where it is not."""
 
 
 def per_cycle(
@@ -151,34 +152,31 @@ def per_cycle(
             asked,
             with_shape_error(bench, branches, of_cycle),
             part=f".{branches[0].cycle}",
-            doubt="; ".join(
-                why
-                for why in (
-                    broken_off(bench, branches[: asked.needs], asked.quantities),
-                    seen(bench, branches) if seen else "",
-                )
-                if why
-            ),
+            doubts=[
+                broken_off(bench, branches[: asked.needs], asked.quantities),
+                seen(bench, branches) if seen else None,
+            ],
             during=_when(branches, asked.reads),
         )
         for branches in cycles
     ]
 
 
-def _gap_in_force(bench: Bench, branches: list[Branch]) -> str:
+def _gap_in_force(bench: Bench, branches: list[Branch]) -> Reason | None:
     return _gap(bench, branches, curve_of(bench).force, "force")
 
 
-def _gap_in_displacement(bench: Bench, branches: list[Branch]) -> str:
+def _gap_in_displacement(bench: Bench, branches: list[Branch]) -> Reason | None:
     return _gap(bench, branches, curve_of(bench).displacement, "displacement")
 
 
-def _gap(bench: Bench, branches: list[Branch], values: Floats, what: str) -> str:
+def _gap(bench: Bench, branches: list[Branch], values: Floats, what: str) -> Reason | None:
     """Why the largest sample of a cycle is doubtful: those beside it are missing."""
     over = values[stretch_of_cycle(bench, branches)]
     if not gap_at_top(sense_over(bench, values) * over):
-        return ""
-    return f"gap_at_peak: samples beside the largest {what} of the cycle are missing"
+        return None
+    message = f"samples beside the largest {what} of the cycle are missing"
+    return Reason("gap_at_peak", message)
 
 
 def _when(branches: list[Branch], reads: tuple[float, float]) -> tuple[float, float] | None:
@@ -195,7 +193,7 @@ def _when(branches: list[Branch], reads: tuple[float, float]) -> tuple[float, fl
 
 def broken_off(
     bench: Bench, branches: list[Branch], quantities: tuple[str, ...] = ("force",)
-) -> str:
+) -> Reason | None:
     """Why a number is doubtful whose branches the record does not hold to their end.
 
     Parameters
@@ -206,17 +204,17 @@ def broken_off(
     """
     cut_at = min((bench.cut_at.get(each, np.inf) for each in quantities), default=np.inf)
     if not branches or cut_at == np.inf:
-        return ""
+        return None
     part, failure = branches[-1], bench.failure
     if cut_at >= part.stop_time and part is not curve_of(bench).branches[-1]:
-        return ""
+        return None
     if isinstance(failure, FailurePoint) and part.start <= failure.sample < part.stop:
-        return ""  # it broke, so there is no more to come
+        return None  # it broke, so there is no more to come
     if quantities == ("force",) and _is_past_its_peak(bench, part):
-        return ""
+        return None
     has_time = curve_of(bench).time_unit == "s"
     at = f"{cut_at:.3f} s" if has_time else f"sample {round(cut_at) + 1}"
-    return f"partial_cycle: the record ends at {at}, while still {part.direction}"
+    return Reason("partial_cycle", f"the record ends at {at}, while still {part.direction}")
 
 
 def _is_past_its_peak(bench: Bench, part: Branch) -> bool:

@@ -220,7 +220,7 @@ def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
         raise NotUsableError(message)
     peak = next((each for each in result.results if each.name == "peak_force.1"), None)
     if peak is not None and peak.status is Status.FAILED:
-        message = f"its first loading failed: {peak.reason}"
+        message = f"its first loading failed: {peak.why}"
         raise NotUsableError(message)
     return curve, first[0]
 
@@ -242,7 +242,7 @@ def _gain(protocol: Protocol) -> float:
 def _doubts(result: TestResult) -> list[QualityNote]:
     """Say what of the curve is doubtful: results of the first cycle that rest on all of it."""
     reasons = {
-        each.reason
+        each.why
         for each in result.results
         if each.status is Status.DOUBTFUL
         and each.name in ("peak_force.1", "peak_displacement.1", "energy.1")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.pipeline.bench import Bench
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.records.slips import SlipDecision
 
@@ -58,10 +60,7 @@ _CUT_SHORT = frozenset({"not_reached", "no_travel"})
 
 def blocked_or(bench: Bench, otherwise: Failure) -> Failure:
     """Why no number can be had: what stopped the test, or else what is given."""
-    if not bench.blocked:
-        return otherwise
-    code, _, message = bench.blocked.partition(": ")
-    return Failure(code, message)
+    return bench.blocked or otherwise
 
 
 def to_result(
@@ -70,7 +69,7 @@ def to_result(
     outcome: Estimate | Failure,
     *,
     part: str = "",
-    doubt: str = "",
+    doubts: Iterable[Reason | None] = (),
     during: tuple[float, float] | None = None,
 ) -> Result:
     """Word an outcome as a result, with what makes it doubtful.
@@ -82,31 +81,30 @@ def to_result(
     outcome : the number with its error, or why there is none; without an interval of its own it
         gets the normal one
     part : of the name, such as ``.1``
-    doubt : one more reason to doubt it
+    doubts : more reasons to doubt it; None where there is none
     during : s, on the clock of the curve, the stretch that the number was read from; None for all
     """
     name = asked.name + part
     if isinstance(outcome, Estimate) and not np.isfinite([outcome.value, outcome.error]).all():
         outcome = Failure("not_finite", f"value {outcome.value}, standard error {outcome.error}")
     signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNED.get(asked.unit, ())
-    doubts = [
+    found = [
         why for each in (*asked.quantities, *signs) for why in bench.why_doubtful(each, during)
     ]
     if isinstance(outcome, Failure):
-        why = [each for each in doubts if each.partition(": ")[0] in _MAY_BE_WHY]
-        what = [f"{outcome.code}: {outcome.message}"]
-        told = why + what if outcome.code in _CUT_SHORT else what + why
-        reason = "; ".join(dict.fromkeys(told))
-        return Result(name, None, asked.unit, None, Status.FAILED, reason, asked.method, 0)
+        why = [each for each in found if each.code in _MAY_BE_WHY]
+        told = [*why, outcome] if outcome.code in _CUT_SHORT else [outcome, *why]
+        reasons = tuple(dict.fromkeys(told))
+        return Result(name, None, asked.unit, None, Status.FAILED, reasons, asked.method, 0)
     method = f"{asked.method}{_added_back(bench)}" if asked.name in _TO_THE_TOP else asked.method
-    doubts += [doubt] if doubt else []
+    found += [each for each in doubts if each is not None]
     return Result(
         name=name,
         value=outcome.value,
         unit=asked.unit,
         interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
-        status=Status.DOUBTFUL if doubts else Status.OK,
-        reason="; ".join(dict.fromkeys(doubts)),
+        status=Status.DOUBTFUL if found else Status.OK,
+        reasons=tuple(dict.fromkeys(found)),
         method=method,
         n=outcome.n,
     )

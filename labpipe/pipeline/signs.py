@@ -109,7 +109,7 @@ def _doubt(bench: Bench, wrong: dict[str, float], turned: tuple[str, ...]) -> No
     message = f"{goes} while the specimen is loaded: {remedy}"
     if "force" in wrong:  # a string that pushes is told by its cause
         bench.notes[:] = [note for note in bench.notes if note.code != "force_negative"]
-        bench.doubts[:] = [doubt for doubt in bench.doubts if doubt.code != "force_negative"]
+        bench.doubts[:] = [doubt for doubt in bench.doubts if doubt.reason.code != "force_negative"]
     both = len(wrong) > 1
     for name in wrong:
         quantity = f"{name}_sign" if both else name

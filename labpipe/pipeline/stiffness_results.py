@@ -36,6 +36,7 @@ from labpipe.protocol.results import Modulus
 from labpipe.protocol.rig import SpecimenBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import FittedLine
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.slips import SlipDecision
 
@@ -59,9 +60,12 @@ def line_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[
     bench.lines.append(FittedLine(name, slope.value, level, line.start, line.stop))
     bench.stiffnesses[name] = slope
     bench.windows[name] = during = while_loading(bench, line.start, line.stop)
-    fall = "negative_slope: the force falls where the frame pulls" if slope.value <= 0.0 else ""
-    doubt = "; ".join(filter(None, [fall, marked_slip(bench, line.start, line.stop)]))
-    return [to_result(bench, asked, with_force_scale(bench, slope), doubt=doubt, during=during)]
+    fall = Reason("negative_slope", "the force falls where the frame pulls")
+    doubts = [
+        fall if slope.value <= 0.0 else None,
+        marked_slip(bench, line.start, line.stop),
+    ]
+    return [to_result(bench, asked, with_force_scale(bench, slope), doubts=doubts, during=during)]
 
 
 def two_segments(bench: Bench, *, low: float, high: float) -> list[Result]:
@@ -85,14 +89,14 @@ def two_segments(bench: Bench, *, low: float, high: float) -> list[Result]:
         FittedLine(names[1], second.value, fit.level, at.value, fit.stop),
     ]
     zero = bench.signals[bench.displacement].zero_error
-    doubt = marked_slip(bench, fit.start, fit.stop)
+    doubts = [marked_slip(bench, fit.start, fit.stop)]
     outcomes = (
         with_force_scale(bench, first),
         with_force_scale(bench, second),
         widened(at, zero, slack_error(bench)),
     )
     return [
-        to_result(bench, each, outcome, doubt=doubt, during=during)
+        to_result(bench, each, outcome, doubts=doubts, during=during)
         for each, outcome in zip(asked, outcomes, strict=True)
     ]
 
@@ -113,10 +117,9 @@ def normalised_stiffness(bench: Bench, *, of: str) -> list[Result]:
     method = f"{of} / peak force of the same sample, errors independent, scale error cancelled"
     asked = Asked(f"{of}_per_peak_force", "1/m", CURVE, method)
     doubts = [doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[-1:])]
-    doubt = "; ".join(filter(None, doubts))
     window, cycles = bench.windows.get(of), bench.cycles()
     during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window and cycles else None
-    return [to_result(bench, asked, _normalised(bench, of), doubt=doubt, during=during)]
+    return [to_result(bench, asked, _normalised(bench, of), doubts=doubts, during=during)]
 
 
 def _normalised(bench: Bench, of: str) -> Estimate | Failure:
@@ -156,8 +159,8 @@ def modulus_result(bench: Bench, entry: Modulus, specimen: SpecimenBlock) -> lis
         outcome = modulus(
             with_force_scale(bench, stiffness), gauge_length=specimen.length, area=area
         )
-    doubt, during = doubt_of(bench, entry.of), bench.windows.get(entry.of)
-    return [to_result(bench, asked, outcome, doubt=doubt, during=during)]
+    doubts, during = [doubt_of(bench, entry.of)], bench.windows.get(entry.of)
+    return [to_result(bench, asked, outcome, doubts=doubts, during=during)]
 
 
 def _area(kind: str, specimen: SpecimenBlock) -> float | Failure:
@@ -217,7 +220,7 @@ def _with_other_displacement(
     return widened(slope, abs(line.slope.value - slope.value) / np.sqrt(3.0))
 
 
-def doubt_of(bench: Bench, stiffness: str) -> str:
+def doubt_of(bench: Bench, stiffness: str) -> Reason | None:
     """Why a number is doubtful that is made of a stiffness: for the reason that this one is.
 
     Parameters
@@ -227,7 +230,7 @@ def doubt_of(bench: Bench, stiffness: str) -> str:
 
     Returns
     -------
-    Code and sentence; empty where it is not.
+    The reason; None where it is not.
     """
     segments = stiffness.startswith("segment_stiffness_")  # one slip bends both
     lines = [
@@ -236,11 +239,11 @@ def doubt_of(bench: Bench, stiffness: str) -> str:
         if line.result == stiffness or (segments and line.result.startswith("segment_stiffness_"))
     ]
     if not lines:
-        return ""
+        return None
     return marked_slip(bench, min(line.start for line in lines), max(line.stop for line in lines))
 
 
-def marked_slip(bench: Bench, start: float, stop: float) -> str:
+def marked_slip(bench: Bench, start: float, stop: float) -> Reason | None:
     """Why a number over a stretch is doubtful in which a slip was only marked.
 
     Parameters
@@ -250,7 +253,7 @@ def marked_slip(bench: Bench, start: float, stop: float) -> str:
 
     Returns
     -------
-    Code and sentence; empty where none slipped there.
+    The reason; None where none slipped there.
     """
     inside = [
         slip
@@ -258,6 +261,7 @@ def marked_slip(bench: Bench, start: float, stop: float) -> str:
         if slip.decision is SlipDecision.MARKED and start <= slip.position <= stop
     ]
     if not inside:
-        return ""
+        return None
     at = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
-    return f"slip_in_window: slipped in the grips at {at}, and the curve stays as measured"
+    message = f"slipped in the grips at {at}, and the curve stays as measured"
+    return Reason("slip_in_window", message)

@@ -27,6 +27,7 @@ from labpipe.pipeline.outcomes import (
     with_force_scale,
 )
 from labpipe.records.arrays import Floats
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.records.slips import SlipDecision
 
@@ -44,10 +45,10 @@ def failure_results(bench: Bench) -> list[Result]:
     zero = bench.signals[bench.displacement].zero_error
     place = widened(failure.displacement, zero, slack_error(bench))
     force = widened(failure.force, bench.raw[bench.force].zero_error)
-    doubt, during = _in_steps(failure), _up_to(bench, failure)
+    doubts, during = [_in_steps(failure)], _up_to(bench, failure)
     return [
-        to_result(bench, asked, place, doubt=doubt, during=(during[1], during[1])),
-        to_result(bench, by_force, with_force_scale(bench, force), doubt=doubt, during=during),
+        to_result(bench, asked, place, doubts=doubts, during=(during[1], during[1])),
+        to_result(bench, by_force, with_force_scale(bench, force), doubts=doubts, during=during),
     ]
 
 
@@ -58,13 +59,13 @@ def _up_to(bench: Bench, failure: FailurePoint) -> tuple[float, float]:
     return float(curve.time[start]), float(curve.time[failure.sample])
 
 
-def _in_steps(failure: FailurePoint) -> str:
+def _in_steps(failure: FailurePoint) -> Reason | None:
     """Why a failure is doubtful that was not the first sudden loss of force."""
     if failure.lost_before == 0.0:
-        return ""
-    return (
-        "lost_in_steps: some of the force was suddenly lost before, and it never came back to where"
-        " it had been"
+        return None
+    return Reason(
+        "lost_in_steps",
+        "some of the force was suddenly lost before, and it never came back to where it had been",
     )
 
 
@@ -87,7 +88,7 @@ def energy_to_break_result(bench: Bench) -> list[Result]:
     added = _repaired_work(bench, curve.displacement, failure.sample)
     energy = with_force_scale(bench, widened(found, zero, added))
     during = _up_to(bench, failure)
-    return [to_result(bench, asked, energy, doubt=_in_steps(failure), during=during)]
+    return [to_result(bench, asked, energy, doubts=[_in_steps(failure)], during=during)]
 
 
 def _repaired_work(bench: Bench, displacement: Floats, last: int) -> float:

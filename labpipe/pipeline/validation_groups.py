@@ -12,6 +12,7 @@ from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import Calibration
 from labpipe.records.group import Band, SampleCurve
+from labpipe.records.quality import Reason
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.statistics.bands import common_curves, mean_band
 from labpipe.statistics.block_means import block_means
@@ -59,7 +60,7 @@ def _compared(
     deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
     noise = float(np.mean([curve.read_error for curve in curves]))
     first = curves[0]
-    prediction, errors, reason = None, None, ""
+    prediction, errors, reason = None, None, None
     try:
         prediction = predict(
             calibration,
@@ -70,7 +71,7 @@ def _compared(
             noise=noise,
         )
     except ValueError as error:
-        reason = f"no_prediction: {error}"
+        reason = Reason("no_prediction", str(error))
     else:
         errors = _errors(curves, prediction)
     return ValidationGroup(

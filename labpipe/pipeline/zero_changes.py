@@ -89,7 +89,7 @@ def _jumps(
     stuck = [
         bench.on_curve_clock(each.during[1], each.clock)
         for each in bench.doubts
-        if each.code == "frozen_channel" and each.quantity == quantity and each.during
+        if each.reason.code == "frozen_channel" and each.quantity == quantity and each.during
     ]
     return tuple(
         (sample, size)

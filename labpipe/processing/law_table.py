@@ -11,6 +11,7 @@ from labpipe.processing.law_basis import LawBasis
 from labpipe.processing.measured_law import LawFit
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.bending import MeasuredLaw
+from labpipe.records.quality import Reason
 
 _NORMAL_95 = 1.959963984540054
 _ROWS = 41
@@ -159,12 +160,13 @@ def _with_ends(name: str, value: Floats, error: Floats, shown: Flags) -> dict[st
     return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
 
 
-def _why_not(curvature: Floats, is_known: Flags, floor: float) -> str:
+def _why_not(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
     unknown = int((~is_known[1:]).sum())
     if not unknown:
-        return ""
+        return None
     last = float(curvature[1:][~is_known[1:]].max())
-    return (
-        f"below_noise: {unknown} of {len(curvature) - 1} curvatures, up to {last:.3g} 1/m, are not "
-        f"above their noise (1.96 standard errors of the cloud are {floor:.3g} 1/m)"
+    return Reason(
+        "below_noise",
+        f"{unknown} of {len(curvature) - 1} curvatures, up to {last:.3g} 1/m, are not "
+        f"above their noise (1.96 standard errors of the cloud are {floor:.3g} 1/m)",
     )

@@ -15,6 +15,7 @@ from labpipe.processing.law_table import tabulate
 from labpipe.processing.measured_law import LawFit, refine_law
 from labpipe.records.arrays import Floats
 from labpipe.records.bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.quality import Reason
 
 MEANS = 80
 """Means of consecutive frames that the first loading is fitted by."""
@@ -42,7 +43,7 @@ def measure_bending(test: BendingTest) -> Bending:
     try:
         law = loading_law(test, cloud)
     except ValueError as error:
-        return Bending(cloud, None, f"no_law: {error}")
+        return Bending(cloud, None, Reason("no_law", str(error)))
     return Bending(cloud, law)
 
 

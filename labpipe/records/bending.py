@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints, frozen
+from labpipe.records.quality import Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +84,7 @@ class MeasuredLaw:
     secant, secant_lower, secant_upper : N m^2, moment / curvature
     tangent, tangent_lower, tangent_upper : N m^2, slope of moment against curvature
     is_known : whether the curvature is above its noise
-    reason : code and sentence for the points that are not known; empty where all are
+    reason : why points are not known; None where all are
     floor : 1/m, below it curvature is not told from its noise
     scale_error : standard uncertainty of the scale of the force, as a share; in the intervals
     residual : m, root mean square distance per coordinate between markers, as means over
@@ -108,7 +109,7 @@ class MeasuredLaw:
     tangent_lower: Floats
     tangent_upper: Floats
     is_known: Flags
-    reason: str
+    reason: Reason | None
     floor: float
     scale_error: float
     residual: float
@@ -147,12 +148,12 @@ class Bending:
     ----------
     cloud : all branches
     law : through the first loading; None where there is none
-    reason : code and sentence why there is no law; empty where there is one
+    reason : why there is no law; None where there is one
     """
 
     cloud: BendingCloud
     law: MeasuredLaw | None
-    reason: str = ""
+    reason: Reason | None = None
 
 
 def _numbers(values: Ints, name: str, count: int) -> Ints:

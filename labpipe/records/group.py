@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from labpipe.records.arrays import Floats, frozen
 from labpipe.records.curve import FittedLine, Interval
-from labpipe.records.quality import QualityNote
+from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Result, Specimen
 from labpipe.records.slips import Slip
 
@@ -78,14 +78,14 @@ class MeanInterval:
     interval : None where there is none to be had; `reason` then says why
     deviation : standard deviation of what was averaged; NaN for one value
     n : number of values averaged (samples, or spool means)
-    reason : code, colon, sentence; empty when there is an interval
+    reason : None when there is an interval
     """
 
     mean: float
     interval: Interval | None
     deviation: float
     n: int
-    reason: str = ""
+    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class Band:
     n : number of curves averaged
     over : ``samples`` or ``spool means``
     reason : why there is no curve (then all are empty), no band (then all four are NaN) or no
-        simultaneous band (then `lower_all` and `upper_all` are NaN: ``two_curves``)
+        simultaneous band (then `lower_all` and `upper_all` are NaN: ``two_curves``); else None
     """
 
     displacement: Floats
@@ -160,7 +160,7 @@ class Band:
     upper_all: Floats
     n: int
     over: str
-    reason: str = ""
+    reason: Reason | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "displacement", frozen(self.displacement, shape=(None,)))
@@ -186,7 +186,7 @@ class GroupNumber:
     unit: str
     mean: NestedMean | None
     values: Mapping[str, Result]
-    left_out: Mapping[str, str]
+    left_out: Mapping[str, tuple[Reason, ...]]
     outliers: tuple[Outlier, ...] = ()
 
 
@@ -266,7 +266,7 @@ class BundlePlace:
     principal : N m^2, least and largest of all directions with nothing slipping
     share : of the way from `low` to `high`; NaN without both
     share_interval : 95 %, from that of `value`; the bounds are taken as known
-    reason : why there are no bounds or no value; empty otherwise
+    reasons : why there are no bounds or no value; empty otherwise
     """
 
     group: str
@@ -279,7 +279,7 @@ class BundlePlace:
     principal: tuple[float, float] = (float("nan"), float("nan"))
     share: float = float("nan")
     share_interval: Interval | None = None
-    reason: str = ""
+    reasons: tuple[Reason, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,7 +1,8 @@
-"""Quality notes: what a careful person would want to know about a test."""
+"""Reasons and quality notes: what a careful person would want to know about a test."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -15,6 +16,34 @@ class Severity(StrEnum):
     """Results that depend on it are doubtful, or were repaired."""
     ERROR = "error"
     """Something asked for could not be had."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a number is doubtful, is not available, or has no interval.
+
+    Parameters
+    ----------
+    code : stable, snake case, such as ``not_reached``: what programs go by
+    message : one sentence with the numbers and their units, for people
+    """
+
+    code: str
+    message: str
+
+    def __str__(self) -> str:
+        return f"{self.code}: {self.message}"
+
+
+def worded(reasons: Iterable[Reason]) -> str:
+    """Word reasons for people: codes and sentences in one line, empty where there are none.
+
+    Examples
+    --------
+    >>> worded([Reason("drift", "the zero drifts"), Reason("gap", "4 samples are missing")])
+    'drift: the zero drifts; gap: 4 samples are missing'
+    """
+    return "; ".join(map(str, reasons))
 
 
 @dataclass(frozen=True, slots=True)

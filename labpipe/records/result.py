@@ -9,7 +9,7 @@ from enum import StrEnum
 from labpipe.records.bending import Bending
 from labpipe.records.bundle import Bundle
 from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape
-from labpipe.records.quality import QualityNote
+from labpipe.records.quality import QualityNote, Reason, worded
 from labpipe.records.recording import Recording
 from labpipe.records.slips import Slip
 
@@ -24,17 +24,16 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A number with unit, 95 % interval, status and reason.
+    """A number with unit, 95 % interval, status and reasons.
 
     Parameters
     ----------
     name : stable, snake case, with a cycle after a dot: ``peak_force.1``
     value : in `unit`; None when it could not be computed
     unit : SI unit, ``1`` for a pure number
-    interval : None when there is none to be had; the reason then says why
+    interval : None when there is none to be had; a reason then says why
     status : ``failed`` exactly when `value` is None
-    reason : why a result is doubtful, failed, or lacks an interval; empty otherwise. Begins with a
-        stable code and a colon, such as ``not_reached: ...``
+    reasons : why a result is doubtful, failed, or lacks an interval; empty otherwise
     method : in words, how the value and the interval were made
     n : number of samples it rests on
     """
@@ -44,7 +43,7 @@ class Result:
     unit: str
     interval: Interval | None = None
     status: Status = Status.OK
-    reason: str = ""
+    reasons: tuple[Reason, ...] = ()
     method: str = ""
     n: int = 0
 
@@ -52,9 +51,14 @@ class Result:
         if (self.value is None) != (self.status is Status.FAILED):
             message = f"{self.name}: a result is failed exactly when it has no value"
             raise ValueError(message)
-        if self.status is not Status.OK and not self.reason:
+        if self.status is not Status.OK and not self.reasons:
             message = f"{self.name}: a {self.status} result must say why"
             raise ValueError(message)
+
+    @property
+    def why(self) -> str:
+        """The reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
+        return worded(self.reasons)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from labpipe.records.arrays import Floats, frozen
 from labpipe.records.calibration import Calibration, SourceCalibration
 from labpipe.records.comparison import ThirdCurveComparison
 from labpipe.records.group import Band, SampleCurve
+from labpipe.records.quality import Reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,7 +27,7 @@ class ValidationGroup:
     prediction : of the model; None where it has none
     foretold : number of samples of which `lower` and `upper` of the prediction foretell the mean
     errors : of the model against all points of the samples; None without a prediction
-    reason : why there is no prediction; empty otherwise
+    reason : why there is no prediction; else None
     """
 
     wire: str
@@ -37,7 +38,7 @@ class ValidationGroup:
     prediction: Prediction | None = None
     foretold: int = 1
     errors: CurveErrors | None = None
-    reason: str = ""
+    reason: Reason | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -176,11 +176,11 @@ def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
     head = (group.wire, DEFLECTION.factor * group.length, len(group.samples), use)
     errors = group.errors
     if errors is None:
-        return (*head, *[None] * 6, group.reason)
+        return (*head, *[None] * 6, str(group.reason or ""))
     shares = (100.0 * errors.rmse_share, 100.0 * errors.inside)
     rmse = FORCE.factor * errors.rmse
     has_band = bool(np.isfinite(group.band.lower).any())
-    why = "" if has_band else group.band.reason
+    why = "" if has_band else str(group.band.reason or "")
     return (*head, errors.n, errors.sse, rmse, *shares, group.foretold, why)
 
 

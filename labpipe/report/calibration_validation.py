@@ -22,7 +22,7 @@ from labpipe.report.calibration_look import (
     percent,
 )
 from labpipe.report.calibration_shown import ValidationGroup
-from labpipe.report.concerns import split_reason
+from labpipe.report.concerns import sentences
 from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter
 from labpipe.report.thinning import extremes
 from labpipe.report.wire_look import Words, wire_page
@@ -122,7 +122,7 @@ def agreement_words(group: ValidationGroup) -> str:
         lines[0] += ", no band of the mean"
     errors = group.errors
     if errors is None:
-        why = f"No prediction. {split_reason(group.reason)[1]}".strip()
+        why = f"No prediction. {sentences([group.reason])}".strip()
         return "\n".join([*lines, *textwrap.wrap(why, _LINE)])
     rmse = SMALL_FORCE.factor * errors.rmse
     lines.append(

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
 from labpipe.records.group import Campaign, Group, GroupNumber, Sample
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
 from labpipe.records.slips import Slip, SlipDecision
 from labpipe.report.numbers import (
@@ -47,8 +47,8 @@ class Concern:
     kind : which table it stands in
     group, test : whom it concerns; empty where it is no single one
     what : numbers or place, in words
-    reason : one sentence with the numbers
-    code : stable code of the reason, empty where it has none
+    reason : sentences with the numbers
+    code : stable codes of the reasons, empty where they have none
     """
 
     kind: Kind
@@ -78,22 +78,27 @@ def find_concerns(campaign: Campaign) -> tuple[Concern, ...]:
     return tuple(sorted(found, key=lambda each: order.index(each.kind)))
 
 
-def split_reason(reason: str) -> tuple[str, str]:
-    """Part a reason into its code and its sentence; the code is empty if there is none.
-
-    Names of results in the sentence are worded as in the tables.
+def sentence(message: str) -> str:
+    """Make a sentence of a message; names of results in it are worded as in the tables.
 
     Examples
     --------
-    >>> split_reason("not_reached: the branch ends at 4.2 mm.")
-    ('not_reached', 'The branch ends at 4.2 mm.')
+    >>> sentence("the branch ends at 4.2 mm")
+    'The branch ends at 4.2 mm.'
     """
-    code, colon, rest = reason.partition(": ")
-    is_code = bool(colon) and code.replace("_", "").isalnum() and code == code.lower()
-    code, sentence = (code, rest) if is_code and " " not in code else ("", reason)
-    sentence = with_names_in_words(sentence)
-    stop = "" if not sentence or sentence.endswith((".", "?", "!")) else "."
-    return code, sentence[:1].upper() + sentence[1:] + stop
+    words = with_names_in_words(message)
+    stop = "" if not words or words.endswith((".", "?", "!")) else "."
+    return words[:1].upper() + words[1:] + stop
+
+
+def sentences(reasons: Iterable[Reason | None]) -> str:
+    """Say reasons in sentences; None counts as no reason."""
+    return " ".join(dict.fromkeys(sentence(each.message) for each in reasons if each))
+
+
+def codes_of(reasons: Iterable[Reason]) -> str:
+    """List the codes of reasons, each once."""
+    return ", ".join(dict.fromkeys(each.code for each in reasons))
 
 
 def decision_words(decision: SlipDecision) -> str:
@@ -125,22 +130,21 @@ def _of_group(group: Group) -> Iterator[Concern]:
     for number in group.numbers:
         yield from _of_number(group, number)
     if not group.samples and not group.notes:
-        reason = group.band.reason or "no sample in this group."
-        code, sentence = split_reason(reason)
-        yield Concern(Kind.WARNING, group.name, "", "empty group", sentence, code)
+        reason = group.band.reason or Reason("empty_group", "no sample in this group")
+        words = sentence(reason.message)
+        yield Concern(Kind.WARNING, group.name, "", "empty group", words, reason.code)
     yield from _of_notes(group.name, "", group.notes)
 
 
 def _of_results(group: str, sample: Sample) -> Iterator[Concern]:
-    together: dict[tuple[Kind, str], list[Result]] = {}
+    together: dict[tuple[Kind, tuple[Reason, ...]], list[Result]] = {}
     for result in sample.results:
         kind = _kind(result)
         if kind is not None:
-            together.setdefault((kind, result.reason), []).append(result)
-    for (kind, reason), results in together.items():
-        code, sentence = split_reason(reason)
+            together.setdefault((kind, result.reasons), []).append(result)
+    for (kind, reasons), results in together.items():
         what = "; ".join(in_words(result.name) for result in results)
-        yield Concern(kind, group, sample.test, what, sentence, code)
+        yield Concern(kind, group, sample.test, what, sentences(reasons), codes_of(reasons))
 
 
 def _kind(result: Result) -> Kind | None:
@@ -148,7 +152,7 @@ def _kind(result: Result) -> Kind | None:
         return Kind.FAILED
     if result.status is Status.DOUBTFUL:
         return Kind.DOUBTFUL
-    return Kind.NO_INTERVAL if result.interval is None and result.reason else None
+    return Kind.NO_INTERVAL if result.interval is None and result.reasons else None
 
 
 def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
@@ -161,8 +165,7 @@ def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
     name = in_words(number.name)
     for test, why in number.left_out.items():
         if test not in failed:  # those stand under their own heading
-            code, sentence = split_reason(why)
-            yield Concern(Kind.LEFT_OUT, group.name, test, name, sentence, code)
+            yield Concern(Kind.LEFT_OUT, group.name, test, name, sentences(why), codes_of(why))
     shown = shown_in(number.name, number.unit, display_of(group))
     for outlier in number.outliers:
         value = write_number(outlier.value, None, shown.factor).value
@@ -180,4 +183,4 @@ def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator
     for (code, message), places in together.items():
         kind = Kind.UNLIKE if code == PROTOCOLS_DIFFER else Kind.WARNING
         what = "; ".join(with_names_in_words(place) for place in places)
-        yield Concern(kind, group, test, what, split_reason(message)[1], code)
+        yield Concern(kind, group, test, what, sentence(message), code)

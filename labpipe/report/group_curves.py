@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, Group, Sample, SampleCurve
-from labpipe.report.concerns import split_reason
+from labpipe.report.concerns import sentence
 from labpipe.report.group_look import (
     FAINT_POINTS,
     RED,
@@ -189,10 +189,10 @@ def _is_known(edge: Floats) -> bool:
 def _reason(band: Band) -> str:
     if not band.reason:
         return ""
-    sentence = split_reason(band.reason)[1]
+    why = sentence(band.reason.message)
     if _is_known(band.lower):
-        return sentence
-    return f"No {'band' if len(band.displacement) else 'mean curve'}: {sentence}"
+        return why
+    return f"No {'band' if len(band.displacement) else 'mean curve'}: {why}"
 
 
 def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:

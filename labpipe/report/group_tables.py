@@ -6,8 +6,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from labpipe.records.group import Group, GroupNumber, NestedMean, Sample
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.concerns import decision_words, split_reason
+from labpipe.report.concerns import decision_words, sentence, sentences
 from labpipe.report.numbers import (
     display_of,
     heading,
@@ -84,12 +85,14 @@ def _is_over_two_spools(number: GroupNumber) -> bool:
 
 def _no_intervals(group: Group) -> tuple[str, ...]:
     """Why means have no interval; those that share a reason stand together."""
-    reasons: dict[str, list[str]] = {}
+    reasons: dict[Reason, list[str]] = {}
     for each in group.numbers:
         if each.mean is not None and each.mean.chosen.reason:
-            reason = split_reason(each.mean.chosen.reason)[1]
-            reasons.setdefault(reason, []).append(in_words(each.name))
-    return tuple(f"No interval: {why} ({'; '.join(names)})" for why, names in reasons.items())
+            reasons.setdefault(each.mean.chosen.reason, []).append(in_words(each.name))
+    return tuple(
+        f"No interval: {sentence(why.message)} ({'; '.join(names)})"
+        for why, names in reasons.items()
+    )
 
 
 def _mean_row(group: Group, number: GroupNumber, ways: int) -> tuple[Cell, ...]:
@@ -212,7 +215,7 @@ def _result_cell(result: Result | None, factor: float) -> Cell:
     if result is None:
         return Cell(DASH, "not asked for")
     if result.value is None:
-        return Cell(DASH, split_reason(result.reason)[0].replace("_", " ") or "failed")
+        return Cell(DASH, result.reasons[0].code.replace("_", " "))
     written = write_number(result.value, result.interval, factor)
     mark = "?" if result.status is Status.DOUBTFUL else ""
     return Cell(written.value, written.interval, mark)
@@ -224,7 +227,7 @@ def _sample_notes(group: Group, numbers: list[GroupNumber]) -> Iterator[str]:
         for result in sample.results:
             if result.name in names and result.status is not Status.OK:
                 sign = DASH if result.status is Status.FAILED else "?"
-                yield f"{sign} {sample.test}: {split_reason(result.reason)[1]}"
+                yield f"{sign} {sample.test}: {sentences(result.reasons)}"
 
 
 def slip_table(group: Group) -> Table | None:

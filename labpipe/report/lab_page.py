@@ -15,7 +15,7 @@ from labpipe.report.campaign_tables import (
     method_tables,
     table_of_tests,
 )
-from labpipe.report.concerns import find_concerns, split_reason
+from labpipe.report.concerns import find_concerns, sentences
 from labpipe.report.group_look import count_words
 from labpipe.report.group_tables import (
     key_numbers,
@@ -142,7 +142,7 @@ def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str,
         "about": count_words(group),
         "protocol": group.protocol,
         "is_empty": not group.samples,
-        "why_empty": split_reason(group.band.reason or "The group has no sample.")[1],
+        "why_empty": sentences([group.band.reason]) or "The group has no sample.",
         "means": key_numbers(group),
         "spools": spool_means(group),
         "samples": sample_tables(group),

@@ -108,7 +108,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     """
     law = result.bending.law if result.bending is not None else None
     if law is None:
-        say(axes, result.bending.reason if result.bending is not None else "")
+        say(axes, str(result.bending.reason or "") if result.bending is not None else "")
         return
     from matplotlib.ticker import LogFormatter
 

@@ -8,7 +8,7 @@ from math import isnan
 from typing import TYPE_CHECKING, Any
 
 from labpipe.records.group import BundlePlace, Campaign
-from labpipe.report.concerns import split_reason
+from labpipe.report.concerns import sentences
 from labpipe.report.numbers import unit_words
 from labpipe.report.page import GREY
 from labpipe.report.place_tables import place_scales
@@ -133,7 +133,7 @@ def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
             ends = [max(factor * place.interval.lower, left), factor * place.interval.upper]
             axes.plot(ends, [row, row], color=look["color"], linewidth=1.0, zorder=2)
         axes.plot([factor * place.value], [row], linestyle="", zorder=3, **look)
-    why = split_reason(place.reason)[1]
+    why = sentences(place.reasons)
     if why:
         shown = why if len(why) <= 2 * _LONGEST else f"{why[: 2 * _LONGEST]}\u2026"
         axes.text(0.99, row, shown, transform=axes.get_yaxis_transform(), ha="right", va="center",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import isnan
 
 from labpipe.records.group import BundlePlace, Campaign, Group
-from labpipe.report.concerns import split_reason
+from labpipe.report.concerns import sentences
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.numbers import display_of, shown_in, unit_words, write_number
 from labpipe.report.wording import Scale
@@ -62,7 +62,7 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
     head = Cell(place.test, place.group) if place.test else Cell(f"mean of {place.group}")
     value = place.value if place.value is not None else float("nan")
     written = write_number(value, place.interval, scale.factor)
-    why = split_reason(place.reason)[1]
+    why = sentences(place.reasons)
     if isnan(place.low):
         none = Cell(DASH)
         return head, Cell(written.value, written.interval), none, none, none, Cell(DASH, why)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from math import nan
 
 from labpipe.records.group import Campaign, Difference, Group
-from labpipe.report.concerns import split_reason
+from labpipe.report.concerns import sentences
 from labpipe.report.group_tables import DASH, Cell, Table
 from labpipe.report.numbers import display_of, heading, shown_in, write_number
 from labpipe.report.questions import (
@@ -104,7 +104,7 @@ def _row(difference: Difference, display: Mapping[str, str], below: str) -> tupl
     shown = shown_in(difference.name, difference.unit, display)
     found = difference.difference
     written = write_number(found.mean, found.interval, shown.factor)
-    none = split_reason(found.reason)[1] or DASH
+    none = sentences([found.reason]) or DASH
     margin = nan if difference.margin is None else difference.margin
     matters = write_number(margin, None, shown.factor, digits=3).value
     return (

@@ -8,6 +8,7 @@ from typing import TypeAlias
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import Band, BundlePlace, Campaign, Group, GroupNumber
+from labpipe.records.quality import worded
 from labpipe.report.concerns import find_concerns
 from labpipe.report.group_look import group_scale
 from labpipe.report.numbers import display_of, in_words, shown_in
@@ -101,12 +102,12 @@ def _mean(group: Group, number: GroupNumber) -> Row:
     head = (group.name, in_words(number.name), number.name, scale.unit)
     mean = number.mean
     if mean is None:
-        return (*head, *[None] * 10, "", "; ".join(number.left_out.values()))
+        return (*head, *[None] * 10, "", "; ".join(map(worded, number.left_out.values())))
     chosen, up = mean.chosen, scale.factor
     return (
         *head, up * chosen.mean, *_ends(chosen.interval, up), up * chosen.deviation, chosen.n,
         "samples" if mean.is_pooled else "spool means", mean.over_samples.n, up * mean.within,
-        up * mean.between, mean.spool_p, mean.decision, chosen.reason,
+        up * mean.between, mean.spool_p, mean.decision, str(chosen.reason or ""),
     )  # fmt: skip
 
 
@@ -123,7 +124,8 @@ def _spools(campaign: Campaign) -> _Table:
                 head = (group.name, in_words(number.name), number.name, spool, scale.unit)
                 ends = _ends(each.interval, scale.factor)
                 spread = scale.factor * each.deviation
-                rows.append((*head, scale.factor * each.mean, *ends, spread, each.n, each.reason))
+                why = str(each.reason or "")
+                rows.append((*head, scale.factor * each.mean, *ends, spread, each.n, why))
     return heads, rows
 
 
@@ -141,7 +143,7 @@ def _samples(campaign: Campaign) -> _Table:
                 scale = shown_in(result.name, result.unit, sample.display)
                 value = None if result.value is None else scale.factor * result.value
                 ends = _ends(result.interval, scale.factor)
-                about = (str(result.status), result.reason, result.method)
+                about = (str(result.status), result.why, result.method)
                 number = (in_words(result.name), result.name)
                 rows.append((*head, *number, value, scale.unit, *ends, *about))
     return heads, rows
@@ -161,7 +163,7 @@ def _comparisons(campaign: Campaign) -> _Table:
         margin = None if each.margin is None else scale.factor * each.margin
         names = (in_words(each.name), each.name, each.first, each.second, scale.unit)
         ends = _ends(found.interval, scale.factor)
-        about = (margin, each.p_equivalent, each.verdict, found.reason)
+        about = (margin, each.p_equivalent, each.verdict, str(found.reason or ""))
         fields = (each.question, fields_in_words(each)) if has_fields else ()
         rows.append((*names, scale.factor * found.mean, *ends, *about, *fields))
     return (*heads, *(("question", "differ in") if has_fields else ())), rows
@@ -183,7 +185,7 @@ def _place(place: BundlePlace, scale: Scale) -> Row:
     value = None if place.value is None else up * place.value
     bounds = (up * each for each in (place.low, place.free, place.high, *place.principal))
     ends = (*_ends(place.interval, up), *bounds, place.share, *_ends(place.share_interval, 1.0))
-    return (place.group, place.test or "mean", scale.unit, value, *ends, place.reason)
+    return (place.group, place.test or "mean", scale.unit, value, *ends, worded(place.reasons))
 
 
 def _curve(group: Group, band: Band, *, is_scaled: bool) -> _Table:
@@ -195,7 +197,7 @@ def _curve(group: Group, band: Band, *, is_scaled: bool) -> _Table:
     columns = [factor * getattr(band, name) for name in names]
     values = zip(across.factor * band.displacement, *columns, strict=True)
     rows: list[Row] = [(*map(float, row), band.n, band.over) for row in values]
-    return heads, rows or [(band.reason,)]
+    return heads, rows or [(str(band.reason or ""),)]
 
 
 def _ends(interval: Interval | None, factor: float) -> tuple[float | None, float | None]:

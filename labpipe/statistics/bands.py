@@ -10,6 +10,7 @@ from scipy import optimize, special
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Band
+from labpipe.records.quality import Reason
 from labpipe.statistics.means import LEVEL, t_quantile
 
 POINTS = 201
@@ -24,12 +25,12 @@ class CommonCurves:
     ----------
     displacement : shape (n,), m, increasing; empty where the curves share no range
     force : shape (curves, n), N, without NaN
-    reason : ``empty_group``, ``no_data`` or ``no_overlap`` with the ranges; empty otherwise
+    reason : ``empty_group``, ``no_data`` or ``no_overlap`` with the ranges; else None
     """
 
     displacement: Floats
     force: Floats
-    reason: str = ""
+    reason: Reason | None = None
 
 
 def common_curves(
@@ -51,13 +52,14 @@ def common_curves(
     """
     nothing = np.zeros(0), np.zeros((len(curves), 0))
     if not curves:
-        return CommonCurves(*nothing, "empty_group: there is no curve to average")
+        return CommonCurves(*nothing, Reason("empty_group", "there is no curve to average"))
     called = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
     ordered = [_in_order(*curve) for curve in curves]
     spans = [_span(*curve) for curve in ordered]
     blank = [name for name, span in zip(called, spans, strict=True) if np.isnan(span[0])]
     if blank:
-        return CommonCurves(*nothing, f"no_data: no curve to average in {', '.join(blank)}")
+        message = f"no curve to average in {', '.join(blank)}"
+        return CommonCurves(*nothing, Reason("no_data", message))
     start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
     if stop <= start:
         return CommonCurves(*nothing, _no_overlap(called, spans))
@@ -85,12 +87,13 @@ def _span(displacement: Floats, force: Floats) -> tuple[float, float]:
     return float(displacement[known[0]]), float(displacement[known[-1]])
 
 
-def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> str:
+def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
     starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
     late, early = int(np.argmax(starts)), int(np.argmin(stops))
-    return (
-        f"no_overlap: no displacement that every curve has: {names[late]} begins at "
-        f"{1e3 * starts[late]:.4g} mm, {names[early]} ends at {1e3 * stops[early]:.4g} mm"
+    return Reason(
+        "no_overlap",
+        f"no displacement that every curve has: {names[late]} begins at "
+        f"{1e3 * starts[late]:.4g} mm, {names[early]} ends at {1e3 * stops[early]:.4g} mm",
     )
 
 
@@ -115,15 +118,17 @@ def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
     """
     n = len(curves.force)
     if curves.reason or not len(curves.displacement):
-        reason = curves.reason or "no_overlap: every displacement lies in a gap of some curve"
+        reason = curves.reason or Reason(
+            "no_overlap", "every displacement lies in a gap of some curve"
+        )
         return _bare(np.zeros(0), np.zeros(0), n, over, reason)
     mean = curves.force.mean(axis=0)
     if n == 1:
-        reason = "one_curve: a band needs the scatter of two curves, there is one"
+        reason = Reason("one_curve", "a band needs the scatter of two curves, there is one")
         return _bare(curves.displacement, mean, n, over, reason)
     error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
     half, half_all = t_quantile(n - 1) * error, simultaneous_quantile(curves.force) * error
-    reason = "" if n > 2 else f"two_curves: no simultaneous band over two {over}, {_WHY_NOT_TWO}"
+    why = f"no simultaneous band over two {over}, which may cross and then show no scatter at all"
     return Band(
         curves.displacement,
         mean,
@@ -133,14 +138,11 @@ def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
         mean + half_all,
         n,
         over,
-        reason,
+        None if n > 2 else Reason("two_curves", why),
     )
 
 
-_WHY_NOT_TWO = "which may cross and then show no scatter at all"
-
-
-def _bare(displacement: Floats, mean: Floats, n: int, over: str, reason: str) -> Band:
+def _bare(displacement: Floats, mean: Floats, n: int, over: str, reason: Reason) -> Band:
     nothing = np.full(len(displacement), np.nan)
     return Band(displacement, mean, nothing, nothing, nothing, nothing, n, over, reason)
 

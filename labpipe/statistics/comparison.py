@@ -123,7 +123,8 @@ def _relative(margin: float | None, mean: float) -> str:
 
 def _verdict(found: MeanInterval, margin: float | None, p: float, *, share: str) -> str:
     if found.interval is None:
-        return f"cannot tell: {found.reason.partition(': ')[2] or found.reason}"
+        why = found.reason.message if found.reason else "there is no interval"
+        return f"cannot tell: {why}"
     differs = not found.interval.lower <= 0.0 <= found.interval.upper
     if p < 1.0 - LEVEL:
         real = "different, but " if differs else ""

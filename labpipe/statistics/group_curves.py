@@ -98,14 +98,16 @@ def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band,
     band, notes = loading_band(samples, limits, divisors=usable)
     without = [key for key in peaks if key not in usable]
     told = [
-        group_note(f"{note.code}_scaled", f"Force / peak force: {note.message}") for note in notes
+        group_note(f"{note.code}_scaled", f"Force / peak force: {note.message}")
+        for note in notes
+        if note.code != "no_curve"
     ]
     if without:
         message = (
             f"not in the mean of force / peak force, without a peak force: {', '.join(without)}"
         )
         told.append(group_note("no_peak_force", message, Severity.WARNING))
-    return band, [note for note in told if not note.code.startswith("no_curve")]
+    return band, told
 
 
 def _peak(sample: Sample) -> float:

@@ -9,6 +9,7 @@ from re import ASCII, split
 import numpy as np
 
 from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sample
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 from labpipe.statistics.comparison import compare
 from labpipe.statistics.group_curves import loading_band, scaled_band
@@ -98,21 +99,22 @@ def group_number(
         unit=unit,
         mean=_nested({key: _value(each) for key, each in values.items()}, spools, limits),
         values=values,
-        left_out={key: reason for key, reason in left_out.items() if reason},
+        left_out={key: reasons for key, reasons in left_out.items() if reasons},
         outliers=mark_outliers({key: _value(each) for key, each in values.items()}, spools),
     )
 
 
-def _why_not(result: Result | None, name: str, unit: str) -> str:
+def _why_not(result: Result | None, name: str, unit: str) -> tuple[Reason, ...]:
     if result is None:
-        return f"no_result: the test has no {name}"
+        return (Reason("no_result", f"the test has no {name}"),)
     if result.value is None:
-        return result.reason
+        return result.reasons
     if not np.isfinite(result.value):
-        return f"not_finite: the value is {result.value}"
+        return (Reason("not_finite", f"the value is {result.value}"),)
     if result.unit != unit:
-        return f"other_unit: in {result.unit}, where the first sample is in {unit}"
-    return ""
+        message = f"in {result.unit}, where the first sample is in {unit}"
+        return (Reason("other_unit", message),)
+    return ()
 
 
 def _value(result: Result) -> float:

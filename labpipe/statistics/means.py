@@ -9,6 +9,7 @@ from scipy import special
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import MeanInterval
+from labpipe.records.quality import Reason
 
 LEVEL = 0.95
 """Level of every interval: two-sided."""
@@ -47,11 +48,12 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     known = given[~np.isnan(given)]
     n = len(known)
     if n == 0:
-        return MeanInterval(np.nan, None, np.nan, 0, f"no_samples: there is no {what} to average")
+        reason = Reason("no_samples", f"there is no {what} to average")
+        return MeanInterval(np.nan, None, np.nan, 0, reason)
     mean = float(known.mean())
     if n == 1:
-        reason = f"one_sample: an interval needs the scatter of two values, there is one {what}"
-        return MeanInterval(mean, None, np.nan, 1, reason)
+        message = f"an interval needs the scatter of two values, there is one {what}"
+        return MeanInterval(mean, None, np.nan, 1, Reason("one_sample", message))
     deviation = float(known.std(ddof=1))
     half = t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)

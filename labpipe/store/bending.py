@@ -8,8 +8,9 @@ import numpy as np
 
 from labpipe.records.bending import Bending, BendingCloud, MeasuredLaw
 from labpipe.store import layout
-from labpipe.store.checked import array, arrays, text
+from labpipe.store.checked import array, arrays
 from labpipe.store.chunks import Target
+from labpipe.store.reasons import read_reasons, write_reasons
 
 
 def write_bending(target: Target, bending: Bending) -> None:
@@ -22,7 +23,7 @@ def write_bending(target: Target, bending: Bending) -> None:
     """
     target.fields(bending.cloud, layout.CLOUD_FIELDS)
     target.group.attrs["frames_per_mean"] = int(bending.cloud.frames_per_mean)
-    target.group.attrs["reason"] = bending.reason
+    write_reasons(target, [bending.reason] if bending.reason else [])
     if bending.law is not None:
         _write_law(target.inside(layout.LAW), bending.law)
 
@@ -34,7 +35,7 @@ def _write_law(target: Target, law: MeasuredLaw) -> None:
         target.group.attrs[name] = float(getattr(law, name))
         target.group.attrs[f"{name}_unit"] = unit
     target.group.attrs["n_frames"] = int(law.n_frames)
-    target.group.attrs["reason"] = law.reason
+    write_reasons(target, [law.reason] if law.reason else [])
 
 
 def read_bending(group: Any) -> Bending:
@@ -54,7 +55,7 @@ def read_bending(group: Any) -> Bending:
             frames_per_mean=int(group.attrs["frames_per_mean"]),
         ),
         law=_law(group[layout.LAW]) if layout.LAW in group else None,
-        reason=text(group, "reason"),
+        reason=next(iter(read_reasons(group)), None),
     )
 
 
@@ -67,5 +68,5 @@ def _law(group: Any) -> MeasuredLaw:
         **fields,
         is_known=array(group, layout.IS_KNOWN, layout.KNOWN).astype(np.bool_),
         n_frames=int(group.attrs["n_frames"]),
-        reason=text(group, "reason"),
+        reason=next(iter(read_reasons(group)), None),
     )

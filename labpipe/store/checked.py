@@ -76,7 +76,7 @@ def _check_schema(path: Path, root: Any) -> None:
     if found > layout.SCHEMA:
         made = f"a file made by a newer labpipe, schema {found}"
         raise _fault(path, place, expected, made, "Update labpipe.")
-    if found != layout.SCHEMA:
+    if found < 1:
         raise _fault(path, place, expected, f"schema {found}", _AGAIN)
 
 

@@ -12,8 +12,8 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-SCHEMA: Final = 1
-"""Version of the layout; a file with a higher one is refused."""
+SCHEMA: Final = 2
+"""Version of the layout; 1 is read, too, and a file with a higher one is refused."""
 
 NO_UNIT: Final = "unknown"
 """Stands where neither the export nor the protocol has said the unit."""
@@ -200,7 +200,9 @@ LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise"
 
 # /results/<name> and /quality
 RESULTS: Final = "results"
-RESULT_TEXTS: Final = ("unit", "status", "reason", "method")
+RESULT_TEXTS: Final = ("unit", "status", "method")
+REASON_CODES: Final = "reason_codes"
+REASON_MESSAGES: Final = "reason_messages"
 INTERVAL_NUMBERS: Final = ("lower", "upper", "level")
 QUALITY: Final = "quality"
 NOTE_COLUMNS: Final = ("code", "severity", "where", "message")

@@ -25,6 +25,7 @@ from labpipe.records.slips import Slip, SlipDecision
 from labpipe.store import layout
 from labpipe.store.bending import read_bending
 from labpipe.store.checked import array, arrays, opened, strings, text, texts
+from labpipe.store.reasons import read_reasons
 from labpipe.store.recordings import read_notes, read_recording
 from labpipe.store.specimen import read_specimen
 
@@ -338,7 +339,7 @@ def _result(name: str, group: Any) -> Result:
         unit=text(group, "unit"),
         interval=_interval(group) if "lower" in group.attrs else None,
         status=status,
-        reason=text(group, "reason"),
+        reasons=read_reasons(group),
         method=text(group, "method"),
         n=int(group.attrs["n"]),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from labpipe.records.bundle import Bundle
 from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.store.replace import replacing
 
-SUMMARY_SCHEMA = 1
+SUMMARY_SCHEMA = 2
 
 
 def summary(result: TestResult) -> dict[str, object]:
@@ -23,7 +24,7 @@ def summary(result: TestResult) -> dict[str, object]:
     Returns
     -------
     What ``summary.json`` holds; only what JSON can say. A number that is not finite, or could not
-    be had, is None; the status and the reason say why.
+    be had, is None; the status and the reasons say why.
     """
     return {
         "schema": SUMMARY_SCHEMA,
@@ -103,7 +104,7 @@ def _entry(result: Result) -> dict[str, object]:
         "upper": _number(interval.upper) if interval else None,
         "level": _number(interval.level) if interval else None,
         "status": str(result.status),
-        "reason": result.reason,
+        "reasons": [asdict(reason) for reason in result.reasons],
         "method": result.method,
     }
 

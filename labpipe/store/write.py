@@ -20,6 +20,7 @@ from labpipe.store import layout
 from labpipe.store.bending import write_bending
 from labpipe.store.chunks import Target, place_of, same_content
 from labpipe.store.layout import link_name
+from labpipe.store.reasons import write_reasons
 from labpipe.store.recordings import write_notes, write_recording
 from labpipe.store.replace import replacing
 from labpipe.store.specimen import write_specimen
@@ -206,11 +207,13 @@ def _write_shape(target: Target, shape: Shape) -> None:
 def _write_results(target: Target, results: tuple[Result, ...]) -> None:
     target.texts("order", tuple(result.name for result in results))
     for result in results:
-        attributes = target.inside(result.name).group.attrs
+        inside = target.inside(result.name)
+        attributes = inside.group.attrs
         attributes["value"] = np.nan if result.value is None else float(result.value)
         attributes["n"] = int(result.n)
         for name in layout.RESULT_TEXTS:
             attributes[name] = str(getattr(result, name))
+        write_reasons(inside, result.reasons)
         if result.interval is not None:
             for end in layout.INTERVAL_NUMBERS:
                 attributes[end] = float(getattr(result.interval, end))
