@@ -184,7 +184,8 @@ def check_turns(
         bench.doubts[:] = [
             doubt
             for doubt in bench.doubts
-            if doubt.quantity != "clock" or doubt.reason.code not in ("turn_not_seen", "turn_rounded")
+            if doubt.quantity != "clock"
+            or doubt.reason.code not in ("turn_not_seen", "turn_rounded")
         ]
 
 

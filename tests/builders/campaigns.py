@@ -25,7 +25,7 @@ from labpipe.records.group import (
     Sample,
     SampleCurve,
 )
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Specimen, Status
 from labpipe.records.slips import Slip, SlipDecision
 
@@ -109,7 +109,7 @@ def build_lines(scale: float) -> tuple[FittedLine, ...]:
 def mean_of(values: Sequence[float]) -> MeanInterval:
     count = len(values)
     if count < 2:
-        reason = "one_value: one value has no spread to make an interval of."
+        reason = Reason("one_value", "one value has no spread to make an interval of.")
         return MeanInterval(float(np.mean(values)), None, float("nan"), count, reason)
     mean, deviation = float(np.mean(values)), float(np.std(values, ddof=1))
     half = float(stats.t.ppf(0.975, count - 1)) * deviation / count**0.5
@@ -125,7 +125,7 @@ def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
         result = next(each for each in sample.results if each.name == name)
         unit = result.unit
         if result.value is None:
-            left_out[sample.test] = result.reason
+            left_out[sample.test] = result.reasons
             continue
         values[sample.test] = result
         by_spool.setdefault(sample.specimen.spool, []).append(result.value)
@@ -165,7 +165,7 @@ def build_band(samples: Sequence[Sample], *, over: str = "samples") -> Band:
     x = next(sample for sample in samples if sample.loading).loading[0].displacement
     mean, nothing = curves.mean(axis=0), np.full(len(x), np.nan)
     if len(curves) == 1:
-        reason = "one_sample: one sample has no spread to make a band of."
+        reason = Reason("one_sample", "one sample has no spread to make a band of.")
         return Band(x, mean, nothing, nothing, nothing, nothing, 1, over, reason)
     error = curves.std(axis=0, ddof=1) / len(curves) ** 0.5
     half = stats.t.ppf(0.975, len(curves) - 1) * error
@@ -218,11 +218,13 @@ def troubled_samples() -> list[Sample]:
     """Six samples: one doubtful result, one failed, a warning, an aborted test without a curve."""
     samples = six_samples()
     first = list(samples[0].results)
-    first[1] = replace(first[1], status=Status.DOUBTFUL, reason="slip_in_window: a slip at 5.2 mm.")
+    first[1] = replace(
+        first[1], status=Status.DOUBTFUL, reasons=(Reason("slip_in_window", "a slip at 5.2 mm."),)
+    )
     samples[0] = replace(samples[0], results=tuple(first))
-    reason = "too_few_samples: 3 samples where 8 are needed."
+    reasons = (Reason("too_few_samples", "3 samples where 8 are needed."),)
     nothing = tuple(
-        Result(each.name, None, each.unit, status=Status.FAILED, reason=reason)
+        Result(each.name, None, each.unit, status=Status.FAILED, reasons=reasons)
         for each in samples[4].results
     )
     note = QualityNote("aborted", Severity.ERROR, "frame", "The export ends after 3 rows.")

@@ -6,6 +6,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.quality import Reason
 
 
 def some_bending() -> Bending:
@@ -51,7 +52,7 @@ def some_law() -> MeasuredLaw:
         tangent_lower=0.98 * tangent,
         tangent_upper=1.02 * tangent,
         is_known=known,
-        reason="below_noise: 1 of 4 curvatures, up to 0.1 1/m, are not above their noise",
+        reason=Reason("below_noise", "1 of 4 curvatures, up to 0.1 1/m, are not above their noise"),
         floor=0.12,
         scale_error=0.002,
         residual=9e-6,

@@ -12,7 +12,7 @@ from labpipe.pipeline.calibrating import Calibrated
 from labpipe.pipeline.first_loadings import FirstLoading
 from labpipe.pipeline.validation_groups import compare
 from labpipe.records.calibration import Calibration, CalibrationFailure
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.wire.calibration import Settings, calibrate
 from tests.builders.loading_tests import measured, wire_of
 
@@ -59,7 +59,9 @@ def test_a_line_per_wire_and_length(done: Calibrated) -> None:
     (line,) = [line for line in lines if line.startswith("  A2, 85 mm")]
     assert line.endswith("calibrating")
     (group,) = done.groups
-    missing = replace(group, prediction=None, errors=None, reason="no_prediction: too deep")
+    missing = replace(
+        group, prediction=None, errors=None, reason=Reason("no_prediction", "too deep")
+    )
     lines = calibration_table(replace(done, groups=(missing,))).splitlines()
     (line,) = [line for line in lines if line.startswith("  A2, 85 mm")]
     assert line.endswith("calibrating; no_prediction: too deep")

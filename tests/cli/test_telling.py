@@ -11,7 +11,7 @@ from labpipe.pipeline.process import Processed
 from labpipe.pipeline.reporting import Reported
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Specimen, Status, TestResult
 from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples
 
@@ -53,9 +53,9 @@ def test_values_in_the_display_unit() -> None:
 
 def test_marks_and_reasons_told_once() -> None:
     lines = told(
-        Result("a.1", 1.0, "N", status=Status.DOUBTFUL, reason="x: y"),
-        Result("a.2", 1.0, "N", status=Status.DOUBTFUL, reason="x: y"),
-        Result("b", None, "N", status=Status.FAILED, reason="gap: z"),
+        Result("a.1", 1.0, "N", status=Status.DOUBTFUL, reasons=(Reason("x", "y"),)),
+        Result("a.2", 1.0, "N", status=Status.DOUBTFUL, reasons=(Reason("x", "y"),)),
+        Result("b", None, "N", status=Status.FAILED, reasons=(Reason("gap", "z"),)),
     )
     assert lines[0] == "A2-1  (wire): 2 doubtful, 1 failed  ->  out"
     assert [line[:1] for line in lines[1:4]] == ["?", "?", "!"]

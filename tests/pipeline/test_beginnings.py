@@ -34,7 +34,7 @@ def late(share: float, noise: float = 1e-3, cycles: int = 2) -> PlainRecord:
 
 def doubtful(record: PlainRecord, more: str = ASKED) -> dict[str, str]:
     _, results = reduced(*record.arrays(), more=more)
-    return {name: each.reason for name, each in results.items() if each.status is not Status.OK}
+    return {name: each.why for name, each in results.items() if each.status is not Status.OK}
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2])
@@ -122,4 +122,4 @@ def test_blanks_and_few_samples() -> None:
     record = up_and_down(rest=0.0)
     record.force[:] = np.nan
     _, results = reduced(*replace(record, force=np.ones(len(record.time))).arrays(), more=ASKED)
-    assert not [each for each in results.values() if "begins" in each.reason]
+    assert not [each for each in results.values() if "begins" in each.why]

@@ -72,20 +72,20 @@ def test_further_than_it_was_bent(repository: Path) -> None:
     _, results = reduced(repository, ("at: 3 1/m", "at: 40 1/m"))
     found = results["bending_stiffness_at_3"]
     assert found.status is Status.FAILED
-    assert found.reason.startswith("not_reached: the first loading bends the wire to 4.")
-    assert found.reason.endswith("1/m, 40 1/m is asked for")
+    assert found.why.startswith("not_reached: the first loading bends the wire to 4.")
+    assert found.why.endswith("1/m, 40 1/m is asked for")
 
 
 def test_below_the_noise(repository: Path) -> None:
     _, results = reduced(repository, ("at: 1 1/m", "at: 0.01 1/m"))
-    reason = results["bending_stiffness_at_1"].reason
+    reason = results["bending_stiffness_at_1"].why
     assert reason.startswith("below_noise: curvatures up to 0.")
     assert reason.endswith("1/m are not told from their noise, 0.01 1/m is asked for")
 
 
 def test_what_stopped_the_test_comes_first(repository: Path) -> None:
     _, results = reduced(repository, ("min_stroke: 5 mm", "min_stroke: 500 mm"))
-    assert results["bending_stiffness_at_1"].reason.startswith("no_motion: ")
+    assert results["bending_stiffness_at_1"].why.startswith("no_motion: ")
 
 
 def test_without_a_string_a_note_says_what_was_assumed(repository: Path) -> None:
@@ -153,7 +153,7 @@ def test_a_wire_that_hung_was_bent_before(repository: Path) -> None:
     found = results["bending_stiffness_at_1"]
     assert found.status is Status.DOUBTFUL
     assert "bent_before: at rest the wire hung under a moment of 2.24 N mm, more than the 0.9" in (
-        found.reason
+        found.why
     )
 
 
@@ -167,17 +167,15 @@ def test_too_few_frames_have_a_cloud_but_no_law(repository: Path) -> None:
     )
     assert isinstance(bench.bending, Bending)
     assert bench.bending.law is None
-    assert results["bending_stiffness_at_1"].reason.startswith(
-        "no_law: frames of the first loading="
-    )
+    assert results["bending_stiffness_at_1"].why.startswith("no_law: frames of the first loading=")
 
 
 def test_a_law_that_does_not_fit_is_doubted(repository: Path) -> None:
     bench, results = reduced(repository, ("grip_offset: 6 mm", "grip_offset: 2 mm"), scenario=WHOLE)
     found = results["bending_stiffness_at_1"]
     assert found.status is Status.DOUBTFUL
-    assert "law_misfit: markers lie " in found.reason
-    assert found.reason.endswith(
+    assert "law_misfit: markers lie " in found.why
+    assert found.why.endswith(
         "the wire does not bend alike all along, or string and offsets are not as stated"
     )
     assert bench.bending is not None

@@ -7,6 +7,7 @@ import pytest
 from labpipe.pipeline.bundle_places import find_places
 from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.bundle import Bundle
+from labpipe.records.quality import Reason, worded
 from labpipe.records.result import Result, Status
 from labpipe.wire.bundle.model import bundle_model
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample, grouped, three_of
@@ -31,13 +32,13 @@ def test_samples_and_mean_between_the_bounds_of_the_model() -> None:
         assert place.share_interval.upper == pytest.approx(
             (place.interval.upper - model.low) / span
         )
-        assert place.reason == ""
+        assert place.reasons == ()
     assert mean.value == pytest.approx(sum(place.value or 0.0 for place in samples) / 3)
 
 
 def test_a_wire_that_the_sheet_lacks() -> None:
     places = list(find_places(grouped([bundle_sample(bundle_of("4 B3 + 3 B1"), 1)]), WIRES))
-    assert [place.reason for place in places] == [
+    assert [worded(place.reasons) for place in places] == [
         "not_in_sheet: no bounds: the sheet has no B3"
     ] * 2
     assert places[0].value is not None
@@ -46,38 +47,43 @@ def test_a_wire_that_the_sheet_lacks() -> None:
 def test_positions_that_overlap_have_no_bounds() -> None:
     bundle = bundle_of("2 B1", positions=((0.0, 0.0), (1e-4, 0.0)))
     (sample, _) = find_places(grouped([bundle_sample(bundle, 1)]), WIRES)
-    assert sample.reason.startswith("no_model: no bounds: ")
+    assert worded(sample.reasons).startswith("no_model: no bounds: ")
 
 
 def test_a_wire_that_cannot_be_modelled() -> None:
     odd = [replace(wire, insulation_thickness=1.0) for wire in WIRES if wire.name == "B1"]
     (sample, _) = find_places(grouped([bundle_sample(SEVEN, 1)]), odd)
-    assert sample.reason.startswith("no_law: no bounds: B1 of the sheet cannot be modelled: ")
+    assert worded(sample.reasons).startswith(
+        "no_law: no bounds: B1 of the sheet cannot be modelled: "
+    )
 
 
 def test_a_group_of_two_compositions_has_no_bounds_of_its_mean() -> None:
     samples = [bundle_sample(SEVEN, 1), bundle_sample(bundle_of("12 B1"), 2)]
     one, two, mean = find_places(grouped(samples, "wire"), WIRES)
     assert 0.0 < one.low < two.low
-    assert mean.reason == "bundles_differ: no bounds: its samples differ in them"
+    assert worded(mean.reasons) == "bundles_differ: no bounds: its samples differ in them"
 
 
 def test_without_a_stiffness() -> None:
     sample = bundle_sample(SEVEN, 1)
-    reason = "not_reached: the branch ends at 1 mm"
-    failed = Result("bending_stiffness", None, "N*m^2", status=Status.FAILED, reason=reason)
+    reasons = (Reason("not_reached", "the branch ends at 1 mm"),)
+    failed = Result("bending_stiffness", None, "N*m^2", status=Status.FAILED, reasons=reasons)
     for results, why in (
-        ((failed,), reason),
+        ((failed,), worded(reasons)),
         ((), "no_result: the test has no bending_stiffness"),
     ):
         one, mean = find_places(grouped([replace(sample, results=results)]), WIRES)
-        assert (one.value, one.reason) == (None, why)
+        assert (one.value, worded(one.reasons)) == (None, why)
         assert one.low > 0.0
-        assert (mean.value, mean.reason) == (None, "no_result: no sample has a bending_stiffness")
+        assert (mean.value, worded(mean.reasons)) == (
+            None,
+            "no_result: no sample has a bending_stiffness",
+        )
 
 
 def test_what_is_no_bundle_has_no_place() -> None:
     assert not list(find_places(grouped([bundle_sample(None, 1)]), WIRES))
     together = grouped([bundle_sample(None, 1), bundle_sample(SEVEN, 2)], "length")
-    places = {place.test: place.reason for place in find_places(together, WIRES)}
+    places = {place.test: worded(place.reasons) for place in find_places(together, WIRES)}
     assert places["tube-1"] == "no_bundle: no bounds: its test sheet says no bundle"

@@ -178,7 +178,7 @@ def test_a_length_that_nobody_says(support: str, reason: str) -> None:
     text = ASKED.replace("support: cantilever", f"support: {support}")
     _, results = asked(cycles(noise=NOISE), text)
     assert results["bending_stiffness"].status is Status.FAILED
-    assert results["bending_stiffness"].reason == reason
+    assert results["bending_stiffness"].why == reason
 
 
 def test_window_outside_the_loading() -> None:
@@ -187,10 +187,10 @@ def test_window_outside_the_loading() -> None:
     )
     _, results = asked(cycles(noise=NOISE), LENGTH + text)
     for name in ("kink_displacement", "kink_force"):
-        assert results[name].reason.startswith("not_reached: the branch reaches 49.9")
-    assert results["initial_stiffness"].reason.startswith("not_reached: ")
-    assert results["end_slope"].reason == "no_stiffness: initial_stiffness could not be had"
-    assert results["bending_stiffness"].reason.startswith("no_stiffness: ")
+        assert results[name].why.startswith("not_reached: the branch reaches 49.9")
+    assert results["initial_stiffness"].why.startswith("not_reached: ")
+    assert results["end_slope"].why == "no_stiffness: initial_stiffness could not be had"
+    assert results["bending_stiffness"].why.startswith("no_stiffness: ")
 
 
 def test_nothing_moves() -> None:
@@ -204,15 +204,15 @@ def test_the_slope_at_the_end_of_a_record_that_breaks_off() -> None:
     time, path, force = cycles(noise=NOISE)
     part = time < 23.0
     _, results = asked((time[part], path[part], force[part]))
-    assert results["end_slope"].reason.startswith("partial_cycle: the record ends at 22.98")
-    assert results["end_slope"].reason.endswith(", while still loading")
+    assert results["end_slope"].why.startswith("partial_cycle: the record ends at 22.98")
+    assert results["end_slope"].why.endswith(", while still loading")
     assert results["initial_stiffness"].status is Status.OK
 
 
 def test_the_slope_at_the_end_without_its_force() -> None:
     time, path, force = cycles(noise=NOISE)
     _, results = asked((time, path, np.where((time > 40.0) & (time < 60.0), np.nan, force)))
-    assert "gap: force and displacement are known up to " in results["end_slope"].reason
+    assert "gap: force and displacement are known up to " in results["end_slope"].why
     assert results["end_slope"].status is Status.DOUBTFUL
 
 
@@ -227,10 +227,8 @@ def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
 def test_force_that_is_not_taken_off_between_cycles() -> None:
     time, path, force = cycles(noise=NOISE)
     _, results = asked((time, path, np.where(time > 60.0, force + 2.0, force)))
-    assert results["loading_stiffness.2"].reason.startswith(
-        "not_unloaded: the branch begins at 1.99"
-    )
-    assert results["hardening.2"].reason.startswith("not_unloaded: ")
+    assert results["loading_stiffness.2"].why.startswith("not_unloaded: the branch begins at 1.99")
+    assert results["hardening.2"].why.startswith("not_unloaded: ")
     assert results["loading_stiffness.1"].status is Status.OK
 
 
@@ -238,7 +236,7 @@ def test_no_hardening_without_a_first_cycle() -> None:
     time, path, force = cycles(noise=NOISE)
     force = np.where(time < 50.0, np.random.default_rng(1).normal(0.0, NOISE, len(time)), force)
     _, results = asked((time, path, force))
-    assert results["hardening.2"].reason.startswith("no_stiffness: ")
+    assert results["hardening.2"].why.startswith("no_stiffness: ")
 
 
 def test_another_shape_widens_places() -> None:

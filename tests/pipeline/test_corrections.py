@@ -86,8 +86,8 @@ def test_cut_ends_the_curve_before_the_first_slip() -> None:
     assert branch.stop == kept
     assert results["peak_displacement.1"].value == pytest.approx(0.006, abs=2 * STEP)
     assert results["peak_force.1"].value == pytest.approx(30.0, abs=0.2)
-    assert results["stiffness"].reason.startswith("not_reached: the branch reaches 5.98 mm, ")
-    assert results["failure_force"].reason == "cut: the curve ends at a slip"
+    assert results["stiffness"].why.startswith("not_reached: the branch reaches 5.98 mm, ")
+    assert results["failure_force"].why == "cut: the curve ends at a slip"
     assert codes(bench)["slip_cut"].endswith("the curve ends before it")
 
 
@@ -131,9 +131,9 @@ def test_slack_that_cannot_be_found_makes_displacements_doubtful() -> None:
     curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 10.1 %}"
     bench, results = pulled(travel, torn, curve=curve, results=["failure", "slack"])
     assert isinstance(bench.slack, Failure)
-    assert results["slack"].reason.startswith("too_few_samples: ")
+    assert results["slack"].why.startswith("too_few_samples: ")
     assert results["failure_displacement"].status == "doubtful"
-    assert results["failure_displacement"].reason.startswith(
+    assert results["failure_displacement"].why.startswith(
         "slack_unknown: slack not found, so not taken off ("
     )
 
@@ -145,8 +145,8 @@ def test_a_curve_without_a_toe_is_not_moved() -> None:
     bench, results = pulled(
         travel + 0.001, bent, curve="slack: {from: 40 %, to: 70 %}", results=["slack"]
     )
-    assert results["slack"].reason.startswith("no_toe: the line meets zero force at -")
-    assert "before the first sample at 1 mm and " in results["slack"].reason
+    assert results["slack"].why.startswith("no_toe: the line meets zero force at -")
+    assert "before the first sample at 1 mm and " in results["slack"].why
     assert bench.curve is not None
     np.testing.assert_allclose(bench.curve.displacement, travel + 0.001)
     assert not doubted(bench)
@@ -238,7 +238,7 @@ def test_a_failure_in_steps_is_doubtful() -> None:
     torn = np.where(travel > 0.01, 0.7 * force, force)
     curve = "failure: {force_below: 50 %}"
     _, results = pulled(travel, broken(travel, torn, at=0.012), curve=curve, results=["failure"])
-    reason = results["failure_displacement"].reason
+    reason = results["failure_displacement"].why
     assert reason == (
         "lost_in_steps: some of the force was suddenly lost before, and it never came back to where"
         " it had been"

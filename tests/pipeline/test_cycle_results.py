@@ -51,7 +51,7 @@ def test_not_reached() -> None:
     _, results = reduced(*loop(), more=more)
     found = results["initial_stiffness"]
     assert (found.value, found.status) == (None, Status.FAILED)
-    assert found.reason == "not_reached: the branch reaches 0.00998 m, 0.04 m is asked"
+    assert found.why == "not_reached: the branch reaches 0.00998 m, 0.04 m is asked"
 
 
 def test_loading_alone_has_no_loop() -> None:
@@ -59,11 +59,11 @@ def test_loading_alone_has_no_loop() -> None:
     kept = time < 11.9
     _, results = reduced(time[kept], path[kept], force[kept])
     for name in ("energy.1", "residual_displacement.1", "unloading_stiffness.1"):
-        assert results[name].reason == "partial_cycle: the cycle has no unloading branch"
+        assert results[name].why == "partial_cycle: the cycle has no unloading branch"
     found = results["peak_force.1"]
     assert found.status is Status.DOUBTFUL
-    assert found.reason.startswith("partial_cycle: the record ends at 11.8")
-    assert found.reason.endswith("while still loading")
+    assert found.why.startswith("partial_cycle: the record ends at 11.8")
+    assert found.why.endswith("while still loading")
     assert results["initial_stiffness"].status is Status.OK
 
 
@@ -85,7 +85,7 @@ def test_record_that_breaks_off_while_unloading() -> None:
     kept = time < 38.0
     _, results = reduced(time[kept], path[kept], force[kept])
     assert results["energy.2"].status is Status.DOUBTFUL
-    assert results["energy.2"].reason.endswith("while still unloading")
+    assert results["energy.2"].why.endswith("while still unloading")
     assert results["peak_force.2"].status is Status.OK
     assert results["energy.1"].status is Status.OK
 
@@ -106,7 +106,7 @@ def test_a_gap_costs_only_its_cycle() -> None:
     time, path, force = loop(noise=1e-3)
     force[(time > 15.0) & (time < 15.1)] = np.nan
     _, results = reduced(time, path, force)
-    assert results["energy.1"].reason.startswith("gap: 4 samples of the cycle have no force")
+    assert results["energy.1"].why.startswith("gap: 4 samples of the cycle have no force")
     assert results["energy.2"].value == pytest.approx(TRUTH["energy"], rel=0.02)
     assert results["energy.2"].status is Status.OK
     assert results["initial_stiffness"].status is Status.OK
@@ -117,7 +117,7 @@ def test_nothing_moves() -> None:
     time, path, force = loop(noise=1e-3)
     _, results = reduced(time, 0.01 * path, force)
     assert {each.value for each in results.values()} == {None}
-    assert results["peak_force.1"].reason.startswith("no_motion: the motion spans 0.1")
+    assert results["peak_force.1"].why.startswith("no_motion: the motion spans 0.1")
 
 
 def test_no_second_clock_no_clock_results() -> None:
@@ -130,7 +130,7 @@ def test_tip_travel_without_a_shape() -> None:
     from labpipe.pipeline.cycle_results import clock_results, tip_travel_result
 
     (travel,) = tip_travel_result(Bench())
-    assert travel.reason == "no_shape: the protocol fits no shape"
+    assert travel.why == "no_shape: the protocol fits no shape"
     offset, drift = clock_results(Bench())
-    assert offset.reason == drift.reason == "one_clock: there is only one clock"
+    assert offset.why == drift.why == "one_clock: there is only one clock"
     assert (offset.unit, drift.unit) == ("s", "1")

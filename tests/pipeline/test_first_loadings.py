@@ -19,6 +19,7 @@ from labpipe.pipeline.first_loadings import (
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Specimen, Status, TestResult
 
 LENGTH, PEAK, COUNT = 0.085, 0.05, 2000
@@ -131,7 +132,11 @@ def test_what_lies_beyond_the_limit_is_left_out_and_told(protocol: Protocol) -> 
 
 def test_doubtful_tests_are_taken_and_told(protocol: Protocol) -> None:
     doubtful = Result(
-        "peak_force.1", 0.2, "N", status=Status.DOUBTFUL, reason="gap: a marker was lost"
+        "peak_force.1",
+        0.2,
+        "N",
+        status=Status.DOUBTFUL,
+        reasons=(Reason("gap", "a marker was lost"),),
     )
     note, _ = taken(protocol, result_of(results=(doubtful,))).notes
     assert (note.code, note.where) == ("test_doubtful", "T1")
@@ -152,7 +157,9 @@ def test_without_a_loading(protocol: Protocol) -> None:
 
 
 def test_a_failed_first_loading(protocol: Protocol) -> None:
-    failed = Result("peak_force.1", None, "N", status=Status.FAILED, reason="no_cycle: none")
+    failed = Result(
+        "peak_force.1", None, "N", status=Status.FAILED, reasons=(Reason("no_cycle", "none"),)
+    )
     with pytest.raises(NotUsableError, match="its first loading failed: no_cycle: none"):
         taken(protocol, result_of(results=(failed,)))
 

@@ -20,6 +20,7 @@ from labpipe.processing.strokes import noise_level
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Direction, Interval
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Specimen, Status, TestResult
 
 REST, LOADING, RATE = 4000, 1000, 20.0
@@ -142,6 +143,8 @@ def test_the_scale_is_known_as_well_as_the_peak_less_what_is_its_own() -> None:
     less = replace(PEAK, interval=Interval.normal_95(PEAK.value, 0.5 * own.error))
     assert scale_error(result(results=(less,))) == 0.0
     assert scale_error(result(results=())) == 0.0
-    failed = Result(PEAK.name, None, "m", status=Status.FAILED, reason="no_cycle: none")
+    failed = Result(
+        PEAK.name, None, "m", status=Status.FAILED, reasons=(Reason("no_cycle", "none"),)
+    )
     assert scale_error(result(results=(failed,))) == 0.0
     assert scale_error(result(results=(replace(PEAK, interval=None),))) == 0.0

@@ -16,7 +16,7 @@ ASKED = Asked("stiffness", "N/m", ("force", "displacement"), "by a line")
 def test_a_number() -> None:
     found = to_result(Bench(), ASKED, Estimate(10.0, 1.0, 50))
     assert (found.name, found.value, found.unit, found.n) == ("stiffness", 10.0, "N/m", 50)
-    assert (found.status, found.reason, found.method) == (Status.OK, "", "by a line")
+    assert (found.status, found.why, found.method) == (Status.OK, "", "by a line")
     assert found.interval is not None
     assert found.interval.lower == pytest.approx(10.0 - 1.959964, abs=1e-6)
 
@@ -31,7 +31,7 @@ def test_an_interval_of_its_own() -> None:
 def test_no_number() -> None:
     found = to_result(Bench(), ASKED, Failure("gap", "4 samples are missing"), doubt="x: y")
     assert (found.value, found.interval, found.status) == (None, None, Status.FAILED)
-    assert found.reason == "gap: 4 samples are missing"
+    assert found.why == "gap: 4 samples are missing"
     assert found.method == "by a line"
 
 
@@ -41,7 +41,7 @@ def test_no_number() -> None:
 def test_a_number_that_is_none(outcome: Estimate) -> None:
     found = to_result(Bench(), ASKED, outcome)
     assert found.status is Status.FAILED
-    assert found.reason == f"not_finite: value {outcome.value}, standard error {outcome.error}"
+    assert found.why == f"not_finite: value {outcome.value}, standard error {outcome.error}"
 
 
 def test_doubts_of_its_quantities() -> None:
@@ -50,14 +50,14 @@ def test_doubts_of_its_quantities() -> None:
     bench.doubt("clock", "drift", "the clock drifts", where="clock")
     found = to_result(bench, ASKED, Estimate(10.0, 1.0, 50), doubt="slip_in_window: at 6 mm")
     assert found.status is Status.DOUBTFUL
-    assert found.reason == "drift: the zero drifts; slip_in_window: at 6 mm"
+    assert found.why == "drift: the zero drifts; slip_in_window: at 6 mm"
 
 
 def test_one_doubt_is_told_once() -> None:
     bench = Bench()
     for quantity in ("force", "displacement"):
         bench.doubt(quantity, "turn", "not seen", where="travel")
-    assert to_result(bench, ASKED, Estimate(1.0, 0.1, 5)).reason == "turn: not seen"
+    assert to_result(bench, ASKED, Estimate(1.0, 0.1, 5)).why == "turn: not seen"
 
 
 def test_what_stopped_the_test_comes_first() -> None:

@@ -239,7 +239,7 @@ def test_kilonewtons_taken_for_newtons() -> None:
     found = results(exported(units=("N", "mm"), scale=1e-3))
     for name in ("peak_force.1", "stiffness"):
         assert found[name].status is Status.DOUBTFUL
-        assert found[name].reason.startswith("implausible_peak: the largest value is 0.20")
+        assert found[name].why.startswith("implausible_peak: the largest value is 0.20")
     assert found["peak_displacement.1"].status is Status.OK
 
 
@@ -268,9 +268,9 @@ def test_swapped_columns_without_units_are_doubted() -> None:
     found = results(exported(units=("", ""), swapped=True), text)
     for name in ("peak_displacement.1", "stiffness"):
         assert found[name].status is Status.DOUBTFUL
-    assert found["peak_displacement.1"].reason.startswith("speed_unexpected: ")
-    assert "mm/s measured over the first branch, 1 mm/s expected" in found["stiffness"].reason
-    assert "implausible_peak: " not in found["peak_displacement.1"].reason
+    assert found["peak_displacement.1"].why.startswith("speed_unexpected: ")
+    assert "mm/s measured over the first branch, 1 mm/s expected" in found["stiffness"].why
+    assert "implausible_peak: " not in found["peak_displacement.1"].why
 
 
 def test_columns_without_units_are_refused() -> None:

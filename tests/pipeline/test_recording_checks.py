@@ -26,7 +26,7 @@ RESULTS = (
 def doubtful(record: PlainRecord, more: str = RESULTS) -> dict[str, str]:
     """Reasons by name of the results that are not ok."""
     _, results = reduced(*record.arrays(), more=more)
-    return {name: each.reason for name, each in results.items() if each.status is not Status.OK}
+    return {name: each.why for name, each in results.items() if each.status is not Status.OK}
 
 
 @pytest.mark.parametrize("rate", [10.0, 50.0, 120.0, 200.0])
@@ -109,7 +109,7 @@ def test_a_force_that_is_full_in_each_cycle() -> None:
         *("unloading_stiffness.1", "unloading_stiffness.2"),
         *("residual_displacement.1", "residual_displacement.2"),
     }
-    assert results["peak_force.1"].reason.startswith("saturation: ")
+    assert results["peak_force.1"].why.startswith("saturation: ")
     (note,) = (note for note in bench.notes if note.code == "saturation")
     assert "samples stand at 0.7 N to the last digit, in 2 stretches, and none" in note.message
 

@@ -27,7 +27,7 @@ def test_a_column_of_noise_is_no_motion() -> None:
     noise = 2e-3 * np.random.default_rng(0).standard_normal(len(time))
     bench, results = reduced(time, path + noise, force)
     assert bench.curve is None
-    assert results["initial_stiffness"].reason == (
+    assert results["initial_stiffness"].why == (
         "no_motion: the motion scatters by 1.97 mm from sample to sample, too much to tell strokes "
         "of min_stroke, 1 mm: is it the right channel?"
     )

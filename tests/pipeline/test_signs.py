@@ -137,9 +137,9 @@ def test_results_that_have_no_sign_stay_ok() -> None:
     assert results["energy.1"].status is Status.OK
     for name in ("peak_force.1", "peak_displacement.2"):
         assert results[name].status is Status.DOUBTFUL
-        assert "_reversed: " in results[name].reason
-    assert results["stiffness"].reason.startswith("force_reversed: ")
-    assert "; not_reached: " in results["stiffness"].reason
+        assert "_reversed: " in results[name].why
+    assert results["stiffness"].why.startswith("force_reversed: ")
+    assert "; not_reached: " in results["stiffness"].why
 
 
 def test_one_line_turns_a_frame_that_counts_down(tmp_path: Path) -> None:

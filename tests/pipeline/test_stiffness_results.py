@@ -50,7 +50,7 @@ def test_two_segments() -> None:
 def test_no_bend() -> None:
     _, results = pulled(*pull(), results=["two-segments, from: 1 mm, to: 18 mm"])
     for name in ("segment_stiffness_first", "segment_stiffness_second", "break_point"):
-        assert results[name].reason.startswith("no_bend: ")
+        assert results[name].why.startswith("no_bend: ")
 
 
 def test_stiffness_over_peak_force_forgets_the_scale() -> None:
@@ -74,7 +74,7 @@ def test_stiffness_over_a_force_that_may_not_be_the_peak() -> None:
     _, results = pulled(*pull(), curve=BREAK, results=asked)
     found = results["stiffness_per_peak_force"]
     assert found.status is Status.DOUBTFUL
-    assert found.reason.startswith("partial_cycle: the record ends at 99.9")
+    assert found.why.startswith("partial_cycle: the record ends at 99.9")
     assert results["stiffness"].status is Status.OK
 
 
@@ -114,7 +114,7 @@ def test_modulus(area: str, size: float) -> None:
 def test_no_modulus_without_sizes(specimen: str, area: str, said: str) -> None:
     asked = [LINE, f"modulus, of: stiffness, area: {area}"]
     _, results = pulled(*pull(), results=asked, specimen=specimen)
-    assert results["modulus"].reason.startswith(said)
+    assert results["modulus"].why.startswith(said)
     assert results["stiffness"].status is Status.OK
 
 
@@ -125,17 +125,15 @@ def test_numbers_of_a_stiffness_that_failed() -> None:
         "modulus, of: stiffness, area: stated",
     ]
     _, results = pulled(*pull(), results=asked, specimen=SECTION)
-    assert results["stiffness"].reason == (
-        "not_reached: the branch reaches 19.98 mm, 30 mm is asked"
-    )
+    assert results["stiffness"].why == ("not_reached: the branch reaches 19.98 mm, 30 mm is asked")
     for name in ("stiffness_per_peak_force", "modulus"):
-        assert results[name].reason == "no_stiffness: stiffness could not be had"
+        assert results[name].why == "no_stiffness: stiffness could not be had"
 
 
 def test_a_window_before_the_first_sample() -> None:
     travel, force = pull()
     _, results = pulled(travel + 0.004, force, results=[LINE])
-    assert results["stiffness"].reason == ("not_reached: the branch begins at 4 mm, 2 mm is asked")
+    assert results["stiffness"].why == ("not_reached: the branch begins at 4 mm, 2 mm is asked")
 
 
 def test_marked_slip_in_a_window() -> None:
@@ -153,8 +151,8 @@ def test_marked_slip_in_a_window() -> None:
     _, results = pulled(travel, torn, curve=curve, results=asked, specimen=SECTION)
     for name in ("stiffness", "modulus", "stiffness_per_peak_force"):
         assert results[name].status is Status.DOUBTFUL, name
-        assert results[name].reason.startswith("slip_in_window: slipped in the grips at 6"), name
-        assert results[name].reason.endswith("and the curve stays as measured"), name
+        assert results[name].why.startswith("slip_in_window: slipped in the grips at 6"), name
+        assert results[name].why.endswith("and the curve stays as measured"), name
     for name in ("behind", "modulus_behind"):
         assert results[name].status is Status.OK, name
 
@@ -177,7 +175,7 @@ def test_a_force_that_falls_where_the_frame_pulls() -> None:
     _, results = pulled(travel, 200.0 - force, results=[LINE])
     found = results["stiffness"]
     assert found.value == pytest.approx(-5000.0, rel=1e-3)
-    assert found.reason == "negative_slope: the force falls where the frame pulls"
+    assert found.why == "negative_slope: the force falls where the frame pulls"
 
 
 def test_no_force_at_all() -> None:
@@ -186,4 +184,4 @@ def test_no_force_at_all() -> None:
     _, results = pulled(travel, force - 5e3 * travel, results=asked)
     found = results["stiffness_per_peak_force"]
     assert found.value is None
-    assert found.reason.startswith("no_peak_force: a peak of ")
+    assert found.why.startswith("no_peak_force: a peak of ")

@@ -39,13 +39,13 @@ def test_energy_of_the_last_cycle_of_several() -> None:
     _, results = pulled(path, load, curve=BREAK, results=["failure", "energy-to-break", LINE])
     holds(results["energy_to_break"], 0.5 * 5e3 * 0.016**2, "J")
     assert results["failure_displacement"].value == pytest.approx(0.016, abs=STEP)
-    assert results["stiffness"].reason.startswith("not_reached: the branch reaches 9.9")
+    assert results["stiffness"].why.startswith("not_reached: the branch reaches 9.9")
 
 
 def test_never_failed() -> None:
     _, results = pulled(*pull(), curve=BREAK, results=["failure", "energy-to-break"])
     for found in results.values():
-        assert found.reason.startswith("no_break: the force ends at 99.9")
+        assert found.why.startswith("no_break: the force ends at 99.9")
 
 
 def test_slips() -> None:
@@ -98,7 +98,7 @@ def test_nothing_moves() -> None:
     assert {each.value for each in results.values()} == {None}
     assert len(results) == 11
     for found in results.values():
-        assert found.reason.startswith("no_motion: the motion spans 0.2 mm, less"), found
+        assert found.why.startswith("no_motion: the motion spans 0.2 mm, less"), found
 
 
 def test_rows_without_times() -> None:
@@ -115,7 +115,7 @@ def test_rows_without_times() -> None:
 
 def test_rows_that_end_while_loading() -> None:
     _, results = pulled(*pull(), results=["peak-force"], time=False)
-    assert results["peak_force.1"].reason == (
+    assert results["peak_force.1"].why == (
         "partial_cycle: the record ends at sample 1000, while still loading"
     )
 

@@ -75,11 +75,11 @@ def test_no_span() -> None:
 
     for name in NAMES:
         assert results[name].status is Status.FAILED
-        assert results[name].reason == (
+        assert results[name].why == (
             "no_span: specimen.span, the distance of the supports, is not given: write it into the "
             "specimen of the test sheet, such as 'span: 152.4 mm'"
         )
-    assert results["bending_stiffness"].reason.startswith("no_span: ")
+    assert results["bending_stiffness"].why.startswith("no_span: ")
     assert results["peak_force.1"].status is Status.OK
 
 
@@ -88,7 +88,7 @@ def test_a_span_of_another_rig_is_doubted_by_the_cameras() -> None:
     _, results = reduced(BendingRecord(), change=wrong)
 
     assert results["bending_stiffness"].status is Status.DOUBTFUL
-    said = results["bending_stiffness"].reason
+    said = results["bending_stiffness"].why
     assert said.startswith("mid_span_differs: cameras see mid-span sink by 19.9")
     assert said.endswith(
         " mm, the displacement is 29.41 mm: look at specimen.span, at markers that are not on the "
@@ -102,8 +102,8 @@ def test_cameras_that_began_under_load() -> None:
     _, results = reduced(BendingRecord(cameras_early=-2.0))
 
     assert results["twist"].status is Status.FAILED
-    assert results["twist"].reason.startswith("no_rest: the shape at rest was taken up to 3.9")
-    assert results["twist"].reason.endswith(
+    assert results["twist"].why.startswith("no_rest: the shape at rest was taken up to 3.9")
+    assert results["twist"].why.endswith(
         " s after loading began: look at the cameras' start, and at 'over' of the step "
         "three-point-shape"
     )
@@ -127,7 +127,7 @@ def test_supports_closer_than_the_markers() -> None:
     wrong = (("span: 152.4 mm, ", "span: 15.24 mm, "),)
     _, results = reduced(BendingRecord(), change=wrong)
 
-    assert results["twist"].reason == (
+    assert results["twist"].why == (
         "too_few_markers: of 15 sections with markers 2 lie between supports 15.24 mm apart: "
         "expected at least 5; look at specimen.span and at the unit of the markers"
     )
@@ -136,7 +136,7 @@ def test_supports_closer_than_the_markers() -> None:
 def test_too_few_markers_for_a_twist() -> None:
     _, results = reduced(BendingRecord(angles=(float(np.radians(90.0)),)))
 
-    assert results["twist"].reason == (
+    assert results["twist"].why == (
         "too_few_markers: twist needs two markers at different places around the axis in one "
         "section, none of the 15 sections has them"
     )
@@ -147,7 +147,7 @@ def test_a_window_that_is_not_reached() -> None:
     old = "mid-span, from: 1 mm, to: 10 mm"
     _, results = reduced(BendingRecord(), change=((old, "mid-span, from: 1 mm, to: 40 mm"),))
 
-    reason = results["mid_span_bending_stiffness"].reason  # by the last frame before the turn
+    reason = results["mid_span_bending_stiffness"].why  # by the last frame before the turn
     assert re.fullmatch(
         r"not_reached: the first loading reaches 29\.(38|39|4) mm, 40 mm is asked", reason
     )

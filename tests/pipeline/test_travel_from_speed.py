@@ -52,7 +52,7 @@ def test_a_speed_that_contradicts(without: tuple[str, ...]) -> None:
     change = ((SPEED, f"crosshead_speed: {slower}"),)
     _, results = reduced(record, without=without, change=change)
 
-    reason = results["initial_stiffness"].reason
+    reason = results["initial_stiffness"].why
     assert results["initial_stiffness"].status is Status.DOUBTFUL
     expected = (
         "speed_unexpected: 0.4996 mm/s measured over the first branch, 0.38 mm/s expected: look at "

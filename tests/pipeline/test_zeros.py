@@ -138,7 +138,7 @@ def test_short_rests_leave_results_as_good(
     asked = ("peak_force.1", "peak_displacement.1", "initial_stiffness", "bending_stiffness_at_3")
     for name in asked:
         found, usual = short[name], whole[name]
-        assert found.status is usual.status is Status.OK, found.reason
+        assert found.status is usual.status is Status.OK, found.why
         assert found.value is not None
         assert usual.value is not None
         assert found.interval is not None

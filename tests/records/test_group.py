@@ -8,6 +8,7 @@ import pytest
 
 from labpipe.records.curve import FittedLine
 from labpipe.records.group import Band, Group, Sample, SampleCurve
+from labpipe.records.quality import Reason
 from labpipe.records.result import Specimen
 
 COUNT = 5
@@ -72,7 +73,7 @@ def test_a_band_of_uneven_lengths(name: str) -> None:
 
 def test_a_band_without_a_curve_is_empty() -> None:
     nothing: dict[str, Any] = {name: np.empty(0) for name in ("displacement", *NAMES)}
-    made = Band(**nothing, n=0, over="samples", reason="no_overlap: of nothing")
+    made = Band(**nothing, n=0, over="samples", reason=Reason("no_overlap", "of nothing"))
     assert len(made.mean) == 0
 
 

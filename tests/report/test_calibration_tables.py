@@ -6,12 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from labpipe.records.quality import Reason
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_tables import tables_of
 from tests.builders.third_curves import UNTESTED, untested
 from tests.report.builders_calibrations import foretold, group, report, source, troubled, usual
 
-LOST = replace(group("A1"), prediction=None, errors=None, reason="no_wire: not in the sheet")
+LOST = replace(
+    group("A1"), prediction=None, errors=None, reason=Reason("no_wire", "not in the sheet")
+)
 
 
 def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:

@@ -3,7 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from labpipe.records.group import Campaign
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Status
 from labpipe.records.slips import SlipDecision
 from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
@@ -52,7 +52,9 @@ def test_nothing_to_look_at() -> None:
 
 def test_numbers_without_interval_and_samples_left_out() -> None:
     sample = build_sample("s1", "a")
-    bare = replace(sample.results[0], interval=None, reason="one_point: a single point.")
+    bare = replace(
+        sample.results[0], interval=None, reasons=(Reason("one_point", "a single point."),)
+    )
     sample = replace(sample, results=(bare, *sample.results[1:]))
     group = build_group("A", [sample])
     number = replace(group.numbers[1], left_out={"tt-s1a": "no_result: no result of that name."})

@@ -8,6 +8,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from labpipe.records.quality import Reason
 from labpipe.report.group_curves import draw_curves, draw_scaled, plot_band, plot_samples, seen
 from labpipe.report.page import style
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
@@ -106,7 +107,9 @@ def test_a_band_far_wider_than_the_curves_is_cut_by_the_axis() -> None:
 def test_a_pointwise_band_alone_says_why_there_is_no_other() -> None:
     group = build_group("A", six_samples())
     nothing = np.full(len(group.band.mean), np.nan)
-    band = replace(group.band, lower_all=nothing, upper_all=nothing, reason="two: no whole band.")
+    band = replace(
+        group.band, lower_all=nothing, upper_all=nothing, reason=Reason("two", "no whole band.")
+    )
     page = draw_curves(replace(group, band=band))
     assert page.texts[1].get_text() == "No whole band."
     assert "95 % band, whole curve" not in labels(page)

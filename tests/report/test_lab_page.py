@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 import pytest
 
 from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.quality import Reason
 from labpipe.report.inline_svg import Inline
 from labpipe.report.lab_page import FiguresBetween, render_page
 from labpipe.report.saved_figures import SavedFigure
@@ -131,7 +132,9 @@ def test_questions_stand_before_all_other_differences() -> None:
 
 def test_places_of_bundles_stand_on_the_page() -> None:
     campaign = bundle_campaign(three_of(bundle_of("7 B1")))
-    place = BundlePlace(campaign.groups[0].name, "t-1", None, None, reason="x: no bounds: why")
+    place = BundlePlace(
+        campaign.groups[0].name, "t-1", None, None, reasons=(Reason("x", "no bounds: why"),)
+    )
     page = render_page(
         replace(campaign, places=(place,), wire_sheet="<wires>.xlsx"),
         ["g"], [[]], FiguresBetween({}, [FIGURE]),

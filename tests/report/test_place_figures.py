@@ -7,6 +7,7 @@ import pytest
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.quality import Reason
 from labpipe.report.page import style
 from labpipe.report.place_figures import MOST_ROWS, draw_places, place_figures
 from labpipe.report.wording import Scale
@@ -33,13 +34,13 @@ def test_rows_bars_and_dots() -> None:
 
 
 def test_a_row_without_bounds_says_why() -> None:
-    reason = "not_in_sheet: no bounds: the sheet has no B3"
-    lacking = BundlePlace("g", "t-2", None, None, reason=reason)
+    reasons = (Reason("not_in_sheet", "no bounds: the sheet has no B3"),)
+    lacking = BundlePlace("g", "t-2", None, None, reasons=reasons)
     with style():
         (axes,) = draw_places([lacking], SCALE).axes
     assert not axes.lines
     assert axes.texts[0].get_text() == "No bounds: the sheet has no B3."
-    long = replace(lacking, test="t" * 80, reason=f"x: {'y' * 200}")
+    long = replace(lacking, test="t" * 80, reasons=(Reason("x", "y" * 200),))
     with style():
         (axes,) = draw_places([long], SCALE).axes
     assert axes.texts[0].get_text().endswith("\u2026")

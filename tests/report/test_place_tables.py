@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.quality import Reason
 from labpipe.report.place_tables import has_bundles, place_scales, place_table
 from tests.builders.bundle_campaigns import bundle_of, grouped, three_of
 from tests.builders.campaigns import build_campaign
@@ -44,10 +45,22 @@ def test_a_mean_without_interval_has_a_share_without() -> None:
 
 def test_what_has_no_bounds_or_no_value_says_why() -> None:
     lacking = BundlePlace(
-        NAME, "t-1", 0.006, None, reason="not_in_sheet: no bounds: the sheet has no B3"
+        NAME,
+        "t-1",
+        0.006,
+        None,
+        reasons=(Reason("not_in_sheet", "no bounds: the sheet has no B3"),),
     )
     failed = BundlePlace(
-        NAME, "t-2", None, None, 0.0015, 0.0045, 0.15, (0.15, 0.15), reason="short: it ends early"
+        NAME,
+        "t-2",
+        None,
+        None,
+        0.0015,
+        0.0045,
+        0.15,
+        (0.15, 0.15),
+        reasons=(Reason("short", "it ends early"),),
     )
     table = place_table(campaign(lacking, failed))
     assert table is not None

@@ -11,6 +11,7 @@ from openpyxl.workbook import Workbook
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
+from labpipe.records.quality import Reason
 from labpipe.report.workbook import save_workbook
 from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, conduit_cases, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample
@@ -126,7 +127,7 @@ def test_places_of_bundles(tmp_path: Path) -> None:
     name = campaign.groups[0].name
     ends = Interval(0.0058, 0.0062)
     place = BundlePlace(name, "", 0.006, ends, 0.0015, 0.0045, 0.15, (0.15, 0.16), 0.03)
-    lacking = BundlePlace(name, "t-1", None, None, reason="no_model: no bounds: why")
+    lacking = BundlePlace(name, "t-1", None, None, reasons=(Reason("no_model", "no bounds: why"),))
     book = saved(replace(campaign, places=(place, lacking)), tmp_path)
     first, second = table(book, "slipping and sticking")
     assert (first["test"], first["unit"], first["reason"]) == ("mean", "N*mm^2", None)

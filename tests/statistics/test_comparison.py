@@ -41,7 +41,7 @@ def test_equivalence_is_two_tests_of_scipy(margin: float) -> None:
 def test_no_interval_no_verdict() -> None:
     found = difference_of_means(mean_interval(FIRST), mean_interval([1.0], "sample"))
     assert found.interval is None
-    assert found.reason.startswith("one_sample")
+    assert str(found.reason).startswith("one_sample: ")
     assert np.isnan(equivalence_p(mean_interval(FIRST), mean_interval([1.0]), 1.0))
     assert verdict({"a": FIRST}, {"a": [1.0]}, None).startswith(
         "cannot tell: an interval needs the scatter of two values, there is one sample"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.group import SampleCurve
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from tests.builders.sloped_samples import built, make, said, samples, stiffness
 
@@ -17,7 +18,7 @@ def test_no_overlap() -> None:
     path = far.loading[0].displacement + 0.05
     curve = SampleCurve(path, far.loading[0].force, far.loading[0].force)
     group = built([samples()[0], replace(far, loading=(curve,))])
-    assert group.band.reason == (
+    assert str(group.band.reason) == (
         "no_overlap: no displacement that every curve has: s1-2 begins at 50 mm, s1-1 ends at 20 mm"
     )
 
@@ -48,7 +49,9 @@ def test_scaled_band_ends_at_one() -> None:
 
 def test_scaled_band_without_a_peak_force() -> None:
     members = samples()[:3]
-    failed = Result("peak_force.1", None, "N", status=Status.FAILED, reason="no_curve: none")
+    failed = Result(
+        "peak_force.1", None, "N", status=Status.FAILED, reasons=(Reason("no_curve", "none"),)
+    )
     members[1] = replace(members[1], results=(stiffness(50.0), failed))
     members[2] = replace(members[2], results=(stiffness(50.0),))
     group = built(members, scaled=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from labpipe.records.quality import Severity
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Status
 from labpipe.statistics.group_notes import grouping_notes, sample_notes
 from tests.builders.bundle_campaigns import bundle_of, bundle_sample
@@ -12,7 +12,7 @@ from tests.builders.sloped_samples import built, said, samples, stiffness
 
 
 def test_doubtful_values_enter_and_are_listed() -> None:
-    doubted = stiffness(60.0, status=Status.DOUBTFUL, reason="slip: 0.5 N at 3 mm")
+    doubted = stiffness(60.0, status=Status.DOUBTFUL, reasons=(Reason("slip", "0.5 N at 3 mm"),))
     members = samples()
     members[0] = replace(members[0], results=(doubted,))
     group = built(members)
@@ -32,16 +32,16 @@ def test_too_few_samples_for_outliers() -> None:
 def test_empty_group() -> None:
     group = built([], scaled=True)
     assert said(group) == {"empty_group": "there is no sample in this group"}
-    assert group.band.reason.startswith("empty_group")
+    assert str(group.band.reason).startswith("empty_group: ")
     assert group.band_scaled is not None
-    assert group.band_scaled.reason.startswith("empty_group")
+    assert str(group.band_scaled.reason).startswith("empty_group: ")
     assert group.numbers == ()
 
 
 def test_one_sample() -> None:
     group = built(samples()[:1])
     assert said(group)["one_sample"] == "one sample (s1-1): no interval and no band"
-    assert group.band.reason.startswith("one_curve")
+    assert str(group.band.reason).startswith("one_curve: ")
     assert group.numbers[0].mean is not None
     assert group.numbers[0].mean.chosen.interval is None
 

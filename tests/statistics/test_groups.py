@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from labpipe.statistics.groups import compare_groups
 from tests.builders.sloped_samples import built, make, said, samples, stiffness
@@ -38,7 +39,9 @@ def test_sample_2_comes_before_sample_10() -> None:
 
 def test_what_is_left_out_says_why() -> None:
     broken, other, without, odd = (make("s1", number, 50.0 + number) for number in range(4))
-    failed = stiffness(None, status=Status.FAILED, reason="too_few_samples: 3 samples")
+    failed = stiffness(
+        None, status=Status.FAILED, reasons=(Reason("too_few_samples", "3 samples"),)
+    )
     members = [
         make("s0", 1, 50.0),
         replace(broken, results=(failed,)),
@@ -57,7 +60,9 @@ def test_what_is_left_out_says_why() -> None:
 
 
 def test_no_sample_has_the_number() -> None:
-    failed = stiffness(None, status=Status.FAILED, reason="not_reached: it ends at 1 mm")
+    failed = stiffness(
+        None, status=Status.FAILED, reasons=(Reason("not_reached", "it ends at 1 mm"),)
+    )
     number = built([replace(make("s1", 1, 50.0), results=(failed,))]).numbers[0]
     assert number.mean is None
     assert number.left_out == {"s1-1": "not_reached: it ends at 1 mm"}

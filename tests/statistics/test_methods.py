@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from labpipe.records.group import GroupNumber, Sample
-from labpipe.records.quality import Severity
+from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result
 from labpipe.records.slips import SlipDecision
 from labpipe.statistics.methods import apart, method_notes, mixed, parted, ways_of
@@ -17,7 +17,7 @@ SHORT, LONG = "line from 2 mm to 8 mm", "line from 1 mm to 14 mm"
 
 def number(name: str, methods: Mapping[str, str]) -> GroupNumber:
     values = {
-        test: Result(name, 1.0, "N/m", reason="no_noise: none", method=method)
+        test: Result(name, 1.0, "N/m", reasons=(Reason("no_noise", "none"),), method=method)
         for test, method in methods.items()
     }
     return GroupNumber(name, "N/m", None, values, {})

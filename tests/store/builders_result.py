@@ -26,7 +26,7 @@ from labpipe.records.curve import (
     Series,
     Shape,
 )
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
 from labpipe.records.slips import Slip, SlipDecision
@@ -310,10 +310,14 @@ def _results() -> tuple[Result, ...]:
             0.0031,
             "m",
             status=Status.DOUBTFUL,
-            reason="extrapolated: the force never fell below 5 mN",
+            reasons=(Reason("extrapolated", "the force never fell below 5 mN"),),
         ),
         Result(
-            "initial_stiffness", None, "N/m", status=Status.FAILED, reason="not_reached: too short"
+            "initial_stiffness",
+            None,
+            "N/m",
+            status=Status.FAILED,
+            reasons=(Reason("not_reached", "too short"),),
         ),
     )
 

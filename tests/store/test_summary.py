@@ -34,13 +34,13 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
         "upper": 0.63,
         "level": 0.95,
         "status": "ok",
-        "reason": "",
+        "reasons": [],
         "method": "highest",
     }
     assert read["results"][1]["lower"] is None
     assert read["results"][2]["value"] is None
     assert read["results"][2]["status"] == "failed"
-    assert read["results"][2]["reason"].startswith("not_reached:")
+    assert read["results"][2]["reasons"] == [{"code": "not_reached", "message": "too short"}]
     assert read["quality"][0] == {
         "code": "marker_filled", "severity": "warning", "message": "26 frames were filled."
     }  # fmt: skip
