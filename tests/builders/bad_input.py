@@ -53,5 +53,8 @@ class Told(Generic[L]):
         assert "Traceback" not in ran.err
         assert state(self.lab.home / "raw") == raw
         for each in found:
-            assert each["status"] == "ok" or re.match(r"[a-z_]+: .", each["reason"]), each
+            assert each["status"] == "ok" or each["reasons"], each
+            for reason in each["reasons"]:
+                assert re.fullmatch(r"[a-z][a-z0-9_]*", reason["code"]), each
+                assert reason["message"].strip(), each
         return self.lab

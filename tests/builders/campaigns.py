@@ -118,7 +118,7 @@ def mean_of(values: Sequence[float]) -> MeanInterval:
 
 def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
     values: dict[str, Result] = {}
-    left_out: dict[str, str] = {}
+    left_out: dict[str, tuple[Reason, ...]] = {}
     by_spool: dict[str, list[float]] = {}
     unit = "1"
     for sample in samples:
@@ -160,7 +160,7 @@ def build_band(samples: Sequence[Sample], *, over: str = "samples") -> Band:
             none,
             0,
             over,
-            "no_sample: the group has no sample with a curve.",
+            Reason("no_sample", "the group has no sample with a curve."),
         )
     x = next(sample for sample in samples if sample.loading).loading[0].displacement
     mean, nothing = curves.mean(axis=0), np.full(len(x), np.nan)

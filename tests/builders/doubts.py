@@ -9,5 +9,5 @@ def doubted(bench: Bench) -> dict[str, str]:
     """The first reason of each quantity that is in doubt anywhere in the record."""
     found: dict[str, str] = {}
     for doubt in bench.doubts:
-        found.setdefault(doubt.quantity, doubt.reason)
+        found.setdefault(doubt.quantity, str(doubt.reason))
     return found

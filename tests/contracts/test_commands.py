@@ -165,7 +165,7 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
         "quality",
         "run",
     }
-    assert said["schema"] == 1
+    assert said["schema"] == 2
     assert set(said["inputs"][0]) == {"role", "file", "sha256"}
     for result in said["results"]:
         assert set(result) == {
@@ -176,10 +176,13 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
             "upper",
             "level",
             "status",
-            "reason",
+            "reasons",
             "method",
         }
         assert re.fullmatch(r"[a-z][a-z0-9_]*(\.\d+)?", result["name"])
+        for reason in result["reasons"]:
+            assert set(reason) == {"code", "message"}
+            assert re.fullmatch(r"[a-z][a-z0-9_]*", reason["code"])
     for note in said["quality"]:
         assert set(note) == {"code", "severity", "message"}
 

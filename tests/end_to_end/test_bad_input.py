@@ -14,6 +14,7 @@ import pytest
 
 from tests.builders import bad_input
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
+from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, Run, make_lab, small_scenario
 
 LOAD_CELL = "Model Root/Load Cell"
@@ -297,17 +298,17 @@ def test_take_cut_in_mid_line(told: Told, cells: int) -> None:
     assert lab.results["peak_force.1"]["status"] == "ok"
     for name in ("peak_force.2", "peak_displacement.2"):
         assert lab.results[name]["status"] == "doubtful"
-        assert "partial_cycle: the record ends at " in lab.results[name]["reason"]
-        assert lab.results[name]["reason"].endswith("while still loading")
+        assert "partial_cycle: the record ends at " in why(lab.results[name])
+        assert why(lab.results[name]).endswith("while still loading")
     for name in ("unloading_stiffness.2", "energy.2", "residual_displacement.2"):
-        assert lab.results[name]["reason"].startswith("partial_cycle: ")
+        assert why(lab.results[name]).startswith("partial_cycle: ")
         assert lab.results[name]["status"] == "failed"
 
 
 def test_take_cut_while_unloading(told: Told) -> None:
     lab = told(lambda lab: change_take(lab, lambda rows: rows[:660]))
     assert lab.results["energy.2"]["status"] == "doubtful"
-    assert lab.results["energy.2"]["reason"].endswith("while still unloading")
+    assert why(lab.results["energy.2"]).endswith("while still unloading")
     assert lab.results["peak_force.2"]["status"] == "ok"
 
 
@@ -338,7 +339,7 @@ def test_take_with_a_marker_missing_throughout(told: Told) -> None:
     assert "marker_missing" in {note["code"] for note in lab.summary["quality"]}
     peak = lab.results["peak_displacement.1"]
     assert peak["status"] == "doubtful"
-    assert peak["reason"].startswith("marker_missing: ")
+    assert why(peak).startswith("marker_missing: ")
     assert peak["value"] == pytest.approx(lab.truth["cycles"][0]["peak_deflection"], abs=1e-3)
     assert lab.results["peak_force.1"]["status"] == "ok"
 
@@ -351,7 +352,7 @@ def test_constant_force(told: Told) -> None:
     for name in ("clock_offset", "clock_drift", "peak_force.1", "energy.1"):
         assert lab.results[name]["value"] is None
         assert lab.results[name]["status"] == "failed"
-        assert lab.results[name]["reason"].startswith("constant_channel: the force is constant at")
+        assert why(lab.results[name]).startswith("constant_channel: the force is constant at")
 
 
 def test_force_and_motion_that_do_not_overlap(told: Told) -> None:
@@ -360,7 +361,7 @@ def test_force_and_motion_that_do_not_overlap(told: Told) -> None:
         write_force(lab, clock[:400], volts[:400])
 
     lab = told(only_rest)
-    assert lab.results["clock_offset"]["reason"].startswith("no_common_peak: ")
+    assert why(lab.results["clock_offset"]).startswith("no_common_peak: ")
     assert lab.results["energy.1"]["status"] == "failed"
 
 
@@ -370,7 +371,7 @@ def test_some_samples_missing(told: Told) -> None:
         volts[2000] = np.inf
 
     lab = told(lambda lab: change_force(lab, holes))
-    reasons = {n: each["reason"] for n, each in lab.results.items() if each["status"] != "ok"}
+    reasons = {n: why(each) for n, each in lab.results.items() if each["status"] != "ok"}
     assert all(why.startswith("missing_samples: 11 of ") for why in reasons.values())
     assert set(reasons) == {  # soon after the first turn, and in the second loading
         *("peak_force.1", "peak_force.2", "unloading_stiffness.1", "energy.1", "energy.2"),
@@ -401,9 +402,9 @@ def test_marker_at_infinity(lab: Lab, run: Run) -> None:
 def test_one_cycle(tmp_path: Path, run: Run) -> None:
     lab = make_lab(tmp_path, small_scenario(cycles=1))
     assert run("process", lab.raw, "--no-figures").status == 1
-    assert lab.results["clock_drift"]["reason"].startswith("one_event: ")
+    assert why(lab.results["clock_drift"]).startswith("one_event: ")
     assert lab.results["clock_offset"]["status"] == "doubtful"
-    assert lab.results["clock_offset"]["reason"].startswith("alignment_one_event: ")
+    assert why(lab.results["clock_offset"]).startswith("alignment_one_event: ")
     assert lab.results["peak_force.1"]["status"] == "ok"
     assert "peak_force.2" not in lab.results
     truth = lab.truth["cycles"][0]
@@ -418,7 +419,7 @@ def test_nothing_moves(told: Told) -> None:
     lab = told(lambda lab: change_take(lab, only_rest))
     for name in ("clock_offset", "peak_force.1", "energy.1", "initial_stiffness"):
         assert lab.results[name]["status"] == "failed"
-        assert lab.results[name]["reason"].startswith("no_motion: the motion spans")
+        assert why(lab.results[name]).startswith("no_motion: the motion spans")
 
 
 def test_nothing_moves_at_all(refused: Refused) -> None:

@@ -105,7 +105,7 @@ def test_intervals_cover(bench: Bench) -> None:
     hits: dict[str, list[bool]] = {}
     not_sure: list[str] = []
     for results, checked in bench.run(RUNS, 6):
-        not_sure += {each.reason for each in results if each.status is not Status.OK}
+        not_sure += {each.why for each in results if each.status is not Status.OK}
         for each in checked:
             if each.result.status is Status.OK:  # an interval does not cover a doubt
                 hits.setdefault(each.result.name, []).append(each.is_covered)

@@ -94,7 +94,7 @@ def test_intervals_cover(repository: Path, gain_uncertainty: float) -> None:
             if result.name.startswith("bending_stiffness"):
                 continue  # in test_measured_law, where the offsets are drawn as stated, too
             true = truth[result.name]
-            assert result.interval is not None, f"seed {seed}: {result.name}: {result.reason}"
+            assert result.interval is not None, f"seed {seed}: {result.name}: {result.why}"
             assert true is not None
             hits[result.name] += result.interval.lower <= true <= result.interval.upper
     chances = {name: binomtest(count, RUNS, 0.95).pvalue for name, count in hits.items()}

@@ -13,6 +13,7 @@ import pytest
 from labpipe.cli import main
 from labpipe.records.curve import PointFlag
 from labpipe.store.read import read_result
+from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, state
 
 pytestmark = pytest.mark.realdata
@@ -140,7 +141,7 @@ def test_record_that_breaks_off_is_told(pulled: Lab) -> None:
     last = list(pulled.results)[-1]
     assert last.startswith("energy.")
     assert pulled.results[last]["status"] == "doubtful"
-    assert pulled.results[last]["reason"].startswith("partial_cycle: the record ends at 20.48")
+    assert why(pulled.results[last]).startswith("partial_cycle: the record ends at 20.48")
     others = [each for name, each in pulled.results.items() if name != last]
     assert {each["status"] for each in others} == {"ok"}
 

@@ -11,6 +11,7 @@ import pytest
 
 from labpipe.cli import main
 from labpipe.store.read import read_result
+from tests.builders.reasons import why
 from tests.builders.small_tests import state
 from tests.builders.tensile_tests import TensileLab
 
@@ -129,15 +130,15 @@ def test_every_cycle_has_its_peak(done: dict[str, TensileLab]) -> None:
 def test_rows_without_time_say_sample_numbers(done: dict[str, TensileLab]) -> None:
     for name in ("copper-1a", "silicone-1", "silicone-2"):
         found = done[name].results["peak_force.1"]
-        if found["reason"]:
+        if why(found):
             rows = TESTS[name].rows
-            assert found["reason"] == (
+            assert why(found) == (
                 f"partial_cycle: the record ends at sample {rows}, while still loading"
             )
 
 
 def test_silicone_has_no_toe(done: dict[str, TensileLab]) -> None:
-    reason = done["silicone-1"].results["slack"]["reason"]
+    reason = why(done["silicone-1"].results["slack"])
     assert reason.startswith("no_toe: the line meets zero force at -4.596 mm, before the first ")
     # 1.736 N at 13.105 mm and 0.457 N at 2.418 mm
     found = done["silicone-1"].results["stiffness"]["value"]
@@ -147,7 +148,7 @@ def test_silicone_has_no_toe(done: dict[str, TensileLab]) -> None:
 def test_copper_breaks_where_its_force_is_lost(done: dict[str, TensileLab]) -> None:
     found = done["copper-1"].results["failure_displacement"]
     assert 10.2e-3 < found["value"] < 11.2e-3
-    assert found["reason"].startswith("slack_unknown: ")
+    assert why(found).startswith("slack_unknown: ")
 
 
 @pytest.mark.parametrize("name", TESTS)

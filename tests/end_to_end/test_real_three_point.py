@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.cli import main
+from tests.builders.reasons import why
 from tests.builders.small_tests import state
 from tests.builders.tensile_tests import TensileLab
 
@@ -96,7 +97,7 @@ def test_blank_cells_are_said(done: dict[str, TensileLab]) -> None:
     for name, lab in done.items():
         assert "samples are blank or not finite" in lab.notes["missing_samples"], name
         for each in lab.results.values():
-            assert not each["reason"].startswith("missing_samples: "), name
+            assert not why(each).startswith("missing_samples: "), name
 
 
 def test_peaks_are_the_largest_sample(done: dict[str, TensileLab]) -> None:
@@ -111,6 +112,6 @@ def test_no_span_is_said(realdata: Path, tmp_path: Path) -> None:
         lab.sheet.read_text(encoding="utf-8").replace(", span: 40 mm", ""), encoding="utf-8"
     )
     assert main(["process", str(lab.raw)]) == 1
-    assert lab.results["bending_stiffness"]["reason"] == (
+    assert why(lab.results["bending_stiffness"]) == (
         "no_span: nobody says specimen.span: write it into the test sheet, such as 'span: 152.4 mm'"
     )

@@ -81,7 +81,7 @@ def test_intervals_of_stranded_wires_cover(repository: Path) -> None:
         for result in results(test, protocol(repository, scenario)):
             if result.name not in truth:
                 continue
-            assert result.interval is not None, f"{scenario.name} {seed}: {result.reason}"
+            assert result.interval is not None, f"{scenario.name} {seed}: {result.why}"
             hits[result.name] += (
                 result.interval.lower <= truth[result.name] <= result.interval.upper
             )

@@ -159,7 +159,7 @@ def test_bending_stiffness_of_a_bundle_that_sticks(repository: Path) -> None:
     assert found.value == pytest.approx(STICK, rel=0.01)
     assert found.interval is not None
     assert found.interval.lower < STICK < found.interval.upper
-    assert results["kink_displacement"].reason.startswith("no_kink: ")
+    assert results["kink_displacement"].why.startswith("no_kink: ")
     assert results["hardening.2"].value == pytest.approx(1.0, abs=0.05)
 
 
@@ -170,7 +170,7 @@ def test_reversed_bridge(repository: Path) -> None:
     results = reduced(observe(scenario(BUNDLE), 1), parse_protocol(text, "taped-bundle.yaml"))
     for name in ("peak_force.1", "initial_stiffness"):
         assert results[name].status is Status.DOUBTFUL
-        assert results[name].reason.startswith("force_reversed: the force goes to -3.0")
+        assert results[name].why.startswith("force_reversed: the force goes to -3.0")
     assert results["clock_offset"].status is Status.DOUBTFUL
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from labpipe.virtual_lab.tensile_samples import twist_tube
 from tests.builders import bad_input
+from tests.builders.reasons import why
 from tests.builders.small_tests import Run, state
 from tests.builders.tensile_tests import TensileLab, make_tensile
 
@@ -197,11 +198,11 @@ def test_a_test_that_never_failed(told: Told) -> None:
         assert re.fullmatch(
             r"no_break: the force ends at 400\.\d N, 100% of its peak 400\.\d N; below 50% "
             r"counts as lost",
-            lab.results[name]["reason"],
+            why(lab.results[name]),
         )
     for name in ("peak_force.1", "stiffness_first_per_peak_force"):
         assert lab.results[name]["status"] == "doubtful"
-        assert lab.results[name]["reason"].endswith("while still loading")
+        assert why(lab.results[name]).endswith("while still loading")
     assert lab.results["stiffness_first"]["status"] == "ok"
 
 
@@ -209,9 +210,9 @@ def test_a_window_beyond_the_travel(told: Told) -> None:
     lab = told(lambda lab: lab.override("results.stiffness_second.to", "80 mm"), 1)
     found = lab.results["stiffness_second"]
     assert (found["value"], found["status"]) == (None, "failed")
-    assert found["reason"] == "not_reached: the branch reaches 24.9 mm, 80 mm is asked"
+    assert why(found) == "not_reached: the branch reaches 24.9 mm, 80 mm is asked"
     found = lab.results["stiffness_second_per_peak_force"]
-    assert found["reason"] == "no_stiffness: stiffness_second could not be had"
+    assert why(found) == "no_stiffness: stiffness_second could not be had"
     assert lab.results["stiffness_first"]["status"] == "ok"
 
 
@@ -220,13 +221,13 @@ def test_a_modulus_without_sizes(told: Told) -> None:
         lab.override("results.8", "{result: modulus, of: stiffness_first, area: stated}")
 
     found = told(asked, 1).results["modulus"]
-    assert found["reason"] == "no_area: specimen.section.area not given"
+    assert why(found) == "no_area: specimen.section.area not given"
 
 
 def test_nothing_moves(told: Told) -> None:
     lab = told(lambda lab: lab.override("branches.min_stroke", "200 mm"), 1)
     assert set(statuses(lab).values()) == {"failed"}
-    reasons = {each["reason"] for each in lab.results.values()}
+    reasons = {why(each) for each in lab.results.values()}
     assert all(
         re.match(r"no_motion: the motion spans 2\d(\.\d)? mm, less", each)
         or each.startswith("no_stiffness")

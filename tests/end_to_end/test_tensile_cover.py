@@ -93,7 +93,7 @@ def counted(repository: Path, kind: str, runs: int) -> tuple[Counter[str], Count
             continue  # each would be held against another one's truth
         for each in found:
             if each.status is not Status.OK or each.interval is None:
-                astray.append(f"seed {seed}: {each.name}: {each.reason}")
+                astray.append(f"seed {seed}: {each.name}: {each.why}")
                 continue
             trials[each.name] += 1
             hits[each.name] += each.interval.lower <= truth[each.name] <= each.interval.upper

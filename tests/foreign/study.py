@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from labpipe.cli import main
+from tests.builders.reasons import why
 from tests.foreign.cameras import CAMERAS
 from tests.foreign.frames import FRAMES
 from tests.foreign.noise import KINDS as NOISES
@@ -104,7 +105,7 @@ def _rows(made: Made, results: list[Row], refused: str) -> Iterator[Row]:
             yield {"name": name, "truth": truth, "value": None, "status": "absent", "why": refused}
         else:
             kept = {key: row[key] for key in ("name", "value", "lower", "upper", "status")}
-            yield {**kept, "truth": truth, "why": row["reason"]}
+            yield {**kept, "truth": truth, "why": why(row)}
 
 
 def carry_on(file: Path, home: Path, *, kinds: Iterable[str] = KINDS, minutes: float = 55.0) -> int:

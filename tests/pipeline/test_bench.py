@@ -5,7 +5,7 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, Signal, rms
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
-from labpipe.records.quality import Severity
+from labpipe.records.quality import Reason, Severity
 from tests.builders.doubts import doubted
 
 
@@ -23,7 +23,7 @@ def test_first_doubt_and_first_block_count() -> None:
     bench.block("c", "three", where="align")
     bench.block("d", "four", where="align")
     assert doubted(bench) == {"clock": "a: one"}
-    assert bench.blocked == "c: three"
+    assert bench.blocked == Reason("c", "three")
     severities = [note.severity for note in bench.notes]
     assert severities == [Severity.WARNING, Severity.WARNING, Severity.ERROR, Severity.ERROR]
 
@@ -40,10 +40,10 @@ def located() -> Bench:
 
 def test_an_event_touches_what_lies_over_it_and_nothing_else() -> None:
     bench = located()
-    assert bench.why_doubtful("force", (41.0, 60.0)) == ("frozen: stands",)
+    assert bench.why_doubtful("force", (41.0, 60.0)) == (Reason("frozen", "stands"),)
     assert bench.why_doubtful("force", (0.0, 39.0)) == ()
     assert bench.why_doubtful("displacement", (41.0, 60.0)) == ()
-    assert bench.why_doubtful("force") == ("frozen: stands",)
+    assert bench.why_doubtful("force") == (Reason("frozen", "stands"),)
 
 
 def test_an_event_is_looked_for_on_the_clock_of_the_curve() -> None:
@@ -51,14 +51,14 @@ def test_an_event_is_looked_for_on_the_clock_of_the_curve() -> None:
     at = np.array([20.0])
     known = Interval(9.9, 10.1)
     bench.clock_fit = ClockFit(10.0, 0.0, known, known, 0.0, at, at + 10.0, at * 0.0 + 0.1, "")
-    assert bench.why_doubtful("force", (29.0, 31.0)) == ("frozen: stands",)
+    assert bench.why_doubtful("force", (29.0, 31.0)) == (Reason("frozen", "stands"),)
     assert bench.why_doubtful("force", (41.0, 60.0)) == ()
 
 
 def test_an_event_in_the_stretch_of_the_zero_touches_all() -> None:
     bench = located()
     bench.zeroed["force"] = (39.0, 41.0)
-    assert bench.why_doubtful("force", (60.0, 70.0)) == ("frozen: stands",)
+    assert bench.why_doubtful("force", (60.0, 70.0)) == (Reason("frozen", "stands"),)
 
 
 def test_branches_by_cycle() -> None:

@@ -14,6 +14,7 @@ from labpipe.processing.alignment import Repeat
 from labpipe.processing.strokes import Stroke, find_strokes
 from labpipe.protocol.rig import AlignTurningPoints
 from labpipe.records.arrays import Floats
+from labpipe.records.quality import Reason
 from tests.builders.doubts import doubted
 from tests.builders.dwelling_tests import Dwelling
 
@@ -109,7 +110,7 @@ def test_constant_force() -> None:
     force = made.raw["force"]
     made.raw["force"] = replace(force, values=np.full(len(force.time), 0.25))
     assert aligned(made).clock_fit is None
-    assert made.blocked == "constant_channel: the force is constant at 0.25 N"
+    assert made.blocked == Reason("constant_channel", "the force is constant at 0.25 N")
 
 
 def test_force_that_saw_no_peak() -> None:
@@ -118,7 +119,8 @@ def test_force_that_saw_no_peak() -> None:
     kept = slice(0, 1000)
     made.raw["force"] = replace(force, time=force.time[kept], values=force.values[kept])
     assert aligned(made).clock_fit is None
-    assert made.blocked.startswith("no_common_peak: ")
+    assert made.blocked is not None
+    assert made.blocked.code == "no_common_peak"
 
 
 def test_force_that_saw_only_the_last_cycles() -> None:

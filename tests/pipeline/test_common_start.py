@@ -64,7 +64,7 @@ def test_a_constant_force_is_said_by_its_cause() -> None:
     flat = made.raw["force"]
     made.raw["force"] = replace(flat, values=0.0 * flat.values + 0.25)
     fitted(made)
-    assert made.blocked == (
+    assert str(made.blocked) == (
         "constant_channel: the force is constant at 0.25 N: is it the right channel, and is the "
         "cell connected?"
     )

@@ -8,6 +8,7 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
 from labpipe.records.curve import Interval
+from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 
 ASKED = Asked("stiffness", "N/m", ("force", "displacement"), "by a line")
@@ -29,7 +30,9 @@ def test_an_interval_of_its_own() -> None:
 
 
 def test_no_number() -> None:
-    found = to_result(Bench(), ASKED, Failure("gap", "4 samples are missing"), doubt="x: y")
+    found = to_result(
+        Bench(), ASKED, Failure("gap", "4 samples are missing"), doubts=[Reason("x", "y")]
+    )
     assert (found.value, found.interval, found.status) == (None, None, Status.FAILED)
     assert found.why == "gap: 4 samples are missing"
     assert found.method == "by a line"
@@ -48,7 +51,9 @@ def test_doubts_of_its_quantities() -> None:
     bench = Bench()
     bench.doubt("force", "drift", "the zero drifts", where="force")
     bench.doubt("clock", "drift", "the clock drifts", where="clock")
-    found = to_result(bench, ASKED, Estimate(10.0, 1.0, 50), doubt="slip_in_window: at 6 mm")
+    found = to_result(
+        bench, ASKED, Estimate(10.0, 1.0, 50), doubts=[None, Reason("slip_in_window", "at 6 mm")]
+    )
     assert found.status is Status.DOUBTFUL
     assert found.why == "drift: the zero drifts; slip_in_window: at 6 mm"
 

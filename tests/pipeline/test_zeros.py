@@ -147,7 +147,9 @@ def test_short_rests_leave_results_as_good(
 
 def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
     made, results = reduced(repository, rest=0.02, offset=0.0)
-    assert ("force", "zero_not_at_rest") in {(each.quantity, each.code) for each in made.doubts}
+    assert ("force", "zero_not_at_rest") in {
+        (each.quantity, each.reason.code) for each in made.doubts
+    }
     assert results["peak_force.1"].status is Status.DOUBTFUL
 
 

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from typing import Any
 
+from tests.builders.reasons import codes, why
 from tests.plain.bench import Ran
 from tests.plain.definitions import Plain
 
 NEAR = 3e-3
 NAN = re.compile(r"\bnan\b|\binf\b", re.IGNORECASE)
-CODES = re.compile(r"(?:^|; )([a-z_]+):")
-"""In a reason; there may be several, parted by semicolons."""
 NO_BREAK = "no_break|no_failure"
 SIGN = re.compile("sign|negative|reversed|down|compress")
 """In the code of a note that says that a number is negative because of how the file counts."""
@@ -89,8 +88,8 @@ def _refused(ran: Ran, expected: Expected) -> Iterator[str]:
 
 def _sentences(ran: Ran) -> Iterator[str]:
     for name, each in ran.results.items():
-        if NAN.search(each["reason"]) or NAN.search(each["method"]):
-            yield f"{name}: no sentence: {each['reason']} {each['method']}"
+        if NAN.search(why(each)) or NAN.search(each["method"]):
+            yield f"{name}: no sentence: {why(each)} {each['method']}"
     for note in ran.notes:
         if NAN.search(note["message"]):
             yield f"note {note['code']}: no sentence: {note['message']}"
@@ -110,12 +109,12 @@ def _judged(
         return
     causes = [codes for pattern, codes in expected.causes.items() if fnmatch(name, pattern)]
     cause = "|".join([*causes, *([NO_BREAK] if plain is None else [])])
-    told = f"{name}: {result['status']}, {result['reason'][:160]}"
-    if not result["reason"]:
+    told = f"{name}: {result['status']}, {why(result)[:160]}"
+    if not result["reasons"]:
         yield f"{told}: no reason"
     elif not cause:
         yield f"{told}: must be ok, plainly {_shown(plain)}"
-    elif not re.search(cause, " ".join(CODES.findall(result["reason"]))):
+    elif not re.search(cause, " ".join(codes(result))):
         yield f"{told}: not the cause ({cause})"
     if expected.own and result["status"] == "doubtful" and plain is not None:
         yield from _value(name, result, plain, expected, ran)

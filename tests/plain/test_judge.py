@@ -84,7 +84,9 @@ def test_a_break_at_any_rate_is_within_one_slow_step() -> None:
 
 
 def ran(status: str = "ok", value: float = 100.0, reason: str = "", **more: Any) -> Ran:
-    result = {"name": "peak_force.1", "value": value, "status": status, "reason": reason}
+    told = [each.split(": ") for each in reason.split("; ") if each]
+    reasons = [{"code": code, "message": message} for code, message in told]
+    result = {"name": "peak_force.1", "value": value, "status": status, "reasons": reasons}
     return Ran(0, "", "", {"results": [{**result, "method": ""}], "quality": [], **more})
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.report.calibration_validation import (
     agreement_words,
     plot_group,
@@ -17,7 +17,7 @@ from labpipe.report.calibration_validation import (
 from labpipe.report.page import style
 from tests.report.builders_calibrations import foretold, group, report
 
-REASON = "deflection_too_large: the curve ends at 40 mm"
+REASON = Reason("deflection_too_large", "the curve ends at 40 mm")
 LOST = replace(group(), prediction=None, errors=None, reason=REASON)
 
 

@@ -6,7 +6,14 @@ from labpipe.records.group import Campaign
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Status
 from labpipe.records.slips import SlipDecision
-from labpipe.report.concerns import Concern, Kind, decision_words, find_concerns, split_reason
+from labpipe.report.concerns import (
+    Concern,
+    Kind,
+    decision_words,
+    find_concerns,
+    sentence,
+    sentences,
+)
 from tests.builders.campaigns import (
     build_campaign,
     build_group,
@@ -57,7 +64,9 @@ def test_numbers_without_interval_and_samples_left_out() -> None:
     )
     sample = replace(sample, results=(bare, *sample.results[1:]))
     group = build_group("A", [sample])
-    number = replace(group.numbers[1], left_out={"tt-s1a": "no_result: no result of that name."})
+    number = replace(
+        group.numbers[1], left_out={"tt-s1a": (Reason("no_result", "no such result."),)}
+    )
     note = QualityNote("short_overlap", Severity.WARNING, "curves", "They share 2 mm only.")
     group = replace(group, numbers=(number,), notes=(note,))
     concerns = find_concerns(Campaign("Synthetic", (group,)))
@@ -78,10 +87,11 @@ def test_a_failed_result_is_told_once() -> None:
 
 
 def test_reasons() -> None:
-    assert split_reason("not_reached: the end.") == ("not_reached", "The end.")
-    assert split_reason("Expected: a word.") == ("", "Expected: a word.")
-    assert split_reason("no code here") == ("", "No code here.")
-    assert split_reason("") == ("", "")
+    assert sentence("the end.") == "The end."
+    assert sentence("no stop here") == "No stop here."
+    assert sentence("") == ""
+    reasons = (Reason("not_reached", "the end"), None, Reason("gap", "3 samples are missing"))
+    assert sentences(reasons) == "The end. 3 samples are missing."
     assert all(decision_words(each).endswith(".") for each in SlipDecision)
 
 
@@ -100,9 +110,9 @@ def test_tests_that_were_not_processed_alike_come_before_all_numbers() -> None:
 
 
 def test_names_of_results_in_a_sentence_are_words() -> None:
-    assert split_reason("no_stiffness: stiffness_second could not be had") == (
-        "no_stiffness", "Stiffness, second region could not be had."
-    )  # fmt: skip
-    assert split_reason("doubtful values are in the means of: peak_force.1 (tt-a)")[1] == (
+    assert sentence("stiffness_second could not be had") == (
+        "Stiffness, second region could not be had."
+    )
+    assert sentence("doubtful values are in the means of: peak_force.1 (tt-a)") == (
         "Doubtful values are in the means of: peak force, cycle 1 (tt-a)."
     )

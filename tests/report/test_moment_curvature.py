@@ -7,6 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from labpipe.records.bending import Bending
+from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.report.moment_curvature import draw, plot_cloud, plot_stiffness
 from labpipe.report.page import style
@@ -59,7 +60,9 @@ def test_stiffnesses_begin_above_the_noise(result: TestResult) -> None:
 
 
 def test_without_a_law_the_points_stay_and_a_sentence_says_why(result: TestResult) -> None:
-    bare = replace(result, bending=Bending(some_cloud(), None, "no_law: expected at least 24"))
+    bare = replace(
+        result, bending=Bending(some_cloud(), None, Reason("no_law", "expected at least 24"))
+    )
     with style():
         page = draw(bare)
     points, empty = page.axes

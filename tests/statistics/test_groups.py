@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.quality import Reason
+from labpipe.records.quality import Reason, worded
 from labpipe.records.result import Status
 from labpipe.statistics.groups import compare_groups
 from tests.builders.sloped_samples import built, make, said, samples, stiffness
@@ -51,7 +51,7 @@ def test_what_is_left_out_says_why() -> None:
     ]
     number = built(members).numbers[0]
     assert list(number.values) == ["s0-1"]
-    assert number.left_out == {
+    assert {test: worded(why) for test, why in number.left_out.items()} == {
         "s1-0": "too_few_samples: 3 samples",
         "s1-1": "other_unit: in N/mm, where the first sample is in N/m",
         "s1-2": "no_result: the test has no stiffness",
@@ -65,7 +65,7 @@ def test_no_sample_has_the_number() -> None:
     )
     number = built([replace(make("s1", 1, 50.0), results=(failed,))]).numbers[0]
     assert number.mean is None
-    assert number.left_out == {"s1-1": "not_reached: it ends at 1 mm"}
+    assert number.left_out == {"s1-1": (Reason("not_reached", "it ends at 1 mm"),)}
 
 
 def test_outliers_stay_in_the_mean() -> None:

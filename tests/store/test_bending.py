@@ -8,6 +8,7 @@ import pytest
 
 from labpipe.errors import StoreError
 from labpipe.records.bending import Bending
+from labpipe.records.quality import Reason
 from labpipe.store.read import read_outcome, read_result
 from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending, some_cloud
@@ -16,7 +17,7 @@ from tests.store.builders_result import build_result, differences
 
 @pytest.mark.parametrize(
     "bending",
-    [some_bending(), Bending(some_cloud(), None, "no_law: expected at least 24"), None],
+    [some_bending(), Bending(some_cloud(), None, Reason("no_law", "expected at least 24")), None],
     ids=["with a law", "without a law", "not asked for"],
 )
 def test_what_is_written_is_read(bending: Bending | None, tmp_path: Path) -> None:
