@@ -13,9 +13,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
+from labpipe.records.quality import Reason
+from labpipe.records.result import Status
 from labpipe.records.slips import SlipDecision
 from labpipe.store.read import RawTest, read_outcome, read_raw, read_result, read_stages
 from labpipe.store.write import write_result
+from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, differences, with_slips
 
 
@@ -114,13 +117,39 @@ def test_foreign_hdf5(tmp_path: Path) -> None:
 
 def test_newer_schema(path: Path) -> None:
     with h5py.File(path, "a") as root:
-        root.attrs["labpipe_schema"] = 2
+        root.attrs["labpipe_schema"] = 3
     message = (
-        r"result\.h5, labpipe_schema: expected 1, the schema that this version reads, "
-        r"found a file made by a newer labpipe, schema 2\. Update labpipe\."
+        r"result\.h5, labpipe_schema: expected 2, the schema that this version reads, "
+        r"found a file made by a newer labpipe, schema 3\. Update labpipe\."
     )
     with pytest.raises(StoreError, match=message):
         read_result(path)
+
+
+def glued(root: h5py.File) -> None:
+    """Turn a result file into one of schema 1, where reasons are one text."""
+    root.attrs["labpipe_schema"] = 1
+    for name in (*(f"results/{each}" for each in root["results"]), "bending", "bending/law"):
+        if name in root:
+            attributes = root[name].attrs
+            told = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
+            attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in told)
+            del attributes["reason_codes"], attributes["reason_messages"]
+
+
+def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
+    result = replace(build_result(cycles=1, half_cycle=4.0), bending=some_bending())
+    several = (
+        Reason("frozen_channel", "the force stands still; for 3 s: from 1 s; is it connected?"),
+        Reason("gap", "4 samples are missing"),
+    )
+    doubtful = replace(result.results[0], status=Status.DOUBTFUL, reasons=several)
+    result = replace(result, results=(doubtful, *result.results[1:]))
+    write_result(result, tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5", "a") as root:
+        glued(root)
+    assert not differences(read_result(tmp_path / "result.h5"), result)
+    assert read_outcome(tmp_path / "result.h5").results == result.results
 
 
 def test_schema_that_never_was(path: Path) -> None:

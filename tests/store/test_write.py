@@ -120,7 +120,7 @@ def test_every_dataset_is_chunked_filtered_and_labelled(result: TestResult, tmp_
 def test_layout_is_the_documented_one(result: TestResult, tmp_path: Path) -> None:
     write_result(result, tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5") as root:
-        assert root.attrs["labpipe_schema"] == 1
+        assert root.attrs["labpipe_schema"] == 2
         assert root.attrs["specimen_type"] == "A2"
         assert root.attrs["protocol_yaml"] == result.protocol_yaml
         raw = root["raw"]
