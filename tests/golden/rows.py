@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import json
-import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import astuple, dataclass, fields
@@ -16,8 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import h5py
-
-_CODE = re.compile(r"(?:^|; )([a-z]+(?:_[a-z0-9]+)*): ")
 
 
 @dataclass(frozen=True)
@@ -48,18 +45,9 @@ COLUMNS = tuple(each.name for each in fields(Row))
 NUMBERS = ("value", "lower", "upper", "level", "n")
 
 
-def codes(reasons: object) -> str:
-    """Codes of the reasons of a summary, in their order, each once.
-
-    `reasons` is a list of ``{code, message}``, or the text ``code: message; code: message``.
-    """
-    if isinstance(reasons, str):
-        found = _CODE.findall(reasons)
-    elif isinstance(reasons, Iterable):
-        found = [str(each["code"]) for each in reasons]
-    else:
-        found = []
-    return " ".join(dict.fromkeys(found))
+def codes(reasons: Iterable[Mapping[str, str]]) -> str:
+    """Codes of the reasons of a summary, in their order, each once."""
+    return " ".join(dict.fromkeys(each["code"] for each in reasons))
 
 
 def rows(test: str, folder: Path, *, status: str = "") -> list[Row]:
@@ -75,14 +63,13 @@ def rows(test: str, folder: Path, *, status: str = "") -> list[Row]:
 
 
 def _result(test: str, entry: Mapping[str, Any], samples: Mapping[str, int]) -> Row:
-    reasons = entry["reasons"] if "reasons" in entry else entry["reason"]
     numbers = {name: _text(entry[name]) for name in ("value", "lower", "upper", "level")}
     return Row(
         test,
         "result",
         entry["name"],
         status=entry["status"],
-        codes=codes(reasons),
+        codes=codes(entry["reasons"]),
         unit=entry["unit"],
         n=_text(samples.get(entry["name"])),
         **numbers,
