@@ -76,7 +76,7 @@ def test_two_segments_or_the_reason_why_not(done: dict[str, TensileLab]) -> None
                 continue
             assert found[each]["lower"] < found[each]["value"] < found[each]["upper"], (name, each)
         if name in STRAIGHT:
-            assert found["break_point"]["reason"].startswith("no_bend: ")
+            assert why(found["break_point"]).startswith("no_bend: ")
         else:
             assert found["segment_stiffness_first"]["value"] > found[SEGMENTS[1]]["value"]
 
