@@ -175,7 +175,9 @@ def _process(parser: argparse.ArgumentParser) -> None:
     what = "test folder, campaign folder, test.yaml, or a result.h5 to process again"
     parser.add_argument("tests", nargs="+", type=_path, metavar="TEST", help=what)
     parser.add_argument("--out", type=_path, metavar="DIR", help="write to DIR/<test> instead")
-    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    drawn = parser.add_mutually_exclusive_group()
+    drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
     _follow_links(parser)
     _jobs(parser, default=1)

@@ -91,7 +91,7 @@ def _name_files(
     print("\nreports, one page each:")
     print("\n".join(f"  {from_here(page)}" for page in pages))
     firsts = [path for each in _firsts(processed) for path in each.figures]
-    drawn = [path for path in (*firsts, *calibrated.files) if path.suffix == ".png"]
+    drawn = [path for path in (*firsts, *calibrated.files) if path.suffix == ".svg"]
     if drawn:
         print("\nfigures to look at, of the first test of each kind and of the calibration:")
         print("\n".join(f"  {from_here(path)}" for path in drawn))

@@ -24,6 +24,7 @@ def run(options: argparse.Namespace) -> int:
         tests,
         out=options.out,
         figures=lambda _: not options.no_figures,
+        png=options.png,
         jobs=options.jobs,
         follow_links=options.follow_links,
     )
@@ -45,6 +46,7 @@ def process_all(
     out: Path | None,
     figures: Callable[[Path], bool],
     jobs: int,
+    png: bool = False,
     follow_links: bool = False,
 ) -> tuple[list[Processed], int]:
     """Process tests and say what is wrong with those that cannot be.
@@ -57,7 +59,13 @@ def process_all(
     processed, refused = [], 0
     with progress(len(tests)) as begin:
         for done in process_tests(
-            tests, out=out, figures=figures, follow_links=follow_links, jobs=jobs, begin=begin
+            tests,
+            out=out,
+            figures=figures,
+            png=png,
+            follow_links=follow_links,
+            jobs=jobs,
+            begin=begin,
         ):
             if isinstance(done, Refused):
                 print(f"labpipe process: {done.reason}", file=sys.stderr)

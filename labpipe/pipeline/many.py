@@ -38,6 +38,7 @@ def process_tests(
     *,
     out: Path | None = None,
     figures: Callable[[Path], bool] = lambda _: True,
+    png: bool = False,
     follow_links: bool = False,
     jobs: int = 1,
     begin: Callable[[Path], Say] = lambda _: _say_nothing,
@@ -47,7 +48,7 @@ def process_tests(
     Parameters
     ----------
     tests : test.yaml or result.h5 files
-    out, follow_links : see `process_test`
+    out, png, follow_links : see `process_test`
     figures : whether to draw those of a test
     jobs : how many at a time, each in a process of its own
     begin : told each test, and gives what is told its stages; of several at a time, none but that
@@ -67,9 +68,9 @@ def process_tests(
     process = _process if len(tests) == 1 else _process_one_of_many
     if jobs == 1:
         for test in tests:
-            yield process(test, out, figures(test), follow_links, begin(test))
+            yield process(test, out, figures(test), png, follow_links, begin(test))
         return
-    calls = [partial(process, test, out, figures(test), follow_links) for test in tests]
+    calls = [partial(process, test, out, figures(test), png, follow_links) for test in tests]
     with closing(in_processes(calls, jobs=jobs)) as outcomes:
         for test in tests:
             begin(test)("wait")
@@ -118,10 +119,17 @@ def _say_nothing(_: str) -> None:
 
 
 def _process(
-    test: Path, out: Path | None, is_drawn: bool, follow_links: bool, say: Say = _say_nothing
+    test: Path,
+    out: Path | None,
+    is_drawn: bool,
+    png: bool,
+    follow_links: bool,
+    say: Say = _say_nothing,
 ) -> Processed | Refused:
     try:
-        done = process_test(test, out=out, figures=is_drawn, follow_links=follow_links, say=say)
+        done = process_test(
+            test, out=out, figures=is_drawn, png=png, follow_links=follow_links, say=say
+        )
     except LabpipeError as error:
         return Refused(test, str(error))
     except MemoryError:
@@ -133,11 +141,16 @@ def _process(
 
 
 def _process_one_of_many(
-    test: Path, out: Path | None, is_drawn: bool, follow_links: bool, say: Say = _say_nothing
+    test: Path,
+    out: Path | None,
+    is_drawn: bool,
+    png: bool,
+    follow_links: bool,
+    say: Say = _say_nothing,
 ) -> Processed | Refused:
     """Process a test; a fault of labpipe does not stop the others, but shows where it is alone."""
     try:
-        return _process(test, out, is_drawn, follow_links, say)
+        return _process(test, out, is_drawn, png, follow_links, say)
     except Exception as error:  # noqa: BLE001
         return Refused(test, _own_fault(test, error))
 

@@ -66,6 +66,7 @@ def process_test(
     *,
     out: Path | None = None,
     figures: bool = True,
+    png: bool = False,
     follow_links: bool = False,
     say: Say = lambda _: None,
 ) -> Processed:
@@ -75,7 +76,8 @@ def process_test(
     ----------
     source : its test.yaml, or a result.h5 whose raw group is processed again
     out : folder that gets a folder per test; None for `processed` beside `raw`
-    figures : whether to draw
+    figures : whether to draw, as SVG
+    png : whether figures are drawn as PNG, too
     follow_links : whether exports may be links out of the folder of the test
     say : told the name of each stage as it begins
 
@@ -101,7 +103,7 @@ def process_test(
         with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
             writing = beside.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
-            drawn = _draw(result, stage / FIGURES, say) if figures else ()
+            drawn = _draw(result, stage / FIGURES, say, png=png) if figures else ()
             writing.result()
     files = tuple(folder / path.relative_to(stage) for path in drawn)
     return Processed(folder, result, files, finished)
@@ -288,8 +290,8 @@ def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
     return above[0].parent / "processed" / folder.relative_to(above[0])
 
 
-def _draw(result: TestResult, folder: Path, say: Say) -> tuple[Path, ...]:
+def _draw(result: TestResult, folder: Path, say: Say, *, png: bool) -> tuple[Path, ...]:
     say("draw")
     from labpipe.report.figures import save_figures
 
-    return tuple(save_figures(result, folder))
+    return tuple(save_figures(result, folder, png=png))

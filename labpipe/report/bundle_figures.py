@@ -12,7 +12,7 @@ import numpy as np
 from labpipe.records.bundle import BundleModel
 from labpipe.report.numbers import write_number
 from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter
-from labpipe.report.saving import PageToDraw, save_pages
+from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_look import (
     CURVATURE,
     LENGTH,
@@ -62,7 +62,7 @@ def save_bundle_figure(model: BundleModel, folder: Path) -> list[Path]:
     StoreError
         If a file cannot be written.
     """
-    page = PageToDraw(FIGURE, partial(bundle_figure, model))
+    page = FigureToSave(FIGURE, partial(bundle_figure, model))
     return save_pages([page], folder, what="the figure", again="model the bundle")
 
 

@@ -11,10 +11,10 @@ from labpipe.report.calibration_shapes import shapes_figure
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_third import third_figure, third_pages
 from labpipe.report.calibration_validation import validation_figure, validation_pages
-from labpipe.report.saving import PageToDraw, save_pages
+from labpipe.report.saving import FigureToSave, save_pages
 
 
-def calibration_drawings(report: CalibrationReport) -> Iterator[PageToDraw]:
+def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
     """List the figures of a calibration.
 
     Parameters
@@ -30,14 +30,14 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[PageToDraw]:
     card = partial(
         calibration_card, report.calibration, report.source, predictions=report.predictions
     )
-    yield PageToDraw("calibration", card)
+    yield FigureToSave("calibration", card)
     for number, groups in enumerate(validation_pages(report.groups), start=1):
-        yield PageToDraw(f"validation-{number}", partial(validation_figure, groups))
+        yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))
     for number, panels in enumerate(third_pages(report), start=1):
         name = "third-curves" if number == 1 else f"third-curves-{number}"
-        yield PageToDraw(name, partial(third_figure, panels))
+        yield FigureToSave(name, partial(third_figure, panels))
     for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
-        yield PageToDraw(f"shapes-{number}", partial(shapes_figure, name, shapes))
+        yield FigureToSave(f"shapes-{number}", partial(shapes_figure, name, shapes))
 
 
 def save_calibration_figures(

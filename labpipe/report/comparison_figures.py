@@ -16,7 +16,7 @@ from labpipe.report.group_look import Look, group_scale
 from labpipe.report.numbers import display_of, heading, in_words, shown_in
 from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter, say
 from labpipe.report.questions import Family, context_words, equal_words, families, field_words
-from labpipe.report.saved_figures import FigureToSave
+from labpipe.report.saving import FigureToSave
 from labpipe.report.thinning import bends
 from labpipe.report.wire_look import Words, wire_page
 from labpipe.report.wording import shortened

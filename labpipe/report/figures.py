@@ -16,7 +16,7 @@ from labpipe.report import (
     timeline,
     wire_shapes,
 )
-from labpipe.report.saving import PageToDraw, save_pages
+from labpipe.report.saving import FigureToSave, save_pages
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,14 +31,15 @@ FIGURES: dict[str, Callable[[TestResult], Figure]] = {
 }
 
 
-def save_figures(result: TestResult, folder: Path) -> list[Path]:
-    """Draw the figures that the protocol asks for, each as SVG and as PNG.
+def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list[Path]:
+    """Draw the figures that the protocol asks for as SVG.
 
     Parameters
     ----------
     result : a processed test; a figure whose data is missing is made all the same and says in a
         sentence why it is empty
     folder : made if it is not there
+    png : each as PNG, too
 
     Returns
     -------
@@ -59,5 +60,6 @@ def save_figures(result: TestResult, folder: Path) -> list[Path]:
     if unknown:
         message = f"figures={unknown}: expected some of {list(FIGURES)}"
         raise ValueError(message)
-    pages = [PageToDraw(name, partial(FIGURES[name], result)) for name in result.figures]
-    return save_pages(pages, folder, what="figures", again="process the test", run=result.run)
+    pages = [FigureToSave(name, partial(FIGURES[name], result)) for name in result.figures]
+    again = "process the test"
+    return save_pages(pages, folder, what="figures", again=again, run=result.run, png=png)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,31 +16,10 @@ from labpipe.report.group_lines import draw_lines, has_lines
 from labpipe.report.group_look import count_words, finite_end, group_scale
 from labpipe.report.group_slips import draw_slips, with_slips
 from labpipe.report.numbers import in_words
-from labpipe.report.saved_figures import FigureToSave, SavedFigure, save_figures
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from labpipe.report.saving import FigureToSave, SavedFigure, save_report_figures
 
 
-@dataclass(frozen=True, slots=True)
-class Drawing:
-    """A figure of a group, before it is drawn.
-
-    Parameters
-    ----------
-    name : of its files, behind the name of the group
-    draw : makes it
-    caption : how to read it
-    alt : what a person who cannot see it is told
-    """
-
-    name: str
-    draw: Callable[[Group], Figure]
-    caption: str
-    alt: str
-
-
-def drawings(group: Group) -> Iterator[Drawing]:
+def drawings(group: Group) -> Iterator[FigureToSave]:
     """List the figures that a group has data for; the curves are always there.
 
     Parameters
@@ -51,17 +28,19 @@ def drawings(group: Group) -> Iterator[Drawing]:
 
     Yields
     ------
-    Curves, normalised curves, slips, fitted lines, numbers.
+    Curves, normalised curves, slips, fitted lines, numbers, by names without that of the group.
     """
     about = f"{group.name}, {count_words(group)}"
-    yield Drawing("curves", draw_curves, _curve_caption(group, group.band), _curve_alt(group))
+    yield FigureToSave(
+        "curves", partial(draw_curves, group), _curve_caption(group, group.band), _curve_alt(group)
+    )
     if group.band_scaled is not None:
         caption = (
             "Force over the peak force of the same sample. What is left of the scatter is not"
             " a matter of strength. " + _curve_caption(group, group.band_scaled, is_scaled=True)
         )
         alt = f"Force over peak force against displacement of {about}."
-        yield Drawing("scaled", draw_scaled, caption, alt)
+        yield FigureToSave("scaled", partial(draw_scaled, group), caption, alt)
     if with_slips(group):
         caption = (
             "Samples that slid in their grips, first loading. Grey and dashed: the force as it was"
@@ -69,13 +48,17 @@ def drawings(group: Group) -> Iterator[Drawing]:
             " slip of the list above."
         )
         slipped = ", ".join(sample.test for sample in with_slips(group))
-        yield Drawing("slips", draw_slips, caption, f"Slips of {slipped} on their curves.")
+        yield FigureToSave(
+            "slips", partial(draw_slips, group), caption, f"Slips of {slipped} on their curves."
+        )
     if has_lines(group):
-        yield Drawing("lines", draw_lines, _LINES, _line_alt(group))
+        yield FigureToSave("lines", partial(draw_lines, group), _LINES, _line_alt(group))
     numbers = numbers_to_draw(group)
     if numbers:
         names = "; ".join(in_words(number.name) for number in numbers)
-        yield Drawing("numbers", draw_dots, _DOTS, f"Each sample's {names}: {about}.")
+        yield FigureToSave(
+            "numbers", partial(draw_dots, group), _DOTS, f"Each sample's {names}: {about}."
+        )
 
 
 _LINES = (
@@ -162,11 +145,8 @@ def save_drawings(group: Group, folder: Path, *, stem: str) -> list[SavedFigure]
     -------
     In the order of `drawings`.
     """
-    wanted = [
-        FigureToSave(f"{stem}-{each.name}", partial(each.draw, group), each.caption, each.alt)
-        for each in drawings(group)
-    ]
-    return save_figures(wanted, folder)
+    wanted = [each._replace(name=f"{stem}-{each.name}") for each in drawings(group)]
+    return save_report_figures(wanted, folder)
 
 
 def stems(names: Iterable[str]) -> list[str]:

@@ -27,7 +27,7 @@ from labpipe.report.numbers import with_names_in_words
 from labpipe.report.place_tables import has_bundles, place_table
 from labpipe.report.question_tables import difference_table, question_table, remarks_on_pairs
 from labpipe.report.questions import answering_pairs, field_words
-from labpipe.report.saved_figures import SavedFigure
+from labpipe.report.saving import SavedFigure
 
 if TYPE_CHECKING:
     from markupsafe import Markup

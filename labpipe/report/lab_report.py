@@ -10,7 +10,7 @@ from labpipe.report.comparison_figures import figures_of_families
 from labpipe.report.group_figures import save_drawings, stems
 from labpipe.report.lab_page import FiguresBetween, render_page
 from labpipe.report.place_figures import place_figures
-from labpipe.report.saved_figures import SavedFigure, save_figures
+from labpipe.report.saving import SavedFigure, save_report_figures
 from labpipe.report.wording import printable
 from labpipe.report.workbook import save_workbook
 
@@ -67,7 +67,7 @@ def _between(campaign: Campaign, folder: Path) -> FiguresBetween:
     """Draw what compares groups."""
     questions: dict[str, list[SavedFigure]] = {}
     wanted = list(figures_of_families(campaign))
-    saved = save_figures([figure for _, figure in wanted], folder)
+    saved = save_report_figures([figure for _, figure in wanted], folder)
     for (name, _), figure in zip(wanted, saved, strict=True):
         questions.setdefault(name, []).append(figure)
-    return FiguresBetween(questions, save_figures(place_figures(campaign), folder))
+    return FiguresBetween(questions, save_report_figures(place_figures(campaign), folder))

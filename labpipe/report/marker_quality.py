@@ -61,8 +61,8 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     edges *= scale(result, "time", "s").factor
     for row in range(len(names)):
         for flag, colour in FLAG_COLOURS.items():
-            spans = _spans(flags[:, row] == flag, edges)
-            axes.broken_barh(spans, (row - 0.36, 0.72), color=colour, linewidth=0)
+            if spans := _spans(flags[:, row] == flag, edges):
+                axes.broken_barh(spans, (row - 0.36, 0.72), color=colour, linewidth=0)
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)

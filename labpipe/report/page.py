@@ -101,7 +101,16 @@ def titled_page(
 
 
 def finish_layout(page: Figure) -> None:
-    """Give every panel its place now, for good; words are made such that they fit and show."""
+    """Give every panel its place now, for good; words are made such that they fit and show.
+
+    Parameters
+    ----------
+    page : its words are measured as an SVG has them, so that its places do not depend on whether
+        it is drawn in pixels too
+    """
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    FigureCanvasSVG(page)
     _fit_words(page)
     engine = page.get_layout_engine()
     if engine is not None:

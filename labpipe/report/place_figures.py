@@ -12,7 +12,7 @@ from labpipe.report.concerns import sentences
 from labpipe.report.numbers import unit_words
 from labpipe.report.page import GREY
 from labpipe.report.place_tables import place_scales
-from labpipe.report.saved_figures import FigureToSave
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wire_look import Words, number_log, wire_page
 from labpipe.report.wording import Scale
 

@@ -1,72 +1,122 @@
-"""Draw pages once, lay them out once, write them as SVG and as PNG."""
+"""Draw figures once, lay them out once, write them as SVG, PNG and PDF, and into a page."""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from labpipe.errors import StoreError, complaint
+from labpipe.report.inline_svg import Inline, inline_svg
 from labpipe.report.page import finish_layout, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-PNG_DPI = 300
+PNG_DPI, _REPORT_DPI = 300, 200
 
 
-class PageToDraw(NamedTuple):
-    """A page before it is drawn.
+class FigureToSave(NamedTuple):
+    """A figure before it is drawn.
 
     Parameters
     ----------
     name : of its files, without the ending
     draw : makes it
+    caption : how to read it, for a page
+    alt : what a person who cannot see it is told
     """
 
     name: str
     draw: Callable[[], Figure]
+    caption: str = ""
+    alt: str = ""
+
+
+class Saving(NamedTuple):
+    """Files of a figure, of which the PNG may still be on its way.
+
+    Parameters
+    ----------
+    files : SVG, and PNG where one is wanted
+    packing : done when the PNG is written; None without one
+    """
+
+    files: tuple[Path, ...]
+    packing: Future[None] | None = None
+
+    def whole(self) -> tuple[Path, ...]:
+        """The files once they are all written; raises what went wrong with the PNG."""
+        if self.packing is not None:
+            self.packing.result()
+        return self.files
+
+
+@dataclass(frozen=True, slots=True)
+class SavedFigure:
+    """A figure of a report that was drawn and saved.
+
+    Parameters
+    ----------
+    drawing : as an element of a page
+    caption : how to read it
+    files : SVG, PNG and PDF
+    """
+
+    drawing: Inline
+    caption: str
+    files: tuple[Path, ...]
 
 
 def save_pages(
-    pages: Iterable[PageToDraw],
+    wanted: Iterable[FigureToSave],
     folder: Path,
     *,
     what: str,
     again: str,
     say: Callable[[str], None] = lambda _: None,
     run: str = "",
+    png: bool = True,
 ) -> list[Path]:
-    """Draw pages in labpipe's style, each as SVG and as PNG.
+    """Draw figures in labpipe's style, each as SVG and as PNG.
 
     Parameters
     ----------
-    pages : one is drawn and let go before the next
+    wanted : one is drawn and let go before the next
     folder : made if it is not there
-    what, again : what the pages are, and how to draw them again, for a message
-    say : told the name of each page as it is drawn
-    run : key of the run that the pages show, which goes into both files; empty for none
+    what, again : what the figures are, and how to draw them again, for a message
+    say : told the name of each figure as it is drawn
+    run : key of the run that the figures show, which goes into the files; empty for none
+    png : False leaves the PNG away; the SVG is the same to the byte
 
     Returns
     -------
-    The files, in the order of the pages.
+    The files, in the order of the figures.
 
     Raises
     ------
     StoreError
         If a file cannot be written.
+
+    Notes
+    -----
+    The same figure gives the same bytes with the same version of matplotlib.
     """
+    dpi = PNG_DPI if png else None
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with style(), ThreadPoolExecutor(max_workers=1) as packer:
             saved = []
-            for page in pages:
-                say(page.name)
-                saved.append(save_page(page.draw(), folder, page.name, packer, run=run))
-            return [path for each in saved if each.packing.result() is None for path in each.files]
+            for each in wanted:
+                say(each.name)
+                saved.append(save_page(each.draw(), folder, each.name, packer, dpi=dpi, run=run))
+            return [path for each in saved for path in each.whole()]
     except OSError as error:
         message = complaint(
             folder,
@@ -78,21 +128,58 @@ def save_pages(
         raise StoreError(message) from error
 
 
-class Saving(NamedTuple):
-    """Files of a page, of which the PNG may still be on its way.
+def save_report_figures(wanted: Iterable[FigureToSave], folder: Path) -> list[SavedFigure]:
+    """Draw the figures of a report and save each as SVG, PNG and PDF.
 
     Parameters
     ----------
-    files : SVG and PNG
-    packing : done when the PNG is written; its ``result`` raises what went wrong
-    """
+    wanted : one is drawn and let go before the next
+    folder : there already
 
-    files: tuple[Path, Path]
-    packing: Future[None]
+    Returns
+    -------
+    In the order of `wanted`.
+
+    Raises
+    ------
+    OSError
+        If a file cannot be written.
+
+    Notes
+    -----
+    The same figure gives the same bytes with the same version of matplotlib.
+    """
+    look = {"svg.fonttype": "none"}
+    with style(look), ThreadPoolExecutor(max_workers=1) as packer:
+        saved = [_save_for_report(each, folder, packer) for each in wanted]
+        return [figure for figure, saving in saved if saving.whole()]
+
+
+def _save_for_report(
+    wanted: FigureToSave, folder: Path, packer: Executor
+) -> tuple[SavedFigure, Saving]:
+    """Draw once, lay out once, write three times."""
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
+
+    page = wanted.draw()
+    saving = save_page(page, folder, wanted.name, packer, dpi=_REPORT_DPI)
+    pdf = folder / f"{wanted.name}.pdf"
+    paper: Any = FigureCanvasPdf(page)
+    paper.print_pdf(str(pdf), metadata={"CreationDate": None})
+    # A number in place of the name: it stands at every mark of a drawing.
+    prefix = f"f{zlib.crc32(wanted.name.encode()):x}"
+    element = inline_svg(saving.files[0].read_bytes(), prefix=prefix, title=wanted.alt)
+    return SavedFigure(element, wanted.caption, (*saving.files, pdf)), saving
 
 
 def save_page(
-    page: Figure, folder: Path, name: str, packer: Executor, *, dpi: int = PNG_DPI, run: str = ""
+    page: Figure,
+    folder: Path,
+    name: str,
+    packer: Executor,
+    *,
+    dpi: int | None = PNG_DPI,
+    run: str = "",
 ) -> Saving:
     """Lay out a page inside the present style and save it under one name in both formats.
 
@@ -102,8 +189,8 @@ def save_page(
     folder : there already
     name : of the files, without the ending
     packer : packs the pixels into a PNG beside the drawing of what comes next
-    dpi : of the PNG
-    run : key that goes into both files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
+    dpi : of the PNG; None for no PNG
+    run : key that goes into the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
 
     Returns
     -------
@@ -114,21 +201,27 @@ def save_page(
     OSError
         If the SVG cannot be written.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
+    finish_layout(page)
+    packing = None if dpi is None else packer.submit(_pixels(page, dpi, run), png)
+    vector: Any = FigureCanvasSVG(page)
+    vector.print_svg(str(svg), metadata={"Date": None, "Identifier": run or None})
+    return Saving((svg,)) if packing is None else Saving((svg, png), packing)
+
+
+def _pixels(page: Figure, dpi: int, run: str) -> Callable[[Path], None]:
+    """Draw a page that is laid out in pixels; what is given writes them to a file."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
     from PIL.PngImagePlugin import PngInfo
 
-    svg, png = folder / f"{name}.svg", folder / f"{name}.png"
     page.set_dpi(dpi)
-    finish_layout(page)
     pixels: Any = FigureCanvasAgg(page)
     pixels.draw()
     image = Image.fromarray(np.array(pixels.buffer_rgba()))
     about = PngInfo()
     if run:
         about.add_text("run", run)
-    packing = packer.submit(image.save, png, dpi=(dpi, dpi), compress_level=3, pnginfo=about)
-    vector: Any = FigureCanvasSVG(page)  # last: it sets the figure to 72 dots per inch
-    vector.print_svg(str(svg), metadata={"Date": None, "Identifier": run or None})
-    return Saving((svg, png), packing)
+    return partial(image.save, dpi=(dpi, dpi), compress_level=3, pnginfo=about)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labpipe.records.wire import WireTable
-from labpipe.report.saving import PageToDraw, save_pages
+from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_cantilever import cantilever_figure
 from labpipe.report.wire_comparison import comparison_figure
 from labpipe.report.wire_look import pages
@@ -27,7 +27,7 @@ _OF_ONE_WIRE: dict[str, Callable[[WireTable], Figure]] = {
 }
 
 
-def wire_drawings(tables: Sequence[WireTable]) -> Iterator[PageToDraw]:
+def wire_drawings(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
     """List the figures of a sheet of wires.
 
     Parameters
@@ -41,13 +41,13 @@ def wire_drawings(tables: Sequence[WireTable]) -> Iterator[PageToDraw]:
     with one wire alone.
     """
     for number, some in enumerate(pages(tables), start=1):
-        yield PageToDraw(f"sections-{number}", partial(section_figure, some))
+        yield FigureToSave(f"sections-{number}", partial(section_figure, some))
         if len(some) > 1:
-            yield PageToDraw(f"comparison-{number}", partial(comparison_figure, some))
+            yield FigureToSave(f"comparison-{number}", partial(comparison_figure, some))
     for table in tables:
         names = own_figures(table.name)
         for name, draw in zip(names, _OF_ONE_WIRE.values(), strict=True):
-            yield PageToDraw(name, partial(draw, table))
+            yield FigureToSave(name, partial(draw, table))
 
 
 def own_figures(name: str) -> list[str]:

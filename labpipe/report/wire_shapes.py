@@ -163,6 +163,8 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
         for flag in _LOOKS:
             mine = shape.flags[frame] == flag
+            if not mine.any():
+                continue
             x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
             axes.plot(x, up, color=colour, **_look(flag, colour))
     axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0)))

@@ -63,12 +63,11 @@ def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Pat
 
 @pytest.mark.usefixtures("quick_campaign")
 def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def one(result: object, folder: Path) -> list[Path]:
+    def one(result: object, folder: Path, **more: object) -> list[Path]:
         folder.mkdir()
-        drawn = [folder / "timeline.svg", folder / "timeline.png"]
-        for path in drawn:
-            path.write_text("drawn", encoding="utf-8")
-        return drawn
+        drawn = folder / "timeline.svg"
+        drawn.write_text("drawn", encoding="utf-8")
+        return [drawn]
 
     def card(report: object, folder: Path, **more: object) -> list[Path]:
         return [folder / "calibration.svg", folder / "calibration.png"]
@@ -81,18 +80,18 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
         "\nfigures to look at, of the first test of each kind and of the calibration:\n"
     )
     names = [line.strip().rpartition("/")[2] for line in told.splitlines()]
-    assert names == ["timeline.png", "timeline.png", "calibration.png"]
-    assert (folder / "wires" / "T1" / "figures" / "timeline.png").is_file()
+    assert names == ["timeline.svg", "timeline.svg", "calibration.svg"]
+    assert (folder / "wires" / "T1" / "figures" / "timeline.svg").is_file()
     assert not (folder / "wires" / "T2" / "figures").exists()
     for name in ("P-1", "T1"):
-        assert str(Path(name) / "figures" / "timeline.png") in told
+        assert str(Path(name) / "figures" / "timeline.svg") in told
 
 
 @pytest.mark.slow
 def test_the_whole_demo(run: Run, tmp_path: Path) -> None:
     ran = run("demo", tmp_path, "--jobs", 1)
     assert ran.status == 0
-    assert ran.out.count("wire-shapes.png") == 3  # a wire, a bundle in tape, one in a conduit
+    assert ran.out.count("wire-shapes.svg") == 3  # a wire, a bundle in tape, one in a conduit
     assert len(list((tmp_path / "raw" / "demo").glob("*/*/test.yaml"))) == 99
     for name in ("wires", "tensile", "harness"):
         page = tmp_path / "processed" / "demo" / name / "report" / "report.html"

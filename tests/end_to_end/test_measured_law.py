@@ -75,8 +75,7 @@ def test_from_exports_to_the_law(tmp_path: Path, run: Run) -> None:
     assert law.moment[above] == pytest.approx(true[above], rel=0.012)
     assert law.curvature[-1] > 28.0
     assert set(bending.cloud.branch.tolist()) == set(range(6))
-    figures = {path.name for path in (lab.processed / "figures").glob("moment*")}
-    assert figures == {"moment-curvature.svg", "moment-curvature.png"}
+    assert (lab.processed / "figures" / "moment-curvature.svg").is_file()
 
 
 def test_the_cloud_lies_on_the_law(repository: Path) -> None:

@@ -46,7 +46,7 @@ STAGES = (
 )
 
 
-PLACES = ("result.h5", "summary.json", "wire-shapes.svg", "timeline.png")
+PLACES = ("result.h5", "summary.json", "wire-shapes.svg", "timeline.svg")
 
 
 @pytest.mark.parametrize("place", PLACES)
@@ -167,6 +167,18 @@ def test_all_files_of_a_test_have_the_key_of_its_run(lab: Lab, run: Run) -> None
     assert second != first
 
 
+def test_a_png_is_drawn_on_request_and_none_of_an_earlier_run_stays(lab: Lab, run: Run) -> None:
+    def endings() -> set[str]:
+        return {path.suffix for path in (lab.processed / "figures").iterdir()}
+
+    assert endings() == {".svg"}
+    assert run("process", lab.raw, "--png").status == 0
+    assert endings() == {".svg", ".png"}
+    assert len(runs(lab.processed)) == 1
+    assert run("process", lab.raw).status == 0
+    assert endings() == {".svg"}
+
+
 def test_figures_of_other_numbers_do_not_stay(lab: Lab, run: Run) -> None:
     own = lab.processed / "figures" / "own.png"
     own.write_bytes(b"a photograph")
@@ -178,7 +190,7 @@ def test_figures_of_other_numbers_do_not_stay(lab: Lab, run: Run) -> None:
     assert list((lab.processed / "figures").iterdir()) == [own]
 
 
-@pytest.mark.parametrize("moves", [1, 4, 11])
+@pytest.mark.parametrize("moves", [1, 4, 6])
 def test_killed_while_files_are_replaced(lab: Lab, run: Run, moves: int) -> None:
     (first,) = runs(lab.processed)
     lab.override("branches.min_stroke", "3 mm")

@@ -97,9 +97,7 @@ def test_force_against_displacement(pulled: Lab) -> None:
         smooth = np.convolve(raw, window, mode="same")[inside]
         np.testing.assert_allclose(getattr(curve, name)[inside], smooth, rtol=0, atol=1e-12)
     assert {path.name for path in (pulled.processed / "figures").iterdir()} == {
-        f"{name}.{suffix}"
-        for name in ("force-displacement", "timeline")
-        for suffix in ("svg", "png")
+        f"{name}.svg" for name in ("force-displacement", "timeline")
     }
 
 
@@ -210,7 +208,7 @@ def test_shapes_of_the_soft_arm(soft_arm: Lab) -> None:
             assert seen.mean() > 0.998
             np.testing.assert_allclose(found[seen], true[seen], rtol=0, atol=1e-9)
     names = {path.name for path in (soft_arm.processed / "figures").iterdir()}
-    assert {"wire-shapes.svg", "wire-shapes.png", "marker-quality.svg"} <= names
+    assert {"wire-shapes.svg", "marker-quality.svg"} <= names
 
 
 def test_travel_of_the_tip(soft_arm: Lab) -> None:

@@ -10,7 +10,6 @@ from labpipe.records.calibration import Calibration
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_card import calibration_card
 from labpipe.report.page import finish_layout, style
-from labpipe.report.saving import PNG_DPI
 from tests.report.builders_calibrations import foretold, source, troubled, usual
 
 A4_MM = 270.0
@@ -78,11 +77,10 @@ def test_the_page_is_one_page_and_its_words_stay_on_it(which: str) -> None:
         "usual": usual, "troubled": troubled, "wordy": _wordy,
     }  # fmt: skip
     page = calibration_card(makers[which](), source())
-    page.set_dpi(PNG_DPI)  # as it is saved
     assert 25.4 * page.get_figheight() < A4_MM
     finish_layout(page)
     page.canvas.draw()
     boxes = [text.get_window_extent() for text in page.axes[6].texts]
     assert min(box.y0 for box in boxes) > page.texts[1].get_window_extent().y1
     assert max(box.x1 for box in boxes) < page.bbox.x1
-    assert min(axes.get_window_extent().height for axes in page.axes[:6]) > 18.0 / 25.4 * PNG_DPI
+    assert min(axes.get_window_extent().height for axes in page.axes[:6]) > 18.0 / 25.4 * page.dpi

@@ -7,7 +7,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from labpipe.report.page import style, titled_page
-from labpipe.report.saving import PNG_DPI, save_page
+from labpipe.report.saving import PNG_DPI, FigureToSave, save_page, save_pages, save_report_figures
 
 
 def page() -> Figure:
@@ -18,14 +18,22 @@ def page() -> Figure:
 
 def test_one_page_in_two_formats_with_the_same_bytes(tmp_path: Path) -> None:
     with style(), ThreadPoolExecutor(max_workers=1) as packer:
-        one, other = (save_page(page(), tmp_path, name, packer) for name in ("a.b", "c"))
-    assert [path.name for path in one.files] == ["a.b.svg", "a.b.png"]
-    for first, second in zip(one.files, other.files, strict=True):
+        one, other = (save_page(page(), tmp_path, name, packer).whole() for name in ("a.b", "c"))
+    assert [path.name for path in one] == ["a.b.svg", "a.b.png"]
+    for first, second in zip(one, other, strict=True):
         assert first.read_bytes() == second.read_bytes()
-    svg, png = (path.read_bytes() for path in one.files)
+    svg, png = (path.read_bytes() for path in one)
     assert b"<dc:date>" not in svg
     assert int.from_bytes(png[16:20]) == PNG_DPI
-    assert one.packing.result() is None
+
+
+def test_the_svg_does_not_depend_on_the_png(tmp_path: Path) -> None:
+    wanted = [FigureToSave("a", page)]
+    both = save_pages(wanted, tmp_path / "both", what="figures", again="draw")
+    (alone,) = save_pages(wanted, tmp_path / "alone", what="figures", again="draw", png=False)
+    assert [path.name for path in both] == ["a.svg", "a.png"]
+    assert alone.read_bytes() == both[0].read_bytes()
+    assert list((tmp_path / "alone").iterdir()) == [alone]
 
 
 def test_what_goes_wrong_is_raised(tmp_path: Path) -> None:
@@ -39,4 +47,21 @@ def test_what_goes_wrong_is_raised(tmp_path: Path) -> None:
     with style(), ThreadPoolExecutor(max_workers=1) as packer:
         saved = save_page(page(), tmp_path, "a", packer)
     with pytest.raises(IsADirectoryError):
-        saved.packing.result()
+        saved.whole()
+
+
+def test_each_figure_of_a_report_is_saved_three_times(tmp_path: Path) -> None:
+    wanted = [FigureToSave(name, page, f"How to read {name}.", name) for name in ("one", "two")]
+    one, two = save_report_figures(wanted, tmp_path)
+    assert [file.name for file in one.files] == ["one.svg", "one.png", "one.pdf"]
+    assert all(file.stat().st_size for file in (*one.files, *two.files))
+    assert one.caption == "How to read one."
+    assert 'aria-label="two"' in two.drawing.element
+    (again,) = save_report_figures([wanted[0]._replace(name="again")], tmp_path)
+    assert [file.read_bytes() for file in again.files[1:]] == [
+        file.read_bytes() for file in one.files[1:]
+    ]
+
+
+def test_nothing_to_save(tmp_path: Path) -> None:
+    assert save_report_figures([], tmp_path) == []
