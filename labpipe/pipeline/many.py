@@ -65,12 +65,13 @@ def process_tests(
         If results of two tests would go to one folder; nothing is processed then.
     """
     _refuse_one_goal(tests, out)
-    process = _process if len(tests) == 1 else _process_one_of_many
+    chosen = _process if len(tests) == 1 else _process_one_of_many
+    process = partial(chosen, out=out, png=png, follow_links=follow_links)
     if jobs == 1:
         for test in tests:
-            yield process(test, out, figures(test), png, follow_links, begin(test))
+            yield process(test, figures(test), begin(test))
         return
-    calls = [partial(process, test, out, figures(test), png, follow_links) for test in tests]
+    calls = [partial(process, test, figures(test)) for test in tests]
     with closing(in_processes(calls, jobs=jobs)) as outcomes:
         for test in tests:
             begin(test)("wait")
@@ -120,11 +121,12 @@ def _say_nothing(_: str) -> None:
 
 def _process(
     test: Path,
-    out: Path | None,
     is_drawn: bool,
+    say: Say = _say_nothing,
+    *,
+    out: Path | None,
     png: bool,
     follow_links: bool,
-    say: Say = _say_nothing,
 ) -> Processed | Refused:
     try:
         done = process_test(
@@ -142,15 +144,16 @@ def _process(
 
 def _process_one_of_many(
     test: Path,
-    out: Path | None,
     is_drawn: bool,
+    say: Say = _say_nothing,
+    *,
+    out: Path | None,
     png: bool,
     follow_links: bool,
-    say: Say = _say_nothing,
 ) -> Processed | Refused:
     """Process a test; a fault of labpipe does not stop the others, but shows where it is alone."""
     try:
-        return _process(test, out, is_drawn, png, follow_links, say)
+        return _process(test, is_drawn, say, out=out, png=png, follow_links=follow_links)
     except Exception as error:  # noqa: BLE001
         return Refused(test, _own_fault(test, error))
 

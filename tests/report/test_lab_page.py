@@ -11,7 +11,7 @@ from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import Reason
 from labpipe.report.inline_svg import Inline
 from labpipe.report.lab_page import FiguresBetween, render_page
-from labpipe.report.saved_figures import SavedFigure
+from labpipe.report.saving import SavedFigure
 from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, conduit_cases, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
 
