@@ -107,7 +107,7 @@ class There:
     def __reduce__(self) -> tuple[Any, ...]:
         return eval, (self.text,)
 
-    def __call__(self, *_: object) -> None:
+    def __call__(self, *_: object, **more: object) -> None:
         """Not here."""
 
 
@@ -115,9 +115,9 @@ def test_a_process_that_is_killed_costs_one_test(
     tests: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     killed = There(
-        "lambda test, *how: __import__('os').kill(__import__('os').getpid(), 9)"
+        "lambda test, *how, **more: __import__('os').kill(__import__('os').getpid(), 9)"
         " if test.parent.name == 'P-1' else"
-        " __import__('labpipe.pipeline.many').pipeline.many._process(test, *how)"
+        " __import__('labpipe.pipeline.many').pipeline.many._process(test, *how, **more)"
     )
     monkeypatch.setattr("labpipe.pipeline.many._process_one_of_many", killed)
     first, second, third = process_tests(tests, figures=lambda _: False, jobs=2)
