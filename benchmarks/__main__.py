@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks import calibration, load_frames, two_segments, wire_model
+from benchmarks import calibration, house, load_frames, two_segments, wire_model
 from labpipe.processing.filtering import moving_average
 
 LABPIPE = str(Path(sys.executable).with_name("labpipe"))
@@ -129,6 +129,7 @@ def show(what: str, value: float, bound: str, remark: str = "") -> None:
 
 
 def main() -> None:
+    house.main([])
     start_up()
     filters()
     two_segments.main()

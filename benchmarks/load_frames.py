@@ -41,8 +41,8 @@ def pull(rows: int) -> np.ndarray:
     return np.column_stack([way, force + 0.05 * random.standard_normal(rows), time])
 
 
-def write_csv_test(folder: Path) -> Path:
-    """A test with a TestSuite csv of `CSV_BYTES`; gives the export."""
+def write_csv_test(folder: Path, *, size: int = CSV_BYTES) -> Path:
+    """A test with a TestSuite csv of `size` bytes; gives the export."""
     folder.mkdir(parents=True)
     export = folder / "pull.csv"
     head = (
@@ -51,8 +51,8 @@ def write_csv_test(folder: Path) -> Path:
         '"Crosshead ","Load ","Time "\r\n"mm","N","sec"\r\n'
     )
     line = '"{:.15g}","{:.15g}","{:.15g}"\r\n'
-    lines = [line.format(*row) for row in pull(CSV_BYTES // 40)]
-    kept = np.searchsorted(np.cumsum([len(each) for each in lines]), CSV_BYTES)
+    lines = [line.format(*row) for row in pull(size // 40)]
+    kept = np.searchsorted(np.cumsum([len(each) for each in lines]), size)
     with export.open("w", encoding="utf-8", newline="") as file:
         file.write(head + "".join(lines[:kept]))
     _write_sheet(folder, export)

@@ -11,11 +11,12 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from labpipe.cli import main
-from labpipe.cli.demo import CAMPAIGNS
 from tests.golden.rows import Row, rows
 from tests.plain.bench import process
 from tests.plain.test_real_exports import CASES
 
+CAMPAIGNS = ("wires", "tensile", "harness")
+"""Of the demo."""
 REAL = "real"
 JOBS = min(os.cpu_count() or 1, 4)
 
@@ -27,12 +28,8 @@ def made_demo(folder: Path) -> Path:
     return folder / "processed" / "demo"
 
 
-def demo_rows(processed: Path) -> dict[str, list[Row]]:
-    """Rows of each campaign of the demo."""
-    return {name: _of_campaign(processed / name) for name in CAMPAIGNS}
-
-
-def _of_campaign(folder: Path) -> list[Row]:
+def campaign_rows(folder: Path) -> list[Row]:
+    """Rows of every test of a processed campaign."""
     tests = sorted(path.parent for path in folder.glob("*/result.h5"))
     return [row for test in tests for row in rows(test.name, test)]
 

@@ -1,0 +1,176 @@
+"""How large the house is, and how much of it one test walks through.
+
+``python -m benchmarks.house [TREE]``. Lines of code are those that hold a token and are no
+docstring, no comment and not blank. The share of docstrings is that of their lines in lines of code
+and docstrings together; a string under a constant is its docstring.
+
+What runs is counted in a process of its own by a profile hook that is set before labpipe is
+imported and holds for all threads (`benchmarks.calls`). A *function* is a named function, method or
+property of a file of labpipe; each counts once, however often it is called. Comprehensions,
+generator expressions and lambdas belong to the function around them; code that dataclasses write
+has no file. Bodies of classes run once, when their module is imported. *Functions and classes*, and
+the files that hold any of those that ran, is the count of earlier times: 877 in 120 files for
+A2-085-1 at e82cbe5. Bodies of modules make a file *imported*, no more.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import io
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import tokenize
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks import load_frames
+from labpipe.virtual_lab import (
+    WireCampaign,
+    simulate_tensile,
+    simulate_test,
+    tensile_scenarios,
+    wire_scenarios,
+)
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+CALLS = Path(__file__).with_name("calls.py")
+LAYOUT = {
+    *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+    tokenize.ENDMARKER,
+}
+WIRE, TUBE, BAR = "A2-085-1", "CT-10-1", "bar"
+BAR_BYTES = 200_000
+
+
+@dataclass(frozen=True)
+class Size:
+    """Files, lines of code, and lines of docstrings."""
+
+    files: int = 0
+    code: int = 0
+    docstrings: int = 0
+
+    def __add__(self, other: Size) -> Size:
+        docstrings = self.docstrings + other.docstrings
+        return Size(self.files + other.files, self.code + other.code, docstrings)
+
+    @property
+    def share(self) -> float:
+        """Of docstrings."""
+        return self.docstrings / max(self.code + self.docstrings, 1)
+
+
+def size_of(source: str) -> Size:
+    """Size of one file."""
+    docstrings = {
+        line
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    code = {
+        line
+        for token in tokenize.generate_tokens(io.StringIO(source).readline)
+        if token.type not in LAYOUT
+        for line in range(token.start[0], token.end[0] + 1)
+    }
+    return Size(1, len(code - docstrings), len(docstrings))
+
+
+def sizes(package: Path) -> dict[str, Size]:
+    """Sizes by folder of the package, ``.`` for the files in none."""
+    found: dict[str, Size] = {}
+    for path in sorted(package.rglob("*.py")):
+        parts = path.relative_to(package).parts
+        folder = parts[0] if len(parts) > 1 else "."
+        found[folder] = found.get(folder, Size()) + size_of(path.read_text(encoding="utf-8"))
+    return found
+
+
+@dataclass(frozen=True)
+class Walk:
+    """What one command runs; the files of functions and classes, and those imported."""
+
+    functions: int
+    files_of_functions: int
+    functions_and_classes: int
+    files: int
+    imported: int
+
+
+def walk(tree: Path, test: Path, out: Path) -> Walk:
+    """What ``labpipe process --no-figures`` of a test runs, with the package of a tree."""
+    written = out / "calls.json"
+    command = ["process", str(test), "--no-figures", "--out", str(out)]
+    subprocess.run(
+        [sys.executable, "-P", str(CALLS), str(tree), str(written), *command],
+        check=True,
+        capture_output=True,
+        cwd=out,
+        env=os.environ | {"PYTHONPATH": str(tree)},
+    )
+    ran = json.loads(written.read_text(encoding="utf-8"))["ran"]
+    named = [each for each in ran if not each["name"].rpartition(".")[2].startswith("<")]
+    functions = [each for each in named if each["is_function"]]
+    return Walk(
+        len(functions),
+        len({each["file"] for each in functions}),
+        len(named),
+        len({each["file"] for each in named}),
+        sum(each["name"] == "<module>" for each in ran),
+    )
+
+
+def write_tests(folder: Path) -> dict[str, Path]:
+    """A cantilever and a corrugated tube of the demo, and a plain bar from a csv, by protocol."""
+    wire, own = next(
+        each for each in wire_scenarios(WireCampaign(cycles=2, fps=25.0)) if each[0].name == WIRE
+    )
+    number, tube = next(
+        each for each in enumerate(tensile_scenarios(), start=1) if each[1].name == TUBE
+    )
+    bar = load_frames.write_csv_test(folder / BAR, size=BAR_BYTES)
+    return {
+        "wire-cantilever": simulate_test(wire, folder / WIRE, seed=own),
+        "corrugated-tube": simulate_tensile(tube, folder / TUBE, seed=1000 + number),
+        "tensile": bar.parent,
+    }
+
+
+def show_sizes(tree: Path) -> None:
+    """A line for each folder, and the whole."""
+    found = sizes(tree / "labpipe")
+    for name, size in {**found, "labpipe": sum(found.values(), Size())}.items():
+        told = f"{size.code:>6} lines in {size.files:>3} files"
+        print(f"{name:<14}{told}, docstrings {size.share:.1%}", flush=True)
+
+
+def show_walks(tree: Path) -> None:
+    """A line for each kind of test."""
+    with tempfile.TemporaryDirectory() as folder:
+        for protocol, test in write_tests(Path(folder)).items():
+            found = walk(tree, test, Path(folder))
+            told = (
+                f"{found.functions:>4} functions in {found.files_of_functions} files,"
+                f" {found.functions_and_classes:>4} functions and classes in {found.files},"
+                f" {found.imported} imported"
+            )
+            print(f"{protocol:<16}{told}", flush=True)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.house")
+    parser.add_argument("tree", type=Path, nargs="?", default=REPOSITORY, help="another checkout")
+    tree = parser.parse_args(arguments).tree.resolve()
+    show_sizes(tree)
+    show_walks(tree)
+
+
+if __name__ == "__main__":
+    main()
