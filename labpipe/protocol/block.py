@@ -7,9 +7,9 @@ frozen dataclass: here, and only here, they turn into what pydantic validates, w
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields, is_dataclass
-from functools import cache
+from functools import cache, partial
 from types import UnionType
 from typing import (
     Annotated,
@@ -30,9 +30,12 @@ from pydantic import (
     Field,
     GetCoreSchemaHandler,
     ModelWrapValidatorHandler,
+    PlainSerializer,
+    PlainValidator,
     SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     create_model,
     model_serializer,
     model_validator,
@@ -41,16 +44,15 @@ from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault
 from labpipe.protocol.faults import error_of, faults_of, raised
-from labpipe.protocol.quantities import QuantityText, SpanText, WholeText
-from labpipe.protocol.words import WordText
+from labpipe.protocol.quantities import (
+    SPAN_SCHEMA,
+    QuantityText,
+    parse_span,
+    parse_whole,
+    written_span,
+)
+from labpipe.protocol.words import parse_word
 from labpipe.records.setting_types import Above, Key, Quantity, Span, Tagged, Whole, Word
-
-_READERS: dict[type, Callable[[Any], object]] = {
-    Quantity: QuantityText,
-    Whole: WholeText,
-    Word: WordText,
-}
-"""What reads and writes a value with a marker."""
 
 
 class Block(BaseModel):
@@ -138,7 +140,8 @@ def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
     if origin in (tuple, list, dict):
         return origin[tuple(validated(part) for part in parts)]
     if hint is Span:
-        return Annotated[Span, SpanText]
+        write = PlainSerializer(written_span)
+        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(SPAN_SCHEMA)]
     return Annotated[hint, _Settings(hint)] if is_dataclass(hint) else hint
 
 
@@ -148,7 +151,7 @@ def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) ->
     for marker in markers:
         match marker:
             case Quantity() | Whole() | Word():
-                made.append(_READERS[type(marker)](marker))
+                made += _reading(marker)
             case Tagged():
                 kinds = (Annotated[each, _Settings(each, marker.key)] for each in get_args(inner))
                 return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
@@ -162,6 +165,21 @@ def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) ->
             case _:
                 made.append(marker)
     return Annotated[(validated(inner), *made)]
+
+
+def _reading(marker: Quantity | Whole | Word) -> list[Any]:
+    """What reads, writes and describes a value with a marker."""
+    match marker:
+        case Quantity():
+            text = QuantityText(marker)
+            written = PlainSerializer(text.written)
+            return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
+        case Whole():
+            schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
+            return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
+        case Word():
+            form = {"type": "string", "pattern": f"^{marker.pattern}$"}
+            return [PlainValidator(partial(parse_word, marker)), WithJsonSchema(form)]
 
 
 def _key(hint: Any, name: str) -> str:

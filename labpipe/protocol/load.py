@@ -63,7 +63,7 @@ def parse_protocol(text: str, name: str) -> Protocol:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    return _checked(Protocol, parse_yaml(text, name))
+    return checked(Protocol, parse_yaml(text, name))
 
 
 def load_test_sheet(path: Path) -> TestSheet:
@@ -82,7 +82,7 @@ def load_test_sheet(path: Path) -> TestSheet:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    return _checked(TestSheet, parse_yaml(read_text(path), str(path)))
+    return checked(TestSheet, parse_yaml(read_text(path), str(path)))
 
 
 def load_calibration_plan(path: Path) -> CalibrationPlan:
@@ -103,27 +103,7 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     """
     from labpipe.protocol.calibration_plan import CalibrationPlan  # tests do without it
 
-    return _checked(CalibrationPlan, parse_yaml(read_text(path), str(path)))
-
-
-def parse_test_sheet(text: str, name: str) -> TestSheet:
-    """Read a test sheet from text, such as the one that a result file holds.
-
-    Parameters
-    ----------
-    text : YAML
-    name : where it comes from, as in messages
-
-    Returns
-    -------
-    The test sheet.
-
-    Raises
-    ------
-    ProtocolError
-        If anything is wrong with it; the message has one line per fault.
-    """
-    return _checked(TestSheet, parse_yaml(text, name))
+    return checked(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 
 
 def resolve(
@@ -201,8 +181,19 @@ def dump_protocol(protocol: Protocol) -> str:
     return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=1000)
 
 
-def _checked(model: type[_B], document: Document) -> _B:
-    """Validate a document; tell all its faults at once."""
+def checked(model: type[_B], document: Document) -> _B:
+    """Validate a document.
+
+    Parameters
+    ----------
+    model : the block that it should be
+    document : as parsed
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
     told = list(document.told)
     try:
         block = model.model_validate(document.data)

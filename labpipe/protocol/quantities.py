@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
-from pydantic import GetJsonSchemaHandler
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
 
 from labpipe.protocol.faults import error_of
 from labpipe.records.setting_types import Quantity, Span, Whole
@@ -77,13 +75,10 @@ class QuantityText:
             remedy = f"Write it with its unit, such as {self.of.example!r}."
             raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy) from error
         if self.of.unit == "1" and _PURE.fullmatch(str(text)) is None:  # an angle is no ratio
-            raise error_of(
-                expected=f"a {self._meaning}",
-                found=text,
-                remedy=f"Write it such as {self.of.example!r}.",
-            )
-        too_small = value < self.of.least or (self.of.above is not None and value <= self.of.above)
-        if too_small or value > self.of.most:
+            remedy = f"Write it such as {self.of.example!r}."
+            raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy)
+        above = -math.inf if self.of.above is None else self.of.above
+        if not (above < value and self.of.least <= value <= self.of.most):
             raise error_of(expected=f"a {self._meaning} {self._range}", found=text)
         return value
 
@@ -106,25 +101,17 @@ class QuantityText:
 
     @property
     def _range(self) -> str:
+        low = "that is finite"
         if self.of.above is not None:
             low = f"above {self.written(self.of.above)}"
-        else:
-            low = (
-                f"from {self.written(self.of.least)} up"
-                if math.isfinite(self.of.least)
-                else "that is finite"
-            )
+        elif math.isfinite(self.of.least):
+            low = f"from {self.written(self.of.least)} up"
         high = f", at most {self.written(self.of.most)}" if math.isfinite(self.of.most) else ""
         return f"{low}{high}"
 
-    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(
-            self.parse, serialization=core_schema.plain_serializer_function_ser_schema(self.written)
-        )
-
-    def __get_pydantic_json_schema__(
-        self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
+    @property
+    def schema(self) -> JsonSchemaValue:
+        """JSON Schema of the text."""
         texts: JsonSchemaValue = {
             "type": "string",
             "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
@@ -141,39 +128,24 @@ def _with_unit(value: float, unit: str) -> str:
     return number if unit == "1" else f"{number} {unit}"
 
 
-@dataclass(frozen=True, slots=True)
-class WholeText:
-    """How YAML reads a whole number.
+def parse_whole(of: Whole, text: object) -> int:
+    """Read a whole number.
 
     Parameters
     ----------
     of : its range
+    text : such as ``3``
+
+    Raises
+    ------
+    PydanticCustomError
+        If it is no whole number, or out of range.
     """
-
-    of: Whole
-
-    def parse(self, text: object) -> int:
-        """Read a whole number.
-
-        Raises
-        ------
-        PydanticCustomError
-            If it is no whole number, or out of range.
-        """
-        expected = f"a whole number from {self.of.least} to {self.of.most}"
-        if isinstance(text, bool) or re.fullmatch(r"[+-]?[0-9]{1,9}", str(text)) is None:
-            raise error_of(expected=expected, found=text)
-        if not self.of.least <= int(str(text)) <= self.of.most:
-            raise error_of(expected=expected, found=text)
-        return int(str(text))
-
-    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.parse)
-
-    def __get_pydantic_json_schema__(
-        self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"type": "integer", "minimum": self.of.least, "maximum": self.of.most}
+    is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
+    if not is_whole or not of.least <= int(str(text)) <= of.most:
+        expected = f"a whole number from {of.least} to {of.most}"
+        raise error_of(expected=expected, found=text)
+    return int(str(text))
 
 
 _SPANS: Final = MappingProxyType(
@@ -186,7 +158,18 @@ _SPANS: Final = MappingProxyType(
 _SPAN_WORDS = "a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or '51 samples'"
 
 
-def _parse_span(text: object) -> Span:
+def parse_span(text: object) -> Span:
+    """Read the length of a stretch that a filter looks at.
+
+    Parameters
+    ----------
+    text : such as ``0.1 s``, ``2 mm``, ``5 %`` or ``51 samples``
+
+    Raises
+    ------
+    PydanticCustomError
+        If it is none of these, or out of range.
+    """
     if isinstance(text, Span):
         return text
     words = str(text)
@@ -205,29 +188,17 @@ def _parse_span(text: object) -> Span:
     raise error_of(expected=_SPAN_WORDS, found=text, remedy="Write it with its unit.")
 
 
-def _written_span(span: Span) -> str:
+def written_span(span: Span) -> str:
+    """Write a span so that reading it gives the same."""
     if span.kind == "samples":
         return f"{span.value:.0f} samples"
     return _SPANS[span.kind].written(span.value)
 
 
-class SpanText:
-    """How YAML reads and writes a `Span`."""
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(
-            _parse_span,
-            serialization=core_schema.plain_serializer_function_ser_schema(_written_span),
-        )
-
-    @classmethod
-    def __get_pydantic_json_schema__(
-        cls, _schema: CoreSchema, _handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {
-            "type": "string",
-            "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
-            "description": f"{_SPAN_WORDS[0].upper()}{_SPAN_WORDS[1:]}",
-            "examples": ["0.1 s", "2 mm", "5 %", "51 samples"],
-        }
+SPAN_SCHEMA: Final[JsonSchemaValue] = {
+    "type": "string",
+    "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
+    "description": f"{_SPAN_WORDS[0].upper()}{_SPAN_WORDS[1:]}",
+    "examples": ["0.1 s", "2 mm", "5 %", "51 samples"],
+}
+"""JSON Schema of a span."""

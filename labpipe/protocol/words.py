@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import PurePosixPath, PureWindowsPath
 from typing import Annotated
 
-from pydantic import BeforeValidator, GetJsonSchemaHandler, WithJsonSchema
-from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, core_schema
+from pydantic import BeforeValidator, WithJsonSchema
 
 from labpipe.protocol.faults import error_of
 from labpipe.records.setting_types import Word
@@ -62,36 +59,22 @@ def _file_stem(value: object) -> str:
     return text
 
 
-@dataclass(frozen=True, slots=True)
-class WordText:
-    """How YAML reads a text of one form.
+def parse_word(of: Word, value: object) -> str:
+    """Take a text that has a form.
 
     Parameters
     ----------
     of : the form
+    value : the text
+
+    Raises
+    ------
+    PydanticCustomError
+        If it has another form.
     """
-
-    of: Word
-
-    def parse(self, value: object) -> str:
-        """Take a text that has the form.
-
-        Raises
-        ------
-        PydanticCustomError
-            If it has another one.
-        """
-        if re.fullmatch(self.of.pattern, _text(value)) is None:
-            raise error_of(expected=self.of.meaning, found=value)
-        return str(value)
-
-    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
-        return core_schema.no_info_plain_validator_function(self.parse)
-
-    def __get_pydantic_json_schema__(
-        self, _schema: CoreSchema, _handler: GetJsonSchemaHandler
-    ) -> JsonSchemaValue:
-        return {"type": "string", "pattern": f"^{self.of.pattern}$"}
+    if re.fullmatch(of.pattern, _text(value)) is None:
+        raise error_of(expected=of.meaning, found=value)
+    return str(value)
 
 
 def file_inside(folder: str, remedy: str) -> BeforeValidator:

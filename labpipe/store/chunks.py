@@ -30,56 +30,6 @@ Packed = dict[tuple[object, ...], list[bytes]]
 """Chunks made so far, by the place of their array."""
 
 
-def write_array(
-    group: Any,
-    name: str,
-    array: NDArray[Any],
-    *,
-    unit: str,
-    axes: tuple[str, ...],
-    pool: Executor,
-    packed: Packed,
-) -> Any:
-    """Write one array of numbers as a chunked dataset with its unit and axes.
-
-    Parameters
-    ----------
-    group : open HDF5 group
-    name : of the dataset, free in this group
-    array : any shape and number type, axis 0 is the one that is cut into chunks
-    unit, axes : become attributes
-    pool : threads that deflate the chunks
-    packed : chunks of the arrays written so far, which must still be alive: the same time axis is
-        in several groups, and is deflated once
-
-    Returns
-    -------
-    The dataset.
-
-    Notes
-    -----
-    NaN and its bit patterns are kept. An array without elements has no chunks to write.
-    """
-    chunk = chunk_shape(array.shape, array.dtype.itemsize)
-    dataset = group.create_dataset(
-        name,
-        shape=array.shape,
-        maxshape=tuple(size or None for size in array.shape),
-        dtype=array.dtype,
-        chunks=chunk,
-        shuffle=True,
-        compression="gzip",
-        compression_opts=_LEVEL,
-        fletcher32=True,
-        track_times=False,
-    )
-    label(dataset, unit=unit, axes=axes)
-    for number, deflated in enumerate(_deflated(array, chunk, pool, packed)):
-        corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
-        dataset.id.write_direct_chunk(corner, deflated)
-    return dataset
-
-
 def _deflated(
     array: NDArray[Any], chunk: tuple[int, ...], pool: Executor, packed: Packed
 ) -> Iterator[bytes]:
@@ -98,12 +48,6 @@ def _deflated(
 def place_of(array: NDArray[Any]) -> tuple[object, ...]:
     """Where in memory an array lies and how; two arrays alive with the same place are the same."""
     return (array.ctypes.data, array.shape, array.strides, array.dtype.str)
-
-
-def label(dataset: Any, *, unit: str, axes: tuple[str, ...]) -> None:
-    """Put the two attributes that every dataset has."""
-    dataset.attrs["unit"] = unit
-    dataset.attrs["axes"] = ", ".join(axes)
 
 
 def chunk_shape(shape: tuple[int, ...], itemsize: int) -> tuple[int, ...]:
@@ -197,7 +141,8 @@ class Target:
     group : open HDF5 group
     pool : threads that deflate the chunks
     written : arrays by dataset, to verify the file by
-    packed : chunks of these arrays
+    packed : chunks of these arrays, which must still be alive: the same time axis is in several
+        groups, and is deflated once
     """
 
     group: Any
@@ -210,17 +155,41 @@ class Target:
         return Target(self.group.create_group(name), self.pool, self.written, self.packed)
 
     def array(self, name: str, values: NDArray[Any], kind: Field, unit: str = "") -> Any:
-        """Write an array; `unit` counts where the layout leaves the unit open."""
-        stated = kind.unit or unit
-        dataset = write_array(
-            self.group,
+        """Write an array of numbers as a chunked dataset with its unit and axes.
+
+        Parameters
+        ----------
+        name : of the dataset, free in this group
+        values : any shape and number type, axis 0 is the one that is cut into chunks
+        kind : axes and unit, which become attributes
+        unit : counts where the layout leaves the unit open
+
+        Returns
+        -------
+        The dataset.
+
+        Notes
+        -----
+        NaN and its bit patterns are kept. An array without elements has no chunks to write.
+        """
+        chunk = chunk_shape(values.shape, values.dtype.itemsize)
+        dataset = self.group.create_dataset(
             name,
-            values,
-            unit=stated,
-            axes=kind.axes,
-            pool=self.pool,
-            packed=self.packed,
+            shape=values.shape,
+            maxshape=tuple(size or None for size in values.shape),
+            dtype=values.dtype,
+            chunks=chunk,
+            shuffle=True,
+            compression="gzip",
+            compression_opts=_LEVEL,
+            fletcher32=True,
+            track_times=False,
         )
+        dataset.attrs["unit"] = kind.unit or unit
+        dataset.attrs["axes"] = ", ".join(kind.axes)
+        for number, deflated in enumerate(_deflated(values, chunk, self.pool, self.packed)):
+            corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
+            dataset.id.write_direct_chunk(corner, deflated)
         self.written[dataset.name] = values
         return dataset
 

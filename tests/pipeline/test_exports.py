@@ -11,12 +11,14 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.pipeline.exports import is_empty, join_parts, read_inputs, read_role
 from labpipe.protocol.load import (
+    checked,
     load_test_sheet,
     parse_protocol,
-    parse_test_sheet,
     resolve,
 )
 from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from tests.builders.controldesk import Axis, Signal, write_mat_v5
@@ -119,10 +121,13 @@ def read_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ReadParts:
         monkeypatch.setattr(
             "labpipe.pipeline.exports.read_export", lambda path, *_, **__: files[path.name]
         )
-        sheet = parse_test_sheet(
-            "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"
-            f"files: {{force: [{', '.join(files)}]}}\n",
-            "test.yaml",
+        sheet = checked(
+            TestSheet,
+            parse_yaml(
+                "test: T\nprotocol: p\nspecimen: {type: A, spool: s, sample: 1}\n"
+                f"files: {{force: [{', '.join(files)}]}}\n",
+                "test.yaml",
+            ),
         )
         asked = protocol("{reader: dspace-mat, channel: Model/Out1, unit: N}")
         recordings, inputs = read_inputs(tmp_path, sheet, asked)

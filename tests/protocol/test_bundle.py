@@ -11,7 +11,9 @@ from pydantic import ValidationError
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.bundle import SheetBundle
-from labpipe.protocol.load import parse_test_sheet
+from labpipe.protocol.load import checked
+from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
 
 SHEET = """\
@@ -41,7 +43,7 @@ def sheet_of(bundle: str) -> str:
 
 
 def bundle_of(bundle: str) -> Bundle:
-    record = parse_test_sheet(sheet_of(bundle), "x").specimen.record.bundle
+    record = checked(TestSheet, parse_yaml(sheet_of(bundle), "x")).specimen.record.bundle
     assert record is not None
     return record
 
@@ -49,7 +51,7 @@ def bundle_of(bundle: str) -> Bundle:
 def told(bundle: str) -> list[str]:
     """Give the lines of the error of a bundle, without line, column and the keys around it."""
     with pytest.raises(ProtocolError) as info:
-        parse_test_sheet(sheet_of(bundle), "x")
+        checked(TestSheet, parse_yaml(sheet_of(bundle), "x"))
     lines = str(info.value).splitlines()
     assert all("(specimen.bundle" in line for line in lines)
     return [line.split("(specimen.bundle")[1].lstrip(".") for line in lines]

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import (
+    checked,
     dump_protocol,
     load_protocol,
     parse_protocol,
-    parse_test_sheet,
 )
+from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.yaml_text import parse_yaml
 from tests.protocol.conftest import SHEET, TUBE, WIRE, Tell
 
 
@@ -268,7 +270,7 @@ def test_a_protocol_that_is_not_there(tell: Tell) -> None:
 
 
 def test_a_test_sheet_from_a_result_file() -> None:
-    sheet = parse_test_sheet(SHEET, "result.h5")
+    sheet = checked(TestSheet, parse_yaml(SHEET, "result.h5"))
 
     assert sheet.specimen.sample == "01"
     assert sheet.files == {"force": ("force.mat",), "markers": ("take.csv",)}

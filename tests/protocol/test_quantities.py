@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pydantic import TypeAdapter, ValidationError
 
 from labpipe.protocol.block import validated
-from labpipe.protocol.quantities import SI_UNITS, QuantityText, WholeText
+from labpipe.protocol.quantities import SI_UNITS, QuantityText, parse_whole
 from labpipe.records.setting_types import (
     Area,
     Compliance,
@@ -147,11 +147,11 @@ def test_what_is_refused_is_told(kind: object, text: object, message: str) -> No
 
 @pytest.mark.parametrize("text", ["three", "2.5", "1", "13", "", True, None, "0x3"])
 def test_a_whole_number_in_its_range(text: object) -> None:
-    whole = WholeText(Whole(2, 12))
+    whole = Whole(2, 12)
 
     with pytest.raises(ValueError, match="expected a whole number from 2 to 12, found "):
-        whole.parse(text)
-    assert whole.parse("2") == whole.parse(2) == 2
+        parse_whole(whole, text)
+    assert parse_whole(whole, "2") == parse_whole(whole, 2) == 2
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,9 @@ import pytest
 from pydantic import ValidationError
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.load import parse_test_sheet
+from labpipe.protocol.load import checked
 from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.bundle import Bundle, BundleWire
 from labpipe.records.result import Specimen
 
@@ -20,7 +21,7 @@ files: {force: force.mat}
 
 
 def test_a_sheet_holds_what_was_written() -> None:
-    sheet = parse_test_sheet(SHEET + "date: 2026-03-04\n", "x")
+    sheet = checked(TestSheet, parse_yaml(SHEET + "date: 2026-03-04\n", "x"))
 
     assert (sheet.test, sheet.specimen.sample, sheet.date) == ("A2-085-1", "01", date(2026, 3, 4))
     assert sheet.specimen.dimensions == {"length": 0.080, "width": 0.002}
@@ -28,14 +29,14 @@ def test_a_sheet_holds_what_was_written() -> None:
 
 
 def test_no_length_is_no_dimension() -> None:
-    sheet = parse_test_sheet(SHEET.replace("length: 80 mm, width: 2 mm", ""), "x")
+    sheet = checked(TestSheet, parse_yaml(SHEET.replace("length: 80 mm, width: 2 mm", ""), "x"))
 
     assert sheet.specimen.dimensions == {}
 
 
 def test_a_specimen_may_be_a_bundle_and_have_labels() -> None:
     more = "width: 2 mm, span: 6 in, bundle: {wires: 7 B1}, labels: {cured: 24 h, lot: 07}"
-    sheet = parse_test_sheet(SHEET.replace("width: 2 mm", more), "x")
+    sheet = checked(TestSheet, parse_yaml(SHEET.replace("width: 2 mm", more), "x"))
 
     assert sheet.specimen.record == Specimen(
         "A2",
@@ -49,7 +50,9 @@ def test_a_specimen_may_be_a_bundle_and_have_labels() -> None:
 
 def test_a_plain_specimen_is_no_bundle() -> None:
     for blank in ("", ", bundle: , labels: "):
-        record = parse_test_sheet(SHEET.replace(", width: 2 mm", blank), "x").specimen.record
+        record = checked(
+            TestSheet, parse_yaml(SHEET.replace(", width: 2 mm", blank), "x")
+        ).specimen.record
         assert record == Specimen("A2", "A2-s1", "01", {"length": 0.080})
 
 
@@ -64,7 +67,7 @@ INSIDE = (
 )
 def test_a_path_that_leaves_the_folder_is_refused(name: str) -> None:
     with pytest.raises(ProtocolError) as info:
-        parse_test_sheet(SHEET.replace("force.mat", name), "x")
+        checked(TestSheet, parse_yaml(SHEET.replace("force.mat", name), "x"))
     assert str(info.value) == f"x, line 4, column 16 (files.force): {INSIDE.format(repr(name))}"
 
 
@@ -174,7 +177,7 @@ def test_a_path_that_leaves_the_folder_is_refused(name: str) -> None:
 )
 def test_what_is_wrong_is_told(old: str, new: str, message: str) -> None:
     with pytest.raises(ProtocolError) as info:
-        parse_test_sheet(SHEET.replace(old, new), "x")
+        checked(TestSheet, parse_yaml(SHEET.replace(old, new), "x"))
     assert message in str(info.value).splitlines()
 
 
@@ -198,6 +201,6 @@ def test_a_date_may_be_one_already_or_none() -> None:
 
 
 def test_keys_left_blank_say_nothing() -> None:
-    sheet = parse_test_sheet(SHEET + "date:\noperator:\noverrides:\n", "x")
+    sheet = checked(TestSheet, parse_yaml(SHEET + "date:\noperator:\noverrides:\n", "x"))
 
     assert (sheet.date, sheet.operator, sheet.overrides) == (None, "", {})

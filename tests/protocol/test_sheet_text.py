@@ -3,9 +3,11 @@ from __future__ import annotations
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from labpipe.protocol.load import parse_test_sheet
+from labpipe.protocol.load import checked
+from labpipe.protocol.sheet import TestSheet
 from labpipe.protocol.sheet_text import test_sheet_faults as sheet_faults
 from labpipe.protocol.sheet_text import write_test_sheet
+from labpipe.protocol.yaml_text import parse_yaml
 
 DATA: dict[str, object] = {
     "test": "0333",
@@ -55,7 +57,7 @@ def test_a_sheet_written_reads_back(protocol: str, sample: str, value: str) -> N
     overrides = {"rig.cycles": {"value": value, "because": "x"}}
     data = DATA | {"protocol": protocol, "specimen": specimen, "overrides": overrides}
 
-    sheet = parse_test_sheet(write_test_sheet(data), "x")
+    sheet = checked(TestSheet, parse_yaml(write_test_sheet(data), "x"))
 
     assert (sheet.protocol, sheet.specimen.sample) == (protocol, sample)
     assert sheet.overrides["rig.cycles"].value == value

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.store.chunks import (
-    Packed,
+    Target,
     chunk_shape,
     fletcher32,
     same_content,
     string_array,
-    write_array,
 )
+from labpipe.store.layout import Field
 
 
 def _hdf5_checksum(data: bytes, path: Path) -> int:
@@ -48,7 +48,7 @@ def test_any_array_comes_back(
     path = tmp_path_factory.getbasetemp() / "array.h5"
     axes = tuple("abc"[: array.ndim])
     with h5py.File(path, "w") as root, ThreadPoolExecutor(2) as pool:
-        write_array(root, "x", array, unit="m", axes=axes, pool=pool, packed={})
+        Target(root, pool).array("x", array, Field(axes, "m"))
     with h5py.File(path) as root:
         assert root["x"][()].tobytes() == array.tobytes()
         assert root["x"].attrs["axes"] == ", ".join(axes)
@@ -58,9 +58,7 @@ def test_any_array_comes_back(
 def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
     array = np.random.default_rng(0).normal(size=(30_011, 8, 3))
     with h5py.File(tmp_path / "a.h5", "w") as root, ThreadPoolExecutor(2) as pool:
-        dataset = write_array(
-            root, "x", array, unit="m", axes=("a", "b", "c"), pool=pool, packed={}
-        )
+        dataset = Target(root, pool).array("x", array, Field(("a", "b", "c"), "m"))
         assert dataset.id.get_num_chunks() > 20
         np.testing.assert_array_equal(dataset[()], array)
         other = array.copy()
@@ -70,12 +68,13 @@ def test_many_chunks_and_a_part_of_one(tmp_path: Path) -> None:
 
 
 def test_the_same_array_is_deflated_once(tmp_path: Path) -> None:
-    array, packed = np.random.default_rng(0).normal(size=40_000), Packed()
+    array = np.random.default_rng(0).normal(size=40_000)
     seen = {"one": array, "again": array.view(), "part": array[:30_000], "turned": array[::-1]}
     with h5py.File(tmp_path / "a.h5", "w") as root, ThreadPoolExecutor(2) as pool:
+        target = Target(root, pool)
         for name, each in seen.items():
-            write_array(root, name, each, unit="m", axes=("a",), pool=pool, packed=packed)
-        assert len(packed) == 3
+            target.array(name, each, Field(("a",), "m"))
+        assert len(target.packed) == 3
         for name, each in seen.items():
             np.testing.assert_array_equal(root[name][()], each)
 
