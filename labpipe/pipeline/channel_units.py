@@ -9,7 +9,7 @@ from types import MappingProxyType
 from labpipe.errors import complaint
 from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.source import ChannelSource
-from labpipe.readers.load_frame.cells import is_unit
+from labpipe.readers.cells import is_unit
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel
 from labpipe.units import si_factor

@@ -43,7 +43,8 @@ class Reader(NamedTuple):
 
     def recognise(self, path: Path) -> bool:
         """Tell from the content whether a file is of this format."""
-        return self._format.recognise(path)
+        is_of_kind = self.of_workbooks if is_workbook(path) else self.of_texts
+        return is_of_kind and self._format.recognise(path)
 
     def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
         """Make a recording of a file, faults of the time axis as notes of severity error."""
@@ -59,7 +60,7 @@ READERS: dict[str, Reader] = {
     "dspace-csv": Reader("dspace-csv", "dspace_csv"),
     "dspace-mf4": Reader("dspace-mf4", "dspace_mf4"),
     "motive-csv": Reader("motive-csv", "motive_csv"),
-    "motive-xlsx": Reader("motive-xlsx", "motive_xlsx", of_texts=False, of_workbooks=True),
+    "motive-xlsx": Reader("motive-xlsx", "motive_csv", of_texts=False, of_workbooks=True),
     "load-frame": Reader("load-frame", "load_frame", of_workbooks=True),
 }
 
@@ -80,12 +81,7 @@ def recognise_export(path: Path) -> Reader:
     ReadError
         If the file cannot be opened, is empty, or is of no format that is read here.
     """
-    of_its_kind = [
-        reader
-        for reader in READERS.values()
-        if (reader.of_workbooks if is_workbook(path) else reader.of_texts)
-    ]
-    for reader in of_its_kind:
+    for reader in READERS.values():
         if reader.recognise(path):
             return reader
     if is_workbook(path):
@@ -132,8 +128,7 @@ def read_export(
         If the content is of another format, is damaged, lacks a wanted channel, or has a time
         axis that runs backwards (`Reader.read` leaves that as a note, for `labpipe inspect`).
     """
-    named = [reader] if isinstance(reader, str) else reader
-    allowed = list(READERS if named is None else named)
+    allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
     found = _recognised_or_named(path, allowed, dialect)
     if found.name not in allowed:
         text = complaint(
@@ -158,6 +153,9 @@ def _recognised_or_named(
     path: Path, allowed: Sequence[str], dialect: Sequence[str] | None
 ) -> Reader:
     """The reader by content; where none fits, the load frame's if one of its cards was named."""
+    for name in allowed:  # a file is of one format only: spares asking, and loading, the others
+        if READERS[name].recognise(path):
+            return READERS[name]
     try:
         return recognise_export(path)
     except ReadError:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint, nearest
-from labpipe.readers.load_frame.cells import is_unit, name_and_unit
+from labpipe.readers.cells import is_unit, name_and_unit
 from labpipe.readers.sheet_cells import Cell, Row
 from labpipe.units import si_factor, whole_number
 

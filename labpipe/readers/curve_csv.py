@@ -24,6 +24,13 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.readers.calculix_dat import is_calculix, tip_rows
+from labpipe.readers.cells import (
+    are_units,
+    is_number,
+    split_line,
+    without_brackets,
+)
+from labpipe.readers.content import decode, is_binary, lines_of, read_content
 from labpipe.readers.curve_columns import (
     CurveColumn,
     CurveTable,
@@ -32,16 +39,8 @@ from labpipe.readers.curve_columns import (
     head_of,
     unit_factor,
 )
-from labpipe.readers.load_frame.cells import (
-    are_units,
-    is_number,
-    split_line,
-    without_brackets,
-)
-from labpipe.readers.load_frame.content import decode, is_binary, read_content
-from labpipe.readers.load_frame.place import lines_of
-from labpipe.readers.load_frame.regrouped import is_grouped
-from labpipe.readers.load_frame.rows import PLAIN
+from labpipe.readers.regrouped import is_grouped
+from labpipe.readers.rows import PLAIN
 from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
 from labpipe.readers.workbooks import is_workbook
 from labpipe.records.arrays import Floats

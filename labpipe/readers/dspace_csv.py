@@ -26,11 +26,12 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.body import read_columns
 from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.dates import written_date
 from labpipe.readers.files import read_head, reading
-from labpipe.readers.tables import Body, read_numbers
+from labpipe.readers.rows import Body
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording
@@ -113,23 +114,28 @@ def _properties(rows: Sequence[Sequence[str]], path: Path) -> dict[str, list[str
 
 def _samples(
     content: bytes, start: int, traces: Mapping[str, list[str]], path: Path
-) -> tuple[Floats, list[QualityNote]]:
-    """All traces as columns; the first cell of each line is no datum."""
+) -> tuple[Mapping[int, Floats], list[QualityNote]]:
+    """All traces by number; the first cell of each line is no datum."""
     size = traces.get("trace_size", [""])[0]
     width = len(traces[_NAMES])
     body = Body(
-        text=content[start + len(_OPENS) :],
-        width=width + 1,
+        data=content,
+        names=("", "time", *traces[_NAMES][1:]),
+        columns=range(1, width + 1),
         first_line=content[:start].count(b"\n") + 1,
+        separator=",",
+        decimal=".",
+        start=start + len(_OPENS),
         stated_rows=whole_number(size),
+        as_exported=True,
     )
-    return read_numbers(body, range(1, width + 1), path)
+    return read_columns(body, path)
 
 
 def _export(
     rows: Sequence[Sequence[str]],
     traces: Mapping[str, list[str]],
-    samples: Floats,
+    samples: Mapping[int, Floats],
     notes: Sequence[QualityNote],
 ) -> Export:
     about = _descriptions(rows)
@@ -138,7 +144,7 @@ def _export(
     day = written_date(general.get("DateTime", ""), saved)
     raster = traces.get("raster", [""])[0]
     return Export(
-        axes=[(raster, lambda: samples[:, 0])],
+        axes=[(raster, lambda: samples[1])],
         traces=[_trace(traces, i, samples) for i in range(1, len(traces[_NAMES]))],
         origin=general.get("Origin", ""),
         metadata={"date": day, **about},
@@ -147,7 +153,7 @@ def _export(
     )
 
 
-def _trace(traces: Mapping[str, list[str]], i: int, samples: Floats) -> Trace:
+def _trace(traces: Mapping[str, list[str]], i: int, samples: Mapping[int, Floats]) -> Trace:
     name = traces[_NAMES][i]
     folder = traces.get("path", [""] * (i + 1))[i]
     return Trace(
@@ -155,7 +161,7 @@ def _trace(traces: Mapping[str, list[str]], i: int, samples: Floats) -> Trace:
         path=f"{folder}/{name}" if folder else name,
         unit_in_file=traces.get("trace_units", [""] * (i + 1))[i],
         clock=0,
-        load=lambda: samples[:, i],
+        load=lambda: samples[i + 1],
         about={key: traces[key][i] for key in _OF_TRACES if key in traces},
     )
 

@@ -20,21 +20,23 @@ style (every line begins with its type). Everything is found by words, nothing b
 from __future__ import annotations
 
 import csv
+import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.body import read_columns, rows_note
 from labpipe.readers.channels import Wanted
 from labpipe.readers.clocks import clock_notes
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.files import BROKEN, read_head, reading
 from labpipe.readers.motive_header import Header, parse_header
 from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
-from labpipe.readers.tables import Body, read_numbers
+from labpipe.readers.rows import Body
 from labpipe.readers.tracking import track_notes
-from labpipe.readers.workbooks import opened_workbook
+from labpipe.readers.workbooks import is_workbook, opened_workbook
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock, MarkerTracks, Recording
@@ -42,55 +44,41 @@ from labpipe.records.recording import Clock, MarkerTracks, Recording
 _BOM = b"\xef\xbb\xbf"
 _TABLE = (b"Format Version", b'"Format Version')
 _ROWS = (b"comment,", b'"comment",')
+_SHEET_HEAD = 200_000
+_SHEETS = ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml")
 _HEADER_LINES = 40
 """Header rows are looked for in this many lines; the longest real header has 8."""
 
 
 def recognise(path: Path) -> bool:
-    """Tell whether a file is a Motive CSV export of either style, by its first words."""
+    """Tell whether a file is a Motive export of either style, or a workbook that holds one."""
+    if is_workbook(path):
+        return _is_saved_take(path)
     return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE + _ROWS)
 
 
+def _is_saved_take(path: Path) -> bool:
+    """Tell at little cost whether a workbook holds a take, by its first cell."""
+    try:
+        with zipfile.ZipFile(path) as parts:
+            inside = [name for name in _SHEETS if name in parts.namelist()]
+            return any(b"Format Version" in _part_head(parts, name) for name in inside)
+    except BROKEN:
+        return False
+
+
+def _part_head(parts: zipfile.ZipFile, name: str) -> bytes:
+    with parts.open(name) as part:
+        return part.read(_SHEET_HEAD)
+
+
 def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
-    """Read a Motive CSV export.
+    """Read a Motive export.
 
     Parameters
     ----------
-    path : the export
-    channels : has no meaning here; takes are read whole
-
-    Returns
-    -------
-    The recording: marker tracks, no channels.
-
-    Raises
-    ------
-    ReadError
-        If the header or a cell is damaged, or the version is not known.
-    """
-    read_head(path)
-    with reading(path, "a readable file"):
-        content = path.read_bytes().removeprefix(_BOM)
-    if content.startswith(_ROWS):
-        return _read_row_style(content.decode("utf-8", errors="replace"), path)
-    lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
-    with reading(path, "header rows of cells parted by commas"):
-        text = b"\n".join(lines).decode("utf-8", errors="replace")
-        rows = [next(csv.reader([line]), []) for line in text.split("\n")]
-    header = parse_header(rows, path)
-    offset = sum(len(line) + 1 for line in lines[: header.rows])
-    body = Body(content[offset:], header.width, header.rows + 1, header.stated_rows)
-    chosen = needed_columns(header)
-    values, notes = read_numbers(body, chosen, path)
-    return _recording("motive-csv", header, Columns(values, chosen), notes, path)
-
-
-def read_xlsx(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
-    """Read a Motive CSV export that a spreadsheet saved as xlsx.
-
-    Parameters
-    ----------
-    path : the workbook; the first sheet with a Motive header is read
+    path : the export, as Motive wrote it, or as a spreadsheet saved it; of a workbook the first
+        sheet with a Motive header is read
     channels : has no meaning here; takes are read whole
 
     Returns
@@ -102,13 +90,42 @@ def read_xlsx(path: Path, *, channels: Sequence[Wanted] | None = None) -> Record
     ReadError
         If the workbook, the header or a cell is damaged, or the version is not known.
     """
-    read_head(path)
+    if is_workbook(path):
+        return _read_workbook(path)
+    with reading(path, "a readable file"):
+        content = path.read_bytes().removeprefix(_BOM)
+    if content.startswith(_ROWS):
+        return _read_row_style(content.decode("utf-8", errors="replace"), path)
+    lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
+    with reading(path, "header rows of cells parted by commas"):
+        text = b"\n".join(lines).decode("utf-8", errors="replace")
+        rows = [next(csv.reader([line]), []) for line in text.split("\n")]
+    header = parse_header(rows, path)
+    offset = sum(len(line) + 1 for line in lines[: header.rows])
+    chosen = needed_columns(header)
+    body = Body(
+        data=content,
+        names=header.names,
+        columns=chosen,
+        first_line=header.rows + 1,
+        separator=",",
+        decimal=".",
+        start=offset,
+        stated_rows=header.stated_rows,
+        as_exported=True,
+    )
+    read, notes = read_columns(body, path)
+    values = np.column_stack([read[column] for column in chosen])
+    return _recording("motive-csv", header, Columns(values, chosen), notes, path)
+
+
+def _read_workbook(path: Path) -> Recording:
     sheet = _sheet(path)
     rows = [[_as_text(cell) for cell in row] for row in sheet[:_HEADER_LINES]]
     header = parse_header(rows, path)
     chosen = needed_columns(header)
     values = _numbers(sheet[header.rows :], chosen, header.rows + 1, path)
-    notes = _rows_note(header, len(values))
+    notes = rows_note(header.stated_rows, len(values))
     return _recording("motive-xlsx", header, Columns(values, chosen), notes, path)
 
 
@@ -159,13 +176,6 @@ def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
     message = f"{int(infinite.sum())} infinite numbers count as blank, the first in data row {row}"
     note = QualityNote("not_finite", Severity.WARNING, "take", message)
     return Columns(np.where(infinite, np.nan, columns.values), columns.chosen), [note]
-
-
-def _rows_note(header: Header, rows: int) -> list[QualityNote]:
-    if header.stated_rows in {None, rows}:
-        return []
-    message = f"the header states {header.stated_rows} rows, the file holds {rows}"
-    return [QualityNote("rows_differ", Severity.WARNING, "file", message)]
 
 
 def _sheet(path: Path) -> list[list[object]]:

@@ -74,6 +74,15 @@ class Header:
     rows: int
 
     @property
+    def names(self) -> list[str]:
+        """What each column holds, for messages."""
+        names = ["Frame", *[""] * (self.width - 1)]
+        for group in self.groups:
+            for quantity, column in group.columns.items():
+                names[column] = " ".join((group.name, *quantity)).strip()
+        return names
+
+    @property
     def version(self) -> str:
         """Format version as text."""
         return self.about.get("Format Version", "")

@@ -54,7 +54,6 @@ class _Take:
     n_bodies: list[int] = field(default_factory=list)
     n_points: list[int] = field(default_factory=list)
     named: dict[tuple[str, str], dict[int, Point]] = field(default_factory=dict)
-    anonymous: int = 0
 
 
 @dataclass(frozen=True, slots=True)

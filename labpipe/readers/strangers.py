@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from labpipe.readers.cells import is_number, split_line
+from labpipe.readers.content import as_content, lines_of
 from labpipe.readers.files import read_head
-from labpipe.readers.load_frame.cells import is_number, split_line
-from labpipe.readers.load_frame.content import as_content
-from labpipe.readers.load_frame.place import lines_of
 
 _ANOTHER = "Export the recording in one of these formats."
 _UNPACK = "Unpack it, and name the export in it."

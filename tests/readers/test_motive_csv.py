@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from openpyxl import Workbook
 
 from labpipe.errors import ReadError
-from labpipe.readers import motive_csv, motive_xlsx
+from labpipe.readers import motive_csv
 from labpipe.records.recording import MarkerTracks, Recording
 from tests.builders.motive import (
     Layout,
@@ -135,8 +137,8 @@ def test_the_same_sheet_saved_as_xlsx(tmp_path: Path) -> None:
     columns = [*COLUMNS, *marker("Tip", gap)]
     one = motive_csv.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, LAYOUT))
     file = write_xlsx(tmp_path / "synthetic.xlsx", columns, FRAMES, LAYOUT)
-    assert motive_xlsx.recognise(file)
-    other = motive_xlsx.read(file)
+    assert motive_csv.recognise(file)
+    other = motive_csv.read(file)
     np.testing.assert_allclose(tracks(one).positions, tracks(other).positions, rtol=1e-15)
     assert tracks(one).names == tracks(other).names
     assert tracks(one).rate == tracks(other).rate
@@ -152,14 +154,14 @@ def test_a_cell_of_a_workbook_that_is_no_number(tmp_path: Path) -> None:
     book.active["F12"] = "lost"  # type: ignore[index]
     book.save(file)
     with pytest.raises(ReadError, match=r"row 12, cell 6: expected a number or a blank, found 'lo"):
-        motive_xlsx.read(file)
+        motive_csv.read(file)
 
 
 def test_a_cut_workbook(tmp_path: Path) -> None:
     file = write_xlsx(tmp_path / "take.xlsx", COLUMNS, FRAMES, LAYOUT)
     file.write_bytes(file.read_bytes()[:2000])
     with pytest.raises(ReadError, match=r"expected a whole xlsx workbook, found a damaged one"):
-        motive_xlsx.read(file)
+        motive_csv.read(file)
 
 
 def test_an_empty_take_is_legal(tmp_path: Path) -> None:
@@ -191,8 +193,7 @@ def test_stated_rows_that_are_wrong(tmp_path: Path) -> None:
         write_table(tmp_path / "take.csv", COLUMNS, FRAMES, layout),
         write_xlsx(tmp_path / "take.xlsx", COLUMNS, FRAMES, layout),
     ):
-        read = motive_csv.read if file.suffix == ".csv" else motive_xlsx.read
-        assert notes(read(file))["rows_differ"] == (
+        assert notes(motive_csv.read(file))["rows_differ"] == (
             "the header states 190951 rows, the file holds 30"
         )
 
@@ -233,3 +234,19 @@ def test_recognised_by_the_first_words(tmp_path: Path, content: bytes, is_motive
     file = tmp_path / "take.mat"
     file.write_bytes(content)
     assert motive_csv.recognise(file) is is_motive
+
+
+def test_a_workbook_of_something_else(tmp_path: Path) -> None:
+    file = tmp_path / "other.xlsx"
+    book = Workbook()
+    book.active.append(["time", "force"])  # type: ignore[union-attr]
+    book.save(file)
+    assert not motive_csv.recognise(file)
+    with pytest.raises(ReadError, match=r"expected a sheet whose first cell is Format Version"):
+        motive_csv.read(file)
+    archive = tmp_path / "files.zip"
+    with zipfile.ZipFile(archive, "w") as parts:
+        parts.writestr("readme.txt", "Format Version")
+    assert not motive_csv.recognise(archive)
+    archive.write_bytes(archive.read_bytes()[:-30])
+    assert not motive_csv.recognise(archive)

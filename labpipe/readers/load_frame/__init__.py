@@ -24,10 +24,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from labpipe.readers.channels import Wanted
+from labpipe.readers.content import read_content
 from labpipe.readers.load_frame.assembly import assemble
+from labpipe.readers.load_frame.blocks import Place
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.content import read_content
-from labpipe.readers.load_frame.place import Place
 from labpipe.readers.load_frame.recognition import Named, chosen_card, recognised
 from labpipe.readers.load_frame.table import (
     Export,

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.load_frame.body import read_columns
+from labpipe.readers.body import read_columns
+from labpipe.readers.cells import is_number, split_line
+from labpipe.readers.channels import Wanted
+from labpipe.readers.content import HEAD, line_start, lines_of
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cells import is_number, split_line
-from labpipe.readers.load_frame.content import HEAD
 from labpipe.readers.load_frame.header import find_header
-from labpipe.readers.load_frame.place import Place, decimal_of, line_start, lines_of, no_samples
-from labpipe.readers.load_frame.rows import Body
 from labpipe.readers.load_frame.table import (
     Export,
     Table,
@@ -24,9 +25,64 @@ from labpipe.readers.load_frame.table import (
     wanted_columns,
 )
 from labpipe.readers.load_frame.titles import Header
+from labpipe.readers.rows import Body
 from labpipe.records.quality import QualityNote, Severity
 
 _BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where a text export is read from.
+
+    Parameters
+    ----------
+    path : of the file, for messages
+    card : how it is read
+    channels : asked for, None for all
+    """
+
+    path: Path
+    card: Card
+    channels: Sequence[Wanted] | None = None
+
+
+def no_samples(message: str) -> QualityNote:
+    """Note that an export is whole and holds no sample."""
+    return QualityNote("no_samples", Severity.WARNING, "file", message)
+
+
+def decimal_of(head: str, place: Place) -> str:
+    """Find the decimal sign: that of the card, or as the export states it.
+
+    Parameters
+    ----------
+    head : beginning of the export
+    place : file and card
+
+    Returns
+    -------
+    The sign, or ``auto``.
+
+    Raises
+    ------
+    ReadError
+        If the export should state it and does not.
+    """
+    pattern = place.card.decimal_pattern
+    if pattern is None:
+        return place.card.decimal
+    match = pattern.search(head)
+    if match is not None and match[1] in {".", ","}:
+        return match[1]
+    text = complaint(
+        place.path,
+        "line 1",
+        expected="the decimal sign that this program states",
+        found=f"'{head[:60].splitlines()[0] if head else ''}'",
+        remedy="Export the test again, or name another dialect.",
+    )
+    raise ReadError(text)
 
 
 def read_blocks(text: str, place: Place) -> Export:

@@ -289,6 +289,3 @@ _CHECKS: Final[dict[str, _Check]] = {
     "layout": _one_of(LAYOUTS),
 }
 """Every key of a card, and what it must be."""
-
-KEYS: Final = tuple(_CHECKS)
-"""The keys of a card."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.cells import is_number, name_and_unit, split_line
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cells import is_number, name_and_unit, split_line
 from labpipe.readers.load_frame.titles import Fault, Header, Rows, find_titles, put_names_together
 
 MOST_LINES = 400

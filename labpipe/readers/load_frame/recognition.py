@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint, nearest
-from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
-from labpipe.readers.load_frame.content import (
+from labpipe.readers.content import (
     HEAD,
     Content,
     decode,
@@ -17,6 +15,8 @@ from labpipe.readers.load_frame.content import (
     is_blank,
     read_beginning,
 )
+from labpipe.readers.load_frame.card import Card
+from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
 from labpipe.readers.load_frame.header import find_header, header_of_rows
 from labpipe.readers.load_frame.table import time_column
 from labpipe.readers.load_frame.titles import Header

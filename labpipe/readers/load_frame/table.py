@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from labpipe.errors import ReadError, complaint, nearest
+from labpipe.readers.cells import is_like
 from labpipe.readers.channels import Wanted, find_channel, plain_name
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cells import is_like
 from labpipe.readers.load_frame.titles import Header, Rows
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity

@@ -6,14 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from labpipe.readers.load_frame.blocks import read_blocks
-from labpipe.readers.load_frame.body import read_columns
+from labpipe.readers.body import read_columns
+from labpipe.readers.cells import split_line
+from labpipe.readers.content import HEAD, Content, decode, is_blank, line_start, lines_of
+from labpipe.readers.load_frame.blocks import Place, decimal_of, no_samples, read_blocks
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cells import split_line
-from labpipe.readers.load_frame.content import HEAD, Content, decode, is_blank
 from labpipe.readers.load_frame.header import find_header
-from labpipe.readers.load_frame.place import Place, decimal_of, line_start, lines_of, no_samples
-from labpipe.readers.load_frame.rows import Body
 from labpipe.readers.load_frame.table import (
     Export,
     Table,
@@ -23,6 +21,7 @@ from labpipe.readers.load_frame.table import (
     word_columns,
 )
 from labpipe.readers.load_frame.titles import Header
+from labpipe.readers.rows import Body
 
 
 def read_tables(content: Content, place: Place) -> Export:

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from labpipe.errors import ReadError
-from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cells import (
+from labpipe.readers.cells import (
     are_units,
     bare_unit,
     hold_units,
@@ -17,6 +16,7 @@ from labpipe.readers.load_frame.cells import (
     quoted,
     without_brackets,
 )
+from labpipe.readers.load_frame.card import Card
 
 Rows = Sequence[Sequence[str]]
 Fault = Callable[[int, str, str], ReadError]

@@ -14,8 +14,6 @@ import numpy as np
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.header import header_of_rows
-from labpipe.readers.load_frame.regrouped import LOST, is_grouped, lost_signs, regrouped_at
-from labpipe.readers.load_frame.rows import PLAIN
 from labpipe.readers.load_frame.table import (
     FEW,
     Export,
@@ -26,6 +24,8 @@ from labpipe.readers.load_frame.table import (
     word_columns,
 )
 from labpipe.readers.load_frame.titles import Header
+from labpipe.readers.regrouped import LOST, is_grouped, lost_signs, regrouped_at
+from labpipe.readers.rows import PLAIN
 from labpipe.readers.workbooks import Sheets
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity

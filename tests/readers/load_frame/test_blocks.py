@@ -7,6 +7,8 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame
+from labpipe.readers.load_frame.blocks import Place, decimal_of
+from labpipe.readers.load_frame.cards import shipped_cards
 from labpipe.records.recording import Recording
 from tests.readers.load_frame.exports import ROWS, lines, written
 
@@ -100,3 +102,13 @@ def test_rows_without_time_that_are_no_extremes(tmp_path: Path, rows: str) -> No
     recording = load_frame.read(written(tmp_path / "a.dat", text))
     assert len(recording.channels) == 2
     assert codes(recording) == {"no_time"}
+
+
+def test_the_decimal_sign_of_the_card_or_of_the_export() -> None:
+    path = Path("a.dat")
+    assert decimal_of("", Place(path, shipped_cards()["microtest"])) == "."
+    stating = Place(path, shipped_cards()["mts-793"])
+    assert decimal_of("MTS793|MPT|DEU|1|2|,|.", stating) == ","
+    expected = r"a\.dat, line 1: expected the decimal sign that this program states, found 'MTS793'"
+    with pytest.raises(ReadError, match=expected):
+        decimal_of("MTS793\nrest", stating)

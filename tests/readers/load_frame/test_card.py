@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers.load_frame.card import KEYS, parse_card
+from labpipe.readers.load_frame.card import parse_card
 
 GOOD = """
 about = "a card"
@@ -58,7 +58,3 @@ def test_the_name_of_a_card() -> None:
         ReadError, match=r"expected a name of small letters, digits and hyphens, fo"
     ):
         parse_card(GOOD, name="Acme Frame", source="Acme Frame.toml")
-
-
-def test_every_key_has_a_check() -> None:
-    assert {"about", "recognise", "time", "names"} < set(KEYS)

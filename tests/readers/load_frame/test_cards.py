@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,7 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame, read_export
-from labpipe.readers.load_frame.card import KEYS
+from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
 
 
@@ -45,7 +46,12 @@ def page(repository: Path) -> str:
 
 def test_every_key_is_documented_and_no_other(repository: Path) -> None:
     table = page(repository).partition("## 3. The keys")[2]
-    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == set(KEYS)
+    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == {
+        key.name for key in fields(Card)
+    } - {
+        "name",
+        "source",
+    }
 
 
 def test_the_example_of_the_documentation(

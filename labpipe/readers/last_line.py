@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from labpipe.readers.load_frame.cells import is_number, split_line
-from labpipe.readers.load_frame.rows import Body, chosen_cells
+from labpipe.readers.cells import is_number, split_line
+from labpipe.readers.rows import Body, chosen_cells
 from labpipe.records.quality import QualityNote, Severity
 
 _COMPARED = 200
@@ -19,7 +19,7 @@ def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
     A last line without line end is whole if it has all its cells, and its last number has as many
     decimals, or as many digits in all, as the one above it, and as long an exponent. Where zeros at
     the end of numbers are not written, it is whole if some line above has a last number with no
-    more of all three.
+    more of all three. None is whole where the header promises more rows.
 
     Parameters
     ----------
@@ -35,10 +35,11 @@ def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
     last = data[end:].decode("latin-1")
     if not last.strip("\r\0\x1a "):
         return end, []
-    cells = split_line(last, body.separator)
-    if _is_whole(cells, _last_numbers(body, end), body):
+    cells, rows = split_line(last, body.separator), data.count(b"\n", start)
+    is_promised = rows + 1 >= (body.stated_rows or 0)
+    if is_promised and _is_whole(cells, _last_numbers(body, end), body):
         return len(data), []
-    line = body.first_line + data.count(b"\n", start)
+    line = body.first_line + rows
     message = f"the last line ({line}) is incomplete and was left out"
     return end, [QualityNote("truncated", Severity.WARNING, "file", message)]
 
@@ -61,8 +62,10 @@ def _is_whole(last: Sequence[str], above: Sequence[str], body: Body) -> bool:
     cut = last[-1].strip()
     decimals, digits, exponent = _lengths(cut)
     its_decimals, its_digits, its_exponent = _lengths(above[0])
-    if exponent >= its_exponent and (decimals >= its_decimals or digits >= its_digits):
-        return True
+    by_digits = digits >= its_digits and not body.as_exported
+    is_as_long = exponent >= its_exponent and (decimals >= its_decimals or by_digits)
+    if is_as_long or body.as_exported:
+        return is_as_long
     return cut[-1:].isdigit() and any(_is_as_short(cell, cut) for cell in above if cell)
 
 

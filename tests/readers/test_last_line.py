@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.readers.load_frame.last_line import whole_lines
-from labpipe.readers.load_frame.rows import Body
+from labpipe.readers.last_line import whole_lines
+from labpipe.readers.rows import Body
 
 
 def is_whole(text: str) -> bool:

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.readers.load_frame.cells import split_line
+from labpipe.readers.cells import split_line
 from labpipe.records.arrays import Ints
 
 SIGNS = {".": "a decimal point", ",": "a decimal comma"}
@@ -32,6 +32,9 @@ class Body:
     some_only : whether the other columns hold numbers too, but nobody asked for them
     separator : between cells, a blank for any number of blanks
     decimal : decimal sign, or ``auto``
+    stated_rows : number of rows that the header promises, None if it does not
+    as_exported : whether it is as a program writes it that records, not saved from a spreadsheet:
+        NAN and Infinity are numbers, columns may hold any code, no number lacks its last zeros
     """
 
     data: bytes
@@ -43,6 +46,8 @@ class Body:
     start: int = 0
     as_in_file: bool = False
     some_only: bool = False
+    stated_rows: int | None = None
+    as_exported: bool = False
 
 
 @dataclass(frozen=True, slots=True)

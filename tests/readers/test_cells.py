@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.readers.load_frame import cells
-from labpipe.readers.load_frame.cells import (
+from labpipe.readers import cells
+from labpipe.readers.cells import (
     are_units,
     bare_unit,
     is_number,

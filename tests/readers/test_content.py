@@ -5,7 +5,14 @@ from pathlib import Path
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.readers.load_frame.content import as_content, decode, is_binary, read_content
+from labpipe.readers.content import (
+    as_content,
+    decode,
+    is_binary,
+    line_start,
+    lines_of,
+    read_content,
+)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be"])
@@ -48,3 +55,8 @@ def test_an_empty_file(tmp_path: Path) -> None:
         ReadError, match=r"a\.csv: expected a file with content, found an empty file"
     ):
         read_content(tmp_path / "a.csv")
+
+
+def test_where_lines_begin() -> None:
+    assert [line_start(b"a\nbc\nd", number) for number in range(4)] == [0, 2, 5, 6]
+    assert lines_of("a\r\nb") == ["a", "b"]

@@ -9,17 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
-from labpipe.readers.load_frame.bad_cells import first_fault, jump_fault
-from labpipe.readers.load_frame.cells import split_line
-from labpipe.readers.load_frame.content import is_blank
-from labpipe.readers.load_frame.last_line import whole_lines
-from labpipe.readers.load_frame.regrouped import regrouped_at
-from labpipe.readers.load_frame.rows import PLAIN, SIGNS, Body, Shape, chosen_cells
+from labpipe.readers.bad_cells import first_fault, jump_fault
+from labpipe.readers.cells import split_line
+from labpipe.readers.content import is_blank
+from labpipe.readers.last_line import whole_lines
+from labpipe.readers.regrouped import regrouped_at
+from labpipe.readers.rows import PLAIN, SIGNS, Body, Shape, chosen_cells
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
 _HEAD = 20000
 """Bytes in which the decimal sign is looked for."""
+_WORDS = ("NAN", "NaN", "nan")
 _WORTH = 4_000_000
 """Bytes from which on pandas reads faster from the file than from memory."""
 
@@ -36,7 +37,7 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     -------
     columns : by their number, all of shape (rows,)
     notes : ``truncated`` (an incomplete last line was left out), ``lines_short`` (what a line
-        lacks counts as blank)
+        lacks counts as blank), ``rows_differ`` (from the number that the header states)
 
     Raises
     ------
@@ -47,7 +48,9 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     end, notes = whole_lines(body)
     head = body.data[body.start : min(end, body.start + _HEAD)]
     if not head.strip() and is_blank(body.data[body.start : end]):
-        return {column: np.empty(0) for column in body.columns}, notes
+        return {column: np.empty(0) for column in body.columns}, notes + rows_note(
+            body.stated_rows, 0
+        )
     decimal = _decimal_sign(body, head) if body.decimal == "auto" else body.decimal
     first = split_line(head[: head.find(b"\n") + 1 or None].decode("latin-1"), body.separator)
     shape = Shape(body, end, decimal, max(len(body.names), len(first)))
@@ -55,11 +58,22 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     columns = {column: parsed[column] for column in body.columns}
     rows = _filled(columns)
     if not all(np.isfinite(values).all() for values in columns.values()):
-        if any(np.isinf(values).any() for values in columns.values()):
+        infinite = any(np.isinf(values).any() for values in columns.values())
+        if infinite and not body.as_exported:
             raise ReadError(first_fault(shape, path))
         notes += _short_lines(shape, rows)  # where all cells are numbers, no line can be short
-    _refuse_lost_signs(shape, columns, path)
+    if not body.as_exported:
+        _refuse_lost_signs(shape, columns, path)
+    notes += rows_note(body.stated_rows, rows)
     return {column: columns[column][:rows] for column in body.columns}, notes
+
+
+def rows_note(stated: int | None, held: int) -> list[QualityNote]:
+    """Note that a file holds another number of rows than its header states; if it states one."""
+    if stated in {None, held}:
+        return []
+    message = f"the header states {stated} rows, the file holds {held}"
+    return [QualityNote("rows_differ", Severity.WARNING, "file", message)]
 
 
 def _refuse_lost_signs(shape: Shape, columns: Mapping[int, Floats], path: Path) -> None:
@@ -117,7 +131,7 @@ def _table(
         names=list(range(shape.width)),
         usecols=wanted,
         dtype=np.float64,
-        na_values=[""],
+        na_values=["", *_WORDS] if shape.body.as_exported else [""],
         keep_default_na=False,
         skip_blank_lines=False,
         skipinitialspace=True,

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from labpipe.readers.load_frame.regrouped import is_grouped, regrouped_at
+from labpipe.readers.regrouped import is_grouped, regrouped_at
 from labpipe.records.arrays import Floats
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.readers.load_frame.rows import PLAIN, Body, Shape, chosen_cells
+from labpipe.readers.rows import PLAIN, Body, Shape, chosen_cells
 
 
 def shape(text: str, separator: str = ",") -> Shape:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.errors import ReadError
-from labpipe.readers.load_frame.body import read_columns
-from labpipe.readers.load_frame.rows import Body
+from labpipe.readers.body import read_columns
+from labpipe.readers.rows import Body
 
 NAMES = ("Time", "Load")
 FILE = Path("a.csv")
@@ -106,6 +106,51 @@ def test_nan_is_no_number() -> None:
 def test_faults(text: str, said: str) -> None:
     with pytest.raises(ReadError, match=said):
         read_columns(body(text), FILE)
+
+
+def exported(text: str, *, stated: int | None = None) -> tuple[list[float], dict[str, str]]:
+    """Read what a recorder's program wrote: the last of three columns."""
+    names = ("Frame", "Time", "Force")
+    rows = Body(text.encode(), names, (0, 2), 8, ",", ".", stated_rows=stated, as_exported=True)
+    columns, notes = read_columns(rows, FILE)
+    return columns[2].tolist(), {note.code: note.message for note in notes}
+
+
+def test_words_for_numbers_in_exports_of_a_recorder() -> None:
+    values, notes = exported("1,x,2\r\n3,,\r\n4,,NAN\r\n5,,-Infinity\r\n6,,1110797\r\n7,,1063\r\n")
+    np.testing.assert_array_equal(values, [2, np.nan, np.nan, -np.inf, 1110797, 1063])
+    assert notes == {}
+    with pytest.raises(ReadError, match=r"line 9, column 'Force': expected a number .* found 'x'"):
+        exported("1,2,NaN\n4,5,x\n")
+
+
+@pytest.mark.parametrize("text", ["", "\r\n", "\n\n", ",,\n,,\n"])
+def test_no_rows(text: str) -> None:
+    assert exported(text)[0] == []
+
+
+def test_padding_of_a_spreadsheet_is_no_datum() -> None:
+    assert exported("1,2,3,,\n4,5,6,,\n,,,,\n") == ([3, 6], {})
+
+
+def test_a_whole_looking_last_line_is_not_trusted_where_rows_are_missing() -> None:
+    values, notes = exported("1,2,3\n4,5,6", stated=5)
+    assert len(values) == 1
+    assert notes["truncated"] == "the last line (9) is incomplete and was left out"
+    assert notes["rows_differ"] == "the header states 5 rows, the file holds 1"
+
+
+def test_a_number_that_lacks_decimals_was_cut() -> None:
+    assert exported("1,0,2.25\n2,0,3.5\n3,0,4.25\n4,0,5.5")[0] == [2.25, 3.5, 4.25]
+    assert exported("1,0,2.25\n2,0,3.25\n3,0,14.5")[0] == [2.25, 3.25]
+
+
+@given(cut=st.integers(0, 200))
+def test_a_cut_anywhere_loses_only_the_last_line(cut: int) -> None:
+    whole = "".join(f"{i},0,{i}.25\n" for i in range(20))
+    values, _ = exported(whole[:cut], stated=20)
+    lines = 20 if cut >= len(whole) - 1 else whole[:cut].count("\n")
+    np.testing.assert_array_equal(values, np.arange(lines) + 0.25)
 
 
 def test_a_large_file_is_read_straight(tmp_path: Path) -> None:

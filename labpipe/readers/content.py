@@ -106,6 +106,22 @@ def is_binary(content: Content) -> bool:
     return b"\0" in content.data[:HEAD]
 
 
+def lines_of(text: str) -> list[str]:
+    """Give the lines of a text without their ends."""
+    return [line.rstrip("\r") for line in text.split("\n")]
+
+
+def line_start(data: bytes, lines: int) -> int:
+    """Find where the line with this number, counted from 0, begins."""
+    at = 0
+    for _ in range(lines):
+        end = data.find(b"\n", at)
+        if end < 0:
+            return len(data)
+        at = end + 1
+    return at
+
+
 def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) -> str:
     """Decode a part of an export.
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.readers.load_frame.bad_cells import first_fault, jump_fault
-from labpipe.readers.load_frame.rows import Body, Shape
+from labpipe.readers.bad_cells import first_fault, jump_fault
+from labpipe.readers.rows import Body, Shape
 
 FILE = Path("a.csv")
 

@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import complaint
-from labpipe.readers.load_frame.regrouped import LOST, is_grouped, lost_signs
-from labpipe.readers.load_frame.rows import PLAIN, SIGNS, Shape
+from labpipe.readers.regrouped import LOST, is_grouped, lost_signs
+from labpipe.readers.rows import PLAIN, SIGNS, Shape
 
 _AGAIN = "Export the test again; the file may have been cut off or edited."
 _SHOWN = 40
+_WORDS = frozenset({"nan", "inf", "infinity"})
 
 
 def first_fault(shape: Shape, path: Path) -> str:
@@ -64,8 +65,9 @@ def jump_fault(shape: Shape, column: int, rows: tuple[int, int], path: Path) -> 
 
 
 def _is_finite(cell: str, shape: Shape) -> bool:
-    is_plain = PLAIN[shape.decimal].fullmatch(cell) is not None
-    return is_plain and bool(np.isfinite(float(cell.replace(shape.decimal, "."))))
+    if PLAIN[shape.decimal].fullmatch(cell) is None:
+        return shape.body.as_exported and cell.strip("+-").casefold() in _WORDS
+    return bool(np.isfinite(float(cell.replace(shape.decimal, "."))))
 
 
 def _bad_cell(shape: Shape, cell: str, column: int, line: int, path: Path) -> str:
