@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from labpipe.records.calibration import Calibration, CalibrationFailure
+from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.loading import observe_loading
-from labpipe.virtual_lab.stranded import WIRES
-from labpipe.virtual_lab.wire_campaign import WireCampaign, WireGroup, wire_scenarios
+from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.calibration import MeasuredCurve, Settings, Wire, calibrate
 from labpipe.wire.cantilever import StringRig
 
@@ -28,7 +28,7 @@ def curves() -> list[MeasuredCurve]:
     groups = tuple(WireGroup(WIRES["A2"], length) for length in LENGTHS)
     campaign = WireCampaign(groups=groups, samples=SAMPLES, cycles=1, has_mishaps=False)
     found = []
-    for scenario, seed in wire_scenarios(campaign, seed=5):
+    for scenario, seed in campaign.scenarios(5):
         rig = scenario.mechanics
         stroke = min(rig.stroke, DEEPEST * rig.length)
         test = replace(scenario, mechanics=replace(rig, stroke=stroke))

@@ -1,4 +1,4 @@
-"""The tests mirror the package: one file of tests for each module, in the folder of its layer."""
+"""The tests mirror the package: `test_<module>.py` or `test_<module>_<rest>.py`, by layer."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ELSEWHERE = {
     # What reading checks, through reading.
     "store/checked.py": "store/test_read.py",
     # Frozen settings; the truth that is made of them is looked at.
-    "virtual_lab/scenario.py": "virtual_lab/test_truth.py",
+    "virtual_lab/cantilever_scenarios.py": "virtual_lab/test_cameras.py",
 }
 """Modules of a dozen lines, and modules of data, whose tests stand together."""
 
@@ -39,27 +39,35 @@ def modules(repository: Path) -> list[str]:
     )
 
 
+def own_tests(repository: Path, module: str) -> set[Path]:
+    """Files test_<module>.py and test_<module>_<rest>.py."""
+    path = repository / "tests" / module
+    return {path.with_name(f"test_{path.name}"), *path.parent.glob(f"test_{path.stem}_*.py")} & set(
+        path.parent.glob("test_*.py")
+    )
+
+
 def test_every_module_has_its_tests(repository: Path) -> None:
     missing = []
     for module in modules(repository):
-        own = Path(module).with_name(f"test_{Path(module).name}").as_posix()
-        where = ELSEWHERE.get(module, own)
-        if not (repository / "tests" / where).is_file():
-            missing.append(f"{module} -> tests/{where}")
+        elsewhere = ELSEWHERE.get(module)
+        if not (own_tests(repository, module) or elsewhere):
+            missing.append(module)
+        if elsewhere and not (repository / "tests" / elsewhere).is_file():
+            missing.append(f"{module} -> tests/{elsewhere}")
     assert not missing, "\n".join(missing)
 
 
 def test_no_tests_of_modules_that_are_gone(repository: Path) -> None:
-    known = {Path(module).with_name(f"test_{Path(module).name}") for module in modules(repository)}
-    layers = {path.parts[0] for path in known if len(path.parts) > 1}
+    known = {path for module in modules(repository) for path in own_tests(repository, module)}
+    layers = {Path(module).parts[0] for module in modules(repository) if "/" in module}
     tests = repository / "tests"
-    found = [path.relative_to(tests) for layer in layers for path in (tests / layer).glob("test_*")]
-    strays = [path.as_posix() for path in found if path not in known]
-    assert set(strays) <= set(ELSEWHERE.values())
+    found = {path for layer in layers for path in (tests / layer).glob("test_*")}
+    strays = {path.relative_to(tests).as_posix() for path in found - known}
+    assert strays <= set(ELSEWHERE.values())
 
 
 @pytest.mark.parametrize("module", sorted(ELSEWHERE))
 def test_exceptions_are_still_needed(repository: Path, module: str) -> None:
     assert (repository / "labpipe" / module).is_file()
-    own = Path(module).with_name(f"test_{Path(module).name}")
-    assert not (repository / "tests" / own).exists()
+    assert not own_tests(repository, module)

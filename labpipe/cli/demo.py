@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -18,14 +18,20 @@ from labpipe.pipeline.process import Processed
 from labpipe.pipeline.reporting import Wanted, report_tests
 from labpipe.pipeline.targets import find_tests
 from labpipe.protocol.load import load_test_sheet
-from labpipe.virtual_lab import simulate_harness, simulate_tensile_campaign, wire_campaign
-from labpipe.virtual_lab.wire_sheet import write_wire_sheet
+from labpipe.virtual_lab import (
+    SMALL_HARNESS,
+    Campaign,
+    TensileCampaign,
+    WireCampaign,
+    simulate_campaigns,
+    write_wire_sheet,
+)
 
 WIRES = "wires"
-CAMPAIGNS: Mapping[str, Callable[[Path], object]] = {
-    WIRES: partial(wire_campaign, cycles=2, fps=25.0),
-    "tensile": simulate_tensile_campaign,
-    "harness": simulate_harness,
+CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
+    WIRES: (WireCampaign(cycles=2, fps=25.0),),
+    "tensile": (TensileCampaign(),),
+    "harness": SMALL_HARNESS,
 }
 """By the folder that they go to."""
 PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are predicted\n"
@@ -35,7 +41,10 @@ def run(options: argparse.Namespace) -> int:
     """Make synthetic campaigns in vendor formats, process, report and calibrate, and say where."""
     raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
-    run_jobs([partial(make, raw / name) for name, make in CAMPAIGNS.items()], jobs=options.jobs)
+    run_jobs(
+        [partial(simulate_campaigns, each, raw / name) for name, each in CAMPAIGNS.items()],
+        jobs=options.jobs,
+    )
     processed, refused = _processed(raw, out, options)
     print(_told(processed))
     wires = write_wire_sheet(raw / WIRES)

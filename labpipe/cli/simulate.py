@@ -15,7 +15,6 @@ from labpipe.virtual_lab import (
     TAPED_TYPES,
     CantileverScenario,
     conduit_scenario,
-    simulate_conduit,
     simulate_test,
     taped_scenario,
 )
@@ -65,9 +64,7 @@ def _cantilever(options: argparse.Namespace) -> CantileverScenario:
             message = f"type={options.type} of a wire"
             raise ValueError(message)
         return CantileverScenario()
-    kind = _type(options, TAPED_TYPES)
-    scenario = taped_scenario(TAPED_TYPES[kind])
-    return replace(scenario, specimen_type=kind, spool=f"{kind}-s1")
+    return taped_scenario(_type(options, TAPED_TYPES))
 
 
 def _conduit(options: argparse.Namespace, *, rate: float, fps: float) -> Path:
@@ -77,7 +74,7 @@ def _conduit(options: argparse.Namespace, *, rate: float, fps: float) -> Path:
     scenario = conduit_scenario(_type(options, CONDUIT_TYPES))
     clocks = replace(scenario.clocks, rate=rate, fps=fps)
     scenario = replace(scenario, name=options.name, clocks=clocks)
-    return simulate_conduit(scenario, options.out / options.name, options.seed)
+    return simulate_test(scenario, options.out / options.name, options.seed)
 
 
 def _type(options: argparse.Namespace, known: Container[str]) -> str:

@@ -33,7 +33,7 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.bundle import ARRANGEMENTS, NONE
-from labpipe.virtual_lab.stranded import WIRES, StrandedWire
+from labpipe.virtual_lab.specimens import WIRES, StrandedWire, scaled_law
 from labpipe.wire.laws import PlayLaw, corners_of
 from labpipe.wire.materials import ANNEALED_COPPER
 from labpipe.wire.wire_law import polygon_law
@@ -51,7 +51,7 @@ class BundleModel:
 
     Parameters
     ----------
-    wires : name in `stranded.WIRES` and number, of each kind
+    wires : name in `specimens.WIRES` and number, of each kind
     arrangement : one of `records.bundle.ARRANGEMENTS`; of two kinds, ``asymmetric`` has the second
         on the side towards the pull, the others spread it over the section
     friction_share : h, of the axial stiffness that friction holds
@@ -108,12 +108,7 @@ class BundleModel:
         """
         plain = _plain_law(replace(self, factor=1.0))
         grown = self.held(bent) * (1.0 if cycle == 1 else self.locking)
-        return PlayLaw(
-            plain.stiffness * self.factor,
-            plain.half_widths * self.factor * grown,
-            plain.compliances / self.factor,
-            plain.largest_moment * self.factor * grown,
-        )
+        return scaled_law(plain, self.factor, grown)
 
     def held(self, bent: float) -> float:
         """What is left of all moments at which something gives way, at a largest curvature, 1/m."""
@@ -288,3 +283,25 @@ def _distinct(corners: list[Floats], last: float) -> Floats:
     inside: Floats = found[(found > 0.0) & (found <= last)]
     distinct: Floats = inside[np.diff(inside, prepend=0.0) > _DISTINCT * inside]
     return distinct
+
+
+_PVC = BundleModel()
+
+
+_PET = replace(_PVC, glue_strain=None, tape="PET")
+
+
+TAPED_TYPES = {
+    "TWB-B1-7-PVC": replace(_PVC, wires=(("B1", 7),)),
+    "TWB-B1-12-PVC": replace(_PVC, wires=(("B1", 12),)),
+    "TWB-B1-19-PVC": replace(_PVC, wires=(("B1", 19),)),
+    "TWB-B2-7-PVC": replace(_PVC, wires=(("B2", 7),)),
+    "TWB-B2-12-PVC": replace(_PVC, wires=(("B2", 12),)),
+    "TWB-B2-19-PVC": replace(_PVC, wires=(("B2", 19),)),
+    "TWB-MX-sym-PVC": replace(_PVC, wires=(("B1", 9), ("B2", 10)), arrangement="symmetric"),
+    "TWB-MX-asym-PVC": replace(_PVC, wires=(("B1", 10), ("B2", 9)), arrangement="asymmetric"),
+    "TWB-B1-19-PET": replace(_PET, wires=(("B1", 19),)),
+    "TWB-B2-7-PET": replace(_PET, wires=(("B2", 7),)),
+    "TWB-B2-19-PET": replace(_PET, wires=(("B2", 19),)),
+}
+"""The taped bundles of the source's Table 4.1; PET tape never slides."""

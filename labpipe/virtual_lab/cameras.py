@@ -1,8 +1,12 @@
-"""What the motion-capture system sees: the clamp's rigid body and the markers along the wire.
+"""What the motion-capture system sees: the clamp's rigid body and the markers on the specimen.
 
-Marker centres stand off the wire's axis along its local normal, towards the pull. The body's
-orientation is the identity at the beginning, as Motive defines a new body, whatever way the rig
-stands: it does not know where the wire points.
+Cantilever: marker centres stand off the wire's axis along its local normal, towards the pull. The
+body's orientation is the identity at the beginning, as Motive defines a new body, whatever way the
+rig stands: it does not know where the wire points. Then mishaps happen to the markers: gaps,
+swapped labels, a marker under another name, a frozen one.
+
+Three-point bending: markers stand in lines along a cylinder that bends and turns; no body, no
+mishaps.
 """
 
 from __future__ import annotations
@@ -13,16 +17,41 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import MarkerTracks, Recording, RigidBody
-from labpipe.virtual_lab.mechanics import MechanicalPath
-from labpipe.virtual_lab.mishaps import Log, befall
-from labpipe.virtual_lab.scenario import CantileverScenario, MarkerLayout
-from labpipe.virtual_lab.schedule import Schedule
+from labpipe.virtual_lab.cantilever_path import MechanicalPath
+from labpipe.virtual_lab.cantilever_scenarios import (
+    CantileverScenario,
+    MarkerLayout,
+    Mishaps,
+    Pose,
+    Stretch,
+)
+from labpipe.virtual_lab.conduit_scenarios import ConduitScenario, CylinderMarkers
+from labpipe.virtual_lab.recorders import Schedule
+from labpipe.virtual_lab.three_point_path import ThreePointPath
 
 BODY = "Clamp"
 BODY_MARKERS = np.array(
     [[0.021, 0.014, 0.009], [-0.024, 0.011, -0.008], [0.004, -0.019, 0.017], [0.003, 0.022, -0.019]]
 )
 """The clamp's markers relative to its pivot, m, shape (4, 3)."""
+UNLABELLED = "Unlabeled 1234"
+
+
+@dataclass(frozen=True, slots=True)
+class MishapEvent:
+    """One mishap: to which markers (counted from 0 at the clamp) and in which frames.
+
+    Parameters
+    ----------
+    kind : gap, switch, unlabelled or frozen
+    markers : the markers themselves, whatever their labels
+    start, stop : frames, `stop` left out
+    """
+
+    kind: str
+    markers: tuple[int, ...]
+    start: int
+    stop: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +82,7 @@ class Take:
     quality: Floats
     labels: tuple[str, ...]
     arc_lengths: Floats
-    log: Log
+    log: tuple[MishapEvent, ...]
 
     @property
     def body(self) -> RigidBody:
@@ -73,13 +102,13 @@ class Take:
         return Recording(reader="motive-csv", markers=tracks)
 
 
-def record_take(
+def film_cantilever(
     path: MechanicalPath,
     scenario: CantileverScenario,
     schedule: Schedule,
     random: np.random.Generator,
 ) -> Take:
-    """Film the test.
+    """Film a cantilever test.
 
     Parameters
     ----------
@@ -92,27 +121,24 @@ def record_take(
     -------
     The take.
     """
-    layout, time = scenario.markers, schedule.frame_times
-    progress = schedule.progress_at(time)
-    drop = np.zeros((len(time), 3))
+    layout, pose = scenario.markers, scenario.pose
+    progress = schedule.progress_at(schedule.frame_times)
+    drop = np.zeros((len(progress), 3))
     drop[:, 1] = -path.travel(progress)
-    turn, origin = scenario.pose.rotation(), np.asarray(scenario.pose.origin)
-    pivot = (drop + np.asarray(layout.pivot)) @ turn.T + origin
+    pivot = _in_lab(drop + np.asarray(layout.pivot), pose)
     body, fitted = _film_body(pivot, layout, random)
-    seen_body = pivot[:, None, :] + BODY_MARKERS
     arc_lengths = np.array(layout.arc_lengths(scenario.mechanics.length))
-    wire = wire_markers(path, progress, arc_lengths, layout.centre_offset)
-    wire = (wire + drop[:, None, :]) @ turn.T + origin
-    seen = np.concatenate([seen_body, wire], axis=1)
+    wire = wire_markers(path, progress, arc_lengths, layout.centre_offset) + drop[:, None, :]
+    seen = np.concatenate([pivot[:, None, :] + BODY_MARKERS, _in_lab(wire, pose)], axis=1)
     seen += layout.noise * random.standard_normal(seen.shape)
-    labels = _labels(layout, random)
+    labels = _labels("Wire", layout.n_markers, layout.scrambled, random)
     names = tuple(f"{BODY}:Marker{n + 1}" for n in range(len(BODY_MARKERS))) + labels
-    names, seen, log = befall(
+    names, seen, log = apply_mishaps(
         names, seen, scenario.mishaps, schedule, n_body=len(BODY_MARKERS), random=random
     )
     names, seen = _in_order_of_labels(names, seen)
     return Take(
-        time=time,
+        time=schedule.frame_clock,
         rate=scenario.clocks.fps,
         names=names,
         positions=seen,
@@ -123,6 +149,68 @@ def record_take(
         arc_lengths=arc_lengths,
         log=log,
     )
+
+
+def film_conduit(
+    path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, random: np.random.Generator
+) -> Take:
+    """Film a three-point test.
+
+    Parameters
+    ----------
+    path : the solved test
+    scenario : markers, pose and clocks
+    schedule : when what happens
+    random : source of the noise and of the labels' order
+
+    Returns
+    -------
+    The take: no body; labels in the order of `marker_places`.
+    """
+    markers = scenario.markers
+    progress = schedule.progress_at(schedule.frame_times)
+    seen = _in_lab(cylinder_markers(path, markers, progress), scenario.pose)
+    seen += markers.noise * random.standard_normal(seen.shape)
+    labels = _labels("Bundle", seen.shape[1], markers.scrambled, random)
+    names, seen = _in_order_of_labels(labels, seen)
+    return Take(
+        time=schedule.frame_clock,
+        rate=scenario.clocks.fps,
+        names=names,
+        positions=seen,
+        bodies=(),
+        fitted=np.zeros((len(progress), 0, 3)),
+        quality=np.zeros((len(progress), 0)),
+        labels=labels,
+        arc_lengths=marker_places(markers)[0],
+        log=(),
+    )
+
+
+def _in_lab(positions: Floats, pose: Pose) -> Floats:
+    """Positions in the frame of the motion-capture system, m, from those in the specimen's."""
+    turned: Floats = positions @ pose.rotation().T + np.asarray(pose.origin)
+    return turned
+
+
+def _labels(
+    group: str, number: int, scrambled: bool, random: np.random.Generator
+) -> tuple[str, ...]:
+    numbers = np.arange(number)
+    if scrambled:
+        numbers = random.permutation(numbers)
+    return tuple(f"{group}:Marker{number + 1}" for number in numbers)
+
+
+def _in_order_of_labels(names: tuple[str, ...], seen: Floats) -> tuple[tuple[str, ...], Floats]:
+    """Columns as Motive writes them: bodies first, numbers in order, unlabelled points last."""
+
+    def rank(column: int) -> tuple[int, int]:
+        group, _, number = names[column].partition(":Marker")
+        return (2, 0) if not number else (int(group != BODY), int(number))
+
+    order = sorted(range(len(names)), key=rank)
+    return tuple(names[column] for column in order), seen[:, order]
 
 
 def wire_markers(
@@ -149,19 +237,109 @@ def _film_body(
     return body, position[:, None, :] + BODY_MARKERS + swung
 
 
-def _labels(layout: MarkerLayout, random: np.random.Generator) -> tuple[str, ...]:
-    numbers = np.arange(layout.n_markers)
-    if layout.scrambled:
-        numbers = random.permutation(numbers)
-    return tuple(f"Wire:Marker{number + 1}" for number in numbers)
+def marker_places(markers: CylinderMarkers) -> tuple[Floats, Floats]:
+    """Arc length from mid-span, m, and angle at rest, rad, of all markers, line by line."""
+    half = markers.n_sections // 2
+    sections = markers.spacing * np.arange(-half, half + 1)
+    angles = np.repeat(markers.angles, len(sections))
+    return np.tile(sections, len(markers.angles)), angles
 
 
-def _in_order_of_labels(names: tuple[str, ...], seen: Floats) -> tuple[tuple[str, ...], Floats]:
-    """Columns as Motive writes them: bodies first, numbers in order, unlabelled points last."""
+def twist_at(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
+    """Twist of the sample, rad, right-handed about x, shape (n,)."""
+    way, _, _ = path.middle(progress)
+    turned: Floats = markers.twist * way / path.test.stroke
+    return turned
 
-    def rank(column: int) -> tuple[int, int]:
-        group, _, number = names[column].partition(":Marker")
-        return (BODY, "Wire").index(group) if number else 2, int(number or 0)
 
-    order = sorted(range(len(names)), key=rank)
-    return tuple(names[column] for column in order), seen[:, order]
+def cylinder_markers(path: ThreePointPath, markers: CylinderMarkers, progress: Floats) -> Floats:
+    """Marker centres in the specimen frame, m, shape (n, markers, 3), without noise."""
+    sections, angles = marker_places(markers)
+    x, y, turn = path.points(progress, sections)
+    around = angles - twist_at(path, markers, progress)[:, None]
+    up = markers.centre_offset * np.sin(around)
+    out = markers.centre_offset * np.cos(around)
+    centres: Floats = np.stack([x - up * np.sin(turn), y + up * np.cos(turn), out], axis=2)
+    return centres
+
+
+def apply_mishaps(
+    names: tuple[str, ...],
+    positions: Floats,
+    mishaps: Mishaps,
+    schedule: Schedule,
+    *,
+    n_body: int,
+    random: np.random.Generator,
+) -> tuple[tuple[str, ...], Floats, tuple[MishapEvent, ...]]:
+    """Let the mishaps happen to the markers along the wire.
+
+    Parameters
+    ----------
+    names : of the markers, the body's first, the wire's from the clamp on after them
+    positions : shape (frames, markers, 3), m
+    mishaps : which
+    schedule : gaps fall while the clamp moves
+    n_body : number of the body's markers
+    random : source of the gaps
+
+    Returns
+    -------
+    Names and positions with the mishaps, and what happened. Gaps belong to markers, not to labels:
+    a gap during a switch shows under the other label.
+    """
+    frames, n_wire = len(positions), positions.shape[1] - n_body
+    log = _events(mishaps, schedule, n_wire, random)
+    seen = positions.copy()
+    extra = np.full((frames, 1, 3), np.nan)
+    for event in log:
+        during, columns = slice(event.start, event.stop), [m + n_body for m in event.markers]
+        match event.kind:
+            case "gap":
+                seen[during, columns] = np.nan
+            case "frozen":
+                seen[during, columns] = seen[event.start, columns]
+            case "unlabelled":
+                extra[during, 0] = seen[during, columns[0]]
+                seen[during, columns] = np.nan
+            case _:
+                seen[during, columns] = seen[during, columns[::-1]]
+    if any(event.kind == "unlabelled" for event in log):
+        return (*names, UNLABELLED), np.concatenate([seen, extra], axis=1), log
+    return names, seen, log
+
+
+def _events(
+    mishaps: Mishaps, schedule: Schedule, n_wire: int, random: np.random.Generator
+) -> tuple[MishapEvent, ...]:
+    """Fix frames and markers: first what a marker does, last what its label does."""
+    time = schedule.frame_times
+    first, last = np.searchsorted(time, schedule.turning_times[[0, -1]])
+    lengths = list(random.integers(2, 16, mishaps.n_gaps))
+    if mishaps.long_gap > 0.0:
+        lengths.append(round(mishaps.long_gap / (time[1] - time[0])))
+    log: list[MishapEvent] = []
+    for length in lengths:
+        start = int(random.integers(first, max(first + 1, last - length)))
+        log.append(MishapEvent("gap", (int(random.integers(n_wire)),), start, start + int(length)))
+    log += _stretch_events("frozen", mishaps.frozen, len(time), n_markers=1, n_wire=n_wire)
+    log += _stretch_events("unlabelled", mishaps.unlabelled, len(time), n_markers=1, n_wire=n_wire)
+    log += _stretch_events("switch", mishaps.switch, len(time), n_markers=2, n_wire=n_wire)
+    return tuple(log)
+
+
+def _stretch_events(
+    kind: str, stretch: Stretch | None, frames: int, *, n_markers: int, n_wire: int
+) -> list[MishapEvent]:
+    if stretch is None:
+        return []
+    markers = tuple(range(stretch.marker, stretch.marker + n_markers))
+    if not (
+        markers[0] >= 0 and markers[-1] < n_wire and 0.0 <= stretch.start < stretch.stop <= 1.0
+    ):
+        message = (
+            f"{kind}={stretch}: allowed are markers 0 to {n_wire - n_markers} and "
+            f"0 <= start < stop <= 1"
+        )
+        raise ValueError(message)
+    return [MishapEvent(kind, markers, int(stretch.start * frames), int(stretch.stop * frames))]

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.bundles import BundleModel
-from labpipe.virtual_lab.mechanics import solve_loading
-from labpipe.virtual_lab.scenario import CantileverScenario, MechanicalTest
-from labpipe.virtual_lab.stranded import StrandedWire
+from labpipe.virtual_lab.cantilever_path import solve_loading
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
+from labpipe.virtual_lab.specimens import StrandedWire
 
 MOST_SCATTER = 1.25
 """Farthest that a sample's factor, or its inverse, may be from 1."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.tensile_scenario import BilinearLaw, Failure, GripSlip, TensileScenario
+from labpipe.virtual_lab.tensile_scenarios import BilinearLaw, Failure, GripSlip, TensileScenario
 
 _STATES = 200_001
 """Distances at which the series connection of specimen and machine is tabulated: the table is off

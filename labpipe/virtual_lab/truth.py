@@ -1,22 +1,31 @@
 """What really happened in a virtual test, for whoever checks the processing against it.
 
-Frames and signs are those of `virtual_lab.scenario`; everything is on the marker clock, in SI.
+Everything is SI; frames and signs are those of `virtual_lab.cantilever_scenarios`,
+`virtual_lab.conduit_scenarios` and `virtual_lab.tensile_scenarios`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.mechanics import MechanicalPath
-from labpipe.virtual_lab.schedule import Schedule
+from labpipe.virtual_lab.cameras import twist_at
+from labpipe.virtual_lab.cantilever_path import MechanicalPath
+from labpipe.virtual_lab.conduit_scenarios import ConduitScenario
+from labpipe.virtual_lab.curve_truth import LoadingTruth, evaluate_loading, line_slope
+from labpipe.virtual_lab.recorders import Schedule
+from labpipe.virtual_lab.tensile_path import TensilePath
+from labpipe.virtual_lab.three_point_path import ThreePointPath
 
+MIDDLE_WINDOW = (1e-3, 10e-3)
 _SHAPE_POINTS = 41
 _STEPS = 20_001
+_TENSILE_STEPS = 100_001
 _NO_FORCE = 1e-9
 
 
@@ -60,27 +69,27 @@ class ShapeTruth:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
-    """What really happened; arrays at the camera frames, shape (frames,).
+class CantileverTruth:
+    """What really happened in the cantilever rig; arrays at the camera frames, shape (frames,).
 
     Parameters
     ----------
+    cycles : one by one
     time : s, marker clock
     travel, deflection : m
     force : N
-    cycles : one by one
     shapes : at several frames, evenly spread over each branch
     """
 
+    cycles: tuple[CycleTruth, ...]
     time: Floats
     travel: Floats
     deflection: Floats
     force: Floats
-    cycles: tuple[CycleTruth, ...]
     shapes: tuple[ShapeTruth, ...]
 
 
-def tell_truth(path: MechanicalPath, schedule: Schedule) -> Truth:
+def evaluate_cantilever(path: MechanicalPath, schedule: Schedule) -> CantileverTruth:
     """Look up what really happened at every camera frame and in every cycle.
 
     Parameters
@@ -94,12 +103,12 @@ def tell_truth(path: MechanicalPath, schedule: Schedule) -> Truth:
     """
     progress = schedule.progress_at(schedule.frame_times)
     cycles = range(1, path.test.cycles + 1)
-    return Truth(
+    return CantileverTruth(
+        cycles=tuple(_cycle(path, schedule, number) for number in cycles),
         time=schedule.frame_times,
         travel=path.travel(progress),
         deflection=path.deflection(progress),
         force=path.tension(progress) - path.rest.tension,
-        cycles=tuple(_cycle(path, schedule, number) for number in cycles),
         shapes=tuple(_shapes(path, schedule)),
     )
 
@@ -145,3 +154,251 @@ def _shapes(path: MechanicalPath, schedule: Schedule) -> list[ShapeTruth]:
     progress = schedule.progress_at(schedule.frame_times[frames])
     x, y, _ = path.points(progress, arc_length)
     return [ShapeTruth(int(frame), arc_length, x[row], y[row]) for row, frame in enumerate(frames)]
+
+
+@dataclass(frozen=True, slots=True)
+class MiddleTruth:
+    """Mid-span at full stroke, and its stiffness at first.
+
+    Parameters
+    ----------
+    curvature : 1/m
+    moment : N m, in the bundle
+    moment_of_force : N m, P L / 4, what a straight bundle on points would have
+    bending_stiffness : N m^2, slope of moment over curvature while the displacement goes through
+        `MIDDLE_WINDOW`, least squares over even steps of curvature
+    bending_stiffness_of_force : N m^2, the same with P L / 4
+    twist : rad, right-handed about x
+    """
+
+    curvature: float
+    moment: float
+    moment_of_force: float
+    bending_stiffness: float
+    bending_stiffness_of_force: float
+    twist: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConduitTruth:
+    """What really happened in a three-point test.
+
+    Parameters
+    ----------
+    loading : of the way down; displacement is that of the crosshead
+    initial_bending_stiffness : N m^2, of the law before anything slips
+    bending_stiffness : N m^2, K L^3 / 48 with the slope K over
+        `curve_truth.KINK_WINDOW`, uncorrected
+    peak_force, peak_displacement : N, m
+    residual_displacement : m, where the roller leaves the bundle on its way up
+    energy : J, of the cycle
+    middle : mid-span
+    start_time, top_time, stop_time : s, true time, of the crosshead
+    clocks : offsets of all clocks, s: ``force = force_offset + (1 + drift) x frame`` and
+        ``markers = marker_offset + frame``
+    time : shape (n,), s, on the cameras' clock, evenly spread
+    displacement, force, twist, curvature, moment : shape (n,), m, N, rad, 1/m, N m, at these times;
+        the last two at mid-span
+    """
+
+    loading: LoadingTruth
+    initial_bending_stiffness: float
+    bending_stiffness: float
+    peak_force: float
+    peak_displacement: float
+    residual_displacement: float
+    energy: float
+    middle: MiddleTruth
+    start_time: float
+    top_time: float
+    stop_time: float
+    clocks: dict[str, float]
+    time: Floats
+    displacement: Floats
+    force: Floats
+    twist: Floats
+    curvature: Floats
+    moment: Floats
+
+
+def evaluate_conduit(
+    path: ThreePointPath, scenario: ConduitScenario, schedule: Schedule, *, rate: float = 5.0
+) -> ConduitTruth:
+    """Look up what really happened in a three-point test.
+
+    Parameters
+    ----------
+    path : the solved test of the type
+    scenario, schedule : of the sample
+    rate : Hz, of the arrays
+
+    Returns
+    -------
+    The truth.
+    """
+    stroke, factor = scenario.test.stroke, scenario.factor
+    loading = _type_loading(path).scaled(factor)
+    both = 2.0 * stroke * np.linspace(0.0, 1.0, 2 * _STEPS - 1)
+    force, way = factor * path.force(both), path.displacement(both)
+    top = int(np.argmax(force))
+    time: Floats = np.arange(0.0, schedule.end + scenario.clocks.camera_lead, 1.0 / rate)
+    progress = schedule.progress_at(time - scenario.clocks.camera_lead)
+    _, moment, curvature = path.middle(progress)
+    turns = [float(each) for each in schedule.turning_times]
+    return ConduitTruth(
+        loading=loading,
+        initial_bending_stiffness=scenario.bundle.law().stiffness,
+        bending_stiffness=loading.windowed_stiffness * scenario.test.span**3 / 48.0,
+        peak_force=float(force[top]),
+        peak_displacement=float(way[top]),
+        residual_displacement=path.residual,
+        energy=float(np.trapezoid(force, way)),
+        middle=_middle(path, scenario),
+        start_time=turns[0],
+        top_time=turns[1],
+        stop_time=turns[2],
+        clocks=_clocks(scenario),
+        time=time,
+        displacement=path.displacement(progress),
+        force=factor * path.force(progress),
+        twist=twist_at(path, scenario.markers, progress),
+        curvature=curvature,
+        moment=factor * moment,
+    )
+
+
+@lru_cache(maxsize=64)
+def _type_loading(path: ThreePointPath) -> LoadingTruth:
+    """Of the type; samples differ by a factor."""
+    down = path.test.stroke * np.linspace(0.0, 1.0, _STEPS)
+    return evaluate_loading(down, path.force(down))
+
+
+def _middle(path: ThreePointPath, scenario: ConduitScenario) -> MiddleTruth:
+    stroke, span = scenario.test.stroke, scenario.test.span
+    first, last = MIDDLE_WINDOW
+    _, moment, curvature = path.middle(np.linspace(first, last, _STEPS))
+    of_force = 0.25 * span * path.force(np.linspace(first, last, _STEPS))
+    slopes = [
+        scenario.factor * line_slope(curvature, each, float(curvature[0]), float(curvature[-1]))
+        for each in (moment, of_force)
+    ]
+    full = np.array([stroke])
+    _, at_full, bent = path.middle(full)
+    return MiddleTruth(
+        curvature=float(bent[0]),
+        moment=scenario.factor * float(at_full[0]),
+        moment_of_force=0.25 * span * scenario.factor * float(path.force(full)[0]),
+        bending_stiffness=slopes[0],
+        bending_stiffness_of_force=slopes[1],
+        twist=scenario.markers.twist,
+    )
+
+
+def _clocks(scenario: ConduitScenario) -> dict[str, float]:
+    clocks = scenario.clocks
+    return {
+        "force_offset": -clocks.trigger_lag * (1.0 + clocks.recorder_drift),
+        "drift": clocks.recorder_drift,
+        "marker_offset": clocks.camera_lead,
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class SlipTruth:
+    """One grip slip: `position` m of displacement at which the fall begins, `drop` N."""
+
+    position: float
+    drop: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TensileTruth:
+    """What really happened, free of tare, gain error and noise.
+
+    *As seen at the crosshead* means with the machine's give in it, which is what a test without
+    compliance correction measures. All displacements count from where the crosshead stood before
+    the test; whoever counts from the first sample is `displacement[0]` lower.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, at the samples of the record
+    foot : m, displacement at which the first straight line meets zero force
+    stiffness_first, stiffness_second : N/m, as seen at the crosshead
+    specimen_stiffness_first, specimen_stiffness_second : N/m, of the specimen alone
+    break_point : m, displacement at which the two straight lines cross, as seen at the crosshead;
+        None if the test ends before
+    break_point_from_foot : m, the same, from the foot
+    break_force : N, at which they cross
+    peak_force : N, largest
+    peak_displacement : m, at which it is reached
+    failure_displacement : m, at which the force begins to be lost; None without a failure
+    failure_force : N, there; None without a failure
+    energy_to_break : J, integral of force over displacement up to failure; None without one
+    slips : in order
+    """
+
+    time: Floats
+    displacement: Floats
+    force: Floats
+    foot: float
+    stiffness_first: float
+    stiffness_second: float
+    specimen_stiffness_first: float
+    specimen_stiffness_second: float
+    break_point: float | None
+    break_point_from_foot: float | None
+    break_force: float | None
+    peak_force: float
+    peak_displacement: float
+    failure_displacement: float | None
+    failure_force: float | None
+    energy_to_break: float | None
+    slips: tuple[SlipTruth, ...]
+
+
+def evaluate_tensile(path: TensilePath, time: Floats) -> TensileTruth:
+    """Look up what really happened in a tensile test.
+
+    Parameters
+    ----------
+    path : the test
+    time : shape (n,), s, of the samples
+
+    Returns
+    -------
+    The truth.
+    """
+    scenario = path.scenario
+    law, give = scenario.law, scenario.frame.compliance
+    fine = np.linspace(0.0, path.last_time, _TENSILE_STEPS)
+    travelled, pulled = path.displacement(fine), path.force(fine)
+    top = int(np.argmax(pulled))
+    break_force = law.stiffness_first * law.break_point
+    from_foot = law.break_point + give * break_force
+    bends = law.foot + from_foot < scenario.last_displacement
+    failed = scenario.failure is not None
+    return TensileTruth(
+        time=time,
+        displacement=path.displacement(time),
+        force=path.force(time),
+        foot=law.foot,
+        stiffness_first=in_series(law.stiffness_first, give),
+        stiffness_second=in_series(law.stiffness_second, give),
+        specimen_stiffness_first=law.stiffness_first,
+        specimen_stiffness_second=law.stiffness_second,
+        break_point=law.foot + from_foot if bends else None,
+        break_point_from_foot=from_foot if bends else None,
+        break_force=break_force if bends else None,
+        peak_force=float(pulled[top]),
+        peak_displacement=float(travelled[top]),
+        failure_displacement=scenario.last_displacement if failed else None,
+        failure_force=float(pulled[-1]) if failed else None,
+        energy_to_break=float(np.trapezoid(pulled, travelled)) if failed else None,
+        slips=tuple(SlipTruth(slip.position, slip.drop) for slip in scenario.slips),
+    )
+
+
+def in_series(stiffness: float, compliance: float) -> float:
+    """Stiffness, N/m, of a specimen in line with a machine of some compliance, m/N."""
+    return stiffness / (1.0 + stiffness * compliance)

@@ -19,15 +19,13 @@ from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
-from labpipe.virtual_lab import CantileverScenario, Observation, observe
-from labpipe.virtual_lab.bundle_truth import KINK_WINDOW, LoadingTruth, tell_taped
-from labpipe.virtual_lab.conduit_bundle import CONDUIT_TYPES, ConduitScenario
-from labpipe.virtual_lab.conduit_exports import ConduitObservation, observe_conduit
-from labpipe.virtual_lab.conduit_sheet import write_conduit_sheet
-from labpipe.virtual_lab.harness_campaign import ConduitCampaign, conduit_scenarios
-from labpipe.virtual_lab.mechanics import solve_path
-from labpipe.virtual_lab.sheet import write_sheet
-from labpipe.virtual_lab.taped_bundle import TAPED_TYPES, TapedCampaign, taped_scenarios
+from labpipe.virtual_lab import CantileverScenario, ConduitObservation, Observation, observe
+from labpipe.virtual_lab.bundles import TAPED_TYPES
+from labpipe.virtual_lab.campaigns import ConduitCampaign, TapedCampaign
+from labpipe.virtual_lab.cantilever_path import solve_path
+from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario
+from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped
+from labpipe.virtual_lab.sheet_texts import write_sheet
 
 LENGTH_ERROR, SPEED_ERROR = 0.5e-3, 0.005
 """Standard uncertainties that the protocols state: of length and span, m, and of the speed."""
@@ -74,7 +72,7 @@ def taped_tests(
     usual = TapedCampaign(samples=1, rate=100.0, fps=12.5, cycles=cycles, scatter=0.0)
     for number in range(runs):
         wanted = replace(usual, types=(kinds[number % len(kinds)],))
-        ((test, own),) = taped_scenarios(wanted, 1000 * seed + number)
+        ((test, own),) = wanted.scenarios(1000 * seed + number)
         yield replace(test, load_cell=replace(test.load_cell, gain_error=None)), own
 
 
@@ -83,7 +81,7 @@ def conduit_tests(runs: int, seed: int) -> Iterator[tuple[ConduitScenario, int]]
     for number in range(runs):
         kind = list(CONDUIT_TYPES)[number % len(CONDUIT_TYPES)]
         wanted = ConduitCampaign(types=(kind,), samples=1, rate=200.0, fps=12.5)
-        ((test, own),) = conduit_scenarios(wanted, 1000 * seed + number)
+        ((test, own),) = wanted.scenarios(1000 * seed + number)
         cell = replace(test.load_cell, gain_error=None)
         yield replace(test, load_cell=cell, has_frame_export=number % 3 != 2), own
 
@@ -113,7 +111,7 @@ def check_conduit(
     scenario: ConduitScenario, seed: int, folder: Path, protocols: Path
 ) -> tuple[tuple[Result, ...], list[Checked]]:
     """The same of a conduit bundle; its bending stiffness is that of small deflections on edges."""
-    test = observe_conduit(scenario, seed)
+    test = observe(scenario, seed)
     roles: dict[str, Recording] = {"force": test.force, "markers": test.markers}
     if test.frame is not None:
         roles["frame"] = _in_file(test.frame)
@@ -125,7 +123,7 @@ def check_conduit(
         test=replace(scenario.test, span=span, stroke=scale * scenario.test.stroke),
         speed=scale * scenario.speed,
     )
-    sheet = write_conduit_sheet(said, {role: f"{role}.mat" for role in roles})
+    sheet = write_sheet(said, {role: (f"{role}.mat",) for role in roles})
     plan = _plan(sheet, folder, protocols)
     results = _reduced(roles, plan)
     return results, _against(f"{scenario.name} {seed}", results, conduit_truth(test))
@@ -174,7 +172,7 @@ def _signed(result: Result, true: dict[str, float]) -> float:
 
 def taped_truth(test: Observation) -> dict[str, float]:
     """Every number that is known of a taped bundle, by the name of its result."""
-    told, clocks = tell_taped(solve_path(test.scenario.mechanics)), test.scenario.clocks
+    told, clocks = evaluate_taped(solve_path(test.scenario.mechanics)), test.scenario.clocks
     values = {"clock_offset": clocks.offset, "clock_drift": clocks.drift}
     values |= _of_loading(told.loading, told.bending_stiffness)
     for number, each in enumerate(test.truth.cycles, start=1):

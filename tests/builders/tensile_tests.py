@@ -15,8 +15,8 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
-from labpipe.virtual_lab import TensileObservation, TensileScenario, observe_tensile
-from labpipe.virtual_lab.tensile_exports import simulate_tensile
+from labpipe.virtual_lab import TensileObservation, TensileScenario, observe
+from labpipe.virtual_lab.observations import simulate_test
 from labpipe.virtual_lab.tensile_path import TensilePath
 from tests.builders.lab_folders import LabFolder
 
@@ -37,7 +37,7 @@ class TensileLab(LabFolder):
 
 def make_tensile(home: Path, scenario: TensileScenario, seed: int = 1) -> TensileLab:
     lab = TensileLab(home, scenario.name)
-    simulate_tensile(scenario, lab.raw, seed)
+    simulate_test(scenario, lab.raw, seed)
     return lab
 
 
@@ -82,7 +82,7 @@ def reduced_in_memory(test: TensileObservation, protocol: Protocol) -> tuple[Res
 
 def true_results(scenario: TensileScenario, seed: int) -> dict[str, float]:
     """True value of each result of the shipped protocols, by name."""
-    return true_values(observe_tensile(scenario, seed))
+    return true_values(observe(scenario, seed))
 
 
 def true_values(test: TensileObservation) -> dict[str, float]:

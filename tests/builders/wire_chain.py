@@ -25,20 +25,17 @@ from labpipe.protocol.results import MomentCurvature
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import TestSheet
 from labpipe.store.read import RawTest
-from labpipe.virtual_lab.cameras import record_take
-from labpipe.virtual_lab.load_cell import record_force
-from labpipe.virtual_lab.mechanics import MechanicalPath, Segment, solve_path
-from labpipe.virtual_lab.scenario import CantileverScenario, MechanicalTest
-from labpipe.virtual_lab.schedule import plan
-from labpipe.virtual_lab.sheet import write_sheet
-from labpipe.virtual_lab.stranded import WIRES, StrandedWire
-from labpipe.virtual_lab.wire_campaign import (
-    WireCampaign,
-    WireGroup,
-    wire_scenarios,
-    wire_test,
+from labpipe.virtual_lab.cameras import film_cantilever
+from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab.cantilever_path import MechanicalPath, Segment, solve_path
+from labpipe.virtual_lab.cantilever_scenarios import (
+    CantileverScenario,
+    MechanicalTest,
+    wire_scenario,
 )
-from labpipe.virtual_lab.wire_sheet import write_wire_sheet
+from labpipe.virtual_lab.recorders import plan_cantilever, record_cantilever_force
+from labpipe.virtual_lab.sheet_texts import write_sheet, write_wire_sheet
+from labpipe.virtual_lab.specimens import WIRES, StrandedWire
 from labpipe.wire.calibration import Wire
 
 CALIBRATED = "A2"
@@ -69,7 +66,7 @@ def loadings_of(seed: int, protocols: Path, folder: Path) -> Iterator[FirstLoadi
     protocols : folder of the shipped ones
     folder : test sheets are written there
     """
-    for scenario, own in wire_scenarios(_CAMPAIGN, seed):
+    for scenario, own in _CAMPAIGN.scenarios(seed):
         if scenario.specimen_type == CALIBRATED or (scenario.sample - 1) % SAMPLES == 0:
             yield processed(scenario, own, protocols, folder)
 
@@ -89,11 +86,11 @@ def processed(
 def observed(
     scenario: CantileverScenario, seed: int, protocol: Protocol, sheet: TestSheet
 ) -> RawTest:
-    """What would be read from the exports of a test, as `virtual_lab.instruments` makes them."""
-    path, schedule = path_of(scenario.mechanics), plan(scenario)
+    """What would be read from the exports of a test, as `virtual_lab.observations` makes them."""
+    path, schedule = path_of(scenario.mechanics), plan_cantilever(scenario)
     force_seed, marker_seed = np.random.SeedSequence(seed).spawn(2)
-    force = record_force(path, scenario, schedule, np.random.default_rng(force_seed))
-    take = record_take(path, scenario, schedule, np.random.default_rng(marker_seed))
+    force = record_cantilever_force(path, scenario, schedule, np.random.default_rng(force_seed))
+    take = film_cantilever(path, scenario, schedule, np.random.default_rng(marker_seed))
     named = name_channels(force.recording(), protocol.sources["force"], Path("force.mat"))
     return RawTest(
         test=scenario.name,
@@ -124,14 +121,15 @@ def path_of(test: MechanicalTest) -> MechanicalPath:
 
 def gain_read(seed: int) -> float:
     """What the load cell of a campaign reads, over what it feels."""
-    scenario, _ = next(wire_scenarios(_CAMPAIGN, seed))
+    scenario, _ = next(_CAMPAIGN.scenarios(seed))
     assert scenario.load_cell.gain_error is not None
     return 1.0 / (1.0 + scenario.load_cell.gain_error)
 
 
 def mean_curve(name: str, length: float) -> CubicSpline:
     """True force over deflection of the first loading of a sample without scatter, N and m."""
-    first = path_of(wire_test(WIRES[name], length, cycles=_CAMPAIGN.cycles)).segments[0]
+    test = wire_scenario(WIRES[name], length, cycles=_CAMPAIGN.cycles).mechanics
+    first = path_of(test).segments[0]
     return CubicSpline(first.y[:, -1] - first.y[0, -1], first.tension - first.tension[0])
 
 

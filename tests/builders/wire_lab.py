@@ -6,14 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from labpipe.cli import main
-from labpipe.virtual_lab import simulate_test
-from labpipe.virtual_lab.stranded import WIRES
-from labpipe.virtual_lab.wire_campaign import (
-    WireCampaign,
-    WireGroup,
-    simulate_wires,
-    wire_scenarios,
-)
+from labpipe.virtual_lab import simulate_campaigns, simulate_test
+from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
+from labpipe.virtual_lab.specimens import WIRES
 
 CAMPAIGN = WireCampaign(
     groups=(WireGroup(WIRES["A2"], 0.085), WireGroup(WIRES["B1"], 0.1)),
@@ -27,7 +22,7 @@ CAMPAIGN = WireCampaign(
 def processed_wires(home: Path) -> Path:
     """Folder with the processed tests."""
     raw, out = home / "raw" / "wires", home / "processed" / "wires"
-    for test in simulate_wires(CAMPAIGN, raw, seed=3):
+    for test in simulate_campaigns([CAMPAIGN], raw, seed=3):
         main(["process", str(test), "--out", str(out), "--no-figures"])
     return out
 
@@ -41,7 +36,7 @@ def processed_rest(home: Path, slack: float) -> Path:
     slack : m, travel of the clamp before the string pulls
     """
     one = replace(CAMPAIGN, groups=CAMPAIGN.groups[:1], samples=1)
-    ((scenario, seed),) = wire_scenarios(one, seed=3)
+    ((scenario, seed),) = one.scenarios(3)
     hung = replace(scenario, name="A2-085-hung", mechanics=replace(scenario.mechanics, slack=slack))
     test = simulate_test(hung, home / "raw" / hung.name, seed)
     main(["process", str(test), "--out", str(home / "processed"), "--no-figures"])

@@ -38,6 +38,7 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
 
     campaigns = {"wires": simulate, "tensile": simulate_tensile}
     monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", campaigns)
+    monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", lambda make, folder: make(folder))
 
 
 @pytest.mark.usefixtures("quick_campaign")

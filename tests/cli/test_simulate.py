@@ -44,7 +44,6 @@ def test_bundles_reach_the_virtual_lab(
         return folder
 
     monkeypatch.setattr("labpipe.cli.simulate.simulate_test", simulate)
-    monkeypatch.setattr("labpipe.cli.simulate.simulate_conduit", simulate)
     taped = ("--kind", "taped-bundle", "--cycles", "1", "--rate", "1 kHz")
     conduit = ("--kind", "conduit-bundle", "--type", "CWB-2c", "--fps", "20 Hz")
     assert run("simulate", "--out", tmp_path, *taped).status == 0

@@ -13,7 +13,7 @@ from labpipe.cli import main
 from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
-from labpipe.virtual_lab.tensile_samples import corrugated_tube
+from labpipe.virtual_lab.tensile_scenarios import corrugated_tube
 from tests.builders.small_tests import Ran, Run, state
 from tests.builders.tensile_tests import make_tensile
 from tests.builders.wire_lab import processed_rest, processed_wires

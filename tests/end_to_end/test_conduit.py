@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from labpipe.cli import main
-from labpipe.virtual_lab.conduit_bundle import conduit_scenario
-from labpipe.virtual_lab.conduit_exports import simulate_conduit
+from labpipe.virtual_lab.conduit_scenarios import conduit_scenario
+from labpipe.virtual_lab.observations import simulate_test
 
 SHARED = ("peak_force", "peak_displacement", "energy")
 
@@ -23,7 +23,7 @@ class Done:
         scenario = replace(conduit_scenario(name), has_frame_export=has_frame)
         folder = home / "raw" / "conduits" / name
         folder.mkdir(parents=True)
-        simulate_conduit(scenario, folder, seed)
+        simulate_test(scenario, folder, seed)
         self.status = main(["process", str(home / "raw")])
         (summary,) = (home / "processed").rglob("summary.json")
         self.summary: dict[str, Any] = json.loads(summary.read_text(encoding="utf-8"))

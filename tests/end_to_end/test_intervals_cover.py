@@ -22,7 +22,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.result import Result
 from labpipe.virtual_lab import CantileverScenario, Observation, observe
-from labpipe.virtual_lab.truth import Truth
+from labpipe.virtual_lab.truth import CantileverTruth
 from tests.foreign.below import BELOW_IN_THE_VIRTUAL_LAB
 
 RUNS = 200
@@ -67,7 +67,7 @@ def true_values(test: Observation) -> dict[str, float | None]:
     return values | true_stiffness(truth)
 
 
-def true_stiffness(truth: Truth) -> dict[str, float | None]:
+def true_stiffness(truth: CantileverTruth) -> dict[str, float | None]:
     curve = (np.array(truth.time), np.array(truth.deflection), np.array(truth.force))
     time, deflection, _ = curve
     first = truth.cycles[0]

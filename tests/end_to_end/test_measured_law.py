@@ -24,7 +24,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.bending import Bending, MeasuredLaw
 from labpipe.records.result import Result, Status
 from labpipe.store.read import read_result
-from labpipe.virtual_lab import CantileverScenario, WireCampaign, observe, wire_scenarios
+from labpipe.virtual_lab import CantileverScenario, WireCampaign, observe
 from tests.builders.bent_tests import law_moment
 from tests.builders.small_tests import Run, make_lab
 
@@ -40,7 +40,7 @@ def strung(name: str) -> CantileverScenario:
     """A2 of the virtual campaign on 85 mm, whose string is one way or another at rest."""
     usual = next(
         each
-        for each, _ in wire_scenarios(WireCampaign(samples=1, has_mishaps=False), 1)
+        for each, _ in WireCampaign(samples=1, has_mishaps=False).scenarios(1)
         if each.name.startswith("A2-085")
     )
     slack, counterweight = {"taut": (None, 0.0027), "off the wire": (0.0012, 0.0)}[name]

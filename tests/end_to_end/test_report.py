@@ -16,9 +16,14 @@ from openpyxl import load_workbook
 from labpipe.cli import main
 from labpipe.pipeline.reporting import make_campaign
 from labpipe.pipeline.targets import find_results
-from labpipe.virtual_lab.tensile_exports import simulate_tensile
-from labpipe.virtual_lab.tensile_samples import TABLE_2_3, corrugated_tube, twist_tube
-from labpipe.virtual_lab.tensile_scenario import GripSlip, TensileScenario
+from labpipe.virtual_lab.observations import simulate_test
+from labpipe.virtual_lab.tensile_scenarios import (
+    TABLE_2_3,
+    GripSlip,
+    TensileScenario,
+    corrugated_tube,
+    twist_tube,
+)
 from tests.builders.small_tests import Run, state
 
 TUBES = ("1a", "1b", "1c", "2a", "2b", "2c")
@@ -26,7 +31,7 @@ TUBES = ("1a", "1b", "1c", "2a", "2b", "2c")
 
 def simulated(raw: Path, *scenarios: TensileScenario) -> None:
     for seed, scenario in enumerate(scenarios, start=1):
-        simulate_tensile(scenario, raw / scenario.name, seed)
+        simulate_test(scenario, raw / scenario.name, seed)
 
 
 def processed(raw: Path, out: Path) -> Path:

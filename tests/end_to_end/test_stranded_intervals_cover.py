@@ -22,8 +22,8 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import Result
 from labpipe.virtual_lab import CantileverScenario, Observation, observe
-from labpipe.virtual_lab.truth import Truth
-from labpipe.virtual_lab.wire_campaign import GROUPS, WireCampaign, wire_scenarios
+from labpipe.virtual_lab.campaigns import GROUPS, WireCampaign
+from labpipe.virtual_lab.truth import CantileverTruth
 from tests.foreign.below import BELOW_IN_THE_VIRTUAL_LAB
 
 RUNS = 63
@@ -35,7 +35,7 @@ def samples_of_wires() -> list[tuple[CantileverScenario, int]]:
     picked: list[tuple[CantileverScenario, int]] = []
     for seed, group in enumerate(islice(cycle(GROUPS), RUNS)):
         plain = WireCampaign(groups=(group,), samples=1, scatter=0.0, has_mishaps=False)
-        picked.extend(wire_scenarios(plain, seed))
+        picked.extend(plain.scenarios(seed))
     return sorted(picked, key=lambda each: each[0].name)
 
 
@@ -59,7 +59,7 @@ def results(test: Observation, plan: Protocol) -> tuple[Result, ...]:
     return reduce_recordings({"force": force, "markers": test.markers}, plan)[1]
 
 
-def true_values(truth: Truth, scenario: CantileverScenario) -> dict[str, float]:
+def true_values(truth: CantileverTruth, scenario: CantileverScenario) -> dict[str, float]:
     values = {"clock_offset": scenario.clocks.offset, "clock_drift": scenario.clocks.drift}
     for number, each in enumerate(truth.cycles, start=1):
         assert each.residual_deflection is not None

@@ -21,7 +21,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Result, Status
 from labpipe.virtual_lab import NO_MISHAPS, CantileverScenario, Observation, observe
-from labpipe.virtual_lab.scenario import WireModel
+from labpipe.virtual_lab.specimens import WireModel
 
 LENGTH = 0.1143
 STICK = 0.20

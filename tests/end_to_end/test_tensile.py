@@ -15,14 +15,14 @@ from labpipe.cli import main
 from labpipe.records.slips import SlipDecision
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
-from labpipe.virtual_lab.tensile_samples import (
+from labpipe.virtual_lab.tensile_scenarios import (
     TABLE_2_3,
+    GripSlip,
     corrugated_tube,
     pet_tape,
     stiff_bar,
     twist_tube,
 )
-from labpipe.virtual_lab.tensile_scenario import GripSlip
 from tests.builders.small_tests import Run, state
 from tests.builders.tensile_tests import TensileLab, make_tensile, true_results
 

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import pytest
 
-from labpipe.virtual_lab.tensile_samples import twist_tube
+from labpipe.virtual_lab.tensile_scenarios import twist_tube
 from tests.builders import bad_input
 from tests.builders.reasons import why
 from tests.builders.small_tests import Run, state

@@ -18,16 +18,16 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.records.result import Status
-from labpipe.virtual_lab import TensileScenario, observe_tensile
-from labpipe.virtual_lab.tensile_samples import (
+from labpipe.virtual_lab import TensileScenario, observe
+from labpipe.virtual_lab.tensile_scenarios import (
     GAIN_UNCERTAINTY,
     TABLE_2_3,
+    GripSlip,
     corrugated_tube,
     pet_tape,
     stiff_bar,
     twist_tube,
 )
-from labpipe.virtual_lab.tensile_scenario import GripSlip
 from tests.builders.tensile_tests import reduced_in_memory, shipped, true_values
 
 RUNS = 300
@@ -85,7 +85,7 @@ def counted(repository: Path, kind: str, runs: int) -> tuple[Counter[str], Count
     for seed in range(runs):
         random = np.random.default_rng([seed, 7])
         gain_error = float(GAIN_UNCERTAINTY * random.standard_normal())
-        test = observe_tensile(KINDS[kind](random, gain_error), seed)
+        test = observe(KINDS[kind](random, gain_error), seed)
         truth, found = true_values(test), reduced_in_memory(test, plan)
         slips = {name for name in truth if name.startswith("slip_")}
         if slips != {each.name for each in found if each.name.startswith("slip_")}:

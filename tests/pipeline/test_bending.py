@@ -14,7 +14,8 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.bending import Bending
 from labpipe.records.result import Result, Status
 from labpipe.virtual_lab import observe
-from labpipe.virtual_lab.scenario import CantileverScenario, WireModel
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.specimens import WireModel
 from tests.builders.bent_tests import law_moment
 from tests.builders.small_tests import small_scenario
 

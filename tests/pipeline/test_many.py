@@ -14,7 +14,7 @@ import pytest
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.pipeline.many import Refused, process_tests, run_jobs
 from labpipe.pipeline.process import Processed, process_test
-from labpipe.virtual_lab.wire_sheet import write_wire_sheet
+from labpipe.virtual_lab.sheet_texts import write_wire_sheet
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
 

@@ -10,7 +10,7 @@ import pytest
 from labpipe.processing.bending_test import BendingErrors, BendingTest
 from labpipe.processing.loading_law import measure_bending
 from labpipe.records.bending import MeasuredLaw
-from labpipe.virtual_lab.scenario import WireModel
+from labpipe.virtual_lab.specimens import WireModel
 from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
 from tests.builders.bent_tests import bending_test, law_moment, loaded, pulled
 

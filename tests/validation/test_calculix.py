@@ -28,7 +28,7 @@ from labpipe.decks.calculix import calculix_deck
 from labpipe.readers.curve_csv import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.virtual_lab.stranded import WIRES
+from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.end_load_path import end_load_curve
 from labpipe.wire.laws import LinearLaw
 from labpipe.wire.wire_law import concave_law

@@ -26,7 +26,7 @@ from labpipe.pipeline.first_loadings import NotUsableError
 from labpipe.pipeline.validation_groups import compare
 from labpipe.records.calibration import PARAMETERS, Calibration
 from labpipe.report.calibration_shown import ValidationGroup
-from labpipe.virtual_lab.stranded import WIRES
+from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.calibration import Settings, calibrate
 from tests.builders.wire_chain import CALIBRATED, UNUSED, gain_read, loadings_of, mean_curve, wires
 

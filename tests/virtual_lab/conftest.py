@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from labpipe.virtual_lab.instruments import Observation, observe
-from labpipe.virtual_lab.scenario import CantileverScenario
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
+from labpipe.virtual_lab.observations import Observation, observe
 
 
 @pytest.fixture(scope="session")

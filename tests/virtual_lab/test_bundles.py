@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.virtual_lab.bundles import BundleModel, lay_wires
-from labpipe.virtual_lab.stranded import WIRES
+from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.laws import corners_of, first_curvature
 
 SEVEN = BundleModel((("B1", 7),))

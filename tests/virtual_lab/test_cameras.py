@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.virtual_lab.instruments import Observation, observe
-from labpipe.virtual_lab.scenario import NO_MISHAPS, CantileverScenario, MarkerLayout
+from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario, MarkerLayout
+from labpipe.virtual_lab.observations import Observation, observe
 
 EXACT = MarkerLayout(noise=0.0, pivot_noise=0.0, turn_noise=0.0)
 

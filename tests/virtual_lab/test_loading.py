@@ -8,11 +8,15 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from labpipe.virtual_lab.cantilever_path import solve_loading, solve_path
+from labpipe.virtual_lab.cantilever_scenarios import (
+    GRAVITY,
+    CantileverScenario,
+    LoadCell,
+    wire_scenario,
+)
 from labpipe.virtual_lab.loading import Loading, observe_loading
-from labpipe.virtual_lab.mechanics import solve_loading, solve_path
-from labpipe.virtual_lab.scenario import GRAVITY, CantileverScenario, LoadCell
-from labpipe.virtual_lab.stranded import WIRES
-from labpipe.virtual_lab.wire_campaign import wire_test
+from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import load_cantilever
 from labpipe.wire.loading_law import law_of_plays
@@ -23,7 +27,7 @@ WEIGHT = 0.0027 * GRAVITY
 def scenario(name: str = "A3", factor: float = 1.0) -> CantileverScenario:
     return replace(
         CantileverScenario(),
-        mechanics=wire_test(WIRES[name].scaled(factor), 0.085),
+        mechanics=wire_scenario(WIRES[name].scaled(factor), 0.085).mechanics,
         load_cell=LoadCell(gain_error=0.01, noise=1e-3),
     )
 

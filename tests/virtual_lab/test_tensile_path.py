@@ -13,8 +13,14 @@ from labpipe.virtual_lab.tensile_path import (
     rounded_ramp,
     specimen_force,
 )
-from labpipe.virtual_lab.tensile_samples import GIVE, corrugated_tube, pet_tape, twist_tube
-from labpipe.virtual_lab.tensile_scenario import BilinearLaw, GripSlip
+from labpipe.virtual_lab.tensile_scenarios import (
+    GIVE,
+    BilinearLaw,
+    GripSlip,
+    corrugated_tube,
+    pet_tape,
+    twist_tube,
+)
 
 LAW = BilinearLaw(2e3, 0.5e3, 10e-3, knee=4e-3, slack=1e-3, toe=0.6e-3)
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.virtual_lab.instruments import Observation, observe
-from labpipe.virtual_lab.mechanics import solve_path
-from labpipe.virtual_lab.scenario import NO_MISHAPS, CantileverScenario
+from labpipe.virtual_lab.cantilever_path import solve_path
+from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario
+from labpipe.virtual_lab.observations import Observation, observe
 
 
 def test_rest_is_zero(observation: Observation) -> None:

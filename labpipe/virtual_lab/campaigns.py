@@ -1,0 +1,398 @@
+"""Virtual campaigns as frozen data: which tests, how samples scatter, what goes wrong.
+
+All tests with one load cell share what its gain is off by; each has clocks and a pose of its own.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.virtual_lab.bundles import TAPED_TYPES
+from labpipe.virtual_lab.cantilever_scenarios import (
+    MISHAPS,
+    NO_MISHAPS,
+    TAPED_CELL,
+    WIRE_CELL,
+    CantileverScenario,
+    Clocks,
+    Pose,
+    taped_scenario,
+    wire_scenario,
+)
+from labpipe.virtual_lab.conduit_scenarios import (
+    CONDUIT_CELL,
+    CONDUIT_TYPES,
+    ConduitClocks,
+    ConduitScenario,
+    conduit_scenario,
+)
+from labpipe.virtual_lab.observations import simulate_test
+from labpipe.virtual_lab.sheet_texts import Scenario
+from labpipe.virtual_lab.specimens import WIRES, StrandedWire
+from labpipe.virtual_lab.tensile_scenarios import (
+    GAIN_UNCERTAINTY,
+    TABLE_2_3,
+    GripSlip,
+    TensileScenario,
+    corrugated_tube,
+    pet_tape,
+    stiff_bar,
+    twist_tube,
+)
+
+_WITHOUT_FRAME = 3
+
+
+class Campaign(Protocol):
+    """Tests that are run together."""
+
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
+        """The tests, each with its own seed.
+
+        Parameters
+        ----------
+        seed : of what differs between samples, and of what each load cell is off by
+
+        Yields
+        ------
+        Scenario and seed; the same seed gives the same tests, and seeds of tests never meet.
+        """
+
+
+def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 1) -> list[Path]:
+    """Run campaigns and write the exports, test sheets and truths.
+
+    Parameters
+    ----------
+    campaigns : in order
+    folder : one folder per test is made in it
+    seed : the same seed gives the same files
+
+    Returns
+    -------
+    The folders of the tests.
+    """
+    return [
+        simulate_test(scenario, folder / scenario.name, own)
+        for campaign in campaigns
+        for scenario, own in campaign.scenarios(seed)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class WireGroup:
+    """Samples of one wire and length.
+
+    Parameters
+    ----------
+    wire : as all its samples are, but for their own factor
+    length : m, clamped end to pull point
+    """
+
+    wire: StrandedWire
+    length: float
+
+
+GROUPS = (
+    *(WireGroup(WIRES[name], 0.085) for name in ("A1", "A2", "A3")),
+    *(WireGroup(WIRES[name], length) for name in ("B1", "B2") for length in (0.085, 0.1)),
+)
+"""Three wires of 85 mm, and two of both 85 and 100 mm. The source makes the samples of A3 120 mm
+long to spare its load cell; here they are 85 mm, as those of A1 and A2 are."""
+
+
+@dataclass(frozen=True, slots=True)
+class WireCampaign:
+    """Single wires in the cantilever rig, to calibrate by: one wire may predict the others.
+
+    Parameters
+    ----------
+    groups : wires and lengths, in order; samples of one wire are of one spool
+    samples : of each group
+    scatter : standard deviation of the logarithm of a sample's factor on its wire's moments
+    rate : Hz, of the force recorder
+    fps : frames per second of the cameras
+    cycles : of each test
+    has_mishaps : whether markers are lost and mistaken
+    """
+
+    groups: tuple[WireGroup, ...] = GROUPS
+    samples: int = 3
+    scatter: float = 0.03
+    rate: float = 200.0
+    fps: float = 50.0
+    cycles: int = 3
+    has_mishaps: bool = True
+
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
+        """The tests, as `Campaign` says; samples of a wire are numbered on from length to length.
+
+        Yields
+        ------
+        Scenario and seed.
+        """
+        random = np.random.default_rng([seed, 41])
+        gain_error = WIRE_CELL.gain_uncertainty * float(random.standard_normal())
+        made: Counter[str] = Counter()
+        for group in self.groups:
+            for _ in range(self.samples):
+                name = group.wire.name
+                made[name] += 1
+                usual = replace(
+                    wire_scenario(group.wire, group.length, cycles=self.cycles),
+                    name=f"{name}-{1e3 * group.length:03.0f}-{made[name]}",
+                    sample=made[name],
+                )
+                yield (
+                    _cantilever_sample(self, usual, gain_error, random),
+                    1000 * seed + made.total(),
+                )
+
+
+@dataclass(frozen=True, slots=True)
+class TapedCampaign:
+    """Taped bundles (Table 4.1 of the source) in the cantilever rig.
+
+    Parameters
+    ----------
+    types : names in `TAPED_TYPES`, in order
+    samples : of each type
+    scatter : standard deviation of the logarithm of a sample's factor on its bundle's moments
+    rate : Hz, of the force recorder
+    fps : frames per second of the cameras
+    speed : m/s, of the clamp
+    cycles : of each test
+    has_mishaps : whether markers are lost and mistaken
+    """
+
+    types: tuple[str, ...] = tuple(TAPED_TYPES)
+    samples: int = 3
+    scatter: float = 0.04
+    rate: float = 200.0
+    fps: float = 25.0
+    speed: float = 1e-3
+    cycles: int = 3
+    has_mishaps: bool = True
+
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[CantileverScenario, int]]:
+        """The tests, as `Campaign` says.
+
+        Yields
+        ------
+        Scenario and seed.
+
+        Raises
+        ------
+        KeyError
+            If a type is none of `TAPED_TYPES`.
+        """
+        random = np.random.default_rng([seed, 61])
+        gain_error = TAPED_CELL.gain_uncertainty * float(random.standard_normal())
+        for kind, name in enumerate(self.types):
+            bundle = taped_scenario(name, cycles=self.cycles)
+            for sample in range(1, self.samples + 1):
+                usual = replace(bundle, name=f"{name}-{sample}", sample=sample, speed=self.speed)
+                yield (
+                    _cantilever_sample(self, usual, gain_error, random),
+                    100_000 * seed + 100 * kind + sample,
+                )
+
+
+def _cantilever_sample(
+    campaign: WireCampaign | TapedCampaign,
+    usual: CantileverScenario,
+    gain_error: float,
+    random: np.random.Generator,
+) -> CantileverScenario:
+    """A sample with a factor, clocks, a pose and mishaps of its own."""
+    factor = float(np.exp(campaign.scatter * random.standard_normal()))
+    mechanics = replace(usual.mechanics, wire=usual.mechanics.wire.scaled(factor))
+    offset, drift = float(random.uniform(0.3, 2.5)), float(random.uniform(-60e-6, 60e-6))
+    return replace(
+        usual,
+        mechanics=mechanics,
+        clocks=Clocks(rate=campaign.rate, fps=campaign.fps, offset=offset, drift=drift),
+        load_cell=replace(usual.load_cell, gain_error=gain_error),
+        pose=Pose(yaw=float(random.uniform(0.3, 0.9))),
+        mishaps=MISHAPS[(usual.sample - 1) % len(MISHAPS)] if campaign.has_mishaps else NO_MISHAPS,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ConduitCampaign:
+    """Bundles in a conduit (Table 4.2 of the source) in three-point bending.
+
+    Of every third sample the load frame's export was not kept: crosshead speed and time have to do.
+
+    Parameters
+    ----------
+    types : keys of `CONDUIT_TYPES`, in order
+    samples : of each type
+    scatter : standard deviation of the logarithm of a sample's factor on its bundle's moments
+    rate : Hz, of the force recorder
+    fps : frames per second of the cameras
+    """
+
+    types: tuple[str, ...] = tuple(CONDUIT_TYPES)
+    samples: int = 3
+    scatter: float = 0.04
+    rate: float = 500.0
+    fps: float = 25.0
+
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[ConduitScenario, int]]:
+        """The tests, as `Campaign` says.
+
+        Yields
+        ------
+        Scenario and seed.
+
+        Raises
+        ------
+        KeyError
+            If a type is none of `CONDUIT_TYPES`.
+        """
+        random = np.random.default_rng([seed, 67])
+        gain_error = CONDUIT_CELL.gain_uncertainty * float(random.standard_normal())
+        for kind, name in enumerate(self.types):
+            for sample in range(1, self.samples + 1):
+                usual = replace(conduit_scenario(name), name=f"{name}-{sample}", sample=sample)
+                yield (
+                    self._sample(usual, gain_error, random),
+                    100_000 * seed + 50_000 + 100 * kind + sample,
+                )
+
+    def _sample(
+        self, usual: ConduitScenario, gain_error: float, random: np.random.Generator
+    ) -> ConduitScenario:
+        """A sample with a factor, clocks, a twist and a pose of its own."""
+        factor = float(np.exp(self.scatter * random.standard_normal()))
+        clocks = ConduitClocks(
+            rate=self.rate,
+            fps=self.fps,
+            trigger_lag=float(random.uniform(2e-3, 12e-3)),
+            recorder_drift=float(random.uniform(-40e-6, 40e-6)),
+            camera_lead=float(random.uniform(0.5, 3.0)),
+        )
+        twist = float(random.choice([-1.0, 1.0]) * random.uniform(0.03, 0.12))
+        return replace(
+            usual,
+            factor=factor,
+            clocks=clocks,
+            load_cell=replace(usual.load_cell, gain_error=gain_error),
+            markers=replace(usual.markers, twist=twist),
+            pose=Pose(yaw=float(random.uniform(-0.4, 0.4))),
+            has_frame_export=usual.sample % _WITHOUT_FRAME != 0,
+        )
+
+
+SMALL_HARNESS = (
+    TapedCampaign(rate=100.0, fps=12.5, cycles=2),
+    ConduitCampaign(rate=200.0, fps=12.5),
+)
+"""Bundles in tape and in conduits, with as few recorded numbers as their evaluation can do with:
+three samples of nineteen types, 57 tests."""
+
+
+@dataclass(frozen=True, slots=True)
+class TensileCampaign:
+    """Corrugated tubes, twist tubes, tapes and the bar that shows what the frame gives.
+
+    Parameters
+    ----------
+    tubes : kinds of corrugated tube, with the factor on their forces; three samples of each
+    small_tubes : kinds whose section is `small_section`, m, which differs from the protocol's
+    slips : of single tubes, by name of the test
+    unloaded : name of the tube that the crosshead drives back
+    in_parts : sample of the twist tube that is exported in parts
+    tapes : spool's factor on the forces, and displacement of failure, m, of each tape
+    """
+
+    tubes: tuple[tuple[str, float], ...] = (("CT-10-slit", 1.0), ("CT-10", 1.1), ("CT-7", 1.2))
+    small_tubes: tuple[str, ...] = ("CT-7",)
+    small_section: tuple[tuple[str, float], ...] = (
+        ("outer_diameter", 10.2e-3),
+        ("inner_diameter", 7.4e-3),
+    )
+    slips: tuple[tuple[str, tuple[GripSlip, ...]], ...] = (
+        ("CT-10-slit-2", (GripSlip(18.75e-3, 0.47), GripSlip(30.85e-3, 0.81))),
+        ("CT-7-3", (GripSlip(24.3e-3, 0.62, duration=0.1),)),
+    )
+    unloaded: str = "CT-10-3"
+    in_parts: str = "2b"
+    tapes: tuple[tuple[float, float], ...] = (
+        (1.01, 60e-3),
+        (1.01, 40e-3),
+        (1.01, 60e-3),
+        (0.98, 60e-3),
+        (0.98, 60e-3),
+    )
+
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[TensileScenario, int]]:
+        """The tests, as `Campaign` says; all tests of one frame share the error of its load cell.
+
+        Yields
+        ------
+        Scenario and seed.
+        """
+        random = np.random.default_rng([seed, 23])
+        small, large = (GAIN_UNCERTAINTY * random.standard_normal(2)).tolist()
+        tests = [
+            *self._corrugated_tubes(small, random),
+            *self._twist_tubes(large, random),
+            *self._tapes(large, random),
+            stiff_bar(gain_error=large),
+        ]
+        for number, test in enumerate(tests, start=1):
+            yield test, 1000 * seed + number
+
+    def _corrugated_tubes(
+        self, gain_error: float, random: np.random.Generator
+    ) -> Iterator[TensileScenario]:
+        for kind, factor in self.tubes:
+            for sample in range(1, 4):
+                name = f"{kind}-{sample}"
+                scattered = factor * _scatter(random, 0.01)
+                tube = corrugated_tube(name, factor=scattered, gain_error=gain_error)
+                yield replace(
+                    tube,
+                    law=replace(tube.law, slack=float(random.uniform(0.3e-3, 0.55e-3))),
+                    frame=replace(tube.frame, unloads=name == self.unloaded),
+                    slips=dict(self.slips).get(name, ()),
+                    section=self.small_section if kind in self.small_tubes else (),
+                )
+
+    def _twist_tubes(
+        self, gain_error: float, random: np.random.Generator
+    ) -> Iterator[TensileScenario]:
+        for sample in TABLE_2_3:
+            tube = twist_tube(
+                sample,
+                peak_force=420.0 * _scatter(random, 0.04),
+                slack=float(random.uniform(0.8e-3, 1.1e-3)),
+                break_point=float(random.uniform(7.8e-3, 8.1e-3)),
+                gain_error=gain_error,
+            )
+            parted = replace(tube.export, in_parts=True, part_at=2.6)
+            yield replace(tube, export=parted) if sample == self.in_parts else tube
+
+    def _tapes(self, gain_error: float, random: np.random.Generator) -> Iterator[TensileScenario]:
+        for number, (factor, fails_at) in enumerate(self.tapes, start=1):
+            tape = pet_tape(
+                str(number),
+                factor=factor * _scatter(random, 0.01),
+                fails_at=fails_at * _scatter(random, 0.02),
+                gain_error=gain_error,
+            )
+            slack = float(random.uniform(0.4e-3, 0.8e-3))
+            yield replace(tape, law=replace(tape.law, slack=slack))
+
+
+def _scatter(random: np.random.Generator, relative: float) -> float:
+    """A factor close to 1."""
+    return float(np.exp(relative * random.standard_normal()))

@@ -1,0 +1,335 @@
+"""The quasi-static path of a cantilever test: solved once, then looked up.
+
+The path is a function of *progress*, the distance that the clamp has been driven so far, up and
+down added: it never turns back, so one number says where a test stands. Between events (turning
+points, the string going taut or slack) everything is smooth, and cubic splines through the solved
+positions stand for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.bundles import BundleModel
+from labpipe.virtual_lab.cantilever_scenarios import GRAVITY, MechanicalTest
+from labpipe.wire.cantilever import (
+    CantileverShape,
+    StringRig,
+    WireState,
+    bend_to_travel,
+    bend_under_force,
+    straight,
+)
+from labpipe.wire.laws import MomentLaw
+from labpipe.wire.spectral import interpolation_matrix
+
+_SHORTEST = 1e-9
+_REPEATS = 20
+_HELD = 1e-5  # of what holds a bundle: an error of a few hundredths of a millinewton
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """A stretch of the path without events; arrays run over its solved positions.
+
+    Parameters
+    ----------
+    cycle : counted from 1
+    loading : whether the clamp goes down
+    progress : shape (n,), m, increasing
+    travel : shape (n,), m
+    tension : shape (n,), N
+    x, y, angle : shape (n, stations), m, m, rad
+    """
+
+    cycle: int
+    loading: bool
+    progress: Floats
+    travel: Floats
+    tension: Floats
+    x: Floats
+    y: Floats
+    angle: Floats
+
+    @property
+    def is_still(self) -> bool:
+        """Whether the string is slack, so that nothing moves against the clamp."""
+        return len(self.progress) == 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MechanicalPath:
+    """A solved test.
+
+    Parameters
+    ----------
+    test : what was solved
+    rig : the string
+    rest : the shape before the motion
+    segments : in order, each beginning where the one before ends
+    """
+
+    test: MechanicalTest
+    rig: StringRig
+    rest: CantileverShape
+    segments: tuple[Segment, ...]
+
+    def travel(self, progress: Floats) -> Floats:
+        """Travel of the clamp, m, shape (n,); a triangle wave."""
+        stroke = self.test.stroke
+        inside = np.clip(progress, 0.0, 2.0 * stroke * self.test.cycles)
+        saw: Floats = stroke - np.abs(inside % (2.0 * stroke) - stroke)
+        return saw
+
+    def tension(self, progress: Floats) -> Floats:
+        """Tension of the string, N, at nondecreasing progress, shape (n,)."""
+        columns = [segment.tension[:, None] for segment in self.segments]
+        tension: Floats = self._look_up(progress, columns)[:, 0]
+        return tension
+
+    def points(self, progress: Floats, arc_lengths: Floats) -> tuple[Floats, Floats, Floats]:
+        """Places on the wire's axis, and the angle of its tangent.
+
+        Parameters
+        ----------
+        progress : shape (n,), m, nondecreasing
+        arc_lengths : shape (m,), m, from the clamped end
+
+        Returns
+        -------
+        x, y, angle, each of shape (n, m), in the specimen frame.
+        """
+        nodes = self.segments[0].x.shape[1]
+        onto = interpolation_matrix(nodes, arc_lengths / self.test.length).T
+        columns = [np.hstack([s.x @ onto, s.y @ onto, s.angle @ onto]) for s in self.segments]
+        x, y, angle = np.split(self._look_up(progress, columns), 3, axis=1)
+        return x, y, angle
+
+    def deflection(self, progress: Floats) -> Floats:
+        """Deflection of the pull point, m, at nondecreasing progress, shape (n,)."""
+        columns = [segment.y[:, -1:] for segment in self.segments]
+        deflection: Floats = self._look_up(progress, columns)[:, 0] - self.rest.y[-1]
+        return deflection
+
+    def _look_up(self, progress: Floats, columns: list[Floats]) -> Floats:
+        out = np.empty((len(progress), columns[0].shape[1]))
+        starts = [segment.progress[0] for segment in self.segments[1:]]
+        edges = [0, *np.searchsorted(progress, starts), len(progress)]
+        for segment, values, first, last in zip(
+            self.segments, columns, edges[:-1], edges[1:], strict=True
+        ):
+            if last > first:
+                out[first:last] = _along(segment, values, progress[first:last])
+        return out
+
+
+def _along(segment: Segment, values: Floats, progress: Floats) -> Floats:
+    if segment.is_still:
+        return np.tile(values[0], (len(progress), 1))
+    inside = np.clip(progress, segment.progress[0], segment.progress[-1])
+    found: Floats = CubicSpline(segment.progress, values)(inside)
+    return found
+
+
+@lru_cache(maxsize=32)
+def solve_path(test: MechanicalTest) -> MechanicalPath:
+    """Solve a test; equal tests are solved once.
+
+    Parameters
+    ----------
+    test : wire and rig
+
+    Returns
+    -------
+    The path.
+
+    Raises
+    ------
+    ValueError
+        If there is no equilibrium somewhere on it.
+    """
+    rig, rest = _set_up(test, _law_in(test, 1))
+    cycles: list[list[Segment]] = []
+    state, bent, starts = rest.state, 0.0, []
+    for number in range(test.cycles):
+        begin = 2.0 * test.stroke * number
+        starts.append(state)
+        if number > 1 and _same(state, starts[-2]):  # loops of a rate-independent law close
+            cycles.append([_later(segment, 2.0 * test.stroke) for segment in cycles[-1]])
+            continue
+        goals = (test.stroke, 0.0)
+        segments, state, bent = _cycle(rig, state, begin, test=test, goals=goals, bent=bent)
+        cycles.append(segments)
+    return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
+
+
+def solve_loading(test: MechanicalTest) -> MechanicalPath:
+    """Solve the first loading of a test alone.
+
+    Parameters
+    ----------
+    test : wire and rig
+
+    Returns
+    -------
+    The path up to a progress of one stroke; it is not for looking up beyond.
+
+    Raises
+    ------
+    ValueError
+        If there is no equilibrium somewhere on it.
+    """
+    rig, rest = _set_up(test, _law_in(test, 1))
+    segments, _, _ = _cycle(rig, rest.state, 0.0, test=test, goals=(test.stroke,))
+    return MechanicalPath(test, rig, rest, tuple(segments))
+
+
+def _law_in(test: MechanicalTest, cycle: int, bent: float = 0.0) -> MomentLaw:
+    """The law of a cycle after some largest curvature: what bundles remember, wires do not."""
+    wire = test.wire
+    return wire.law(cycle, bent) if isinstance(wire, BundleModel) else wire.law()
+
+
+def _cycle(
+    rig: StringRig,
+    state: WireState,
+    progress: float,
+    *,
+    test: MechanicalTest,
+    goals: tuple[float, ...],
+    bent: float = 0.0,
+) -> tuple[list[Segment], WireState, float]:
+    """Walk to each goal: the segments, the state at the end, the largest curvature so far."""
+    segments: list[Segment] = []
+    cycle = round(progress / (2.0 * test.stroke)) + 1
+    for goal in goals:
+        for shapes in _branch(test, cycle, rig, state, goal, bent=bent):
+            segments.append(_segment(shapes, cycle, goal > 0.0, progress))
+            state, progress = shapes[-1].state, float(segments[-1].progress[-1])
+            bent = _most_bent(shapes, bent)
+    return segments, state, bent
+
+
+def _most_bent(shapes: list[CantileverShape], bent: float) -> float:
+    return max(bent, *(float(np.max(np.abs(shape.curvature))) for shape in shapes))
+
+
+def _same(one: WireState, other: WireState) -> bool:
+    """Whether two states have the same history to the accuracy of the solver."""
+    largest = float(np.max(np.abs(other.plays), initial=1e-12))
+    return bool(np.max(np.abs(one.plays - other.plays), initial=0.0) <= 1e-9 * largest)
+
+
+def _later(segment: Segment, progress: float) -> Segment:
+    return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + progress)
+
+
+def _set_up(test: MechanicalTest, law: MomentLaw) -> tuple[StringRig, CantileverShape]:
+    """Hang the string and find the rest before the motion."""
+    weight = GRAVITY * test.counterweight
+    unbent = straight(law, test.n_stations)
+    level = StringRig(test.string_length, weight, test.length, test.string_length)
+    if test.slack is None:
+        return level, bend_to_travel(law, unbent, test.length, level, 0.0)
+    hanging = bend_under_force(law, unbent, test.length, np.array([0.0, -weight]))
+    surplus = test.slack - level.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+    rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
+    return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
+
+
+def _branch(
+    test: MechanicalTest, cycle: int, rig: StringRig, state: WireState, goal: float, *, bent: float
+) -> Iterator[list[CantileverShape]]:
+    """Walk to `goal`, giving the shapes of each stretch between events, ends included."""
+    law = _law_in(test, cycle, bent)
+    here = bend_to_travel(law, state, test.length, rig, state.travel)
+    event = _taut_travel(law, rig, here, test.length)
+    if here.tension <= 0.0:  # slack: nothing bends until the string spans again
+        stop = min(event, goal) if goal > state.travel else goal
+        if abs(stop - state.travel) > _SHORTEST:
+            there = bend_to_travel(law, here.state, test.length, rig, stop)
+            yield [here, there]
+            here = there
+    if abs(goal - here.state.travel) > _SHORTEST:
+        yield from _taut(test, cycle, rig, here, goal, bent=bent)
+
+
+def _taut(
+    test: MechanicalTest,
+    cycle: int,
+    rig: StringRig,
+    here: CantileverShape,
+    goal: float,
+    *,
+    bent: float,
+) -> Iterator[list[CantileverShape]]:
+    shapes = [here]
+    share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
+    for travel in here.state.travel + share * (goal - here.state.travel):
+        law, ahead, bent = _step(test, cycle, rig, shapes[-1], float(travel), bent=bent)
+        if ahead.tension > 0.0:
+            shapes.append(ahead)
+            continue
+        event = _taut_travel(law, rig, shapes[-1], test.length)
+        slackened = _let_go(bend_to_travel(law, shapes[-1].state, test.length, rig, event))
+        if abs(event - shapes[-1].state.travel) > _SHORTEST:
+            shapes.append(slackened)
+        yield shapes
+        if abs(goal - event) > _SHORTEST:
+            yield [slackened, bend_to_travel(law, slackened.state, test.length, rig, goal)]
+        return
+    yield shapes
+
+
+def _step(
+    test: MechanicalTest,
+    cycle: int,
+    rig: StringRig,
+    here: CantileverShape,
+    travel: float,
+    *,
+    bent: float,
+) -> tuple[MomentLaw, CantileverShape, float]:
+    """Go on to a travel under the law that belongs to the largest curvature reached there."""
+    for _ in range(_REPEATS):
+        law = _law_in(test, cycle, bent)
+        ahead = bend_to_travel(law, here.state, test.length, rig, travel)
+        reached = _most_bent([ahead], bent)
+        if not isinstance(test.wire, BundleModel) or reached == bent:
+            break
+        settled = abs(test.wire.held(reached) - test.wire.held(bent)) < _HELD
+        bent = reached
+        if settled:
+            break
+    return law, ahead, bent
+
+
+def _let_go(shape: CantileverShape) -> CantileverShape:
+    """The shape in which the string goes slack: what tension is left is rounding."""
+    return replace(shape, tension=0.0, state=replace(shape.state, load=0.0))
+
+
+def _taut_travel(law: MomentLaw, rig: StringRig, shape: CantileverShape, length: float) -> float:
+    """Travel at which the string would go taut or slack, from the history of a shape, m."""
+    hanging = bend_under_force(law, shape.state, length, np.array([0.0, -rig.weight]))
+    return rig.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+
+
+def _segment(shapes: list[CantileverShape], cycle: int, loading: bool, progress: float) -> Segment:
+    travel = np.array([shape.state.travel for shape in shapes])
+    return Segment(
+        cycle=cycle,
+        loading=loading,
+        progress=progress + np.abs(travel - travel[0]),
+        travel=travel,
+        tension=np.array([shape.tension for shape in shapes]),
+        x=np.array([shape.x for shape in shapes]),
+        y=np.array([shape.y for shape in shapes]),
+        angle=np.array([shape.angle for shape in shapes]),
+    )

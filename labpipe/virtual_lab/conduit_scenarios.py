@@ -1,0 +1,277 @@
+"""The conduit bundles of the source's Table 4.2 in three-point bending, as frozen settings.
+
+Everything is SI. The specimen frame: x along the bundle to the right as the cameras see it, y up, z
+towards the cameras, origin at mid-span at rest. Displacement is the way of the upper roller, down;
+force is what it presses with. True time begins when the load frame starts; recorder and cameras
+have clocks of their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+from labpipe.records.bundle import NONE
+from labpipe.virtual_lab.bundles import BundleModel
+from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
+from labpipe.virtual_lab.specimens import ElasticModel, WireModel
+
+MARKER_RADIUS = 1.5e-3
+GAIN, OFFSET = -0.21082, 0.002846
+"""Calibration of the load cell, N/V and N: force is gain x volts + offset."""
+
+CONDUIT_CELL = LoadCell(
+    gain=GAIN, gain_uncertainty=0.002, offset=-OFFSET / GAIN, noise=10e-3, full_scale=100.0
+)
+"""A cell of 500 lb; the recorder writes the volts of its amplifier, up to 100 V."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conduit:
+    """A tube around a bundle.
+
+    Parameters
+    ----------
+    name : for the test sheet
+    bore, outer_diameter : m
+    stiffness : N m^2, its own
+    """
+
+    name: str
+    bore: float
+    outer_diameter: float
+    stiffness: float
+
+
+CORRUGATED = Conduit("corrugated-tube", 7.4e-3, 10.2e-3, 2e-3)
+TWIST_TUBE = Conduit("twist-tube", 7.0e-3, 8.0e-3, 1e-3)
+
+TAPING_EFFECT = {"none": 1.0, "coarse": 1.01, "half-lap": 1.02}
+"""Factor on all moments, by how the conduit is taped: nothing that matters."""
+
+_INSIDE = BundleModel(friction_share=0.05, glue_share=0.008, tape=NONE, taping=NONE)
+"""Wires in a tube are taped at their ends alone: neighbours and glue hold less of them."""
+
+
+def conduit_bundle(
+    wires: tuple[tuple[str, int], ...], conduit: Conduit, taping: str = "none"
+) -> BundleModel:
+    """A bundle in its conduit.
+
+    Parameters
+    ----------
+    wires : name and number of each kind
+    conduit : around it
+    taping : of the conduit, a key of `TAPING_EFFECT`
+
+    Raises
+    ------
+    KeyError
+        If the taping is none of them.
+    """
+    bundle = replace(
+        _INSIDE,
+        wires=wires,
+        conduit=conduit.name,
+        conduit_bore=conduit.bore,
+        conduit_stiffness=conduit.stiffness,
+        tape=NONE if taping == NONE else "PVC",
+        taping=taping,
+    )
+    return bundle.scaled(TAPING_EFFECT[taping])
+
+
+_B1, _B2 = (("B1", 19),), (("B2", 19),)
+
+
+_MIXED = (("B1", 10), ("B2", 9))
+
+
+CONDUIT_TYPES = {
+    "CWB-1": (conduit_bundle(_B1, CORRUGATED), CORRUGATED),
+    "CWB-2a": (conduit_bundle(_B2, CORRUGATED), CORRUGATED),
+    "CWB-2b": (conduit_bundle(_B2, CORRUGATED, "coarse"), CORRUGATED),
+    "CWB-2c": (conduit_bundle(_B2, CORRUGATED, "half-lap"), CORRUGATED),
+    "CWB-3": (conduit_bundle((("B2", 12),), CORRUGATED), CORRUGATED),
+    "CWB-4": (
+        replace(conduit_bundle(_MIXED, CORRUGATED), arrangement="symmetric"),
+        CORRUGATED,
+    ),
+    "CWB-5": (conduit_bundle(_B1, TWIST_TUBE), TWIST_TUBE),
+    "CWB-6": (conduit_bundle(_B2, TWIST_TUBE), TWIST_TUBE),
+}
+"""Cases of Table 4.2: bundle and conduit."""
+
+
+BentModel: TypeAlias = BundleModel | WireModel | ElasticModel
+
+
+@dataclass(frozen=True, slots=True)
+class ThreePointTest:
+    """What decides the path; equal tests share one solution.
+
+    Parameters
+    ----------
+    bundle : its law
+    span : m, between the centres of the lower rollers
+    overhang : m, beyond each of them
+    roller_radius : m
+    outer_radius : m, of what lies on the rollers
+    friction : mu, between it and the lower rollers
+    build_up : u0, m, way over which friction builds up or turns round
+    stroke : m, of the upper roller, once down and up
+    steps_per_branch, crowding : as those of `cantilever_scenarios.MechanicalTest`
+    n_stations : of the half, evenly spread
+    """
+
+    bundle: BentModel
+    span: float = 0.1524
+    overhang: float = 0.0254
+    roller_radius: float = 5e-3
+    outer_radius: float = 5.1e-3
+    friction: float = 0.1
+    build_up: float = 0.3e-3
+    stroke: float = 0.0294
+    steps_per_branch: int = 60
+    crowding: float = 1.8
+    n_stations: int = 97
+
+    @property
+    def reach(self) -> float:
+        """From the centre of a roller to the axis of the bundle, m."""
+        return self.roller_radius + self.outer_radius
+
+
+@dataclass(frozen=True, slots=True)
+class ConduitClocks:
+    """Three time bases; times are counted from the start of the load frame.
+
+    Parameters
+    ----------
+    rate : Hz, of the force recorder
+    fps : frames per second of the cameras
+    frame_rate : Hz, of the load frame's own record
+    trigger_lag : s, from the start of the frame to the first sample of the recorder
+    recorder_drift : recorder's time = (1 + drift) x (true time - lag)
+    camera_lead : s, that the cameras were running before the frame started
+    """
+
+    rate: float = 500.0
+    fps: float = 25.0
+    frame_rate: float = 10.0
+    trigger_lag: float = 6e-3
+    recorder_drift: float = 20e-6
+    camera_lead: float = 1.9
+
+
+@dataclass(frozen=True, slots=True)
+class CylinderMarkers:
+    """Spherical markers in lines along a cylinder.
+
+    Parameters
+    ----------
+    n_sections : odd, one of them at mid-span
+    spacing : m, along the bundle
+    angles : rad, of the lines, from the side of the cameras upwards
+    centre_offset : m, axis of the bundle to marker centre
+    twist : rad, by which the sample has turned about its axis at full stroke, right-handed about x;
+        in proportion to the displacement, the same all along, and it stays where the roller leaves
+    noise : m, rms per axis
+    scrambled : whether label numbers follow no order
+    """
+
+    n_sections: int = 11
+    spacing: float = 12.7e-3
+    angles: tuple[float, ...] = (0.6108652381980153, -0.6108652381980153)
+    centre_offset: float = 6.6e-3
+    twist: float = 0.06
+    noise: float = 3e-5
+    scrambled: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCell:
+    """What the load frame's own program records besides the time.
+
+    Parameters
+    ----------
+    displacement_noise : m, rms
+    force_noise : N, rms, of its 50 kN cell, which is too coarse to be of use
+    force_tare : N
+    """
+
+    displacement_noise: float = 1e-6
+    force_noise: float = 1.5
+    force_tare: float = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ConduitScenario:
+    """A whole virtual test of a conduit bundle.
+
+    Parameters
+    ----------
+    name : of the test and of its folder
+    specimen_type, spool, sample, date : for the test sheet and the exports
+    test : bundle and rig; the bundle's own factor is that of its type
+    factor : of this sample on all moments, and so on all forces
+    speed : m/s, of the crosshead
+    rest : s, before the crosshead moves and after it is back
+    clocks, load_cell, markers, frame, pose : the instruments
+    has_frame_export : whether the load frame's record was kept
+    length_unit : of the motion-capture export
+    """
+
+    test: ThreePointTest
+    name: str = "CWB-1-1"
+    specimen_type: str = "CWB-1"
+    spool: str = "CWB-1-s1"
+    sample: int = 1
+    date: str = "2026-03-12"
+    factor: float = 1.0
+    speed: float = 0.5e-3
+    rest: float = 4.0
+    clocks: ConduitClocks = ConduitClocks()
+    load_cell: LoadCell = CONDUIT_CELL
+    markers: CylinderMarkers = CylinderMarkers()
+    frame: FrameCell = FrameCell()
+    pose: Pose = field(default_factory=Pose)
+    has_frame_export: bool = True
+    length_unit: str = "m"
+
+    @property
+    def bundle(self) -> BundleModel:
+        """The sample, with its factor.
+
+        Raises
+        ------
+        TypeError
+            If what is bent is no bundle.
+        """
+        if not isinstance(self.test.bundle, BundleModel):
+            message = f"bundle={type(self.test.bundle).__name__}: allowed is a BundleModel"
+            raise TypeError(message)
+        return self.test.bundle.scaled(self.factor)
+
+
+def conduit_scenario(name: str) -> ConduitScenario:
+    """A test of a case of Table 4.2.
+
+    Parameters
+    ----------
+    name : key of `CONDUIT_TYPES`
+
+    Raises
+    ------
+    KeyError
+        If there is no such case.
+    """
+    bundle, conduit = CONDUIT_TYPES[name]
+    radius = 0.5 * conduit.outer_diameter
+    return ConduitScenario(
+        test=ThreePointTest(bundle, outer_radius=radius),
+        name=f"{name}-1",
+        specimen_type=name,
+        spool=f"{name}-s1",
+        markers=CylinderMarkers(centre_offset=radius + MARKER_RADIUS),
+    )

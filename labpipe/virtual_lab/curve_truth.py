@@ -1,0 +1,227 @@
+"""What a true curve of a bundle contains: kink, plateau, and the stiffness of each cycle.
+
+Curves are free of noise. Everything is found by trying, not by the processing's formulas: the kink
+by trying every break on a fine grid, the plateau by looking at the tangent from the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.cantilever_path import MechanicalPath
+
+KINK_WINDOW = (0.2e-3, 5e-3)
+STIFFNESS_RANGE = 5e-3
+PLATEAU_SHARE = 0.10
+_POINTS = 800
+_STEPS = 20_001
+_TANGENT_OVER = 1e-3
+_NEAR = 0.02e-3  # m: close enough to zero for the first tangent
+
+
+@dataclass(frozen=True, slots=True)
+class KinkTruth:
+    """The two joined straight lines that come closest to a curve.
+
+    Parameters
+    ----------
+    displacement, force : m, N, where they join
+    stiffness_before, stiffness_after : N/m
+    """
+
+    displacement: float
+    force: float
+    stiffness_before: float
+    stiffness_after: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoadingTruth:
+    """Numbers of a first loading; lengths in m.
+
+    Parameters
+    ----------
+    tangent_at_zero : N/m
+    stiffness : N/m, slope of the least-squares line over the first 5 mm
+    secant_stiffness : N/m, force at 5 mm over 5 mm
+    windowed_stiffness : N/m, slope of the least-squares line over `KINK_WINDOW`
+    kink : within `KINK_WINDOW`
+    end_tangent : N/m, slope of the least-squares line over the last 5 mm
+    end_slope : the same as a share of `windowed_stiffness`
+    plateau_displacement, plateau_force : m, N, from where on the tangent over a millimetre stays
+        below `PLATEAU_SHARE` of `windowed_stiffness`; None where `end_slope` is not below it
+    """
+
+    tangent_at_zero: float
+    stiffness: float
+    secant_stiffness: float
+    windowed_stiffness: float
+    kink: KinkTruth
+    end_tangent: float
+    end_slope: float
+    plateau_displacement: float | None
+    plateau_force: float | None
+
+    def scaled(self, factor: float) -> LoadingTruth:
+        """The same with all forces multiplied by `factor`."""
+        kink = replace(
+            self.kink,
+            force=factor * self.kink.force,
+            stiffness_before=factor * self.kink.stiffness_before,
+            stiffness_after=factor * self.kink.stiffness_after,
+        )
+        return replace(
+            self,
+            tangent_at_zero=factor * self.tangent_at_zero,
+            stiffness=factor * self.stiffness,
+            secant_stiffness=factor * self.secant_stiffness,
+            windowed_stiffness=factor * self.windowed_stiffness,
+            kink=kink,
+            end_tangent=factor * self.end_tangent,
+            plateau_force=None if self.plateau_force is None else factor * self.plateau_force,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TapedTruth:
+    """What is true of a bundle in the cantilever rig.
+
+    Parameters
+    ----------
+    loading : of the first cycle
+    bending_stiffness : N m^2, K L^3 / 3 with the slope K over `KINK_WINDOW`, uncorrected
+    loading_stiffness : N/m, of each cycle, slope over 5 mm from where the force leaves that at rest
+    hardening : loading stiffnesses over that of the first cycle
+    """
+
+    loading: LoadingTruth
+    bending_stiffness: float
+    loading_stiffness: tuple[float, ...]
+    hardening: tuple[float, ...]
+
+
+def evaluate_taped(path: MechanicalPath) -> TapedTruth:
+    """Look at a bundle in the cantilever rig.
+
+    Parameters
+    ----------
+    path : the solved test
+
+    Returns
+    -------
+    The numbers. Displacement is the deflection of the pull point, force the tension of the string
+    less that at rest.
+    """
+    loading = evaluate_loading(*_loading(path, 1))
+    each = tuple(_slope_after_slack(*_loading(path, n)) for n in range(1, path.test.cycles + 1))
+    return TapedTruth(
+        loading=loading,
+        bending_stiffness=loading.windowed_stiffness * path.test.length**3 / 3.0,
+        loading_stiffness=each,
+        hardening=tuple(slope / each[0] for slope in each),
+    )
+
+
+def _loading(path: MechanicalPath, cycle: int) -> tuple[Floats, Floats]:
+    """Deflection and force of one loading, m and N."""
+    progress = path.test.stroke * (2.0 * (cycle - 1) + np.linspace(0.0, 1.0, _STEPS))
+    return path.deflection(progress), path.tension(progress) - path.rest.tension
+
+
+def _slope_after_slack(displacement: Floats, force: Floats) -> float:
+    """Slope over the first 5 mm from where the force leaves zero upwards, N/m."""
+    slack = np.flatnonzero(force <= 0.0)
+    begin = 0 if len(slack) == 0 else int(slack[-1])
+    pair = slice(begin, begin + 2)
+    start = float(np.interp(0.0, force[pair], displacement[pair]))
+    moving = slice(begin, None)
+    return line_slope(displacement[moving], force[moving], start, start + STIFFNESS_RANGE)
+
+
+def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
+    """Look at a first loading.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, free of noise, the displacement increasing from zero and
+        dense: points at which something is looked up lie on straight lines in between
+
+    Returns
+    -------
+    The numbers.
+    """
+    windowed = line_slope(displacement, force, *KINK_WINDOW)
+    last = float(displacement[-1])
+    end = line_slope(displacement, force, last - STIFFNESS_RANGE, last)
+    is_level = end < PLATEAU_SHARE * windowed
+    tangents = _tangents(displacement, force)
+    onset = _last_above(*tangents, PLATEAU_SHARE * windowed) if is_level else None
+    return LoadingTruth(
+        tangent_at_zero=float(np.interp(_NEAR, displacement, force)) / _NEAR,
+        stiffness=line_slope(displacement, force, 0.0, STIFFNESS_RANGE),
+        secant_stiffness=float(np.interp(STIFFNESS_RANGE, displacement, force)) / STIFFNESS_RANGE,
+        windowed_stiffness=windowed,
+        kink=find_kink(displacement, force, *KINK_WINDOW),
+        end_tangent=end,
+        end_slope=end / windowed,
+        plateau_displacement=onset,
+        plateau_force=None if onset is None else float(np.interp(onset, displacement, force)),
+    )
+
+
+def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
+    """Slope of the least-squares line between two displacements, N/m, evenly weighted."""
+    grid = np.linspace(start, stop, _POINTS)
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1)[0])
+
+
+def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> KinkTruth:
+    """Try every break of two joined lines between two displacements, m.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N, free of noise
+    start, stop : m
+
+    Returns
+    -------
+    The closest by least squares, its break between the best of the grid by the parabola through it
+    and its neighbours.
+    """
+    grid = np.linspace(start, stop, _POINTS)
+    wanted = np.interp(grid, displacement, force)
+    breaks = grid[10:-10]
+    misfits = np.array([_two_lines(grid, wanted, at)[1] for at in breaks.tolist()])
+    best = int(np.clip(np.argmin(misfits), 1, len(misfits) - 2))
+    below, here, above = misfits[best - 1 : best + 2]
+    shift = 0.5 * (below - above) / (below - 2.0 * here + above)
+    at = float(breaks[best] + np.clip(shift, -1.0, 1.0) * (breaks[1] - breaks[0]))
+    (level, first, change), _ = _two_lines(grid, wanted, at)
+    return KinkTruth(at, float(level + first * at), float(first), float(first + change))
+
+
+def _two_lines(grid: Floats, wanted: Floats, at: float) -> tuple[Floats, float]:
+    """Level, slope and change of slope of the closest pair of lines, and its sum of squares."""
+    basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - at, 0.0)])
+    found = np.linalg.lstsq(basis, wanted, rcond=None)[0]
+    return found, float(np.sum((basis @ found - wanted) ** 2))
+
+
+def _tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
+    """Tangents as differences over a millimetre, N/m, and the middles of it, m."""
+    half = 0.5 * _TANGENT_OVER
+    grid = np.linspace(half, displacement[-1] - half, 2001)
+    ahead, behind = (np.interp(grid + step, displacement, force) for step in (half, -half))
+    return grid, (ahead - behind) / _TANGENT_OVER
+
+
+def _last_above(grid: Floats, tangent: Floats, limit: float) -> float | None:
+    """Where the tangent falls below a limit for good, m; None where it is above at the end."""
+    above = np.flatnonzero(tangent >= limit)
+    if len(above) == 0 or above[-1] == len(grid) - 1:
+        return None
+    pair = slice(above[-1], above[-1] + 2)
+    return float(np.interp(-limit, -tangent[pair], grid[pair]))

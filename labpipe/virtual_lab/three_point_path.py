@@ -1,0 +1,383 @@
+"""The quasi-static path of a bundle on two rollers that a third one pushes down in the middle.
+
+Half of it is solved, the other half being its mirror image. s is the arc length from mid-span,
+where the tangent is level; a history stays with its place on the bundle, however far that slides
+over the roller. The bundle rests on the roller at s = l, its axis at the distance rho, of both
+radii, from the roller's centre:
+
+    theta(s) = integral of kappa(M),   x(s), y(s) = integrals of cos theta, sin theta
+    x(l) = a - rho sin theta(l)                 the centre of the roller at half the span a
+    d = y(l) + rho (1 - cos theta(l))           the way of the middle against the supports
+    M(s) = (place of contact - place of s) x F,   F = N (normal + mu tangent),   P = 2 F_y
+
+so the span shrinks and the force leans as the bundle turns. Friction acts on the surface, r below
+the axis, and therefore bends, too: by mu N r. It holds against sliding: the bundle is drawn inwards
+when it is loaded and slides back when it is unloaded; after a start or a turn friction goes over to
+that within a short way u of the crosshead as 1 - exp(-u / u0), which stands for sticking. Weight
+is left out. Where the force comes back to nothing the upper roller leaves the bundle as it is.
+
+Everything scales: with moments f times as large at given curvatures the forces are f times as large
+and no place changes. So one solution serves all samples of a type.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.optimize import brentq
+
+from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.conduit_scenarios import ThreePointTest
+from labpipe.wire.laws import MomentLaw, respond, virgin_plays
+
+_ITERATIONS = 40
+_TOLERANCE = 1e-9
+_LARGEST_TURN = 0.3  # rad, in one iteration
+_STEP_OF_CONTACT = 1e-7
+_SMALLEST_STEP = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThreePointPath:
+    """A solved test.
+
+    Parameters
+    ----------
+    test : what was solved
+    arc_length : shape (stations,), m, from mid-span
+    loading : positions from rest to full stroke
+    unloading : positions from full stroke back to rest, or to where the force is gone
+    """
+
+    test: ThreePointTest
+    arc_length: Floats
+    loading: tuple[BentHalf, ...]
+    unloading: tuple[BentHalf, ...]
+
+    @property
+    def residual(self) -> float:
+        """Displacement at which the force is gone on unloading, m; 0 where it never is."""
+        return self.unloading[-1].displacement
+
+    def displacement(self, progress: Floats) -> Floats:
+        """Where the upper roller is at progress (its way down and up added), m, shape (n,)."""
+        inside = np.clip(progress, 0.0, 2.0 * self.test.stroke)
+        way: Floats = self.test.stroke - np.abs(self.test.stroke - inside)
+        return way
+
+    def force(self, progress: Floats) -> Floats:
+        """Force at progress, N, shape (n,)."""
+        return self._look_up(progress, [[half.force] for half in self._halves])[:, 0]
+
+    def middle(self, progress: Floats) -> tuple[Floats, Floats, Floats]:
+        """Way of mid-span, m, and moment and curvature there, N m, 1/m; shape (n,) each."""
+        rows = [[h.displacement, h.moment[0], h.curvature[0]] for h in self._halves]
+        found = self._look_up(progress, rows)
+        return found[:, 0], found[:, 1], found[:, 2]
+
+    def points(self, progress: Floats, arc_length: Floats) -> tuple[Floats, Floats, Floats]:
+        """Places on the axis, and the angle of its tangent.
+
+        Parameters
+        ----------
+        progress : shape (n,), m
+        arc_length : shape (m,), m, from mid-span, negative to the left
+
+        Returns
+        -------
+        x, y, angle, each of shape (n, m): x to the right from mid-span, y upwards from where the
+        axis lay at rest, m, rad.
+        """
+        side, where = np.sign(arc_length), np.abs(arc_length)
+        halves = np.array([np.concatenate([h.x, h.y, h.angle]) for h in self._halves])
+        along = halves.reshape(len(halves), 3, -1)
+        rows = CubicSpline(self.arc_length, along, axis=2)(where).reshape(len(halves), -1)
+        x, y, angle = np.split(self._look_up(progress, rows), 3, axis=1)
+        way, _, _ = self.middle(progress)
+        return side * x, y - way[:, None], side * angle
+
+    @property
+    def _halves(self) -> tuple[BentHalf, ...]:
+        return self.loading + self.unloading
+
+    def _look_up(self, progress: Floats, rows: object) -> Floats:
+        """Splines along both branches; what is left of a bundle stays as it is."""
+        columns = np.asarray(rows, dtype=np.float64)
+        n, stroke = len(self.loading), self.test.stroke
+        down = CubicSpline([h.displacement for h in self.loading], columns[:n])
+        up = CubicSpline([2.0 * stroke - h.displacement for h in self.unloading], columns[n:])
+        until = 2.0 * stroke - self.residual
+        is_down = (progress <= stroke)[:, None]
+        found: Floats = np.where(
+            is_down,
+            down(np.clip(progress, 0.0, stroke)),
+            up(np.clip(progress, stroke, until)),
+        )
+        return found
+
+
+@lru_cache(maxsize=64)
+def solve_three_point(test: ThreePointTest) -> ThreePointPath:
+    """Solve a test; equal tests are solved once.
+
+    Parameters
+    ----------
+    test : bundle and rig
+
+    Returns
+    -------
+    The path.
+
+    Raises
+    ------
+    ValueError
+        If there is no equilibrium somewhere on it, or the bundle slides off its rollers.
+    """
+    half = half_bundle(test)
+    rest = half.free(virgin_plays(half.law, test.n_stations))
+    loading = [rest, *_branch(half, rest, test.stroke, turns=False)]
+    unloading = [loading[-1], *_branch(half, loading[-1], 0.0, turns=True)]
+    return ThreePointPath(test, half.arc_length, tuple(loading), tuple(unloading))
+
+
+def _branch(half: HalfBundle, begin: BentHalf, goal: float, *, turns: bool) -> Iterator[BentHalf]:
+    """Walk to a displacement; on the way back stop where the force is gone."""
+    test, here = half.test, begin
+    share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
+    for wanted in (begin.displacement + share * (goal - begin.displacement)).tolist():
+        if turns:
+            let_go = half.free(here.plays)
+            if let_go.displacement >= wanted - _SMALLEST_STEP:
+                yield let_go
+                return
+        here = _reach(half, here, wanted, begin.displacement, turns=turns)
+        yield here
+
+
+def _reach(
+    half: HalfBundle, here: BentHalf, wanted: float, turned_at: float, *, turns: bool
+) -> BentHalf:
+    """Go on to a displacement, in halves where Newton's method fails."""
+    while True:
+        ahead = wanted
+        while (found := half.settle(here, ahead, half.friction(ahead - turned_at, turns))) is None:
+            ahead = 0.5 * (here.displacement + ahead)
+            if abs(ahead - here.displacement) < _SMALLEST_STEP:
+                message = f"displacement={wanted!r}: no equilibrium beyond {here.displacement:.6g}"
+                raise ValueError(message)
+        if ahead == wanted:
+            return found
+        here = found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BentHalf:
+    """One solved position; arrays of shape (stations,) from mid-span outwards.
+
+    Parameters
+    ----------
+    displacement : d, m
+    force : P, N, of the upper roller
+    contact : l, m
+    x, y : m, from mid-span, y upwards
+    angle : rad
+    moment, curvature : N m, 1/m
+    plays : shape (stations, plays), N m, the history
+    """
+
+    displacement: float
+    force: float
+    contact: float
+    x: Floats
+    y: Floats
+    angle: Floats
+    moment: Floats
+    curvature: Floats
+    plays: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Touch:
+    """Where the bundle touches its roller: weights of the stations, and what they give."""
+
+    weight: Floats
+    x: float
+    y: float
+    angle: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HalfBundle:
+    """Half a bundle on its roller: stations, and the equations that hold at them.
+
+    Parameters
+    ----------
+    test : bundle and rig
+    law : of every station
+    arc_length : shape (stations,), m, from mid-span
+    along : shape (stations, stations), values at the stations -> integral from mid-span to each
+    """
+
+    test: ThreePointTest
+    law: MomentLaw
+    arc_length: Floats
+    along: Floats
+
+    @property
+    def step(self) -> float:
+        """Distance of the stations, m."""
+        return float(self.arc_length[1])
+
+    def friction(self, way: float, turns: bool) -> float:
+        """Coefficient with its sign, `way` after the start or the turn."""
+        built = 1.0 - float(np.exp(-abs(way) / self.test.build_up))
+        return self.test.friction * (1.0 - 2.0 * built if turns else built)
+
+    def free(self, plays: Floats) -> BentHalf:
+        """The bundle with its history and without force, resting on its rollers."""
+        nothing = np.zeros(self.test.n_stations)
+        answer = respond(self.law, nothing, plays)
+        x, y, angle = self._shape(answer.curvature)
+
+        def gap(contact: float) -> float:
+            touch = self._touch(contact, x, y, angle)
+            return touch.x + self.test.reach * float(np.sin(touch.angle)) - 0.5 * self.test.span
+
+        contact = float(brentq(gap, 0.0, float(self.arc_length[-1]), xtol=1e-14))
+        touch = self._touch(contact, x, y, angle)
+        way = touch.y + self.test.reach * (1.0 - float(np.cos(touch.angle)))
+        return BentHalf(way, 0.0, contact, x, y, angle, nothing, answer.curvature, answer.plays)
+
+    def settle(self, here: BentHalf, wanted: float, friction: float) -> BentHalf | None:
+        """Newton's method for moments, roller force and contact; None where it fails."""
+        _, fy = _direction(self._touch_of(here).angle, friction)
+        unknowns = np.concatenate([here.moment, [0.5 * here.force / fy, here.contact]])
+        for _ in range(_ITERATIONS):
+            residual, jacobian, turns = self._linearise(unknowns, here.plays, wanted, friction)
+            change = -np.linalg.solve(jacobian, residual)
+            largest = float(np.max(np.abs(turns @ change[:-2])))
+            change *= min(1.0, _LARGEST_TURN / largest) if largest > 0.0 else 1.0
+            unknowns = unknowns + change
+            if not (0.0 < unknowns[-1] < self.arc_length[-1]) or not np.isfinite(largest):
+                return None
+            moment = unknowns[:-2]
+            if np.max(np.abs(change[:-2])) <= _TOLERANCE * (np.max(np.abs(moment)) + 1e-12):
+                return self._bent(unknowns, here.plays, wanted, friction)
+        return None
+
+    def _bent(self, unknowns: Floats, plays: Floats, wanted: float, friction: float) -> BentHalf:
+        moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
+        answer = respond(self.law, moment, plays)
+        x, y, angle = self._shape(answer.curvature)
+        _, fy = _direction(self._touch(contact, x, y, angle).angle, friction)
+        return BentHalf(
+            displacement=wanted,
+            force=2.0 * normal * fy,
+            contact=contact,
+            x=x,
+            y=y,
+            angle=angle,
+            moment=moment,
+            curvature=answer.curvature,
+            plays=answer.plays,
+        )
+
+    def _shape(self, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+        angle = self.along @ curvature
+        return self.along @ np.cos(angle), self.along @ np.sin(angle), angle
+
+    def _touch_of(self, half: BentHalf) -> _Touch:
+        return self._touch(half.contact, half.x, half.y, half.angle)
+
+    def _touch(self, contact: float, x: Floats, y: Floats, angle: Floats) -> _Touch:
+        """Look up between the two stations next to the contact."""
+        below = min(int(contact / self.step), self.test.n_stations - 2)
+        weight = np.zeros(self.test.n_stations)
+        beyond = contact / self.step - below
+        weight[below : below + 2] = 1.0 - beyond, beyond
+        return _Touch(weight, float(weight @ x), float(weight @ y), float(weight @ angle))
+
+    def _gaps(
+        self, touch: _Touch, x: Floats, y: Floats, contact: float, *, wanted: float, friction: float
+    ) -> tuple[Floats, Floats]:
+        """Moments under a unit of normal force, and what the two conditions lack, m."""
+        fx, fy = _direction(touch.angle, friction)
+        inside = self.arc_length < contact
+        lever = (touch.x - x) * fy - (touch.y - y) * fx
+        ramp = np.clip((contact - self.arc_length) / self.step, 0.0, 1.0)
+        unit = np.where(inside, lever, 0.0) + self.test.outer_radius * friction * ramp
+        reach = self.test.reach
+        lacks = [
+            touch.x + reach * np.sin(touch.angle) - 0.5 * self.test.span,
+            touch.y + reach * (1.0 - np.cos(touch.angle)) - wanted,
+        ]
+        return unit, np.array(lacks)
+
+    def _linearise(
+        self, unknowns: Floats, plays: Floats, wanted: float, friction: float
+    ) -> tuple[Floats, Floats, Floats]:
+        """Residual, Jacobian by moments, normal force and contact, and angle by moment."""
+        moment, normal, contact = unknowns[:-2], float(unknowns[-2]), float(unknowns[-1])
+        answer = respond(self.law, moment, plays)
+        x, y, angle = self._shape(answer.curvature)
+        touch = self._touch(contact, x, y, angle)
+        unit, lacks = self._gaps(touch, x, y, contact, wanted=wanted, friction=friction)
+        residual = np.concatenate([moment - normal * unit, lacks])
+        turns = self.along * answer.compliance
+        dx = -(self.along * np.sin(angle)) @ turns
+        dy = (self.along * np.cos(angle)) @ turns
+        jacobian = np.zeros((len(unknowns), len(unknowns)))
+        n = len(moment)
+        jacobian[:n, :n] = np.eye(n) - normal * self._levers(
+            touch, (x, y), (dx, dy, turns), contact, friction
+        )
+        jacobian[:n, n] = -unit
+        tx, ty, tt = (touch.weight @ each for each in (dx, dy, turns))
+        reach = self.test.reach
+        jacobian[n, :n] = tx + reach * np.cos(touch.angle) * tt
+        jacobian[n + 1, :n] = ty + reach * np.sin(touch.angle) * tt
+        ahead = contact + _STEP_OF_CONTACT
+        moved = self._gaps(
+            self._touch(ahead, x, y, angle), x, y, ahead, wanted=wanted, friction=friction
+        )
+        jacobian[:n, n + 1] = -normal * (moved[0] - unit) / _STEP_OF_CONTACT
+        jacobian[n:, n + 1] = (moved[1] - lacks) / _STEP_OF_CONTACT
+        return residual, jacobian, turns
+
+    def _levers(
+        self,
+        touch: _Touch,
+        place: tuple[Floats, Floats],
+        slopes: tuple[Floats, Floats, Floats],
+        contact: float,
+        friction: float,
+    ) -> Floats:
+        """Derivative of the moments under a unit of normal force by the moments."""
+        (x, y), (dx, dy, turns) = place, slopes
+        fx, fy = _direction(touch.angle, friction)
+        tt = touch.weight @ turns
+        by_place = (touch.weight @ dx - dx) * fy - (touch.weight @ dy - dy) * fx
+        by_turn = np.outer((touch.x - x) * fx + (touch.y - y) * fy, tt)
+        inside = (self.arc_length < contact)[:, None]
+        slope: Floats = np.where(inside, by_place + by_turn, 0.0)
+        return slope
+
+
+def half_bundle(test: ThreePointTest) -> HalfBundle:
+    """Lay out half a bundle, never bent, with the trapezoidal rule along it."""
+    arc_length: Floats = np.linspace(0.0, 0.5 * test.span + test.overhang, test.n_stations)
+    along = np.tri(test.n_stations)
+    along[:, 0] = 0.5
+    np.fill_diagonal(along, 0.5)
+    along[0, 0] = 0.0
+    return HalfBundle(test, test.bundle.law(), arc_length, arc_length[1] * along)
+
+
+def _direction(angle: float, friction: float) -> tuple[float, float]:
+    """The roller's force for a unit of normal force: along the normal and the tangent."""
+    cos, sin = float(np.cos(angle)), float(np.sin(angle))
+    return friction * cos - sin, cos + friction * sin

@@ -1,0 +1,419 @@
+"""The files that the programs of the bench export, in the layout of real exports.
+
+**ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. One struct with
+Info, X, Y and Description; channels told apart by Path and Name; units empty; whole numbers stored
+as small integers; data as rows; the text header names the time of saving.
+
+**Motive** (cameras): a table CSV, Format Version 1.23. One line of keys and values, a blank line,
+rows of types, names, ids and quantities, then a row of axes and the data with six decimals and
+blanks for what was not seen; CRLF line ends; the body's fitted markers (Rigid Body Marker, quoted
+names) beside the measured ones of the same name (Marker, bare names).
+
+**MTS TestSuite** (load frame): ``(Timed)`` text. UTF-8 with byte order mark, CRLF, four lines of
+preamble and two blank ones, names with a trailing blank, numbers that are 32-bit SI numbers turned
+into the unit of the column. Several acquisition steps give several files whose numbers are not in
+the order of time, and a step without samples leaves a byte order mark alone.
+
+**TestResources R-Controller** (load frame): a workbook with time s, force lbf, travel in. No real
+export was at hand: that there are these three quantities in these units is known, sheet name, names
+of columns and rows above them are made up.
+
+Every file says that it is synthetic.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from openpyxl import Workbook
+from scipy.io import savemat
+
+from labpipe.records.arrays import Floats
+from labpipe.virtual_lab.cameras import BODY_MARKERS, Take
+from labpipe.virtual_lab.recorders import PORT, ForceRecord, FrameRecord
+from labpipe.virtual_lab.tensile_scenarios import ExportLayout
+
+CONTROL_DESK_VERSION = "7.4"
+_RASTER = "HostService"
+_HEADER_BYTES = 116
+_NO_LIMIT = np.finfo(np.float64).max
+
+UNITS = {"m": ("Meters", 1.0), "cm": ("Centimeters", 100.0), "mm": ("Millimeters", 1000.0)}
+_PLACE = (("Position", "X"), ("Position", "Y"), ("Position", "Z"))
+_TURN = (("Rotation", "X"), ("Rotation", "Y"), ("Rotation", "Z"), ("Rotation", "W"))
+_ROWS_AT_A_TIME = 2000
+
+ACTIVITY = "DAQ- Crosshead, … - (Timed)"
+NEWTONS = {"N": 1.0, "kN": 1e3}
+_LOST_BETWEEN_PARTS = 2
+_FOLDER = "C:\\MTS Data\\SYNTHETIC labpipe virtual lab"
+
+NEWTONS_PER_POUND, METRES_PER_INCH = 4.4482216152605, 0.0254
+HEADER = ("Time (s)", "Force (lbf)", "Displacement (in)")
+SHEET = "Test Data"
+_DIGITS = 6
+_OLDEST = (1980, 1, 1, 0, 0, 0)  # the first date that a zip archive can hold
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """What the programs write into the heads of their files.
+
+    Parameters
+    ----------
+    name : of the test
+    started : when
+    seed : for the notes that the test is synthetic
+    """
+
+    name: str
+    started: datetime
+    seed: int
+
+
+def write_control_desk(path: Path, record: ForceRecord, run: Run) -> None:
+    """Write a force record as ControlDesk does, saved when its last sample was taken.
+
+    Parameters
+    ----------
+    path : the file; its stem becomes the name of the struct
+    record : what the recorder measured
+    run : for the header and the description
+    """
+    saved = run.started + timedelta(seconds=round(float(record.clock[-1])))
+    axis = {
+        "Name": "",
+        "Type": np.int32(4),
+        "Data": record.clock[None, :],
+        "Unit": "",
+        "Raster": _RASTER,
+    }
+    info = {
+        "RevisionMajor": np.int32(2),
+        "RevisionMinor": np.int32(1),
+        "MeasurementID": np.int32(1),
+    }
+    content = {
+        "Info": info,
+        "X": axis,
+        "Y": _struct_array([_channel(*signal) for signal in sorted(record.signals.items())]),
+        "Description": _description(record.clock, saved, run.seed),
+    }
+    savemat(path, {path.stem: content}, oned_as="row", long_field_names=True)
+    _stamp(path, saved)
+
+
+def _channel(where: str, values: Floats) -> dict[str, object]:
+    return {
+        "Name": PORT,
+        "Type": np.int32(4),
+        "Data": _compact(values)[None, :],
+        "Unit": "",
+        "Raster": _RASTER,
+        "Device": "Platform",
+        "XIndex": np.int32(1),
+        "DownSampling": np.int32(1),
+        "Description": "",
+        "DisplayIdentifier": "",
+        "Path": where,
+        "Flags": np.int32(2),
+        "Min": -_NO_LIMIT,
+        "Max": _NO_LIMIT,
+        "MinWeak": -_NO_LIMIT,
+        "MaxWeak": _NO_LIMIT,
+    }
+
+
+def _compact(values: Floats) -> NDArray[np.generic]:
+    """Whole numbers as the smallest unsigned integers that hold them, as ControlDesk does."""
+    whole = bool(np.all(values == np.floor(values)) and np.all(values >= 0.0))
+    if not whole or np.max(values) > np.iinfo(np.uint16).max:
+        return values
+    small = np.max(values) <= np.iinfo(np.uint8).max
+    return values.astype(np.uint8 if small else np.uint16)
+
+
+def _struct_array(rows: list[dict[str, object]]) -> NDArray[np.void]:
+    array = np.empty((1, len(rows)), dtype=[(name, object) for name in rows[0]])
+    for number, row in enumerate(rows):
+        for name, value in row.items():
+            array[name][0, number] = value
+    return array
+
+
+def _description(clock: Floats, saved: datetime, seed: int) -> dict[str, object]:
+    origin = (
+        f"Software revision: virtual_lab.sdf\r\n"
+        f"Variable description: virtual_lab.sdf\r\n"
+        f"    Platform / Device: Platform [SYNTHETIC: made by labpipe's virtual lab, seed {seed}, "
+        f"not a measurement]\r\n"
+        f"ControlDesk version: {CONTROL_DESK_VERSION}"
+    )
+    return {
+        "General": {
+            "User": "labpipe virtual lab",
+            "DateTime": f"{saved:%Y/%m/%d %H:%M:%S}",
+            "Origin": origin,
+            "Description": "synthetic",
+        },
+        "Recording": {"StartCondition": "None (Immediate Recording)", "StopCondition": "None"},
+        "Measurement": {
+            "XAxisOffset": np.uint8(0),
+            "Length": float(clock[-1]),
+            "StartTimestamp": float(clock[0]),
+            "StopTimestamp": float(clock[-1]),
+        },
+    }
+
+
+def _stamp(path: Path, saved: datetime) -> None:
+    """Put the scenario's date into the text header, so that equal tests are equal files."""
+    text = f"MATLAB 5.0 MAT-file, Platform: PCWIN, Created on: {saved:%a %b %d %H:%M:%S %Y}"
+    with path.open("r+b") as file:
+        file.write(text.encode("ascii").ljust(_HEADER_BYTES))
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """The columns of one object: type, name and id as written, and (quantity, axis) of each."""
+
+    kind: str
+    name: str
+    identity: str
+    columns: tuple[tuple[str, str], ...]
+
+
+def write_motive(path: Path, take: Take, run: Run, *, unit: str) -> None:
+    """Write a take as Motive does.
+
+    Parameters
+    ----------
+    path : the file
+    take : what the cameras saw
+    run : for the head; its seed is that of the ids, too
+    unit : m, cm or mm
+
+    Raises
+    ------
+    ValueError
+        If the unit is none of the three.
+    """
+    if unit not in UNITS:
+        message = f"unit={unit!r}: allowed are {', '.join(UNITS)}"
+        raise ValueError(message)
+    word, factor = UNITS[unit]
+    head = [_first_line(take, word, run), "", *_label_rows(_groups(take, run.seed))]
+    with path.open("w", encoding="ascii", newline="") as file:
+        file.write("".join(line + "\r\n" for line in head))
+        file.writelines(_data_lines(take, factor))
+
+
+def _first_line(take: Take, word: str, run: Run) -> str:
+    frames = str(len(take.time))
+    pairs = [
+        ("Format Version", "1.23"),
+        ("Take Name", run.name),
+        ("Take Notes", f"synthetic: made by labpipe's virtual lab with seed {run.seed}"),
+        ("Capture Frame Rate", f"{take.rate:.6f}"),
+        ("Export Frame Rate", f"{take.rate:.6f}"),
+        ("Capture Start Time", f"{run.started:%Y-%m-%d %I.%M.%S}.000 {run.started:%p}"),
+        ("Total Frames in Take", frames),
+        ("Total Exported Frames", frames),
+        ("Rotation Type", "Quaternion"),
+        ("Length Units", word),
+        ("Coordinate Space", "Global"),
+    ]
+    return ",".join(f"{key},{value}" for key, value in pairs)
+
+
+def _groups(take: Take, seed: int) -> list[_Group]:
+    random = np.random.default_rng([seed, 77])
+    groups = [group for body in take.bodies for group in _body_groups(body.name, random)]
+    for name in take.names:
+        groups.append(_Group("Marker", name, f'"{random.bytes(3).hex().upper()}"', _PLACE))
+    return groups
+
+
+def _body_groups(body: str, random: np.random.Generator) -> list[_Group]:
+    body_id = f'"{random.bytes(16).hex().upper()}"'
+    groups = [_Group("Rigid Body", body, body_id, (*_TURN, *_PLACE, ("Mean Marker Error", "")))]
+    for number in range(len(BODY_MARKERS)):
+        columns = (*_PLACE, ("Marker Quality", ""))
+        name = f'"{body}:Marker{number + 1}"'
+        groups.append(_Group("Rigid Body Marker", name, body_id, columns))
+    return groups
+
+
+def _label_rows(groups: Sequence[_Group]) -> list[str]:
+    """Type, name, id, quantity and axis of every column."""
+    columns = [("", "", "", "", "Frame"), ("Type", "Name", "ID", "", "Time (Seconds)")]
+    for group in groups:
+        columns += [(group.kind, group.name, group.identity, *each) for each in group.columns]
+    return [",".join(row) for row in zip(*columns, strict=True)]
+
+
+def _table(take: Take, factor: float) -> Floats:
+    """All data columns after the frame number, in the file's unit."""
+    frames = len(take.time)
+    fitted = np.concatenate([take.fitted * factor, take.quality[:, :, None]], axis=2)
+    poses = [
+        column
+        for body in take.bodies
+        for column in (body.rotation, body.position * factor, body.error[:, None] * factor)
+    ]
+    seen = (take.positions * factor).reshape(frames, -1)
+    return np.hstack([take.time[:, None], *poses, fitted.reshape(frames, -1), seen])
+
+
+def _data_lines(take: Take, factor: float) -> Iterator[str]:
+    table = _table(take, factor)
+    row = "%d" + ",%.6f" * table.shape[1] + "\r\n"
+    for first in range(0, len(table), _ROWS_AT_A_TIME):
+        block = table[first : first + _ROWS_AT_A_TIME].tolist()
+        lines = (row % (first + number, *values) for number, values in enumerate(block))
+        yield "".join(lines).replace("nan", "")
+
+
+def write_test_suite(
+    folder: Path,
+    record: FrameRecord,
+    layout: ExportLayout,
+    run: Run,
+    *,
+    kind: str = "tensile test",
+) -> tuple[str, ...]:
+    """Write a record as MTS TestSuite does.
+
+    Parameters
+    ----------
+    folder : gets the files
+    record : what the controller measured
+    layout : unit of force and parts
+    run : for the preamble
+    kind : of the test, for the note that it is synthetic
+
+    Returns
+    -------
+    Names of the files, in the order of their numbers.
+
+    Raises
+    ------
+    ValueError
+        If the unit is neither N nor kN, or a part would hold no samples.
+    """
+    if layout.force_unit not in NEWTONS:
+        message = f"force_unit={layout.force_unit!r}: allowed are {', '.join(NEWTONS)}"
+        raise ValueError(message)
+    files = {}
+    for number, part in enumerate(_parts(record, layout)):
+        file = f"{ACTIVITY}{number or ''}.txt"
+        head = _preamble(file, layout.force_unit, run, kind)
+        files[file] = "" if part is None else head + _rows(part, layout.force_unit)
+    for file, text in files.items():
+        (folder / file).write_bytes(text.encode("utf-8-sig"))
+    return tuple(files)
+
+
+def _parts(record: FrameRecord, layout: ExportLayout) -> list[FrameRecord | None]:
+    """By number of file: the whole, or the later step, the earlier one, and one without samples."""
+    if not layout.in_parts:
+        return [record]
+    first = int(np.searchsorted(record.time, layout.part_at))
+    later = first + _LOST_BETWEEN_PARTS
+    if first < 1 or later >= len(record.time):
+        message = f"part_at={layout.part_at} s: outside the record"
+        raise ValueError(message)
+    return [_piece(record, slice(later, None)), _piece(record, slice(first)), None]
+
+
+def _piece(record: FrameRecord, piece: slice) -> FrameRecord:
+    return FrameRecord(record.time[piece], record.displacement[piece], record.force[piece])
+
+
+def _preamble(file: str, force_unit: str, run: Run, kind: str) -> str:
+    started = run.started
+    clock = f"{(started.hour - 1) % 12 + 1}:{started:%M:%S %p}"
+    lines = (
+        f"File Path: {_FOLDER}\\{run.name}\\{file}   ",
+        f"Test: SYNTHETIC {kind}, labpipe virtual lab, seed {run.seed}",
+        f"Test Run: {run.name}",
+        f"Date: {started.month}/{started.day}/{started.year} {clock}",
+        "",
+        "",
+        "Crosshead \tLoad \tTime ",
+        f"mm\t{force_unit}\tsec",
+    )
+    return "".join(line + "\r\n" for line in lines)
+
+
+def _rows(record: FrameRecord, force_unit: str) -> str:
+    columns = (
+        1e3 * _single(record.displacement),
+        _single(record.force) / NEWTONS[force_unit],
+        _single(record.time),
+    )
+    rows = np.column_stack(columns).tolist()
+    return "".join("\t".join(f"{value:.15G}" for value in row) + "\r\n" for row in rows)
+
+
+def _single(values: Floats) -> Floats:
+    """As the controller keeps them, in 32 bits; no negative zeros."""
+    return values.astype(np.float32).astype(np.float64) + 0.0
+
+
+def write_r_controller(path: Path, record: FrameRecord, run: Run) -> None:
+    """Write a record as a workbook of the TestResources kind; the same record, the same bytes.
+
+    Parameters
+    ----------
+    path : the file
+    record : what the controller measured
+    run : for the head of the sheet and the properties of the workbook
+    """
+    note = f"SYNTHETIC: made by labpipe's virtual lab, seed {run.seed}, not a measurement"
+    book = Workbook(write_only=True)
+    properties = book.properties
+    properties.title, properties.description = run.name, note
+    properties.creator = "labpipe virtual lab"
+    properties.created = run.started
+    sheet = book.create_sheet(SHEET)
+    date = f"{run.started:%m/%d/%Y %H:%M:%S}"
+    for row in ((note,), ("Test", run.name), ("Date", date), (), HEADER):
+        sheet.append(row)
+    for values in zip(*_columns(record), strict=True):
+        sheet.append(values)
+    buffer = io.BytesIO()
+    book.save(buffer)
+    path.write_bytes(_without_dates(buffer.getvalue(), run.started))
+
+
+def _columns(record: FrameRecord) -> tuple[list[float], ...]:
+    """The three columns in the units of the file, to the digits of its cells."""
+    scaled = (
+        record.time,
+        record.force / NEWTONS_PER_POUND,
+        record.displacement / METRES_PER_INCH,
+    )
+    return tuple((column.round(_DIGITS) + 0.0).tolist() for column in scaled)
+
+
+def _without_dates(book: bytes, started: datetime) -> bytes:
+    """Replace the moment of writing by the date of the test: equal tests are equal files."""
+    stamp = f">{started:%Y-%m-%dT%H:%M:%SZ}</dcterms:modified>".encode("ascii")
+    buffer = io.BytesIO()
+    with (
+        zipfile.ZipFile(io.BytesIO(book)) as old,
+        zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as new,
+    ):
+        for member in old.namelist():
+            content = re.sub(rb">[^<]*</dcterms:modified>", stamp, old.read(member))
+            new.writestr(zipfile.ZipInfo(member, _OLDEST), content, zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
