@@ -28,13 +28,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import load_frames
-from labpipe.virtual_lab import (
-    WireCampaign,
-    simulate_tensile,
-    simulate_test,
-    tensile_scenarios,
-    wire_scenarios,
-)
+from labpipe.virtual_lab import TensileCampaign, WireCampaign, simulate_test
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 CALLS = Path(__file__).with_name("calls.py")
@@ -129,16 +123,13 @@ def walk(tree: Path, test: Path, out: Path) -> Walk:
 
 def write_tests(folder: Path) -> dict[str, Path]:
     """A cantilever and a corrugated tube of the demo, and a plain bar from a csv, by protocol."""
-    wire, own = next(
-        each for each in wire_scenarios(WireCampaign(cycles=2, fps=25.0)) if each[0].name == WIRE
-    )
-    number, tube = next(
-        each for each in enumerate(tensile_scenarios(), start=1) if each[1].name == TUBE
-    )
+    wires, tubes = WireCampaign(cycles=2, fps=25.0), TensileCampaign()
+    wire = next(each for each in wires.scenarios() if each[0].name == WIRE)
+    tube = next(each for each in tubes.scenarios() if each[0].name == TUBE)
     bar = load_frames.write_csv_test(folder / BAR, size=BAR_BYTES)
     return {
-        "wire-cantilever": simulate_test(wire, folder / WIRE, seed=own),
-        "corrugated-tube": simulate_tensile(tube, folder / TUBE, seed=1000 + number),
+        "wire-cantilever": simulate_test(wire[0], folder / WIRE, seed=wire[1]),
+        "corrugated-tube": simulate_test(tube[0], folder / TUBE, seed=tube[1]),
         "tensile": bar.parent,
     }
 

@@ -224,9 +224,7 @@ def write_exports(observation: AnyObservation, folder: Path) -> Path:
     return folder
 
 
-def _write_recordings(
-    observation: AnyObservation, folder: Path
-) -> Mapping[str, tuple[str, ...]]:
+def _write_recordings(observation: AnyObservation, folder: Path) -> Mapping[str, tuple[str, ...]]:
     """Write what the programs export; the names of the files by role."""
     scenario = observation.scenario
     started = datetime.fromisoformat(f"{scenario.date}T10:05:00")

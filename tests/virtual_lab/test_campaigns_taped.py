@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from labpipe.virtual_lab.campaigns import TapedCampaign
 from labpipe.virtual_lab.cantilever_path import solve_loading, solve_path
 from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario, taped_scenario
 from labpipe.virtual_lab.observations import observe, truth_as_json
-from labpipe.virtual_lab.sheet_texts import PROTOCOL_VALUES, write_sheet
+from labpipe.virtual_lab.sheet_texts import write_sheet
 
 QUICK = TapedCampaign(types=("TWB-B1-7-PVC",), samples=1, rate=50.0, fps=10.0, cycles=1)
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import yaml
 
 from labpipe.virtual_lab.conduit_scenarios import CylinderMarkers, ThreePointTest, conduit_scenario
-from labpipe.virtual_lab.sheet_texts import PROTOCOL_VALUES, write_sheet
+from labpipe.virtual_lab.sheet_texts import write_sheet
 
 FILES = {"force": ["force.mat"], "frame": ["DAQ- Crosshead, … - (Timed).txt"]}
 
