@@ -56,7 +56,7 @@ from labpipe.records.setting_types import Above, Key, Quantity, Span, Tagged, Wh
 
 
 class Block(BaseModel):
-    """A block of keys: frozen, closed to unknown keys, its faults told in our words."""
+    """A block of keys: frozen, closed to unknown keys, its faults in our words."""
 
     # Built when first used: a test uses a protocol and a sheet, not each block on its own.
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
@@ -90,9 +90,9 @@ class Block(BaseModel):
     @model_validator(mode="wrap")
     @classmethod
     def _in_our_words(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        """Collect the faults within the parts and between them; the first at a place is told.
+        """Collect the faults within the parts and between them; the first at a place counts.
 
-        A key that should not be there at all is told as such, not by what is wrong with its value.
+        A key that should not be there at all is reported as such, not by its wrong value.
         """
         between = cls.between(data)
         within: list[Fault] = []
@@ -110,7 +110,7 @@ class Block(BaseModel):
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is None because nobody said anything."""
+        """Leave out what is None because it was left out."""
         fields = type(self).model_fields
         unset = {field.alias or name for name, field in fields.items() if field.default is None}
         return {

@@ -1,4 +1,4 @@
-"""The grammar of a calibration: which wire, what is free, what else it is held against."""
+"""The grammar of a calibration: which wire, what is free, which curves it is compared with."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Scale = Annotated[float, Quantity("1", "1", "1", above=0.0)]
 Scatter = Annotated[float, Quantity("1", "%", "3 %", least=0.0, most=0.5)]
 Factor = Annotated[float, Quantity("1", "1", "1.5", above=1.0)]
 
-_NEEDS_VALUE = "What would it be held to, or lie about?"
+_NEEDS_VALUE = "Add the value that it has, or that the prior lies about."
 
 
 class _Parameter(Block):
@@ -99,7 +99,7 @@ class CalibrationPlan(Block):
     points: Annotated[int, Whole(20, 5000)] = Field(272, description="Points of each curve")
     up_to: Length | None = Field(None, description="Largest deflection that is looked at")
     comparisons: tuple[Comparison, ...] = Field(
-        (), description="Curves from elsewhere that tests and model are held against"
+        (), description="Curves from elsewhere that tests and model are compared with"
     )
 
     @classmethod

@@ -255,7 +255,7 @@ def _shape_faults(outline: Outline, tag: str, steps: tuple[str, ...], path: KeyP
 
 
 def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
-    """Find a moment that nobody knows where to begin with, or on which clock the force is."""
+    """Find a moment without a clamped end, or with a force on another clock than the shape."""
     if not outline.clamp:
         remedy = "Name the rigid body at the clamp in 'markers.clamp'."
         yield Fault(path, f"a clamped end for {tag!r}", "none", remedy)
@@ -306,7 +306,7 @@ def _display_faults(outline: Outline) -> Faults:
 
 
 def _group_faults(outline: Outline) -> Faults:
-    """Find a number that the report is to show first and that nobody asks for."""
+    """Find a number that the report is to show first and that no result gives."""
     entries = outline.entries("results", "result")
     known = [name for _, tag, entry in entries for name in result_names(tag, entry)]
     said = outline.block("groups").get("main")

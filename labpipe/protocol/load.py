@@ -1,10 +1,10 @@
-"""From YAML to a protocol or a test sheet and back; every fault found is told in one error."""
+"""From YAML to a protocol or a test sheet and back; one error lists every fault."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import yaml
 from pydantic import ValidationError
@@ -14,6 +14,7 @@ from labpipe.protocol.absent import absent_faults, without_absent
 from labpipe.protocol.block import Block
 from labpipe.protocol.faults import did_you_mean, faults_of, one_of
 from labpipe.protocol.links import are_followed, link_faults
+from labpipe.protocol.outline import Outline
 from labpipe.protocol.overrides import with_overrides
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet import TestSheet
@@ -220,10 +221,9 @@ def _is_sound(document: Document) -> bool:
 
 def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
     """Find roles that only one of test sheet and protocol has."""
-    data = protocol.data if isinstance(protocol.data, Mapping) else {}
-    sources = data.get("sources")
-    sources = sources if isinstance(sources, Mapping) else {}
-    roles, optional = [str(role) for role in sources], _optional(sources)
+    outline = Outline(protocol.data if isinstance(protocol.data, Mapping) else {})
+    roles = [str(role) for role in outline.sources]
+    optional = {role for role in roles if outline.is_optional(role)}
     for role in sheet.files:
         if roles and role not in roles:
             expected = f"a role of the protocol: {one_of(role, roles)}"
@@ -231,11 +231,3 @@ def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
     for missing in sorted(set(roles) & set(ROLES) - set(sheet.files) - optional):
         expected = f"a file in the role {missing!r}"
         yield Fault(("files",), expected, "none", "Add it to 'files'.")
-
-
-def _optional(sources: Mapping[Any, Any]) -> set[str]:
-    """Roles whose export a test may lack."""
-    blocks = {str(role): source for role, source in sources.items() if isinstance(source, Mapping)}
-    return {
-        role for role, source in blocks.items() if str(source.get("optional")).lower() == "true"
-    }

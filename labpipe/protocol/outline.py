@@ -42,7 +42,7 @@ class ChannelOutline:
 
     @property
     def quantity(self) -> str | None:
-        """What it measures; None if nobody said."""
+        """What it measures; None if that is missing."""
         said = self.values.get("quantity")
         return said if isinstance(said, str) else self.name if self.name in SI_UNITS else None
 

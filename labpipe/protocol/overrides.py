@@ -161,7 +161,7 @@ def _key_in(node: object, part: str) -> str | int | None:
     if part.isdecimal():
         number = whole_number(part)
         return number if number is not None and number < len(node) else None
-    # What a result is called goes before its kind: one stiffness of several may be `stiffness`.
+    # The name of a result first, then its kind: one stiffness of several may be `stiffness`.
     for called in (_names, _words):
         found = [i for i, item in enumerate(node) if part in called(item)]
         if len(found) == 1:

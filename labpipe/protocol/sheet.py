@@ -15,7 +15,7 @@ from labpipe.protocol.block import Block
 from labpipe.protocol.bundle import SheetBundle
 from labpipe.protocol.faults import did_you_mean, error_of, shown
 from labpipe.protocol.source import Role
-from labpipe.protocol.words import FileStem, Line, Remark, Text, file_inside
+from labpipe.protocol.words import FileStem, Line, Remark, Text, file_inside, one_or_several
 from labpipe.records.result import Specimen
 from labpipe.records.setting_types import Length, Snake
 from labpipe.units import parse_quantity
@@ -39,7 +39,7 @@ class SheetSpecimen(Block):
     type: Line
     spool: Line
     sample: Line
-    length: Length | None = Field(None, description="Free length; goes before the protocol's")
+    length: Length | None = Field(None, description="Free length; overrides the protocol's")
     bundle: SheetBundle | None = Field(None, description="What a harness bundle is made of")
     labels: Annotated[dict[Snake, Line], BeforeValidator(_nothing_is_empty)] = Field(
         {}, description="Any other words on the specimen, by name"
@@ -126,14 +126,7 @@ FileNames = Annotated[
     tuple[Annotated[str, file_inside("the folder of the test", COPY_IT)], ...],
     BeforeValidator(_listed),
     Field(min_length=1),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"type": "string"},
-                {"type": "array", "minItems": 1, "items": {"type": "string"}},
-            ]
-        }
-    ),
+    one_or_several({"type": "string"}),
 ]
 
 

@@ -10,12 +10,11 @@ from pydantic import (
     Field,
     PlainSerializer,
     PrivateAttr,
-    WithJsonSchema,
 )
 
 from labpipe.protocol.block import Block
 from labpipe.protocol.quantities import SI_UNITS
-from labpipe.protocol.words import Text
+from labpipe.protocol.words import Text, one_or_several
 from labpipe.records.setting_types import Ratio, Snake
 from labpipe.units import parse_quantity, si_factor
 
@@ -40,31 +39,15 @@ Readers = Annotated[
     tuple[ReaderName, ...],
     BeforeValidator(_listed),
     Field(min_length=1),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                {"enum": list(READERS)},
-                {"type": "array", "minItems": 1, "items": {"enum": list(READERS)}},
-            ]
-        }
-    ),
+    one_or_several({"enum": list(READERS)}),
 ]
-
-_TEXT: Final = {"type": ["string", "number"], "minLength": 1}
 
 Names = Annotated[
     tuple[Text, ...],
     BeforeValidator(_listed),
     Field(min_length=1),
     PlainSerializer(lambda names: names[0] if len(names) == 1 else list(names)),
-    WithJsonSchema(
-        {
-            "anyOf": [
-                _TEXT,
-                {"type": "array", "minItems": 1, "items": _TEXT},
-            ]
-        }
-    ),
+    one_or_several({"type": ["string", "number"], "minLength": 1}),
 ]
 """One name, or several of which the first that the export has counts."""
 
@@ -138,13 +121,13 @@ class ChannelSource(Block):
 
     @property
     def gain_uncertainty(self) -> float:
-        """Standard uncertainty of gain and scale as a ratio; 0 where nobody has said it."""
+        """Standard uncertainty of gain and scale as a ratio; 0 where it is not stated."""
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
         return hypot(gain, self.scale_uncertainty)
 
     @property
     def peak_range(self) -> tuple[float, float] | None:
-        """Smallest and largest plausible peak, in `target_unit`; None where nobody has said it."""
+        """Smallest and largest plausible peak, in `target_unit`; None where it is not stated."""
         if self.plausible_peak is None:
             return None
         ends = self.plausible_peak.start, self.plausible_peak.stop

@@ -98,7 +98,7 @@ class ThreePointShape(_Step):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TravelFromSpeed(_Step):
-    """Make a displacement from crosshead speed and stroke; a measured one goes before it."""
+    """Make a displacement from crosshead speed and stroke; a measured one overrides it."""
 
     step: ClassVar = "travel-from-speed"
     makes: ClassVar = ("{channel}",)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import PurePosixPath, PureWindowsPath
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, WithJsonSchema
 
@@ -100,6 +100,16 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
         return value
 
     return BeforeValidator(check)
+
+
+def one_or_several(item: dict[str, Any]) -> WithJsonSchema:
+    """Describe, for editors, one value or a list of at least one.
+
+    Parameters
+    ----------
+    item : JSON Schema of one
+    """
+    return WithJsonSchema({"anyOf": [item, {"type": "array", "minItems": 1, "items": item}]})
 
 
 Text = Annotated[

@@ -1,4 +1,4 @@
-"""Models of wires held against measured curves: agreement, predictions, errors."""
+"""Models of wires compared with measured curves: agreement, predictions, errors."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class CurveAgreement:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """A loading curve foretold, with 95 % bands; arrays of shape (n,).
+    """A predicted loading curve, with 95 % bands; arrays of shape (n,).
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class Bundle:
     tape : such as ``PVC``, or ``none``
     taping : one of `TAPINGS`
     conduit : such as ``corrugated-tube``, or ``none``
-    conduit_bore : inner diameter of the conduit, m; None where there is none, or nobody said it
+    conduit_bore : inner diameter of the conduit, m; None where there is none, or it is not stated
     """
 
     wires: tuple[BundleWire, ...]

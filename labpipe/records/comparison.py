@@ -1,4 +1,4 @@
-"""Third curves: force over deflection from elsewhere, held against tests and against the model."""
+"""External curves: force over deflection from elsewhere, compared with tests and with the model."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class ThirdCurve:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CurveMatch:
-    """A third curve beside one other curve, at its own deflections.
+    """An external curve beside one other curve, at its own deflections.
 
     Parameters
     ----------
     reference : shape (n,), N, of the other curve; NaN where that one has no force
     errors : over the points that both have, RMSE over the largest force of the other curve there,
-        share of the points of the third curve inside the 95 % band of the other; None without any
+        share of its points inside the 95 % band of the other; None without any
     left_out : number of points that were not compared
     words : which points were left out, or why none was compared; empty if all were
     """
@@ -63,7 +63,7 @@ class CurveMatch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ThirdCurveComparison:
-    """A third curve held against the mean of the tests and against the calibrated model.
+    """An external curve compared with the mean of the tests and with the calibrated model.
 
     Parameters
     ----------

@@ -199,7 +199,7 @@ class Difference:
     name, unit : of the result
     first, second : names of the groups
     difference : second minus first; interval None when there is none to be had
-    margin : in `unit`, difference that does not matter in practice; None where nobody has said it
+    margin : in `unit`, difference that does not matter in practice; None where it is not stated
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     verdict : in words
     fields : what of the specimens differs between the groups: word of the first and of the second,

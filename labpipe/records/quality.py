@@ -15,7 +15,7 @@ class Severity(StrEnum):
     WARNING = "warning"
     """Results that depend on it are doubtful, or were repaired."""
     ERROR = "error"
-    """Something asked for could not be had."""
+    """Something asked for is not available."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -52,7 +52,7 @@ def _own(path: Path) -> int:
             message = complaint(
                 path.parent,
                 "",
-                expected="a folder that nobody else is writing",
+                expected="a folder that no other process is writing",
                 found="another labpipe process at work in it",
                 remedy="Wait until it is done, or end it, and try again.",
             )

@@ -72,7 +72,7 @@ def replacing_together(folder: Path, *, owned: Iterable[str] = ()) -> Iterator[P
     Parameters
     ----------
     folder : holds files that belong together, such as a result and its figures; files of other
-        names stay. Nobody else may write in it meanwhile (`store.lock.locked`)
+        names stay. No other process may write in it meanwhile (`store.lock.locked`)
     owned : files below it, with slashes, that are taken away where there is no new one: they would
         speak for other numbers
 
@@ -123,7 +123,7 @@ def finish_cut_off(folder: Path) -> bool:
 
     Parameters
     ----------
-    folder : nobody else may write in it meanwhile
+    folder : no other process may write in it meanwhile
 
     Returns
     -------
