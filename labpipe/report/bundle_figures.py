@@ -11,17 +11,9 @@ import numpy as np
 
 from labpipe.records.bundle import BundleModel
 from labpipe.report.numbers import write_number
-from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter
+from labpipe.report.page import DOUBLE_COLUMN, GREY, Words, keyed_page, number_log, panel_letter
 from labpipe.report.saving import FigureToSave, save_pages
-from labpipe.report.wire_look import (
-    CURVATURE,
-    LENGTH,
-    MOMENT,
-    STIFFNESS,
-    Words,
-    number_log,
-    wire_page,
-)
+from labpipe.report.wire_look import CURVATURE, LENGTH, MOMENT, STIFFNESS
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -78,8 +70,8 @@ def bundle_figure(model: BundleModel) -> Figure:
     A page. The arms of the principal axes end at the edge of the wires; bending is along y,
     upwards. Both axes of the moments are logarithmic.
     """
-    words = Words(_title(model), _note(model), _keys(model))
-    page = wire_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
+    words = Words(_title(model), _note(model), _bundle_keys(model))
+    page = keyed_page(words, height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
     section, moments = page.subplots(1, 2, width_ratios=(0.8, 1.0))
     plot_bundle_section(model, section)
     plot_bounds(model, moments)
@@ -154,7 +146,7 @@ def plot_bounds(model: BundleModel, axes: Axes) -> None:
         number_log(axis)
 
 
-def _keys(model: BundleModel) -> list[Artist]:
+def _bundle_keys(model: BundleModel) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

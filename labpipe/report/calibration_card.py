@@ -19,8 +19,7 @@ from labpipe.report.calibration_curves import (
 from labpipe.report.calibration_look import SOURCE, count_of, length_words
 from labpipe.report.calibration_profiles import INTERVAL, PRIOR, THRESHOLD, plot_profile
 from labpipe.report.calibration_words import HEADS, parameter_row, sentences
-from labpipe.report.page import DOUBLE_COLUMN, panel_letter
-from labpipe.report.wire_look import Words, wire_page
+from labpipe.report.page import DOUBLE_COLUMN, Words, keyed_page, panel_letter
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -73,7 +72,7 @@ def calibration_card(
     lines = [line for each in sentences(calibration, source) for line in _wrapped(each)]
     heights = _heights(len(rows) + len(lines) + 1.3)
     note = _RESIDUALS if predictions else f"{_RESIDUALS} {_NO_BAND}"
-    page = wire_page(
+    page = keyed_page(
         Words(_title(calibration), note, _keys(calibration, source, predictions)),
         height_mm=sum(heights) + _AROUND * len(_HEIGHTS),
         width_mm=DOUBLE_COLUMN,

@@ -20,7 +20,7 @@ from labpipe.report.calibration_look import (
     length_looks,
     length_words,
 )
-from labpipe.report.group_look import Look
+from labpipe.report.page import Look
 from labpipe.report.thinning import extremes
 from labpipe.statistics.block_means import block_means
 

@@ -13,7 +13,7 @@ from labpipe.records.calibration import (
     INSULATION_MODULUS,
     RADIAL_FRICTION,
 )
-from labpipe.report.group_look import Look
+from labpipe.report.page import Look
 from labpipe.report.wording import Scale
 
 DEFLECTION = Scale(1e3, "mm")

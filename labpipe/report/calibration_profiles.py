@@ -10,8 +10,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.calibration import CalibratedParameter, Profile
 from labpipe.report.calibration_look import MODEL, SHOWN, SOURCE, typeset
-from labpipe.report.page import GREY
-from labpipe.report.wire_look import number_log
+from labpipe.report.page import GREY, number_log
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

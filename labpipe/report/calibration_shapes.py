@@ -10,9 +10,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.report.calibration_look import DEFLECTION, MODEL, length_words
 from labpipe.report.calibration_shown import BentShape
-from labpipe.report.group_look import WIDTH
-from labpipe.report.page import say
-from labpipe.report.wire_look import Words, wire_page
+from labpipe.report.page import WIDTH, Words, keyed_page, say
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -43,13 +41,13 @@ def shapes_figure(name: str, shapes: Sequence[BentShape]) -> Figure:
     """
     title = f"{name}  \u00b7  shapes at {len(shapes)} deflections of the tip"
     if not shapes:
-        page = wire_page(Words(title), height_mm=40.0)
+        page = keyed_page(Words(title), height_mm=40.0)
         say(page.subplots(), "There is no shape to draw.")
         return page
     low, high = _box(shapes)
     across, up = (high - low).tolist()
     share = min(max(up / across, _FLATTEST), _STEEPEST)
-    page = wire_page(
+    page = keyed_page(
         Words(title, _NOTE, _keys(shapes)), height_mm=_AROUND + (WIDTH - _AROUND) * share
     )
     plot_shapes(shapes, page.subplots())

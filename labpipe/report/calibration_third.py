@@ -25,8 +25,7 @@ from labpipe.report.calibration_validation import (
     MEASURED_LOOK,
     MODEL_LOOK,
 )
-from labpipe.report.page import DOUBLE_COLUMN, panel_letter
-from labpipe.report.wire_look import Words, wire_page
+from labpipe.report.page import DOUBLE_COLUMN, Words, keyed_page, panel_letter
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -35,10 +34,10 @@ if TYPE_CHECKING:
 
 MOST_PANELS = 6
 """Panels on a page."""
-_COLUMNS, _ROW = 2, 70.0
+_THIRD_COLUMNS, _THIRD_ROW = 2, 70.0
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
-_ROOM, _LINE, _MARKED = 1.08, 44, 14
+_THIRD_ROOM, _KEY_LETTERS, _MARKED = 1.08, 44, 14
 _FREE_ROWS, _ROOM_PER_ROW, _ROW_PER_ROW = 4, 0.06, 4.0
 """Rows of a key that fit above most curves, and the room that each further one takes."""
 
@@ -99,11 +98,13 @@ def third_figure(panels: Sequence[ThirdPanel]) -> Figure:
     if not 1 <= len(panels) <= MOST_PANELS:
         message = f"{len(panels)} panels: allowed are 1 to {MOST_PANELS} on a page"
         raise ValueError(message)
-    columns = min(_COLUMNS, len(panels))
+    columns = min(_THIRD_COLUMNS, len(panels))
     rows = math.ceil(len(panels) / columns)
-    words = Words("Curves from elsewhere, tests and model", _note(panels), _keys(panels))
-    row = _ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
-    page = wire_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
+    words = Words(
+        "Curves from elsewhere, tests and model", _third_note(panels), _third_keys(panels)
+    )
+    row = _THIRD_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
+    page = keyed_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
     drawn = page.subplots(rows, columns, squeeze=False).ravel()
     for letter, panel, axes in zip("abcdef", panels, drawn, strict=False):
         plot_third(panel, axes)
@@ -135,7 +136,7 @@ def plot_third(panel: ThirdPanel, axes: Axes) -> None:
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
     lines = [_draw(each, number, axes) for number, each in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
-    room = _ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
+    room = _THIRD_ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
     axes.legend(handles=lines, loc="upper left", fontsize=7, handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
@@ -170,7 +171,7 @@ def match_words(each: ThirdCurveComparison) -> str:
     ----------
     each : held against both
     """
-    lines = textwrap.wrap(each.curve.name, _LINE)
+    lines = textwrap.wrap(each.curve.name, _KEY_LETTERS)
     lines.append("no tests to compare" if each.tests is None else _rmse("tests", each.tests))
     words = "\n".join([*lines, _rmse("model", each.model)])
     return f" {words}" if words.startswith("_") else words  # matplotlib hides such a label
@@ -185,7 +186,7 @@ def _rmse(other: str, found: CurveMatch) -> str:
     )
 
 
-def _note(panels: Sequence[ThirdPanel]) -> str:
+def _third_note(panels: Sequence[ThirdPanel]) -> str:
     """What the bands are of, and which points were not compared."""
     said = []
     if any(panel.group is not None for panel in panels):
@@ -203,7 +204,7 @@ def _note(panels: Sequence[ThirdPanel]) -> str:
     return " ".join(said)
 
 
-def _keys(panels: Sequence[ThirdPanel]) -> list[Artist]:
+def _third_keys(panels: Sequence[ThirdPanel]) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

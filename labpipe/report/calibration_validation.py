@@ -23,9 +23,8 @@ from labpipe.report.calibration_look import (
 )
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.report.concerns import sentences
-from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter
+from labpipe.report.page import DOUBLE_COLUMN, GREY, Words, keyed_page, panel_letter
 from labpipe.report.thinning import extremes
-from labpipe.report.wire_look import Words, wire_page
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -70,7 +69,7 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     columns = min(_COLUMNS, len(groups))
     rows = math.ceil(len(groups) / columns)
     words = Words("Measured and foretold first loadings", _note(groups), _keys(groups))
-    page = wire_page(words, height_mm=_ROW * rows, width_mm=DOUBLE_COLUMN)
+    page = keyed_page(words, height_mm=_ROW * rows, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(rows, columns, squeeze=False).ravel()
     for letter, group, axes in zip("abcdef", groups, panels, strict=False):
         plot_group(group, axes)

@@ -12,13 +12,12 @@ import numpy as np
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.group import Band, Campaign, Group, GroupNumber
 from labpipe.report.group_figures import stems
-from labpipe.report.group_look import Look, group_scale
+from labpipe.report.group_look import group_scale
 from labpipe.report.numbers import display_of, heading, in_words, shown_in
-from labpipe.report.page import DOUBLE_COLUMN, GREY, panel_letter, say
+from labpipe.report.page import DOUBLE_COLUMN, GREY, Look, Words, keyed_page, panel_letter, say
 from labpipe.report.questions import Family, context_words, equal_words, families, field_words
 from labpipe.report.saving import FigureToSave
 from labpipe.report.thinning import bends
-from labpipe.report.wire_look import Words, wire_page
 from labpipe.report.wording import shortened
 
 if TYPE_CHECKING:
@@ -131,7 +130,7 @@ def draw_family(family: Family) -> Figure:
     scaled = _is_scaled(family)
     number = main_number(family)
     title = f"{field_words(family.field)}  \u00b7  {context_words(family.groups, family.field)}"
-    page = wire_page(Words(title, keys=_keys(family)), height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
+    page = keyed_page(Words(title, keys=_keys(family)), height_mm=_HEIGHT, width_mm=DOUBLE_COLUMN)
     count = 1 + scaled + bool(number)
     panels = iter(page.subplots(1, count, squeeze=False).ravel())
     letters = iter("abc")

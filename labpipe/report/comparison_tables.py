@@ -30,14 +30,14 @@ def comparison_tables(comparisons: Sequence[ThirdCurveComparison]) -> list[Sheet
         "points left out", FORCE.label("RMSE"), "RMSE over the largest force (%)",
         "points inside the band (%)", "reason", "file", "from",
     )  # fmt: skip
-    rows = [row for each in comparisons for row in _agreement(each)]
+    rows = [row for each in comparisons for row in _third_agreement(each)]
     points = [row for each in comparisons for row in _points(each)]
     across, up = DEFLECTION.label("deflection"), FORCE.label("force")
     columns = ("name", across, up, FORCE.label("mean of the tests"), FORCE.label("model"))
     return [Sheet(THIRD_CURVES, heads, rows, "B2"), Sheet(THIRD_POINTS, columns, points, "B2")]
 
 
-def _agreement(each: ThirdCurveComparison) -> Iterator[tuple[Value, ...]]:
+def _third_agreement(each: ThirdCurveComparison) -> Iterator[tuple[Value, ...]]:
     curve = each.curve
     load = "normal" if curve.is_normal else "as tested"
     head = (curve.name, curve.wire, DEFLECTION.factor * curve.length, load)

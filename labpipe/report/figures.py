@@ -8,26 +8,24 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labpipe.records.result import TestResult
-from labpipe.report import (
-    force_displacement,
-    marker_quality,
-    moment_curvature,
-    stiffness_lines,
-    timeline,
-    wire_shapes,
-)
+from labpipe.report.force_displacement import draw_force_displacement
+from labpipe.report.marker_quality import draw_marker_quality
+from labpipe.report.moment_curvature import draw_moment_curvature
 from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.stiffness_lines import draw_stiffness_lines
+from labpipe.report.timeline import draw_timeline
+from labpipe.report.wire_shapes import draw_wire_shapes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FIGURES: dict[str, Callable[[TestResult], Figure]] = {
-    "force-displacement": force_displacement.draw,
-    "stiffness-lines": stiffness_lines.draw,
-    "wire-shapes": wire_shapes.draw,
-    "moment-curvature": moment_curvature.draw,
-    "timeline": timeline.draw,
-    "marker-quality": marker_quality.draw,
+    "force-displacement": draw_force_displacement,
+    "stiffness-lines": draw_stiffness_lines,
+    "wire-shapes": draw_wire_shapes,
+    "moment-curvature": draw_moment_curvature,
+    "timeline": draw_timeline,
+    "marker-quality": draw_marker_quality,
 }
 
 

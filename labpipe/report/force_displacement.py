@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MOST_COLOURS = 6
 """Cycles that a legend tells apart; more of them get a colour bar."""
 
-_BINS = 350
+_BRANCH_BINS = 350
 _BINS_WHOLE = 4000
 """Stretches that a branch is thinned to, and a curve that was not split into branches."""
 _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
@@ -30,7 +30,7 @@ _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
 }
 
 
-def draw(result: TestResult) -> Figure:
+def draw_force_displacement(result: TestResult) -> Figure:
     """Draw (a) the calibrated samples as recorded and (b) the curve that numbers come from."""
     page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=82, has_key=True)
     raw, filtered = page.subplots(1, 2, sharex=True, sharey=True)
@@ -60,11 +60,11 @@ def plot_raw(result: TestResult, axes: Axes) -> None:
     pair = series["displacement"].values, series["force"].values
     branches = result.curve.branches if result.curve is not None else ()
     if not branches:
-        _line(result, axes, *pair, bins=_BINS_WHOLE, color=GREY, linewidth=0.5)
+        _plot_thinned(result, axes, *pair, bins=_BINS_WHOLE, color=GREY, linewidth=0.5)
     for branch, colour in zip(branches, _branch_colours(branches), strict=True):
         ends = np.searchsorted(result.aligned.time, [branch.start_time, branch.stop_time])
         part = slice(ends[0], ends[1] + 1)
-        _line(result, axes, pair[0][part], pair[1][part], color=colour, linewidth=0.5)
+        _plot_thinned(result, axes, pair[0][part], pair[1][part], color=colour, linewidth=0.5)
     _label(result, axes)
 
 
@@ -81,18 +81,18 @@ def plot_filtered(result: TestResult, axes: Axes) -> None:
         say(axes, why_missing(result, "curve"))
         return
     if not curve.branches:
-        _line(result, axes, curve.displacement, curve.force, bins=_BINS_WHOLE, color=GREY)
+        _plot_thinned(result, axes, curve.displacement, curve.force, bins=_BINS_WHOLE, color=GREY)
     for branch, colour in zip(curve.branches, _branch_colours(curve.branches), strict=True):
         # one sample more: the line of a branch reaches the line of the next
         part = slice(branch.start, branch.stop + 1)
         pair = curve.displacement[part], curve.force[part]
-        _line(result, axes, *pair, color=colour, linestyle=_STYLES[branch.direction])
+        _plot_thinned(result, axes, *pair, color=colour, linestyle=_STYLES[branch.direction])
     _mark_peaks(result, axes, curve)
     _label(result, axes)
 
 
-def _line(
-    result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = _BINS, **look: Any
+def _plot_thinned(
+    result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = _BRANCH_BINS, **look: Any
 ) -> None:
     kept = extremes(y, bins=bins)
     across, up = scale(result, "displacement", "m"), scale(result, "force", "N")

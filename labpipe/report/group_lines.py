@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.group import Group
-from labpipe.report.group_look import (
-    first_loading,
-    group_page,
-    group_scale,
-    label_axes,
-    thin,
-)
+from labpipe.report.group_look import first_loading, group_page, group_scale, label_axes, thin
 from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_mean
 
 if TYPE_CHECKING:
@@ -21,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_HEIGHT = 82.0
+_LINES_HEIGHT = 82.0
 _CURVES = "#9a9a9a"
 _WINDOW: dict[str, Any] = {
     "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 2
@@ -40,7 +34,7 @@ def draw_lines(group: Group) -> Figure:
     ----------
     group : one with lines
     """
-    page = group_page(group, _keys(group), height_mm=_HEIGHT, columns=1)
+    page = group_page(group, _line_keys(group), height_mm=_LINES_HEIGHT, columns=1)
     axes = page.subplots()
     plot_lines(group, axes)
     label_axes(group, axes)
@@ -89,7 +83,7 @@ def _looks(group: Group) -> dict[str, dict[str, Any]]:
     }
 
 
-def _keys(group: Group) -> list[Artist]:
+def _line_keys(group: Group) -> list[Artist]:
     from matplotlib.lines import Line2D
 
     return [

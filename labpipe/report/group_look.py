@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Group, Sample, SampleCurve
-from labpipe.records.result import Status
 from labpipe.report.numbers import display_of, shown_in
-from labpipe.report.page import titled_page
+from labpipe.report.page import Look, Words, keyed_page
 from labpipe.report.thinning import bends
 from labpipe.report.wording import Scale
 
@@ -22,21 +20,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-WIDTH = 120.0
-"""mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 RED = "#b2182b"
 POINTS, FAINT_POINTS = 120, 40
 """Points that a curve is drawn with at the most, so that a page of thirty tests is below 1 MB."""
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
-_KEY_COLUMNS = 3
-_NOTE_WIDTH = 96
-
-
-class Look(NamedTuple):
-    """Colour and dash of a spool."""
-
-    colour: str
-    dash: Any
 
 
 def spool_looks(group: Group) -> dict[str, Look]:
@@ -64,7 +51,7 @@ def count_words(group: Group) -> str:
 
 
 def group_page(
-    group: Group, keys: Sequence[Artist], *, height_mm: float, note: str = "", columns: int = 0
+    group: Group, keys: Sequence[Artist], *, height_mm: float, note: str = "", columns: int = 3
 ) -> Figure:
     """Make the empty page of a group's figure, with the key below its title.
 
@@ -76,21 +63,8 @@ def group_page(
     note : footnote, broken into lines here
     columns : of the key
     """
-    from labpipe.report.page import put_key
-
-    columns = columns or _KEY_COLUMNS
-    rows = math.ceil(len(keys) / columns)
-    lines = textwrap.wrap(note, _NOTE_WIDTH)
-    page = titled_page(
-        f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}",
-        "\n".join(lines),
-        width_mm=WIDTH,
-        height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
-        key_rows=rows,
-    )
-    if keys:
-        put_key(page, keys, columns=columns)
-    return page
+    title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
+    return keyed_page(Words(title, note, keys), height_mm=height_mm, columns=columns)
 
 
 def panel_grid(page: Figure, count: int, *, columns: int) -> list[Axes]:
@@ -133,11 +107,6 @@ def first_loading(sample: Sample) -> SampleCurve | None:
 def value_of(sample: Sample, name: str) -> float | None:
     """A result of a sample by its name, in SI; None where it failed or was not asked for."""
     return next((each.value for each in sample.results if each.name == name), None)
-
-
-def is_doubtful(sample: Sample, name: str) -> bool:
-    """Tell whether the result of that name is doubtful."""
-    return any(each.name == name and each.status is Status.DOUBTFUL for each in sample.results)
 
 
 def label_axes(group: Group, axes: Axes) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_PANELS = 8
-_COLUMNS = 2
+_SLIP_COLUMNS = 2
 _HEIGHT = 62.0
 _LONGEST = 40
 _MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
@@ -51,12 +51,12 @@ def draw_slips(group: Group) -> Figure:
     """
     samples = with_slips(group)
     shown, rest = samples[:MOST_PANELS], samples[MOST_PANELS:]
-    rows = math.ceil(len(shown) / _COLUMNS)
+    rows = math.ceil(len(shown) / _SLIP_COLUMNS)
     note = (
         f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
     )
-    page = group_page(group, _keys(shown), height_mm=_HEIGHT * rows, note=note)
-    panels = panel_grid(page, len(shown), columns=_COLUMNS)
+    page = group_page(group, _slip_keys(shown), height_mm=_HEIGHT * rows, note=note)
+    panels = panel_grid(page, len(shown), columns=_SLIP_COLUMNS)
     for sample, axes in zip(shown, panels, strict=True):
         plot_slips(group, sample, axes)
         axes.set_title(shortened(sample.test, _LONGEST), loc="left")
@@ -101,7 +101,7 @@ def _is_repaired(sample: Sample) -> bool:
     return any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips)
 
 
-def _keys(samples: list[Sample]) -> list[Artist]:
+def _slip_keys(samples: list[Sample]) -> list[Artist]:
     from matplotlib.lines import Line2D
 
     keys: list[Artist] = [Line2D([], [], label="as processed")]

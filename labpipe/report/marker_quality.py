@@ -29,7 +29,7 @@ _COLUMNS = 900
 _MM_PER_ROW = 4.2
 
 
-def draw(result: TestResult) -> Figure:
+def draw_marker_quality(result: TestResult) -> Figure:
     """Draw markers as rows against time, and below them the error of the rigid bodies."""
     rows = 0 if result.shape is None else int(_is_marker(result.shape).sum())
     upper = max(rows * _MM_PER_ROW, 25.0)
@@ -68,10 +68,10 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     axes.margins(x=0.01)
-    _explain(axes, set(np.unique(flags)))
+    _name_flags(axes, set(np.unique(flags)))
 
 
-def _explain(axes: Axes, present: set[int]) -> None:
+def _name_flags(axes: Axes, present: set[int]) -> None:
     from matplotlib.patches import Patch
 
     handles = [

@@ -34,7 +34,7 @@ _LEAST_SHOWN = 1e-3
 """Of the largest curvature: where the axis of stiffnesses begins if nothing is noise."""
 
 
-def draw(result: TestResult) -> Figure:
+def draw_moment_curvature(result: TestResult) -> Figure:
     """Draw (a) the cloud of all branches with the law and (b) the law's stiffnesses."""
     if result.bending is None:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from labpipe.records.result import TestResult
 from labpipe.report.wording import footnote, printable, shortened, title
@@ -20,14 +21,42 @@ if TYPE_CHECKING:
     from matplotlib.text import Text
 
 STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
-SINGLE_COLUMN = 90.0
 DOUBLE_COLUMN = 180.0
+WIDTH = 120.0
+"""mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 GREY = "#666666"
 _MM_PER_INCH = 25.4
 _LINE_MM = 4.2
 _EDGE = 0.012
 _LONGEST_TICK, _LONGEST_LINE = 40, 150
 """Characters of a word at an axis, and of a line anywhere on a page."""
+_FEW_DECADES = 500.0
+_NOTE_CHARACTERS = 0.8
+"""Characters of a footnote for each mm of the page's width."""
+_KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
+"""mm of a key's line, and of each character behind it."""
+
+
+class Words(NamedTuple):
+    """Title, footnote and key of a page.
+
+    Parameters
+    ----------
+    title : one line
+    note : footnote, broken into lines by the page
+    keys : signs to explain
+    """
+
+    title: str
+    note: str = ""
+    keys: Sequence[Artist] = ()
+
+
+class Look(NamedTuple):
+    """Colour and dash of what lines belong to: a spool, a wire, a length, a group."""
+
+    colour: str
+    dash: Any
 
 
 @contextmanager
@@ -98,6 +127,42 @@ def titled_page(
     pad = 1.2 / _MM_PER_INCH
     figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)
     return figure
+
+
+def keyed_page(
+    words: Words, *, height_mm: float, width_mm: float = WIDTH, columns: int = 0
+) -> Figure:
+    """Make an empty page with its key below the title.
+
+    Parameters
+    ----------
+    words : what is around the panels
+    height_mm : mm, without the lines of the key and of the footnote
+    width_mm : mm on paper
+    columns : of the key; as many as have room if 0
+    """
+    columns = columns or _columns([len(str(key.get_label())) for key in words.keys], width_mm - 2.0)
+    rows = math.ceil(len(words.keys) / columns)
+    lines = textwrap.wrap(words.note, int(_NOTE_CHARACTERS * width_mm))
+    page = titled_page(
+        words.title,
+        "\n".join(lines),
+        width_mm=width_mm,
+        height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
+        key_rows=rows,
+    )
+    if words.keys:
+        put_key(page, words.keys, columns=columns)
+    return page
+
+
+def _columns(lengths: Sequence[int], room: float) -> int:
+    """Columns of a key: one line if all fits, else as many as the longest words allow."""
+    widths = [_KEY_HANDLE + _KEY_CHARACTER * length for length in lengths]
+    if sum(widths) <= room:
+        return max(len(widths), 1)
+    most = max(int(room / max(widths)), 1)
+    return math.ceil(len(widths) / math.ceil(len(widths) / most))
 
 
 def finish_layout(page: Figure) -> None:
@@ -206,3 +271,19 @@ def say(axes: Axes, sentence: str) -> None:
         va="center",
         color=GREY,
     )
+
+
+def number_log(axis: Axis) -> None:
+    """Write plain numbers at 1, 2 and 5 of each decade where there are few decades, else at 1.
+
+    Parameters
+    ----------
+    axis : a logarithmic one, with its limits set
+    """
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    low, high = axis.get_view_interval()
+    steps = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+    axis.set_major_locator(LogLocator(subs=steps))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())

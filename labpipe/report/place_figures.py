@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.report.concerns import sentences
 from labpipe.report.numbers import unit_words
-from labpipe.report.page import GREY
+from labpipe.report.page import GREY, Words, keyed_page, number_log
 from labpipe.report.place_tables import place_scales
 from labpipe.report.saving import FigureToSave
-from labpipe.report.wire_look import Words, number_log, wire_page
 from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
@@ -84,8 +83,8 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     places : rows, from the top
     scale : display unit of bending stiffness
     """
-    words = Words("Between slipping and sticking  \u00b7  bundle model", keys=_keys())
-    page = wire_page(words, height_mm=_REST + _ROW * len(places), width_mm=150.0)
+    words = Words("Between slipping and sticking  \u00b7  bundle model", keys=_place_keys())
+    page = keyed_page(words, height_mm=_REST + _ROW * len(places), width_mm=150.0)
     axes = page.subplots()
     low, high = _ends(places, scale.factor)
     axes.set_xscale("log")
@@ -145,7 +144,7 @@ def _label(place: BundlePlace) -> str:
     return words if len(words) <= _LONGEST else f"{words[: _LONGEST - 1]}\u2026"
 
 
-def _keys() -> list[Artist]:
+def _place_keys() -> list[Artist]:
     from matplotlib.lines import Line2D
 
     return [

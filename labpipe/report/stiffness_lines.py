@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_BINS = 1500
+_LOADING_BINS = 1500
 _COLUMNS = 3
 _MOST_OTHERS = 4
 """Entries of the key beside the lines: loading, as measured, break point or slip, failure."""
@@ -28,7 +28,7 @@ _PLACES = {
 """Results that are places on the axis of displacement: words for the key, and style of the line."""
 
 
-def draw(result: TestResult) -> Figure:
+def draw_stiffness_lines(result: TestResult) -> Figure:
     """Draw the first loading branch with the lines that stiffnesses were read from."""
     bundle = [
         name for name in _PLACES if name != "break_point" and _value(result, name) is not None
@@ -72,11 +72,11 @@ def plot_branch(result: TestResult, axes: Axes) -> None:
     across, up = _scales(result)
     if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
         measured = result.aligned.series["force"].values[part]
-        kept = extremes(measured, bins=_BINS)
+        kept = extremes(measured, bins=_LOADING_BINS)
         x, y = curve.displacement[part][kept] * across.factor, measured[kept] * up.factor
         axes.plot(x, y, color=GREY, linestyle=(0, (4, 1.6)), linewidth=0.6, label="as measured")
     force = curve.force[part]
-    kept = extremes(force, bins=_BINS)
+    kept = extremes(force, bins=_LOADING_BINS)
     x, y = curve.displacement[part][kept] * across.factor, force[kept] * up.factor
     axes.plot(x, y, linewidth=0.8, label="loading")
 

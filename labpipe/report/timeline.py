@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_BINS = 900
+_TIME_BINS = 900
 _MOTIONS = {"travel": "Travel", "displacement": "Displacement"}
 """Series that show the motion, the better one first, and the word on the axis."""
 _TWO_SIDED_95 = 1.96
 
 
-def draw(result: TestResult) -> Figure:
+def draw_timeline(result: TestResult) -> Figure:
     """Draw force and motion on one time axis, and the alignment residuals where there are any."""
     fit = result.aligned.clock_fit if result.aligned is not None else None
     page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=110 if fit else 80)
@@ -47,7 +47,7 @@ def plot_force(result: TestResult, axes: Axes) -> None:
     aligned, curve = result.aligned, result.curve
     if aligned is not None and "force" in aligned.series:
         values = aligned.series["force"].values
-        _line(
+        _plot_over_time(
             result,
             axes,
             aligned.time,
@@ -57,7 +57,7 @@ def plot_force(result: TestResult, axes: Axes) -> None:
             label="raw",
         )
     if curve is not None:
-        _line(
+        _plot_over_time(
             result,
             axes,
             curve.time,
@@ -81,7 +81,7 @@ def plot_motion(result: TestResult, axes: Axes) -> None:
         return
     word, time, values = found
     up, along = scale(result, "displacement", "m"), scale(result, "time", "s")
-    _line(result, axes, time, values * up.factor, color="C0", label="motion")
+    _plot_over_time(result, axes, time, values * up.factor, color="C0", label="motion")
     turns = turning_points(result)
     if len(turns):
         heights = np.interp(turns, time, values, left=np.nan, right=np.nan) * up.factor
@@ -149,8 +149,10 @@ def _words(fit: ClockFit) -> str:
     )
 
 
-def _line(result: TestResult, axes: Axes, time: Floats, shown: Floats, **look: Any) -> None:
-    kept = extremes(shown, bins=_BINS)
+def _plot_over_time(
+    result: TestResult, axes: Axes, time: Floats, shown: Floats, **look: Any
+) -> None:
+    kept = extremes(shown, bins=_TIME_BINS)
     along = scale(result, "time", "s").factor
     axes.plot(time[kept] * along, shown[kept], **look)
     axes.margins(x=0.01)

@@ -7,22 +7,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.wire import WireTable
-from labpipe.report.page import say
-from labpipe.report.wire_look import (
-    FORCE,
-    LENGTH,
-    Words,
-    warnings_of,
-    wire_page,
-    wire_title,
-)
+from labpipe.report.page import Words, keyed_page, say
+from labpipe.report.wire_look import FORCE, LENGTH, warnings_of, wire_title
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_HEIGHT = 70.0
+_CANTILEVER_HEIGHT = 70.0
 _CURVE: dict[str, Any] = {"color": "#0072B2", "linewidth": 1.5, "zorder": 3}
 _STICK: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.4))}
 _SLIP: dict[str, Any] = {"color": "black", "linewidth": 0.6, "linestyle": (0, (5, 1.5, 1.2, 1.5))}
@@ -43,10 +36,10 @@ def cantilever_figure(table: WireTable) -> Figure:
     """
     note = " ".join([*_setting(table), warnings_of(table)]).strip()
     if not len(table.tip_deflection):
-        page = wire_page(Words(wire_title(table), note), height_mm=40.0)
+        page = keyed_page(Words(wire_title(table), note), height_mm=40.0)
         say(page.subplots(), "There is no cantilever curve to draw.")
         return page
-    page = wire_page(Words(wire_title(table), note, _keys()), height_mm=_HEIGHT)
+    page = keyed_page(Words(wire_title(table), note, _keys()), height_mm=_CANTILEVER_HEIGHT)
     plot_cantilever(table, page.subplots())
     return page
 

@@ -9,25 +9,23 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.report.page import panel_letter
+from labpipe.report.page import Words, keyed_page, panel_letter
 from labpipe.report.wire_look import (
     CURVATURE,
     MOMENT,
     MOST_WIRES,
-    Words,
     bent,
     set_log,
     short_name,
     stiffness_scale,
     wire_looks,
-    wire_page,
 )
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
-_HEIGHT = 76.0
+_COMPARISON_HEIGHT = 76.0
 _RANGES = "Each line ends where the range of its law ends."
 
 
@@ -47,7 +45,7 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
         message = f"{len(tables)} wires: allowed are 1 to {MOST_WIRES} on a page"
         raise ValueError(message)
     words = Words("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
-    page = wire_page(words, height_mm=_HEIGHT)
+    page = keyed_page(words, height_mm=_COMPARISON_HEIGHT)
     left, right = page.subplots(1, 2)
     unit = stiffness_scale(tables)
     for table, look in zip(tables, wire_looks(tables), strict=True):

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import math
-import textwrap
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report.group_look import WIDTH, Look
-from labpipe.report.page import put_key, titled_page
+from labpipe.report.page import Look, number_log
 from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
-    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
-    from matplotlib.axis import Axis
-    from matplotlib.figure import Figure
 
 CURVATURE = Scale(1.0, "1/m")
 LENGTH = Scale(1e3, "mm")
@@ -34,59 +28,6 @@ MOST_WIRES = 12
 
 _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _LONGEST_NAME = 24
-_FEW_DECADES = 500.0
-_NOTE_CHARACTERS = 0.8
-"""Characters of a footnote for each mm of the page's width."""
-_KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
-"""mm of a key's line, and of each character behind it."""
-
-
-class Words(NamedTuple):
-    """Title, footnote and key of a page.
-
-    Parameters
-    ----------
-    title : one line
-    note : footnote, broken into lines by the page
-    keys : signs to explain
-    """
-
-    title: str
-    note: str = ""
-    keys: Sequence[Artist] = ()
-
-
-def wire_page(words: Words, *, height_mm: float, width_mm: float = WIDTH) -> Figure:
-    """Make an empty page with as many columns in its key as have room.
-
-    Parameters
-    ----------
-    words : what is around the panels
-    height_mm : mm, without the lines of the key and of the footnote
-    width_mm : mm on paper
-    """
-    columns = _columns([len(str(key.get_label())) for key in words.keys], width_mm - 2.0)
-    rows = math.ceil(len(words.keys) / columns)
-    lines = textwrap.wrap(words.note, int(_NOTE_CHARACTERS * width_mm))
-    page = titled_page(
-        words.title,
-        "\n".join(lines),
-        width_mm=width_mm,
-        height_mm=height_mm + 4.6 * rows + 3.8 * len(lines),
-        key_rows=rows,
-    )
-    if words.keys:
-        put_key(page, words.keys, columns=columns)
-    return page
-
-
-def _columns(lengths: Sequence[int], room: float) -> int:
-    """Columns of a key: one line if all fits, else as many as the longest words allow."""
-    widths = [_KEY_HANDLE + _KEY_CHARACTER * length for length in lengths]
-    if sum(widths) <= room:
-        return max(len(widths), 1)
-    most = max(int(room / max(widths)), 1)
-    return math.ceil(len(widths) / math.ceil(len(widths) / most))
 
 
 def stiffness_scale(tables: Sequence[WireTable]) -> Scale:
@@ -170,19 +111,3 @@ def set_log(axes: Axes, across: Floats) -> None:
     axes.set_xlabel(CURVATURE.label("Curvature"))
     for axis in (axes.xaxis, axes.yaxis):
         number_log(axis)
-
-
-def number_log(axis: Axis) -> None:
-    """Write plain numbers at 1, 2 and 5 of each decade where there are few decades, else at 1.
-
-    Parameters
-    ----------
-    axis : a logarithmic one, with its limits set
-    """
-    from matplotlib.ticker import LogLocator, NullFormatter
-
-    low, high = axis.get_view_interval()
-    steps = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
-    axis.set_major_locator(LogLocator(subs=steps))
-    axis.set_major_formatter("{x:g}")
-    axis.set_minor_formatter(NullFormatter())

@@ -11,16 +11,8 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report.numbers import write_number
-from labpipe.report.page import DOUBLE_COLUMN, GREY
-from labpipe.report.wire_look import (
-    LENGTH,
-    MOST_WIRES,
-    Words,
-    short_name,
-    stiffness_scale,
-    strand_words,
-    wire_page,
-)
+from labpipe.report.page import DOUBLE_COLUMN, GREY, Words, keyed_page
+from labpipe.report.wire_look import LENGTH, MOST_WIRES, short_name, stiffness_scale, strand_words
 from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
@@ -67,7 +59,7 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
     columns = min(_COLUMNS, len(tables))
     rows = math.ceil(len(tables) / columns)
     width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
-    page = wire_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 8.0, width_mm=width)
+    page = keyed_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 8.0, width_mm=width)
     panels = page.subplots(rows, columns, squeeze=False).ravel()
     unit = stiffness_scale(tables)
     for table, axes, reach in zip(tables, panels, _reaches(tables), strict=False):

@@ -40,7 +40,7 @@ class Steps:
     word: str
 
 
-def draw(result: TestResult) -> Figure:
+def draw_wire_shapes(result: TestResult) -> Figure:
     """Draw shapes in the plane of bending; without branches in two planes."""
     shape = result.shape
     if shape is None or not len(shape.time):
@@ -57,7 +57,7 @@ def draw(result: TestResult) -> Figure:
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             panel_letter(axes, letter, f"x-{'xyz'[plane]} view")
-    _explain(page, shape, steps)
+    _name_signs(page, shape, steps)
     _name_steps(result, panels[0], steps)
     return page
 
@@ -201,7 +201,7 @@ def _colours(count: int) -> list[str]:
     return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, count)]
 
 
-def _explain(page: Figure, shape: Shape, steps: Steps) -> None:
+def _name_signs(page: Figure, shape: Shape, steps: Steps) -> None:
     """Name the signs that are drawn, above the panels."""
     from matplotlib.lines import Line2D
 

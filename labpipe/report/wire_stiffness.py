@@ -10,17 +10,14 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.report.numbers import write_number
-from labpipe.report.page import panel_letter
+from labpipe.report.page import Words, keyed_page, number_log, panel_letter
 from labpipe.report.wire_look import (
     CURVATURE,
     MOMENT,
-    Words,
     bent,
-    number_log,
     set_log,
     stiffness_scale,
     warnings_of,
-    wire_page,
     wire_title,
 )
 from labpipe.report.wording import Scale
@@ -75,7 +72,7 @@ def stiffness_figure(table: WireTable) -> Figure:
     orientations of the section.
     """
     words = Words(wire_title(table), warnings_of(table), _stiffness_keys(table))
-    page = wire_page(words, height_mm=_HEIGHT)
+    page = keyed_page(words, height_mm=_HEIGHT)
     plot_stiffness(table, page.subplots())
     return page
 
@@ -167,7 +164,7 @@ def moment_figure(table: WireTable) -> Figure:
     curvature on a logarithmic axis, where the change from stick to slip is seen.
     """
     words = Words(wire_title(table), warnings_of(table), _moment_keys())
-    page = wire_page(words, height_mm=_PAIR_HEIGHT)
+    page = keyed_page(words, height_mm=_PAIR_HEIGHT)
     left, right = page.subplots(1, 2)
     plot_parts(table, left)
     plot_shares(table, right)

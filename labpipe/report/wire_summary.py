@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 
 from labpipe.records.arrays import Ints
 from labpipe.records.wire import WireTable
+from labpipe.report.sheets import Value
 from labpipe.report.thinning import bends
-from labpipe.report.wire_look import (
-    CURVATURE,
-    FORCE,
-    LENGTH,
-    MOMENT,
-    STIFFNESS,
-    bent,
-    warnings_of,
-)
-
-Value: TypeAlias = str | float | None
+from labpipe.report.wire_look import CURVATURE, FORCE, LENGTH, MOMENT, STIFFNESS, bent, warnings_of
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is told, m."""

@@ -8,7 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from labpipe.records.result import TestResult
-from labpipe.report.force_displacement import cycle_colours, draw, plot_filtered, plot_raw
+from labpipe.report.force_displacement import (
+    cycle_colours,
+    draw_force_displacement,
+    plot_filtered,
+    plot_raw,
+)
 from labpipe.report.page import style
 from tests.store.builders_result import build_result
 
@@ -63,7 +68,7 @@ def test_curve_without_branches_is_one_line(result: TestResult) -> None:
         axes = Figure().subplots()
         plot(still, axes)
         assert sum(line.get_marker() == "None" for line in axes.lines) == 1
-    draw(still)
+    draw_force_displacement(still)
 
 
 def test_missing_stages_are_said(result: TestResult) -> None:
@@ -73,12 +78,15 @@ def test_missing_stages_are_said(result: TestResult) -> None:
     plot_filtered(bare, filtered)
     assert _sentences(raw) == ["There is no unfiltered force and displacement to draw."]
     assert _sentences(filtered) == ["There is no curve to draw."]
-    assert len(draw(bare).axes) == 2
+    assert len(draw_force_displacement(bare).axes) == 2
 
 
 def test_few_cycles_get_a_key_many_a_colour_bar(result: TestResult) -> None:
     with style():
-        few, many = draw(result), draw(build_result(half_cycle=1.0, cycles=35))
+        few, many = (
+            draw_force_displacement(result),
+            draw_force_displacement(build_result(half_cycle=1.0, cycles=35)),
+        )
     names = [text.get_text() for text in few.legends[0].get_texts()]
     assert names == ["cycle 1", "cycle 2", "cycle 3", "loading", "unloading", "peak"]
     assert len(few.axes) == 2
@@ -92,7 +100,7 @@ def test_few_cycles_get_a_key_many_a_colour_bar(result: TestResult) -> None:
 def test_key_names_no_unloading_where_there_is_none(result: TestResult) -> None:
     assert result.curve is not None
     pulled = replace(result, curve=replace(result.curve, branches=result.curve.branches[:1]))
-    names = [text.get_text() for text in draw(pulled).legends[0].get_texts()]
+    names = [text.get_text() for text in draw_force_displacement(pulled).legends[0].get_texts()]
     assert names == ["cycle 1", "loading", "peak"]
 
 
@@ -105,7 +113,7 @@ def test_panel_b_says_whether_anything_was_filtered(result: TestResult) -> None:
     )
     slack = replace(plain, displacement=plain.displacement - 1e-3)
     titles = [
-        draw(replace(result, curve=curve)).axes[1].get_title(loc="left")
+        draw_force_displacement(replace(result, curve=curve)).axes[1].get_title(loc="left")
         for curve in (result.curve, plain, slack)
     ]
     assert titles == ["(b) Filtered", "(b) Not filtered", "(b) Corrected, not filtered"]

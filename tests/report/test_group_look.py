@@ -7,19 +7,17 @@ from matplotlib.lines import Line2D
 
 from labpipe.report.group_look import (
     POINTS,
-    WIDTH,
     count_words,
     finite_end,
     first_loading,
     group_page,
     group_scale,
-    is_doubtful,
     panel_grid,
     spool_looks,
     thin,
     value_of,
 )
-from labpipe.report.page import style
+from labpipe.report.page import WIDTH, style
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
 
 
@@ -51,8 +49,6 @@ def test_values_of_samples() -> None:
     samples = troubled_samples()
     assert value_of(samples[4], "stiffness_first") is None
     assert value_of(samples[0], "unheard_of") is None
-    assert is_doubtful(samples[0], "stiffness_first")
-    assert not is_doubtful(samples[1], "stiffness_first")
     assert first_loading(samples[4]) is None
     assert finite_end(np.array([1.0, np.nan])) == 1.0
     assert finite_end(np.array([np.nan])) == 0.0

@@ -9,7 +9,12 @@ from matplotlib.figure import Figure
 
 from labpipe.records.curve import PointFlag
 from labpipe.records.result import TestResult
-from labpipe.report.marker_quality import FLAG_COLOURS, draw, plot_flags, plot_tracking
+from labpipe.report.marker_quality import (
+    FLAG_COLOURS,
+    draw_marker_quality,
+    plot_flags,
+    plot_tracking,
+)
 from tests.store.builders_result import build_result
 
 
@@ -77,7 +82,7 @@ def test_tracking_without_bodies_counts_visible_markers(result: TestResult) -> N
 
 
 def test_missing_stages_are_said(result: TestResult) -> None:
-    page = draw(replace(result, shape=None, recordings={}))
+    page = draw_marker_quality(replace(result, shape=None, recordings={}))
     assert [axes.texts[0].get_text() for axes in page.axes] == [
         "There is no shape to draw.",
         "There is no take to draw.",

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from labpipe.records.bending import Bending
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
-from labpipe.report.moment_curvature import draw, plot_cloud, plot_stiffness
+from labpipe.report.moment_curvature import draw_moment_curvature, plot_cloud, plot_stiffness
 from labpipe.report.page import style
 from tests.builders.measured_bending import some_bending, some_cloud, some_law
 from tests.store.builders_result import build_result
@@ -64,7 +64,7 @@ def test_without_a_law_the_points_stay_and_a_sentence_says_why(result: TestResul
         result, bending=Bending(some_cloud(), None, Reason("no_law", "expected at least 24"))
     )
     with style():
-        page = draw(bare)
+        page = draw_moment_curvature(bare)
     points, empty = page.axes
     assert len(points.lines) == 2
     assert [text.get_text() for text in empty.texts] == ["no_law: expected at least 24"]
@@ -72,14 +72,14 @@ def test_without_a_law_the_points_stay_and_a_sentence_says_why(result: TestResul
 
 def test_without_a_measurement_the_page_says_so(result: TestResult) -> None:
     with style():
-        page = draw(replace(result, bending=None))
+        page = draw_moment_curvature(replace(result, bending=None))
     (axes,) = page.axes
     assert axes.texts[0].get_text().startswith("There is no measured moment-curvature to draw.")
 
 
 def test_the_key_names_what_is_drawn(result: TestResult) -> None:
     with style():
-        page = draw(result)
+        page = draw_moment_curvature(result)
     named = [text.get_text() for text in page.legends[0].get_texts()]
     assert named == [
         *("cycle 1", "loading", "unloading"),

@@ -11,7 +11,12 @@ from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.result import Result, TestResult
 from labpipe.records.slips import Slip, SlipDecision
 from labpipe.report.page import style
-from labpipe.report.stiffness_lines import draw, mark_points, plot_branch, plot_lines
+from labpipe.report.stiffness_lines import (
+    draw_stiffness_lines,
+    mark_points,
+    plot_branch,
+    plot_lines,
+)
 from tests.store.builders_result import build_result
 
 LINE = FittedLine("stiffness_first", slope=2000.0, level=1.0, start=0.002, stop=0.008)
@@ -84,7 +89,7 @@ def test_kink_and_onset_of_a_plateau_are_marked(result: TestResult) -> None:
 
 def test_key_has_every_entry(result: TestResult) -> None:
     with style():
-        page = draw(result)
+        page = draw_stiffness_lines(result)
     told = [text.get_text() for text in page.legends[0].get_texts()]
     assert told == [
         "as measured",
@@ -98,6 +103,6 @@ def test_key_has_every_entry(result: TestResult) -> None:
 
 def test_without_a_curve_a_sentence_says_why(result: TestResult) -> None:
     with style():
-        page = draw(replace(result, curve=None))
+        page = draw_stiffness_lines(replace(result, curve=None))
     (axes,) = page.axes
     assert "There is no loading branch to draw." in axes.texts[0].get_text()

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from labpipe.records.curve import Aligned
 from labpipe.records.result import TestResult
 from labpipe.report.timeline import (
-    draw,
+    draw_timeline,
     motion,
     plot_force,
     plot_motion,
@@ -26,14 +26,14 @@ def result() -> TestResult:
 
 
 def test_panels_and_labels(result: TestResult) -> None:
-    labels = [axes.get_ylabel() for axes in draw(result).axes]
+    labels = [axes.get_ylabel() for axes in draw_timeline(result).axes]
     assert labels == ["Force (N)", "Travel (mm)", "Residual (ms)"]
-    assert draw(result).axes[-1].get_xlabel() == "Time (s)"
+    assert draw_timeline(result).axes[-1].get_xlabel() == "Time (s)"
 
 
 def test_without_clock_fit_there_is_no_residual_panel(result: TestResult) -> None:
     assert result.aligned is not None
-    page = draw(replace(result, aligned=replace(result.aligned, clock_fit=None)))
+    page = draw_timeline(replace(result, aligned=replace(result.aligned, clock_fit=None)))
     assert [axes.get_ylabel() for axes in page.axes] == ["Force (N)", "Travel (mm)"]
 
 
@@ -100,4 +100,4 @@ def test_missing_stages_are_said(result: TestResult) -> None:
         "There is no motion to draw.",
         "There is no clock fit to draw.",
     ]
-    draw(bare)
+    draw_timeline(bare)

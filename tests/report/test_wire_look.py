@@ -8,17 +8,15 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.lines import Line2D
 
-from labpipe.report.page import style
+from labpipe.report.page import Words, keyed_page, style
 from labpipe.report.wire_look import (
     MOST_WIRES,
-    Words,
     bent,
     pages,
     short_name,
     strand_words,
     warnings_of,
     wire_looks,
-    wire_page,
     wire_title,
 )
 from tests.builders.wire_tables import wire_table
@@ -78,7 +76,7 @@ def test_zero_curvature_has_no_place_on_a_logarithmic_axis() -> None:
 )
 def test_key_has_as_many_columns_as_there_is_room_for(count: int, words: int, columns: int) -> None:
     keys = [Line2D([], [], label="x" * words) for _ in range(count)]
-    page = wire_page(Words("title", "note", keys), height_mm=50.0)
+    page = keyed_page(Words("title", "note", keys), height_mm=50.0)
     canvas: Any = FigureCanvasAgg(page)
     canvas.draw()
     across = {round(text.get_window_extent().x0) for text in page.legends[0].get_texts()}

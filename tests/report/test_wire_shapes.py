@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from labpipe.records.curve import PointFlag
 from labpipe.records.result import TestResult
-from labpipe.report.wire_shapes import choose_frames, draw, plot_shapes
+from labpipe.report.wire_shapes import choose_frames, draw_wire_shapes, plot_shapes
 from tests.store.builders_result import LENGTH, build_result
 
 
@@ -68,8 +68,8 @@ def test_curves_and_signs(result: TestResult) -> None:
 
 
 def test_cantilever_is_drawn_in_one_plane_a_free_take_in_two(result: TestResult) -> None:
-    assert [axes.get_ylabel() for axes in draw(result).axes] == ["y (mm)"]
-    page = draw(replace(result, curve=None))
+    assert [axes.get_ylabel() for axes in draw_wire_shapes(result).axes] == ["y (mm)"]
+    page = draw_wire_shapes(replace(result, curve=None))
     assert [axes.get_ylabel() for axes in page.axes] == ["y (mm)", "z (mm)"]
     legend = page.axes[0].get_legend()
     assert legend is not None
@@ -96,12 +96,12 @@ def test_shape_without_a_curve_or_a_tip(result: TestResult) -> None:
         flags=np.zeros_like(result.shape.flags),
         coefficients=np.empty((frames, 3, 0)),
     )
-    page = draw(replace(result, shape=bare, curve=None))
+    page = draw_wire_shapes(replace(result, shape=bare, curve=None))
     assert len(page.axes) == 2
 
 
 def test_missing_shape_is_said(result: TestResult) -> None:
-    for axes in (draw(replace(result, shape=None)).axes[0], Figure().subplots()):
+    for axes in (draw_wire_shapes(replace(result, shape=None)).axes[0], Figure().subplots()):
         if not axes.texts:
             plot_shapes(replace(result, shape=None), axes)
         assert axes.texts[0].get_text() == "There is no shape to draw."
