@@ -48,6 +48,7 @@ class Fault:
     expected, found : as in every message of labpipe
     remedy : what to do about it; may be empty
     at : whether the key itself is at fault, or its value
+    missing : the key that is not there, where that is the fault
     """
 
     path: KeyPath
@@ -55,6 +56,7 @@ class Fault:
     found: str
     remedy: str = ""
     at: At = "value"
+    missing: str = ""
 
 
 def complaint(file: object, place: str, *, expected: str, found: str, remedy: str) -> str:

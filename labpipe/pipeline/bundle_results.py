@@ -92,9 +92,8 @@ def _kink(displacement: Floats, force: Floats, low: float, high: float) -> Kink 
 def plateau_results(bench: Bench, entry: Plateau) -> list[Result]:
     """``end_slope`` (1); ``plateau_displacement`` (m), ``plateau_force`` (N) if there is one."""
     over = 1e3 * entry.over
-    share = Asked(
-        "end_slope", "1", CURVE, f"slope over the last {over:g} mm of first loading / {entry.of}"
-    )
+    how = f"slope over the last {over:g} mm of first loading / {entry.of}"
+    share = Asked("end_slope", "1", CURVE, how, made_of=entry.of)
     initial = bench.stiffnesses.get(entry.of)
     if initial is None:
         why = blocked_or(bench, Failure("no_stiffness", f"{entry.of} could not be had"))
@@ -145,8 +144,8 @@ def _onset_results(bench: Bench, entry: Plateau, initial: Estimate, end: Result)
     first = bench.cycles()[0][0]
     doubts = [doubt_of(bench, entry.of) or _unseen_end(bench, first)]
     asked = (
-        Asked("plateau_displacement", "m", CURVE, method),
-        Asked("plateau_force", "N", CURVE, method),
+        Asked("plateau_displacement", "m", CURVE, method, made_of=entry.of),
+        Asked("plateau_force", "N", CURVE, method, made_of=entry.of),
     )
     during = while_loading(bench)
     return [
@@ -240,7 +239,8 @@ def beam_results(bench: Bench, entry: BendingStiffness, protocol: Protocol) -> l
     specimen = protocol.specimen
     key = "length" if entry.support == "cantilever" else "span"
     formula = "L^3 / 3" if entry.support == "cantilever" else "L^3 / 48"
-    asked = Asked(entry.name, "N*m^2", CURVE, f"{entry.of} x {formula}, L = specimen.{key}")
+    how = f"{entry.of} x {formula}, L = specimen.{key}"
+    asked = Asked(entry.name, "N*m^2", CURVE, how, made_of=entry.of)
     stiffness = bench.stiffnesses.get(entry.of)
     length = specimen.length if key == "length" else specimen.span
     outcome: _Number

@@ -85,7 +85,7 @@ def _compared(
         fields = {name: (after, before) for name, (before, after) in fields.items()}
     unlike = unlike_words(settings_by_test((*one.samples, *other.samples), settings))
     compared = compare_groups(one, other, names=said.main, margin=said.margin)
-    return [replace(each, verdict=each.verdict + unlike, fields=fields) for each in compared]
+    return [replace(each, caveats=(*each.caveats, *unlike), fields=fields) for each in compared]
 
 
 def _is_backwards(fields: Mapping[str, tuple[str, str]]) -> bool:

@@ -35,7 +35,6 @@ COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
 """The columns of a campaign's table; besides them, every dotted key of a protocol is one, and every
 label."""
 _NEEDED = ("test", "protocol", *_SPECIMEN)
-_MISSING = re.compile(r"the key '(\w+)'")
 _UNIT_IN_HEADING = re.compile(r"(.+?)\s*[(\[](.+)[)\]]")
 
 
@@ -218,10 +217,10 @@ def _faults(test: NewTest, file: Path, folder: Path, protocols: Path | None) -> 
 
 def _worded(fault: Fault, test: NewTest, file: Path) -> str:
     """Word a fault at the cell, or the option, that it comes from."""
-    missing, column = _MISSING.fullmatch(fault.expected), _column_of(fault)
+    column = _column_of(fault)
     place = test.places.get(column) or test.places.get("test")
     place = f"{place} ({column})" if place else column
-    if missing:
+    if fault.missing:
         expected, remedy = f"a value for {column!r}", "Fill it in."
         return complaint(file, place, expected=expected, found="none", remedy=remedy)
     said = (fault.expected, fault.found)
@@ -230,12 +229,11 @@ def _worded(fault: Fault, test: NewTest, file: Path) -> str:
 
 def _column_of(fault: Fault) -> str:
     path = [str(part) for part in fault.path]
-    missing = _MISSING.fullmatch(fault.expected)
     if path[:2] == ["specimen", "bundle"]:
-        key = missing[1] if missing else path[2]
+        key = fault.missing or path[2]
         return next(column for column, filled in BUNDLE.items() if filled == key)
-    if missing:
-        return missing[1]
+    if fault.missing:
+        return fault.missing
     if path[:2] == ["specimen", "labels"]:
         return f"{LABELS}{path[2]}"
     return path[1] if path[0] in ("specimen", "files", "overrides") and len(path) > 1 else path[0]

@@ -30,6 +30,7 @@ class Asked:
     needs : branches of a cycle that must have been recorded to their end
     reads : what of a cycle it is read from, from and to, counted in branches: 0.9 is when nine
         tenths of the loading are over, 1 its end, 2 the end of unloading
+    made_of : name of the result that it is made of; empty for none
     """
 
     name: str
@@ -38,6 +39,7 @@ class Asked:
     method: str
     needs: int = 0
     reads: tuple[float, float] = (0.0, 2.0)
+    made_of: str = ""
 
 
 _TO_THE_TOP = frozenset({"peak_force", "failure_force", "energy", "energy_to_break"})
@@ -96,7 +98,6 @@ def to_result(
         told = [*why, outcome] if outcome.code in _CUT_SHORT else [outcome, *why]
         reasons = tuple(dict.fromkeys(told))
         return Result(name, None, asked.unit, None, Status.FAILED, reasons, asked.method, 0)
-    method = f"{asked.method}{_added_back(bench)}" if asked.name in _TO_THE_TOP else asked.method
     found += [each for each in doubts if each is not None]
     return Result(
         name=name,
@@ -105,15 +106,17 @@ def to_result(
         interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
         status=Status.DOUBTFUL if found else Status.OK,
         reasons=tuple(dict.fromkeys(found)),
-        method=method,
+        method=asked.method,
         n=outcome.n,
+        made_of=asked.made_of,
+        remark=_added_back(bench) if asked.name in _TO_THE_TOP else "",
     )
 
 
 def _added_back(bench: Bench) -> str:
-    """What repaired slips have added to the force, for the method of what rests on it."""
+    """What repaired slips have added to the force, to be said of what rests on it."""
     drops = [slip.drop for slip in bench.slips if slip.decision is SlipDecision.REPAIRED]
-    return f"; {sum(drops):.3g} N of slips added back" if drops else ""
+    return f"{sum(drops):.3g} N of slips added back" if drops else ""
 
 
 def while_loading(

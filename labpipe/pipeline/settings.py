@@ -53,10 +53,11 @@ def _flat(data: object, at: str) -> Iterator[tuple[str, str]]:
 def _by_label(items: Sequence[Any]) -> dict[str, Any]:
     """Items by name, or by kind, with a number where that is taken."""
     found: dict[str, Any] = {}
+    times: Counter[str] = Counter()
     for item in items:
         label = next((str(item[key]) for key in ("name", "step", "result") if key in item), "item")
-        number = 1 + sum(known.partition(" ")[0] == label for known in found)
-        found[label if number == 1 else f"{label} {number}"] = item
+        times[label] += 1
+        found[label if times[label] == 1 else f"{label} {times[label]}"] = item
     return found
 
 
@@ -136,7 +137,7 @@ def settings_by_test(
     }
 
 
-def unlike_words(settings: Mapping[str, Settings]) -> str:
+def unlike_words(settings: Mapping[str, Settings]) -> tuple[str, ...]:
     """Name the settings that differ among the tests of a comparison; empty where none does.
 
     Parameters
@@ -151,7 +152,7 @@ def unlike_words(settings: Mapping[str, Settings]) -> str:
     keys = list(differing(settings))
     if len(keys) > _MOST_KEYS:
         keys = list(dict.fromkeys(key.partition(".")[0] for key in keys))
-    return f"; the tests were processed otherwise: {', '.join(keys)} differ" if keys else ""
+    return (f"the tests were processed otherwise: {', '.join(keys)} differ",) if keys else ()
 
 
 def _is_told(key: str, told: Sequence[str]) -> bool:

@@ -115,7 +115,7 @@ def _segments(bench: Bench, low: float, high: float) -> TwoSegments | Failure:
 def normalised_stiffness(bench: Bench, *, of: str) -> list[Result]:
     """A stiffness over the largest force of all cycles (1/m); a gain error cancels."""
     method = f"{of} / peak force of the same sample, errors independent, scale error cancelled"
-    asked = Asked(f"{of}_per_peak_force", "1/m", CURVE, method)
+    asked = Asked(f"{of}_per_peak_force", "1/m", CURVE, method, made_of=of)
     doubts = [doubt_of(bench, of), *(broken_off(bench, each[:1]) for each in bench.cycles()[-1:])]
     window, cycles = bench.windows.get(of), bench.cycles()
     during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window and cycles else None
@@ -146,7 +146,7 @@ def _largest_peak(bench: Bench) -> Estimate | Failure:
 def modulus_result(bench: Bench, entry: Modulus, specimen: SpecimenBlock) -> list[Result]:
     """A modulus (Pa): stiffness x gauge length / area, the area named."""
     method = f"{entry.of} x specimen.length / area ({entry.area}); sizes taken as exact"
-    asked = Asked(entry.name, "Pa", CURVE, method)
+    asked = Asked(entry.name, "Pa", CURVE, method, made_of=entry.of)
     stiffness, area = bench.stiffnesses.get(entry.of), _area(entry.area, specimen)
     outcome: Estimate | Failure
     if stiffness is None:

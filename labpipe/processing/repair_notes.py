@@ -115,7 +115,7 @@ def _by_column(
 
 def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
     """One note per exchange of labels, and per stretch that had no label."""
-    exchanges: dict[tuple[int, int], list[str]] = {}
+    exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
         for column, start, stop in _foreign(take.pieces, label, chains):
             words = f"{take.names[label]} stood under {take.names[column]}"
@@ -126,11 +126,11 @@ def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[Qualit
                 where = f"{take.names[label]}, {span}"
                 yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
             else:
-                exchanges.setdefault((start, stop), []).append(words)
+                exchanges.setdefault((start, stop), []).append((take.names[label], words))
     for (start, stop), who in sorted(exchanges.items()):
         span = take.span(start, stop)
-        message = f"{', '.join(who)}, {span}; label switch undone"
-        names = ", ".join(words.partition(" stood under ")[0] for words in who)
+        message = f"{', '.join(words for _, words in who)}, {span}; label switch undone"
+        names = ", ".join(name for name, _ in who)
         yield QualityNote("label_switch", Severity.WARNING, f"{names}, {span}", message)
 
 

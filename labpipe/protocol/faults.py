@@ -102,6 +102,7 @@ def _error(fault: Fault) -> PydanticCustomError:
         "found": fault.found,
         "remedy": fault.remedy,
         "at": fault.at,
+        "missing": fault.missing,
     }
     return PydanticCustomError(_TYPE, "expected {expected}, found {found}. {remedy}", context)
 
@@ -110,11 +111,12 @@ def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
     path = _path_in(data, line["loc"])
     context = line.get("ctx", {})
     if line["type"] == "labpipe":
-        told = (context[part] for part in ("expected", "found", "remedy", "at"))
+        told = (context[part] for part in ("expected", "found", "remedy", "at", "missing"))
         return Fault(path, *told)
     if line["type"] in ("missing", "union_tag_not_found"):
-        key = _quoted(context["discriminator"])[0] if context else line["loc"][-1]
-        return Fault(path, f"the key {key!r}", "no such key", f"Add the key {key!r}.")
+        key = _quoted(context["discriminator"])[0] if context else str(line["loc"][-1])
+        remedy = f"Add the key {key!r}."
+        return Fault(path, f"the key {key!r}", "no such key", remedy, missing=key)
     match line["type"]:
         case "extra_forbidden":
             word = str(path[-1])

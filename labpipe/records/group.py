@@ -89,6 +89,23 @@ class MeanInterval:
 
 
 @dataclass(frozen=True, slots=True)
+class Decision:
+    """How samples of several spools were averaged, and why, in words.
+
+    Parameters
+    ----------
+    done : what was averaged, such as ``Over 3 spool means``
+    because : the numbers it rests on, a clause each
+    """
+
+    done: str
+    because: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{': '.join(filter(None, (self.done, '; '.join(self.because))))}."
+
+
+@dataclass(frozen=True, slots=True)
 class NestedMean:
     """A mean of samples that were cut from spools, and the decision how to average them.
 
@@ -98,7 +115,7 @@ class NestedMean:
     over_samples : all samples taken as independent
     over_spools : spool means taken as independent; None for one spool
     is_pooled : whether `chosen` is `over_samples`; always so for one spool
-    decision : in words, with the numbers it rests on
+    decision : what was averaged, and the numbers that say so
     spool_means : by spool, mean and interval over its samples
     within : standard deviation of samples of one spool; NaN where no spool has two samples
     between : standard deviation of the true means of spools: the scatter of the spool means less
@@ -111,7 +128,7 @@ class NestedMean:
     over_samples: MeanInterval
     over_spools: MeanInterval | None
     is_pooled: bool
-    decision: str
+    decision: Decision
     spool_means: Mapping[str, MeanInterval]
     within: float
     between: float
@@ -202,6 +219,7 @@ class Difference:
     margin : in `unit`, difference that does not matter in practice; None where it is not stated
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     verdict : in words
+    caveats : what speaks against the comparison, a clause each
     fields : what of the specimens differs between the groups: word of the first and of the second,
         by field
     """
@@ -214,7 +232,13 @@ class Difference:
     margin: float | None
     p_equivalent: float
     verdict: str
+    caveats: tuple[str, ...] = ()
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+
+    @property
+    def words(self) -> str:
+        """The verdict with its caveats."""
+        return "; ".join((self.verdict, *self.caveats))
 
     @property
     def question(self) -> str:

@@ -34,8 +34,11 @@ class Result:
     interval : None when there is none to be had; a reason then says why
     status : ``failed`` exactly when `value` is None
     reasons : why a result is doubtful, failed, or lacks an interval; empty otherwise
-    method : in words, how the value and the interval were made
+    method : in words, how the value and the interval were made; the same in tests that were
+        processed alike
     n : number of samples it rests on
+    made_of : name of the result that it is made of, such as a stiffness; empty for none
+    remark : what is to be said of the number of this test alone: force that slips added
     """
 
     name: str
@@ -46,6 +49,8 @@ class Result:
     reasons: tuple[Reason, ...] = ()
     method: str = ""
     n: int = 0
+    made_of: str = ""
+    remark: str = ""
 
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status is Status.FAILED):
@@ -54,6 +59,11 @@ class Result:
         if self.status is not Status.OK and not self.reasons:
             message = f"{self.name}: a {self.status} result must say why"
             raise ValueError(message)
+
+    @property
+    def how(self) -> str:
+        """The method, with what is to be said of this test alone."""
+        return "; ".join(filter(None, (self.method, self.remark)))
 
     @property
     def why(self) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from labpipe.records.group import Group, GroupNumber, NestedMean, Sample
+from labpipe.records.group import Decision, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.concerns import decision_words, sentence, sentences
@@ -157,9 +157,8 @@ def _decisions(means: Sequence[NestedMean]) -> tuple[list[str], tuple[str, ...]]
     return special, (f"Every number: {every[0].lower()}{every[1:]}.",) if shared else ()
 
 
-def _clauses(decision: str) -> list[str]:
-    done, colon, why = decision.removesuffix(".").partition(": ")
-    return [f"{done}:", *why.split("; ")] if colon else [done]
+def _clauses(decision: Decision) -> list[str]:
+    return [f"{decision.done}:", *decision.because] if decision.because else [decision.done]
 
 
 def _sentence(clauses: Sequence[str]) -> str:

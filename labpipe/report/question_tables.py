@@ -30,10 +30,10 @@ def question_table(pair: Pair) -> Table:
 
     Returns
     -------
-    A row per number, with the difference as a share of the first mean below it. What the verdicts
-    of all numbers have in common, stands once, below the table.
+    A row per number, with the difference as a share of the first mean below it. What is said
+    against the comparison of every number, stands once, below the table.
     """
-    caveats = [each.verdict.split("; ")[1:] for each in pair.differences]
+    caveats = [each.caveats for each in pair.differences]
     shared = [each for each in caveats[0] if all(each in own for own in caveats)]
     rows = [
         _row(_without(each, shared), display_of(pair.first), _share_of(each, pair.first))
@@ -44,9 +44,8 @@ def question_table(pair: Pair) -> Table:
 
 
 def _without(difference: Difference, caveats: Sequence[str]) -> Difference:
-    verdict, *rest = difference.verdict.split("; ")
-    kept = [verdict, *(each for each in rest if each not in caveats)]
-    return replace(difference, verdict="; ".join(kept))
+    kept = tuple(each for each in difference.caveats if each not in caveats)
+    return replace(difference, caveats=kept)
 
 
 def _share_of(difference: Difference, first: Group) -> str:
@@ -112,7 +111,7 @@ def _row(difference: Difference, display: Mapping[str, str], below: str) -> tupl
         Cell(written.value),
         Cell(written.interval or none),
         Cell(matters),
-        Cell(difference.verdict),
+        Cell(difference.words),
     )
 
 

@@ -107,7 +107,7 @@ def _mean(group: Group, number: GroupNumber) -> Row:
     return (
         *head, up * chosen.mean, *_ends(chosen.interval, up), up * chosen.deviation, chosen.n,
         "samples" if mean.is_pooled else "spool means", mean.over_samples.n, up * mean.within,
-        up * mean.between, mean.spool_p, mean.decision, str(chosen.reason or ""),
+        up * mean.between, mean.spool_p, str(mean.decision), str(chosen.reason or ""),
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def _samples(campaign: Campaign) -> _Table:
                 scale = shown_in(result.name, result.unit, sample.display)
                 value = None if result.value is None else scale.factor * result.value
                 ends = _ends(result.interval, scale.factor)
-                about = (str(result.status), result.why, result.method)
+                about = (str(result.status), result.why, result.how)
                 number = (in_words(result.name), result.name)
                 rows.append((*head, *number, value, scale.unit, *ends, *about))
     return heads, rows
@@ -163,7 +163,7 @@ def _comparisons(campaign: Campaign) -> _Table:
         margin = None if each.margin is None else scale.factor * each.margin
         names = (in_words(each.name), each.name, each.first, each.second, scale.unit)
         ends = _ends(found.interval, scale.factor)
-        about = (margin, each.p_equivalent, each.verdict, str(found.reason or ""))
+        about = (margin, each.p_equivalent, each.words, str(found.reason or ""))
         fields = (each.question, fields_in_words(each)) if has_fields else ()
         rows.append((*names, scale.factor * found.mean, *ends, *about, *fields))
     return (*heads, *(("question", "differ in") if has_fields else ())), rows

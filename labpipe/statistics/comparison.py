@@ -109,9 +109,9 @@ def compare(
     one, two = first[1].chosen, second[1].chosen
     found = difference_of_means(one, two)
     p = float("nan") if margin is None else equivalence_p(one, two, margin)
-    caveat = _caveat([first, second])
-    verdict = _verdict(found, margin, p, share=_relative(margin, one.mean)) + caveat
-    return Difference(name, unit, first[0], second[0], found, margin, p, verdict)
+    verdict = _verdict(found, margin, p, share=_relative(margin, one.mean))
+    caveats = _caveats([first, second])
+    return Difference(name, unit, first[0], second[0], found, margin, p, verdict, caveats)
 
 
 def _relative(margin: float | None, mean: float) -> str:
@@ -139,9 +139,9 @@ def _verdict(found: MeanInterval, margin: float | None, p: float, *, share: str)
     return f"cannot tell: the 95 % interval of the difference holds zero, {said}"
 
 
-def _caveat(groups: list[tuple[str, NestedMean]]) -> str:
+def _caveats(groups: list[tuple[str, NestedMean]]) -> tuple[str, ...]:
     """What the comparison cannot know where all samples of a group are from one spool."""
     single = [name for name, mean in groups if len(mean.spool_means) == 1]
     if not single:
-        return ""
-    return f"; {' and '.join(single)}: one spool, so how spools differ is not in it"
+        return ()
+    return (f"{' and '.join(single)}: one spool, so how spools differ is not in it",)

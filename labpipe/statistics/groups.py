@@ -145,7 +145,7 @@ def compare_groups(
     Returns
     -------
     One per result that has a mean in both groups and one unit, in the order of `names`. The margin
-    in the unit of the result is taken as known, though the mean behind it was measured. The verdict
+    in the unit of the result is taken as known, though the mean behind it was measured. A caveat
     says so where the numbers of the two were not made alike.
     """
     one = {number.name: number for number in first.numbers}
@@ -163,4 +163,4 @@ def _difference(
     size = abs(one.mean.chosen.mean)
     room = None if margin is None or size == 0 else margin * size
     found = compare(one.name, one.unit, (first, one.mean), (second, two.mean), room)
-    return replace(found, verdict=found.verdict + apart(one, two))
+    return replace(found, caveats=(*found.caveats, *apart(one, two)))

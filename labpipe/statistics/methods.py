@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 
 from labpipe.records.group import GroupNumber, Sample
@@ -11,8 +10,6 @@ from labpipe.records.quality import QualityNote, Severity
 PROTOCOLS_DIFFER = "protocols_differ"
 _NAMED = 4
 """Tests that are called by name where more than two share what is said of them."""
-_OF_ONE_TEST = re.compile(r"; [^;]* of slips added back$")
-"""What a method says of the test and not of the way it was processed."""
 
 
 def ways_of(number: GroupNumber) -> dict[str, list[str]]:
@@ -24,12 +21,12 @@ def ways_of(number: GroupNumber) -> dict[str, list[str]]:
 
     Returns
     -------
-    Tests by method, in the order in which they come; one entry where all were made alike. How much
-    force repaired slips added is not a method: it is another one in each test.
+    Tests by method, in the order in which they come; one entry where all were made alike. Remarks
+    do not count: they speak of one test each.
     """
     found: dict[str, list[str]] = {}
     for test, result in number.values.items():
-        found.setdefault(_OF_ONE_TEST.sub("", result.method), []).append(test)
+        found.setdefault(result.method, []).append(test)
     return found
 
 
@@ -42,15 +39,15 @@ def mixed(numbers: Sequence[GroupNumber]) -> dict[str, dict[str, list[str]]]:
 
     Returns
     -------
-    Tests by method, by result; of a number whose method names another one, the ways of that one.
+    Tests by method, by result; of a number that is made of another one, the ways of that one.
     """
     ways = {number.name: ways_of(number) for number in numbers}
     found = {name: own for name, own in ways.items() if len(own) > 1}
-    for name, own in ways.items():
-        made_of = {word for method in own for word in re.findall(r"[\w.]+", method)}
+    for number in numbers:
+        made_of = {result.made_of for result in number.values.values()}
         source = next((known for known in found if known in made_of), None)
-        if source is not None and name not in found:
-            found[name] = found[source]
+        if source is not None and number.name not in found:
+            found[number.name] = found[source]
     return found
 
 
@@ -101,9 +98,9 @@ def parted(tests: Mapping[str, Sequence[str]]) -> str:
     return f"{'; '.join(words[:-1])} and {words[-1]}"
 
 
-def apart(one: GroupNumber, two: GroupNumber) -> str:
+def apart(one: GroupNumber, two: GroupNumber) -> tuple[str, ...]:
     """Say that two groups have a number that was not made alike; empty where it was."""
     first, second = list(ways_of(one)), list(ways_of(two))
     if sorted(first) == sorted(second) and len(first) == 1:
-        return ""
-    return f"; not made alike: {' or '.join(first)} against {' or '.join(second)}"
+        return ()
+    return (f"not made alike: {' or '.join(first)} against {' or '.join(second)}",)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.group import MeanInterval, NestedMean
+from labpipe.records.group import Decision, MeanInterval, NestedMean
 from labpipe.statistics.means import mean_interval
 from labpipe.statistics.spools import SpoolScatter, equal_spools_p, smallest_p, spool_scatter
 
@@ -87,13 +87,14 @@ def _known(values: Sequence[float] | Floats) -> Floats:
 
 
 def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
-    said = "No samples."
+    said = Decision("No samples")
     if over_samples.n:
         counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
-        said = (
-            f"Over {counted} of one spool: how spools differ is not known, so the interval "
-            "speaks of this spool and not of the type."
+        why = (
+            "how spools differ is not known, so the interval speaks of this spool and not of the "
+            "type"
         )
+        said = Decision(f"Over {counted} of one spool", (why,))
     nan = float("nan")
     return NestedMean(
         chosen=over_samples,
@@ -115,7 +116,7 @@ def _decision(
     limits: PoolingLimits,
     *,
     is_pooled: bool,
-) -> str:
+) -> Decision:
     """The decision in words: what was averaged, and the numbers that say so."""
     counts = tuple(len(values) for values in spools)
     done = (
@@ -124,14 +125,15 @@ def _decision(
         else f"Over {len(counts)} spool means, not pooled over {sum(counts)} samples"
     )
     if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
-        return f"{done}: all values are equal, so there is no scatter to tell spools apart by."
-    return f"{done}: {_share_words(scatter, limits)}; {_test_words(p, counts, limits)}."
+        why = "all values are equal, so there is no scatter to tell spools apart by"
+        return Decision(done, (why,))
+    return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
 
 
-def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> str:
-    """How the variance is shared out; what is asked of it stands behind a semicolon."""
+def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
+    """How the variance is shared out, and what is asked of it."""
     if np.isnan(scatter.within):
-        return "no spool has two samples, so the scatter within spools is not known"
+        return ("no spool has two samples, so the scatter within spools is not known",)
     upper = f"{100.0 * scatter.share_upper:.3g} %"
     if scatter.between == 0.0:
         found = (
@@ -141,10 +143,11 @@ def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> str:
     else:
         found = f"{100 * scatter.share:.3g} % of the variance lies between spools{_ratio(scatter)}"
         found += f", and it may be up to {upper}"
-    return (
-        f"{found}; pooling needs that share below {100 * limits.max_spool_share:.3g} % "
+    needed = (
+        f"pooling needs that share below {100 * limits.max_spool_share:.3g} % "
         f"with {100 * limits.confidence:.4g} % confidence"
     )
+    return found, needed
 
 
 def _ratio(scatter: SpoolScatter) -> str:

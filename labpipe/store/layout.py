@@ -200,7 +200,7 @@ LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise"
 
 # /results/<name> and /quality
 RESULTS: Final = "results"
-RESULT_TEXTS: Final = ("unit", "status", "method")
+RESULT_TEXTS: Final = ("unit", "status", "method", "made_of", "remark")
 REASON_CODES: Final = "reason_codes"
 REASON_MESSAGES: Final = "reason_messages"
 INTERVAL_NUMBERS: Final = ("lower", "upper", "level")

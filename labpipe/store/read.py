@@ -27,6 +27,7 @@ from labpipe.store.bending import read_bending
 from labpipe.store.checked import array, arrays, opened, strings, text, texts
 from labpipe.store.reasons import read_reasons
 from labpipe.store.recordings import read_notes, read_recording
+from labpipe.store.schema_1 import method_parts
 from labpipe.store.specimen import read_specimen
 
 
@@ -328,11 +329,14 @@ def _shape(group: Any) -> Shape:
 
 
 def _results(group: Any) -> tuple[Result, ...]:
-    return tuple(_result(name, group[name]) for name in texts(group, "order"))
+    names = texts(group, "order")
+    return tuple(_result(name, group[name], {*names} - {name}) for name in names)
 
 
-def _result(name: str, group: Any) -> Result:
-    status = Status(text(group, "status"))
+def _result(name: str, group: Any, others: set[str]) -> Result:
+    status, method = Status(text(group, "status")), text(group, "method")
+    is_new = "made_of" in group.attrs
+    parts = {each: text(group, each) for each in ("made_of", "remark")} if is_new else {}
     return Result(
         name=name,
         value=None if status is Status.FAILED else float(group.attrs["value"]),
@@ -340,6 +344,6 @@ def _result(name: str, group: Any) -> Result:
         interval=_interval(group) if "lower" in group.attrs else None,
         status=status,
         reasons=read_reasons(group),
-        method=text(group, "method"),
         n=int(group.attrs["n"]),
+        **({"method": method, **parts} if is_new else method_parts(method, others)),
     )

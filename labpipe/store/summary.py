@@ -105,7 +105,7 @@ def _entry(result: Result) -> dict[str, object]:
         "level": _number(interval.level) if interval else None,
         "status": str(result.status),
         "reasons": [asdict(reason) for reason in result.reasons],
-        "method": result.method,
+        "method": result.how,
     }
 
 

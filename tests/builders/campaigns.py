@@ -16,6 +16,7 @@ from labpipe.records.curve import FittedLine, Interval
 from labpipe.records.group import (
     Band,
     Campaign,
+    Decision,
     Difference,
     Group,
     GroupNumber,
@@ -137,9 +138,11 @@ def build_number(name: str, samples: Sequence[Sample]) -> GroupNumber:
     is_pooled = over_spools is None or name != "stiffness_first"
     chosen = over_samples if is_pooled or over_spools is None else over_spools
     decision = (
-        "Pooled: the spools do not differ by the Anderson-Darling test (p = 0.21)."
+        Decision("Pooled", ("the spools do not differ by the Anderson-Darling test (p = 0.21)",))
         if is_pooled
-        else "Not pooled: the spools differ (p = 0.02), so that the mean is taken over spool means."
+        else Decision(
+            "Not pooled", ("the spools differ (p = 0.02), so that the mean is over spool means",)
+        )
     )
     nested = NestedMean(
         chosen, over_samples, over_spools, is_pooled, decision, spools, 1.05, 7.27, 0.21

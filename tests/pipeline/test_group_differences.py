@@ -69,6 +69,6 @@ def test_tests_that_were_processed_otherwise_are_told() -> None:
     settings = {each.source: {"results.kink.to": "5 mm"} for each in samples}
     settings[samples[0].source] = {"results.kink.to": "4 mm"}
     found = find_differences(groups, wishes, settings, by=("type",))
-    assert found.shown[0].verdict.endswith(
+    assert found.shown[0].words.endswith(
         "; the tests were processed otherwise: results.kink.to differ"
     )

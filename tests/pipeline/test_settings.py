@@ -39,12 +39,12 @@ def test_a_setting_that_differs_is_told_at_its_key(tube: Protocol) -> None:
     assert (note.code, note.where) == ("protocols_differ", "curve.failure.force_below")
     assert note.message == "set otherwise from test to test: 20 % (c) and 50 % (a, b)"
     assert unlike_words({"a": own, "c": other}) == (
-        "; the tests were processed otherwise: curve.failure.force_below differ"
+        "the tests were processed otherwise: curve.failure.force_below differ",
     )
     assert not unlike_words({"a": own, "b": own})
     bare = settings_of(tube.model_copy(update={"steps": (), "results": (), "branches": None}))
     assert unlike_words({"a": own, "b": bare}) == (
-        "; the tests were processed otherwise: steps, branches, results differ"
+        "the tests were processed otherwise: steps, branches, results differ",
     )
 
 

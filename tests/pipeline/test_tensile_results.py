@@ -131,5 +131,5 @@ def test_what_was_added_back_is_said_of_the_peak() -> None:
     curve = "slips: {decision: repaired, min_drop: 0.5 N}"
     lower = slipped(travel, force, (0.006, 3.0))
     _, results = pulled(travel, lower, curve=curve, results=["peak-force", LINE])
-    assert results["peak_force.1"].method.endswith(" N of slips added back")
+    assert results["peak_force.1"].remark.endswith(" N of slips added back")
     assert "added back" not in results["stiffness"].method

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from labpipe.records.group import Decision
 from labpipe.report.group_tables import (
     Cell,
     Table,
@@ -96,7 +97,7 @@ def test_a_mean_over_numbers_made_in_two_ways_says_so() -> None:
     assert row(table, "Stiffness, second region (N/mm)")[3].small == ""
 
 
-def with_decisions(*decisions: str) -> Table:
+def with_decisions(*decisions: Decision) -> Table:
     group = build_group("A", six_samples())
     numbers = [
         replace(number, mean=replace(number.mean, decision=decision))
@@ -107,7 +108,9 @@ def with_decisions(*decisions: str) -> Table:
 
 
 def test_a_decision_that_holds_for_all_numbers_stands_once() -> None:
-    table = with_decisions(*["Over 3 samples of one spool: the type is not known."] * 2)
+    table = with_decisions(
+        *[Decision("Over 3 samples of one spool", ("the type is not known",))] * 2
+    )
     assert table.heads == ("Number", "Spool s1", "Spool s2")
     assert len(table.rows[0]) == 3
     assert table.notes == ("Over 3 samples of one spool: the type is not known.",)
@@ -115,13 +118,14 @@ def test_a_decision_that_holds_for_all_numbers_stands_once() -> None:
 
 def test_what_decisions_share_stands_below_the_table() -> None:
     table = with_decisions(
-        "Over 2 spool means: 90 % lies between; the test cannot tell.",
-        "Over 2 spool means: 80 % lies between; the test cannot tell.",
+        Decision("Over 2 spool means", ("90 % lies between", "the test cannot tell")),
+        Decision("Over 2 spool means", ("80 % lies between", "the test cannot tell")),
     )
     assert [cells[3].text for cells in table.rows] == ["90 % lies between.", "80 % lies between."]
     assert table.notes == ("Every number: over 2 spool means; the test cannot tell.",)
     table = with_decisions(
-        "Over 2 spool means: no scatter; no test.", "Over 2 spool means: no test."
+        Decision("Over 2 spool means", ("no scatter", "no test")),
+        Decision("Over 2 spool means", ("no test",)),
     )
     assert [cells[3].text for cells in table.rows] == ["No scatter.", "As below."]
 

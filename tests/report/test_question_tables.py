@@ -90,7 +90,7 @@ def test_what_is_said_of_one_number_stays_with_it() -> None:
     samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("7 B2"))]
     (pair,) = answering_pairs(bundle_campaign(samples))
     first, second = pair.differences
-    odd = replace(first, verdict=f"{first.verdict}; not made alike: this against that")
+    odd = replace(first, caveats=(*first.caveats, "not made alike: this against that"))
     table = question_table(replace(pair, differences=(odd, second)))
     assert table.rows[0][4].text.endswith("leaves zero out; not made alike: this against that")
     assert "not made alike" not in table.notes[0]

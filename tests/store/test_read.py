@@ -127,7 +127,7 @@ def test_newer_schema(path: Path) -> None:
 
 
 def glued(root: h5py.File) -> None:
-    """Turn a result file into one of schema 1, where reasons are one text."""
+    """Turn a result file into one of schema 1: reasons are one text, remarks are in methods."""
     root.attrs["labpipe_schema"] = 1
     for name in (*(f"results/{each}" for each in root["results"]), "bending", "bending/law"):
         if name in root:
@@ -135,6 +135,10 @@ def glued(root: h5py.File) -> None:
             told = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
             attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in told)
             del attributes["reason_codes"], attributes["reason_messages"]
+    for result in (root["results"][each].attrs for each in root["results"]):
+        if result["remark"]:
+            result["method"] += f"; {result['remark']}"
+        del result["made_of"], result["remark"]
 
 
 def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
@@ -143,8 +147,13 @@ def test_a_file_of_schema_1_is_read(tmp_path: Path) -> None:
         Reason("frozen_channel", "the force stands still; for 3 s: from 1 s; is it connected?"),
         Reason("gap", "4 samples are missing"),
     )
-    doubtful = replace(result.results[0], status=Status.DOUBTFUL, reasons=several)
-    result = replace(result, results=(doubtful, *result.results[1:]))
+    first, *rest = result.results
+    doubtful = replace(
+        first, status=Status.DOUBTFUL, reasons=several, remark="3 N of slips added back"
+    )
+    how = f"{first.name} / peak force; errors independent"
+    share = replace(first, name="share", method=how, made_of=first.name)
+    result = replace(result, results=(doubtful, share, *rest))
     write_result(result, tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5", "a") as root:
         glued(root)
