@@ -17,7 +17,7 @@ def verdict(
     first: dict[str, list[float]], second: dict[str, list[float]], margin: float | None
 ) -> str:
     one, two = ("one", nested_mean(first)), ("two", nested_mean(second))
-    return compare("stiffness", "N/m", one, two, margin).verdict
+    return compare("stiffness", "N/m", one, two, margin).words
 
 
 def test_interval_is_that_of_welch() -> None:
@@ -78,4 +78,4 @@ def test_nested_groups_compare_spool_means() -> None:
     first = {"a": [57.0, 58.0, 57.5], "b": [47.0, 46.0, 47.5]}
     said = compare("k", "1/m", ("one", nested_mean(first)), ("two", nested_mean(first)))
     assert said.difference.n == 4
-    assert "one spool" not in said.verdict
+    assert "one spool" not in said.words
