@@ -7,7 +7,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError
+from labpipe.readers.files import unreadable
 from labpipe.readers.workbooks import is_workbook, open_sheets
 
 if TYPE_CHECKING:
@@ -89,14 +90,13 @@ def recognise_export(path: Path) -> Reader:
     from labpipe.readers.strangers import recognise_stranger
 
     stranger = recognise_stranger(path)
-    text = complaint(
+    raise unreadable(
         path,
         "",
-        expected=f"an export of a known format ({', '.join(READERS)})",
-        found=stranger.what,
-        remedy=stranger.remedy,
+        f"an export of a known format ({', '.join(READERS)})",
+        stranger.what,
+        stranger.remedy,
     )
-    raise ReadError(text)
 
 
 def read_export(
@@ -131,14 +131,13 @@ def read_export(
     allowed = [reader] if isinstance(reader, str) else list(reader or READERS)
     found = _recognised_or_named(path, allowed, dialect)
     if found.name not in allowed:
-        text = complaint(
+        raise unreadable(
             path,
             "",
-            expected=f"a file of the format {' or '.join(allowed)}",
-            found=f"one of the format {found.name}",
-            remedy="Name the right file, or change `reader` in the protocol.",
+            f"a file of the format {' or '.join(allowed)}",
+            f"one of the format {found.name}",
+            "Name the right file, or change `reader` in the protocol.",
         )
-        raise ReadError(text)
     if found.name == "load-frame":
         from labpipe.readers import load_frame
 
@@ -169,11 +168,10 @@ def _refuse_broken_time(recording: Recording, path: Path) -> None:
 
     for note in recording.notes:
         if note.severity is Severity.ERROR:
-            text = complaint(
+            raise unreadable(
                 path,
                 note.where,
-                expected="time that increases from sample to sample",
-                found=note.message,
-                remedy="Export the recording again; it cannot be processed as it is.",
+                "time that increases from sample to sample",
+                note.message,
+                "Export the recording again; it cannot be processed as it is.",
             )
-            raise ReadError(text)

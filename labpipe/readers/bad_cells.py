@@ -13,7 +13,7 @@ from labpipe.readers.rows import PLAIN, SIGNS, Shape
 
 _AGAIN = "Export the test again; the file may have been cut off or edited."
 _SHOWN = 40
-_WORDS = frozenset({"nan", "inf", "infinity"})
+_WORDS_FOR_NUMBERS = frozenset({"nan", "inf", "infinity"})
 
 
 def first_fault(shape: Shape, path: Path) -> str:
@@ -66,7 +66,7 @@ def jump_fault(shape: Shape, column: int, rows: tuple[int, int], path: Path) -> 
 
 def _is_finite(cell: str, shape: Shape) -> bool:
     if PLAIN[shape.decimal].fullmatch(cell) is None:
-        return shape.body.as_exported and cell.strip("+-").casefold() in _WORDS
+        return shape.body.as_exported and cell.strip("+-").casefold() in _WORDS_FOR_NUMBERS
     return bool(np.isfinite(float(cell.replace(shape.decimal, "."))))
 
 

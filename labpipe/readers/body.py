@@ -20,7 +20,7 @@ from labpipe.records.quality import QualityNote, Severity
 
 _HEAD = 20000
 """Bytes in which the decimal sign is looked for."""
-_WORDS = ("NAN", "NaN", "nan")
+_NAN_WORDS = ("NAN", "NaN", "nan")
 _WORTH = 4_000_000
 """Bytes from which on pandas reads faster from the file than from memory."""
 
@@ -131,7 +131,7 @@ def _table(
         names=list(range(shape.width)),
         usecols=wanted,
         dtype=np.float64,
-        na_values=["", *_WORDS] if shape.body.as_exported else [""],
+        na_values=["", *_NAN_WORDS] if shape.body.as_exported else [""],
         keep_default_na=False,
         skip_blank_lines=False,
         skipinitialspace=True,

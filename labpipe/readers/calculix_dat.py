@@ -22,7 +22,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import unreadable
 from labpipe.readers.sheet_cells import Cell
 
 HALF = "HALF"
@@ -76,7 +76,7 @@ def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
     blocks = list(_blocks(lines, path))
     names = sorted({block.set_name for block in blocks})
     if len(names) > 1:
-        raise _fault(path, "", "one set of nodes", ", ".join(names), _NEEDED)
+        raise unreadable(path, "", "one set of nodes", ", ".join(names), _NEEDED)
     deflections, forces = (
         [block for block in blocks if block.quantity == quantity]
         for quantity in (_DEFLECTION, _FORCE)
@@ -84,7 +84,7 @@ def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
     for quantity, found in ((_DEFLECTION, deflections), (_FORCE, forces)):
         if not found:
             others = ", ".join(sorted({block.quantity for block in blocks}))
-            raise _fault(path, "", f"blocks '{quantity}'", f"only {others}", _NEEDED)
+            raise unreadable(path, "", f"blocks '{quantity}'", f"only {others}", _NEEDED)
     _require_pairs(path, deflections, forces)
     times = 2.0 if names[0].upper().endswith(HALF) else 1.0
     heading = [Cell(name, "line 1") for name in ("deflection / m", "force / N")]
@@ -93,10 +93,6 @@ def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
         for u, f in zip(deflections, forces, strict=True)
     ]
     return [heading, *rows]
-
-
-def _fault(path: Path, place: str, expected: str, found: str, remedy: str) -> ReadError:
-    return ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))
 
 
 def _cell(value: float, block: _Block) -> Cell:
@@ -111,14 +107,16 @@ def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
         quantity, _, set_name, time = match.groups()
         at_second = 2 if quantity != _FORCE else 1
         filled = [i for i in range(start + 1, end) if lines[i].strip()]
-        values = tuple(_number(lines[i], at_second, f"line {i + 1}", path) for i in filled)
+        values = tuple(
+            _second_component(lines[i], at_second, f"line {i + 1}", path) for i in filled
+        )
         if not values:
             expected = f"numbers under '{quantity}'"
-            raise _fault(path, f"line {start + 1}", expected, "none", _AGAIN)
+            raise unreadable(path, f"line {start + 1}", expected, "none", _AGAIN)
         yield _Block(quantity, set_name, time, filled[0] + 1, values)
 
 
-def _number(line: str, at: int, place: str, path: Path) -> float:
+def _second_component(line: str, at: int, place: str, path: Path) -> float:
     """The second component. Others may be so small that their exponents lack the letter."""
     words = line.split()
     try:
@@ -127,7 +125,7 @@ def _number(line: str, at: int, place: str, path: Path) -> float:
     except ValueError:
         pass
     expected = f"{at + 2} numbers"
-    raise _fault(path, place, expected, repr(line.strip()[:60]), _AGAIN)
+    raise unreadable(path, place, expected, repr(line.strip()[:60]), _AGAIN)
 
 
 def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
@@ -137,7 +135,7 @@ def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_
     alone = alone or next((block for block in forces if block.time not in at), None)
     if alone is not None:
         expected = f"displacements and total force at time {alone.time}"
-        raise _fault(path, f"line {alone.line}", expected, f"only {alone.quantity}", _AGAIN)
+        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _AGAIN)
     if at != of:
         found = f"{len(at)} and {len(of)} in another order"
-        raise _fault(path, "", "displacements and total force in turn", found, _AGAIN)
+        raise unreadable(path, "", "displacements and total force in turn", found, _AGAIN)

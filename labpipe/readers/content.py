@@ -7,8 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.files import read_head, reading, unreadable
 
 HEAD = 65536
 """Bytes in which the header of an export is looked for."""
@@ -149,7 +148,7 @@ def decode(data: bytes, content: Content, encodings: Sequence[str], path: Path) 
             return text
     expected = f"text in {' or '.join(encodings)}"
     remedy = "Name the encoding in a card of your own."
-    raise ReadError(complaint(path, "", expected=expected, found="other bytes", remedy=remedy))
+    raise unreadable(path, "", expected, "other bytes", remedy)
 
 
 def _strictly(data: bytes, encoding: str) -> str | None:

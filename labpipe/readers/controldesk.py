@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted, find_channel
 from labpipe.readers.clocks import clock_notes
+from labpipe.readers.files import unreadable
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
@@ -153,14 +153,13 @@ def _samples(values: object) -> Floats:
 def _channel(trace: Trace, clock: Clock, path: Path) -> Channel:
     values = _samples(trace.load())
     if len(values) != len(clock.time):
-        text = complaint(
+        raise unreadable(
             path,
             f"channel '{trace.path}'",
-            expected=f"{len(clock.time)} samples as on its time axis '{clock.name}'",
-            found=f"{len(values)}",
-            remedy="Export the recording again; the file may have been edited.",
+            f"{len(clock.time)} samples as on its time axis '{clock.name}'",
+            f"{len(values)}",
+            "Export the recording again; the file may have been edited.",
         )
-        raise ReadError(text)
     infinite = np.isinf(values)
     if infinite.any():
         values = np.where(infinite, np.nan, values)

@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint, nearest
+from labpipe.errors import ReadError, nearest
 from labpipe.readers.cells import is_unit, name_and_unit
+from labpipe.readers.files import unreadable
 from labpipe.readers.sheet_cells import Cell, Row
 from labpipe.units import si_factor, whole_number
 
@@ -57,11 +58,6 @@ class CurveTable:
     rows: Sequence[Sequence[Cell]]
 
 
-def fault(path: Path, place: str, expected: str, found: str, remedy: str) -> ReadError:
-    """Word what is wrong with the file of a curve; parameters as in `complaint`."""
-    return ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))
-
-
 def head_of(table: CurveTable) -> str:
     """Place of the names, or of the first row."""
     row = table.names or table.rows[0]
@@ -97,7 +93,7 @@ def find_column(table: CurveTable, asked: CurveColumn) -> int:
     if found:
         said = f"{len(found)}: columns {', '.join(str(i + 1) for i in found)}"
         remedy = "Give the number of the one that is meant."
-        raise fault(table.path, head_of(table), f"one column {words[0]!r}", said, remedy)
+        raise unreadable(table.path, head_of(table), f"one column {words[0]!r}", said, remedy)
     width = len(table.units)
     number = whole_number(asked.column or "")
     if number is not None and 1 <= number <= width:
@@ -111,10 +107,10 @@ def _no_column(table: CurveTable, asked: CurveColumn, word: str) -> ReadError:
     if not table.names:
         remedy = f"Number it in the plan, such as {asked.what}: {{column: 1, unit: mm}}."
         expected = f"a row of names above the numbers, with a column {word!r}"
-        return fault(table.path, place, expected, "numbers alone", remedy)
+        return unreadable(table.path, place, expected, "numbers alone", remedy)
     known = [cell.text for cell in table.names if cell.text]
     found = ", ".join(repr(name) for name in nearest(word, known))
-    return fault(table.path, place, f"a column {word!r}", found, remedy)
+    return unreadable(table.path, place, f"a column {word!r}", found, remedy)
 
 
 def _example(asked: CurveColumn) -> str:
@@ -163,13 +159,13 @@ def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
     if not unit:
         expected = f"a unit of the {asked.what}"
         remedy = f"Write it in the heading ({asked.what} / {_example(asked)}) or in the plan."
-        raise fault(table.path, place, expected, f"none in {head!r}", remedy)
+        raise unreadable(table.path, place, expected, f"none in {head!r}", remedy)
     for each in {unit, said or unit}:
         if not _converts(each, asked.si_unit):
             expected = f"a unit of the {asked.what}, such as {_example(asked)}"
-            raise fault(table.path, place, expected, f"{each!r}", "Correct the heading.")
+            raise unreadable(table.path, place, expected, f"{each!r}", "Correct the heading.")
     factor = si_factor(unit, asked.si_unit)
     if said and not math.isclose(si_factor(said, asked.si_unit), factor):
         remedy = "Correct the one that is wrong."
-        raise fault(table.path, place, f"{unit!r}, as in the plan", f"{said!r}", remedy)
+        raise unreadable(table.path, place, f"{unit!r}, as in the plan", f"{said!r}", remedy)
     return factor

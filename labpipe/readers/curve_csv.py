@@ -34,11 +34,11 @@ from labpipe.readers.content import decode, is_binary, lines_of, read_content
 from labpipe.readers.curve_columns import (
     CurveColumn,
     CurveTable,
-    fault,
     find_column,
     head_of,
     unit_factor,
 )
+from labpipe.readers.files import unreadable
 from labpipe.readers.regrouped import is_grouped
 from labpipe.readers.rows import PLAIN
 from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
@@ -79,7 +79,9 @@ def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple
     columns = [find_column(table, each) for each in asked]
     if columns[0] == columns[1]:
         found = f"column {columns[0] + 1} for both"
-        raise fault(path, head_of(table), "two columns", found, "Name another one for the force.")
+        raise unreadable(
+            path, head_of(table), "two columns", found, "Name another one for the force."
+        )
     factors = [unit_factor(table, at, each) for at, each in zip(columns, asked, strict=True)]
     points = _points(table, columns)
     across, up = (
@@ -96,12 +98,12 @@ def _table(path: Path) -> CurveTable:
     unread = next((cell for row in cells for cell in row if cell.unread), None)
     if unread is not None:
         remedy = "Correct the cell, and save the workbook in the spreadsheet program."
-        raise fault(path, unread.place, "a value", unread.unread, remedy)
+        raise unreadable(path, unread.place, "a value", unread.unread, remedy)
     filled = [row for row in cells if any(cell.text for cell in row)]
     first = next((i for i, row in enumerate(filled) if _is_sample(row)), None)
     if first is None:
         remedy = "Give deflection and force in two columns, one row per point."
-        raise fault(path, "", "rows of numbers", "none", remedy)
+        raise unreadable(path, "", "rows of numbers", "none", remedy)
     above = filled[:first]
     units: tuple[str, ...] = ()
     if len(above) > 1 and are_units([cell.text for cell in above[-1]]):
@@ -121,7 +123,7 @@ def _text_cells(path: Path) -> list[list[Cell]]:
     content = read_content(path)
     if is_binary(content):
         remedy = "Save the curve as csv or xlsx."
-        raise fault(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
+        raise unreadable(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
     lines = lines_of(decode(content.data, content, _ENCODINGS, path))
     if is_calculix(lines):
         return tip_rows(lines, path)
@@ -156,14 +158,14 @@ def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
             points.append(point)
     if len(points) < FEWEST:
         expected, remedy = f"{FEWEST} points at least", "Give more points of the curve."
-        raise fault(table.path, "", expected, f"{len(points)}", remedy)
+        raise unreadable(table.path, "", expected, f"{len(points)}", remedy)
     texts = [cell for point in points for cell in point]
     if any("." in cell.text for cell in texts):
         for cell in texts:
             if "," in cell.text:
                 remedy = "Write the file anew with one decimal sign and no sign for thousands."
                 expected, found = "a decimal point, as elsewhere in the file", repr(cell.text)
-                raise fault(table.path, cell.place, expected, found, remedy)
+                raise unreadable(table.path, cell.place, expected, found, remedy)
     return points
 
 
@@ -175,7 +177,7 @@ def _number(cell: Cell, path: Path) -> float:
     remedy = "Correct the row, or take it out."
     if is_grouped(cell.text):
         remedy = "Write the file anew without signs between thousands."
-    raise fault(path, cell.place, "a finite number", found, remedy)
+    raise unreadable(path, cell.place, "a finite number", found, remedy)
 
 
 def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:
@@ -187,7 +189,7 @@ def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Float
                 remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
             expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
             found = f"{1e3 * here:.6g} mm"
-            raise fault(path, points[number][0].place, expected, found, remedy)
+            raise unreadable(path, points[number][0].place, expected, found, remedy)
 
 
 def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> None:
@@ -196,4 +198,4 @@ def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> 
     if force[at] <= 0.0:
         expected, found = "a largest force above zero", f"{force[at]:.6g} N"
         remedy = "If the file counts downwards, write 'sign: -1' for the force."
-        raise fault(path, points[at][1].place, expected, found, remedy)
+        raise unreadable(path, points[at][1].place, expected, found, remedy)

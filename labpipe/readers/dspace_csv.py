@@ -25,12 +25,11 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint
 from labpipe.readers.body import read_columns
 from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export
 from labpipe.readers.dates import written_date
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.files import read_head, reading, unreadable
 from labpipe.readers.rows import Body
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
@@ -90,24 +89,20 @@ def _opening(content: bytes, path: Path) -> int:
         return start
     last_line = content.count(b"\n") + 1
     place = f"line {last_line}"
-    text = complaint(
-        path, place, expected="a line that begins with trace_values", found="none", remedy=_AGAIN
-    )
-    raise ReadError(text)
+    raise unreadable(path, place, "a line that begins with trace_values", "none", _AGAIN)
 
 
 def _properties(rows: Sequence[Sequence[str]], path: Path) -> dict[str, list[str]]:
     """Rows on the traces by the word in their first cell, all as long as the row of names."""
     found = {row[0]: list(row[1:]) for row in rows if row and row[0]}
     if len(found.get(_NAMES, [])) < 1:
-        text = complaint(
+        raise unreadable(
             path,
             f"lines 1 to {len(rows)}",
-            expected="a row trace_names with one cell per trace",
-            found="none",
-            remedy=_AGAIN,
+            "a row trace_names with one cell per trace",
+            "none",
+            _AGAIN,
         )
-        raise ReadError(text)
     width = len(found[_NAMES])
     return {key: (cells + [""] * width)[:width] for key, cells in found.items()}
 

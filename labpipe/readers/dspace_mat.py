@@ -27,11 +27,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export, plain
 from labpipe.readers.dates import day_of_saving, written_date
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.files import read_head, reading, unreadable
 from labpipe.readers.mat5 import Node, parse_mat5
 from labpipe.records.quality import QualityNote, Severity
 
@@ -181,14 +180,13 @@ def _recorded(variables: Mapping[str, Node], path: Path) -> tuple[str, dict[str,
     if len(found) == 1:
         return next(iter(found.items()))
     names = ", ".join(list(found or variables)[:5]) or "nothing"
-    text = complaint(
+    raise unreadable(
         path,
         "",
-        expected="one variable with the fields X and Y, as ControlDesk writes it",
-        found=f"{len(found)} among the variables {names}" if found else f"only {names}",
-        remedy="Export the recording from ControlDesk as MAT.",
+        "one variable with the fields X and Y, as ControlDesk writes it",
+        f"{len(found)} among the variables {names}" if found else f"only {names}",
+        "Export the recording from ControlDesk as MAT.",
     )
-    raise ReadError(text)
 
 
 def _parse(name: str, tree: Mapping[str, Node], created: str, path: Path) -> Export:
@@ -217,14 +215,13 @@ def _structs(tree: Mapping[str, Node], field: str, path: Path) -> list[dict[str,
     items = tree[field]
     if isinstance(items, list) and all(isinstance(item, dict) and "Data" in item for item in items):
         return items
-    text = complaint(
+    raise unreadable(
         path,
         f"field {field}",
-        expected="a struct with the field Data",
-        found="something else",
-        remedy="Export the recording from ControlDesk again.",
+        "a struct with the field Data",
+        "something else",
+        "Export the recording from ControlDesk again.",
     )
-    raise ReadError(text)
 
 
 def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
@@ -233,14 +230,13 @@ def _trace(item: Mapping[str, Node], n_axes: int, path: Path) -> Trace:
     full = f"{folder}/{port}" if folder else port
     index = _number(item.get("XIndex", 1))
     if index is None or not 1 <= index <= n_axes or index != int(index):
-        text = complaint(
+        raise unreadable(
             path,
             f"channel '{full}', XIndex",
-            expected=f"the number of a time axis, 1 to {n_axes}",
-            found=str(plain(item.get("XIndex"))),
-            remedy="Export the recording from ControlDesk again.",
+            f"the number of a time axis, 1 to {n_axes}",
+            str(plain(item.get("XIndex"))),
+            "Export the recording from ControlDesk again.",
         )
-        raise ReadError(text)
     return Trace(
         name=quoted.group(1) if quoted else port,
         path=full,
@@ -294,14 +290,13 @@ def _revision(tree: Mapping[str, Node], path: Path) -> str:
     else:
         revision = match.group(1) if match else ""
     if revision and not revision.startswith("2."):
-        text = complaint(
+        raise unreadable(
             path,
             "Info",
-            expected="a file format revision 2.x",
-            found=revision,
-            remedy="Export the recording with ControlDesk 7 as MAT.",
+            "a file format revision 2.x",
+            revision,
+            "Export the recording with ControlDesk 7 as MAT.",
         )
-        raise ReadError(text)
     return revision
 
 

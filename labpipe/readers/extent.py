@@ -15,7 +15,8 @@ from typing import Final
 from xml.etree import ElementTree
 from xml.parsers import expat
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError
+from labpipe.readers.files import unreadable
 
 MOST: Final = 10_000_000
 """Cells that may be laid out in any case: some 400 MB."""
@@ -150,8 +151,7 @@ def _refuse_others(parts: zipfile.ZipFile, path: Path) -> None:
     if found is None and not any(name.startswith("xl/") for name in names):
         found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
     if found is not None:
-        text = complaint(path, "", expected="an xlsx workbook", found=found, remedy=remedy)
-        raise ReadError(text)
+        raise unreadable(path, "", "an xlsx workbook", found, remedy)
 
 
 def _is_sheet(parts: zipfile.ZipFile, name: str) -> bool:
@@ -250,12 +250,11 @@ def _title(parts: zipfile.ZipFile, name: str) -> str:
 
 
 def _too_far(path: Path, sheet: str, reach: _Reach, filled: str = "") -> ReadError:
-    text = complaint(
+    return unreadable(
         path,
         f"sheet '{sheet}', cell {reach.last}",
-        expected="cells that lie together",
-        found=f"a sheet of {reach.rows} rows and {reach.columns} columns with"
+        "cells that lie together",
+        f"a sheet of {reach.rows} rows and {reach.columns} columns with"
         f" {filled or reach.cells} filled cells",
-        remedy="Delete the rows and columns behind the table, and save the workbook.",
+        "Delete the rows and columns behind the table, and save the workbook.",
     )
-    return ReadError(text)

@@ -37,6 +37,11 @@ _LOOK = "Check the name and the folder."
 _CUT = "Export the recording again; the file may have been cut off while copying."
 
 
+def unreadable(file: object, place: str, expected: str, found: str, remedy: str) -> ReadError:
+    """Make the error for what cannot be read; parameters as of `labpipe.errors.complaint`."""
+    return ReadError(complaint(file, place, expected=expected, found=found, remedy=remedy))
+
+
 @contextmanager
 def reading(
     path: Path, what: str, *, also: tuple[type[BaseException], ...] = (), remedy: str = _CUT
@@ -61,15 +66,13 @@ def reading(
         raise ReadError(_absent(path)) from error
     except PermissionError as error:
         found = "one that may not be read"
-        text = complaint(path, "", expected="a file", found=found, remedy="Check its permissions.")
-        raise ReadError(text) from error
+        raise unreadable(path, "", "a file", found, "Check its permissions.") from error
     except (*BROKEN, *also) as error:
         if isinstance(error, OSError) and error.filename is not None:
             found = f"one that cannot be opened ({error.strerror})"
-            text = complaint(path, "", expected="a file", found=found, remedy=_LOOK)
-            raise ReadError(text) from error
+            raise unreadable(path, "", "a file", found, _LOOK) from error
         found = f"a damaged one ({_first_line(error)})"
-        raise ReadError(complaint(path, "", expected=what, found=found, remedy=remedy)) from error
+        raise unreadable(path, "", what, found, remedy) from error
 
 
 def read_head(path: Path, size: int = 65536) -> bytes:
@@ -95,11 +98,11 @@ def read_head(path: Path, size: int = 65536) -> bytes:
         head = b"" if kind else _beginning(path, size)
     if kind:
         remedy = "Name one of the files in it." if kind == "a folder" else "Name a plain file."
-        raise ReadError(complaint(path, "", expected="a file", found=kind, remedy=remedy))
+        raise unreadable(path, "", "a file", kind, remedy)
     if not head:
         found, remedy = "an empty file (0 bytes)", "Save or export it again."
         expected = "a file with content"
-        raise ReadError(complaint(path, "", expected=expected, found=found, remedy=remedy))
+        raise unreadable(path, "", expected, found, remedy)
     return head
 
 

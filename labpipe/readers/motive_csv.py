@@ -26,11 +26,10 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
 from labpipe.readers.body import read_columns, rows_note
 from labpipe.readers.channels import Wanted
 from labpipe.readers.clocks import clock_notes
-from labpipe.readers.files import BROKEN, read_head, reading
+from labpipe.readers.files import BROKEN, read_head, reading, unreadable
 from labpipe.readers.motive_header import Header, parse_header
 from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
@@ -188,7 +187,7 @@ def _sheet(path: Path) -> list[list[object]]:
                 return cells
     remedy = "Save the sheet of the take alone as xlsx."
     expected = "a sheet whose first cell is Format Version"
-    raise ReadError(complaint(path, "", expected=expected, found="none", remedy=remedy))
+    raise unreadable(path, "", expected, "none", remedy)
 
 
 def _as_text(cell: object) -> str:
@@ -220,5 +219,4 @@ def _number(cell: object, place: str, path: Path) -> float:
     except ValueError as error:
         remedy = "Save the export again without editing it."
         expected, found = "a number or a blank", f"'{str(cell)[:40]}'"
-        text = complaint(path, place, expected=expected, found=found, remedy=remedy)
-        raise ReadError(text) from error
+        raise unreadable(path, place, expected, found, remedy) from error

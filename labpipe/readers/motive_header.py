@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import unreadable
 from labpipe.units import whole_number
 
 Cells = Sequence[str]
@@ -134,7 +134,7 @@ def parse_header(rows: Sequence[Cells], path: Path) -> Header:
     if about.get("Length Units") not in LENGTHS:
         expected = f"Length Units, one of {', '.join(LENGTHS)}"
         found = f"'{about.get('Length Units', '')}'"
-        raise ReadError(complaint(path, "line 1", expected=expected, found=found, remedy=_AGAIN))
+        raise unreadable(path, "line 1", expected, found, _AGAIN)
     groups = _groups(labels, rows[last], start, last, path)
     furthest = max((max(group.columns.values()) for group in groups), default=0)
     return Header(
@@ -163,7 +163,7 @@ def _check_version(about: Mapping[str, str], path: Path) -> None:
     found = f"'{version}'" if version else "no version"
     remedy = "Export the take with Format Version 1.2x (Motive 2 or 3)."
     expected = "Format Version 1.x after the first comma"
-    raise ReadError(complaint(path, "line 1", expected=expected, found=found, remedy=remedy))
+    raise unreadable(path, "line 1", expected, found, remedy)
 
 
 def _last_row(rows: Sequence[Cells], path: Path) -> int:
@@ -173,7 +173,7 @@ def _last_row(rows: Sequence[Cells], path: Path) -> int:
             return i
     place = f"lines 1 to {len(rows)}"
     expected, found = "a header row that begins with Frame", "none"
-    raise ReadError(complaint(path, place, expected=expected, found=found, remedy=_AGAIN))
+    raise unreadable(path, place, expected, found, _AGAIN)
 
 
 def _leading_columns(row: Cells) -> tuple[int, int | None]:
@@ -206,7 +206,7 @@ def _labels(rows: Sequence[Cells], start: int, last: int, path: Path) -> dict[st
         place = f"lines 2 to {last}"
         expected = f"header rows {', '.join(_WORDS)}"
         found_ = f"none for {', '.join(missing)}"
-        raise ReadError(complaint(path, place, expected=expected, found=found_, remedy=_AGAIN))
+        raise unreadable(path, place, expected, found_, _AGAIN)
     return found
 
 
@@ -225,9 +225,7 @@ def _groups(
             continue  # padding of a spreadsheet
         if not type_:
             place = f"line {last + 1}, cell {column + 1}"
-            raise ReadError(
-                complaint(path, place, expected="a column with a type", found="none", remedy=_AGAIN)
-            )
+            raise unreadable(path, place, "a column with a type", "none", _AGAIN)
         number = 0
         while (quantity, axis) in groups.get((type_, name, id_, number), {}):
             number += 1  # the same name and id again: another object

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import unreadable
 from labpipe.readers.motive_table import derived_rate, unique_names
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
@@ -110,10 +111,10 @@ def parse_rows(text: str, path: Path) -> RowExport:
     if not take.version.startswith("1."):
         remedy = "Export the take with Format Version 1.2x (Motive 2 or 3)."
         expected, found = "info,version,1.0 or 1.1", f"'{take.version}'"
-        raise ReadError(complaint(path, "info", expected=expected, found=found, remedy=remedy))
+        raise unreadable(path, "info", expected, found, remedy)
     if not take.numbers:
         place, expected = f"lines 1 to {len(lines)}", "lines that begin with frame"
-        raise ReadError(complaint(path, place, expected=expected, found="none", remedy=_AGAIN))
+        raise unreadable(path, place, expected, "none", _AGAIN)
     return RowExport(take.version, _tracks(take), _about(take), notes + _notes(take))
 
 

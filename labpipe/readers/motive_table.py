@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
+from labpipe.readers.files import unreadable
 from labpipe.readers.motive_header import SEEN, Group, Header
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
@@ -156,9 +156,7 @@ def _frames(header: Header, columns: Columns, path: Path) -> Floats:
     if len(bad):
         place = f"line {header.rows + 1 + int(bad[0])}, cell 1"
         remedy = "Export the take from Motive as CSV again; the file may have been edited."
-        raise ReadError(
-            complaint(path, place, expected="a frame number", found="none", remedy=remedy)
-        )
+        raise unreadable(path, place, "a frame number", "none", remedy)
     return frames
 
 
@@ -211,14 +209,13 @@ def _position(group: Group, header: Header, path: Path) -> list[int]:
     found = group.axes("Position", "XYZ")
     if found is not None:
         return found
-    text = complaint(
+    raise unreadable(
         path,
         f"line {header.rows}, {group.type} '{group.name}'",
-        expected="the columns X, Y and Z of Position",
-        found=", ".join(" ".join(key).strip() for key in group.columns),
-        remedy="Export the take with positions.",
+        "the columns X, Y and Z of Position",
+        ", ".join(" ".join(key).strip() for key in group.columns),
+        "Export the take with positions.",
     )
-    raise ReadError(text)
 
 
 def _body(name: str, group: Group, header: Header, columns: Columns, path: Path) -> RigidBody:

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.extent import column_letters
-from labpipe.readers.files import reading
+from labpipe.readers.files import reading, unreadable
 from labpipe.readers.workbooks import is_workbook, opened_workbook
 
 _XLSX = "an xlsx workbook"
@@ -211,7 +211,7 @@ def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = 
     if len(filled) < 2:
         expected, remedy = f"a heading and {rows_of}", "Fill in the table."
         found = f"{len(filled)} rows"
-        raise ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))
+        raise unreadable(path, place, expected, found, remedy)
     heading = _without_tail(filled[0])
     return Table(heading, tuple(_fitted(row, len(heading), path) for row in filled[1:]))
 
@@ -251,6 +251,5 @@ def _fitted(row: list[Cell], width: int, path: Path) -> Row:
             remedy = "Give its column a name in the first row, or empty the cell."
             if cell.place.startswith("line") and _NUMBER_STARTS.match(cell.text):
                 remedy += ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
-            text = complaint(path, cell.place, expected=expected, found=found, remedy=remedy)
-            raise ReadError(text)
+            raise unreadable(path, cell.place, expected, found, remedy)
     return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))

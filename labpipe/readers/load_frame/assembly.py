@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted, find_in_parts
 from labpipe.readers.clocks import clock_notes
+from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.table import FEW, Export, Table, time_column, unique_names
 from labpipe.records.arrays import Floats
@@ -141,14 +141,13 @@ def _seconds(unit: str, name: str, path: object) -> float:
     try:
         return si_factor(unit.casefold() or "none", "s")
     except ValueError as error:
-        text = complaint(
+        raise unreadable(
             path,
             f"column '{name}'",
-            expected="a unit of time such as s",
-            found=f"'{unit}'" if unit else "none",
-            remedy="Look at the row of units." if unit else _SAY_UNIT,
-        )
-        raise ReadError(text) from error
+            "a unit of time such as s",
+            f"'{unit}'" if unit else "none",
+            "Look at the row of units." if unit else _SAY_UNIT,
+        ) from error
 
 
 def _few_note(rows: int, name: str) -> list[QualityNote]:

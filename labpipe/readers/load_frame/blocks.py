@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
 from labpipe.readers.body import read_columns
 from labpipe.readers.cells import is_number, split_line
 from labpipe.readers.channels import Wanted
 from labpipe.readers.content import HEAD, line_start, lines_of
+from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.header import find_header
 from labpipe.readers.load_frame.table import (
@@ -75,14 +75,13 @@ def decimal_of(head: str, place: Place) -> str:
     match = pattern.search(head)
     if match is not None and match[1] in {".", ","}:
         return match[1]
-    text = complaint(
+    raise unreadable(
         place.path,
         "line 1",
-        expected="the decimal sign that this program states",
-        found=f"'{head[:60].splitlines()[0] if head else ''}'",
-        remedy="Export the test again, or name another dialect.",
+        "the decimal sign that this program states",
+        f"'{head[:60].splitlines()[0] if head else ''}'",
+        "Export the test again, or name another dialect.",
     )
-    raise ReadError(text)
 
 
 def read_blocks(text: str, place: Place) -> Export:
@@ -168,14 +167,13 @@ def _refuse_none(samples: Sequence[Table], text: str, place: Place) -> None:
     if samples:
         return
     lines = text.count("\n") + 1
-    message = complaint(
+    raise unreadable(
         place.path,
         f"lines 1 to {lines}",
-        expected="a block of names, units and numbers",
-        found="none",
-        remedy="Export the test again, or name another dialect.",
+        "a block of names, units and numbers",
+        "none",
+        "Export the test again, or name another dialect.",
     )
-    raise ReadError(message)
 
 
 def _without_summaries(

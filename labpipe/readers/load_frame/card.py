@@ -10,7 +10,8 @@ from dataclasses import MISSING, dataclass, field, fields
 from types import MappingProxyType
 from typing import Final
 
-from labpipe.errors import ReadError, complaint, nearest
+from labpipe.errors import ReadError, nearest
+from labpipe.readers.files import unreadable
 
 Pattern = re.Pattern[str]
 
@@ -160,7 +161,7 @@ def _refuse_contradictions(card: Card, source: object) -> None:
 
 def _fault(source: object, key: str, expected: str, found: str, remedy: str) -> ReadError:
     place = f"key {key}" if key else ""
-    return ReadError(complaint(source, place, expected=expected, found=found, remedy=remedy))
+    return unreadable(source, place, expected, found, remedy)
 
 
 _SHOW = 60

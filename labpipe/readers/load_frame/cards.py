@@ -8,8 +8,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
-from labpipe.errors import ReadError, complaint
-from labpipe.readers.files import reading
+from labpipe.readers.files import reading, unreadable
 from labpipe.readers.load_frame.card import Card, parse_card
 
 LAB_FOLDER = "dialects"
@@ -66,14 +65,13 @@ def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
 
 def _lab_card(file: Path) -> Card:
     if file.stem in shipped_names():
-        text = complaint(
+        raise unreadable(
             file,
             "",
-            expected="a name of its own",
-            found=f"'{file.stem}', which is a card of labpipe",
-            remedy="Rename the file, and name the new dialect in the protocol.",
+            "a name of its own",
+            f"'{file.stem}', which is a card of labpipe",
+            "Rename the file, and name the new dialect in the protocol.",
         )
-        raise ReadError(text)
     with reading(file, "a card in UTF-8", remedy="Save it as UTF-8."):
         text = file.read_text(encoding="utf-8")
     return parse_card(text, name=file.stem, source=file)

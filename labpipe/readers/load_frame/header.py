@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError
 from labpipe.readers.cells import is_number, name_and_unit, split_line
+from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.titles import Fault, Header, Rows, find_titles, put_names_together
 
@@ -44,7 +45,7 @@ def find_header(lines: Sequence[str], card: Card, path: object, first_line: int 
         if _first(rows, card) is not None:
             return header_of_rows(rows, card, path, first_line, separator=separator)
     place = f"lines {first_line} to {first_line + len(head) - 1}"
-    raise _fault(path, place, "a row of names and rows of numbers below it", "none")
+    raise unreadable(path, place, "a row of names and rows of numbers below it", "none", _AGAIN)
 
 
 def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
@@ -77,14 +78,14 @@ def header_of_rows(
     first = _first(rows, card)
     if first is None:
         where = f"{place} {first_line}"
-        raise _fault(path, where, "a row of names and rows of numbers below it", "none")
+        raise unreadable(path, where, "a row of names and rows of numbers below it", "none", _AGAIN)
 
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
 
     def telling(remedy: str) -> Fault:
         def fault(row: int, expected: str, found: str) -> ReadError:
             at = filled[max(row, 0)] if filled else 0
-            return _fault(path, f"{place} {first_line + at}", expected, found, remedy)
+            return unreadable(path, f"{place} {first_line + at}", expected, found, remedy)
 
         return fault
 
@@ -114,19 +115,17 @@ def _is_sample(row: Sequence[str]) -> bool:
 def _listed(lines: Sequence[str], card: Card, path: object) -> Header:
     """Names in lines of their own, samples after a line that says so."""
     if card.listed is None or card.start is None:  # a card without them is refused earlier
-        raise _fault(path, "", "a card with `listed` and `start`", card.name)
+        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _AGAIN)
     start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
     if start is None:
         found = f"none in {len(lines)} lines"
-        raise _fault(path, "", f"a line '{card.start.pattern}' before the numbers", found)
+        raise unreadable(
+            path, "", f"a line '{card.start.pattern}' before the numbers", found, _AGAIN
+        )
     named = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
     if not named:
         expected = f"names in lines '{card.listed.pattern}'"
-        raise _fault(path, f"lines 1 to {start}", expected, "none")
+        raise unreadable(path, f"lines 1 to {start}", expected, "none", _AGAIN)
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in named), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
-
-
-def _fault(path: object, place: str, expected: str, found: str, remedy: str = _AGAIN) -> ReadError:
-    return ReadError(complaint(path, place, expected=expected, found=found, remedy=remedy))

@@ -15,6 +15,7 @@ from labpipe.readers.content import (
     is_blank,
     read_beginning,
 )
+from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
 from labpipe.readers.load_frame.header import find_header, header_of_rows
@@ -94,21 +95,20 @@ def chosen_card(path: Path, dialect: Named) -> Card:
     expected = f"an export of the dialect {' or '.join(allowed or known)}"
     told = "one that no card recognises" if found is None else f"one of the dialect {found.name}"
     remedy = "Name the right file, or change `dialect` in the protocol."
-    raise ReadError(complaint(path, "", expected=expected, found=told, remedy=remedy))
+    raise unreadable(path, "", expected, told, remedy)
 
 
 def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) -> None:
     for name in allowed:
         if name not in known:
             close = ", ".join(nearest(name, list(known), most=3))
-            text = complaint(
+            raise unreadable(
                 path,
                 f"dialect '{name}'",
-                expected=f"one of the {len(known)} cards",
-                found="no such card",
-                remedy=f"Nearest: {close}. A lab's own cards lie in the folder dialects.",
+                f"one of the {len(known)} cards",
+                "no such card",
+                f"Nearest: {close}. A lab's own cards lie in the folder dialects.",
             )
-            raise ReadError(text)
 
 
 def _ambiguous(names: Sequence[str], path: Path) -> str:

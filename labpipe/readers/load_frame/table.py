@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint, nearest
+from labpipe.errors import nearest
 from labpipe.readers.cells import is_like
 from labpipe.readers.channels import Wanted, find_channel, plain_name
+from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.titles import Header, Rows
 from labpipe.records.arrays import Floats
@@ -224,11 +225,10 @@ def choose_part(tables: Sequence[Table], part: str | None, path: object) -> tupl
     known = [table.part or table.also for table in tables if table.part or table.also]
     close = ", ".join(f"'{name}'" for name in nearest(part, known))
     remedy = f"Nearest: {close}." if close else "Leave `part` out: the export does not name parts."
-    text = complaint(
+    raise unreadable(
         path,
         f"part '{part}'",
-        expected=f"one of the {len(tables)} specimens or sheets of the file",
-        found="no such part",
-        remedy=remedy,
+        f"one of the {len(tables)} specimens or sheets of the file",
+        "no such part",
+        remedy,
     )
-    raise ReadError(text)

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
+from labpipe.errors import ReadError
+from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.header import header_of_rows
 from labpipe.readers.load_frame.table import (
@@ -112,14 +113,13 @@ def _header(rows: Sequence[Sequence[object]], sheet: str, card: Card, path: Path
         return header
     if time_column(header.names, header.units, card) is not None:
         return replace(header, specimens=())  # somebody edited the row; the sheet has a name, too
-    text_of_fault = complaint(
+    raise unreadable(
         path,
         f"sheet '{sheet}', row {max(header.first - 2, 1)}",
-        expected="the specimen above the row of names",
-        found="none",
-        remedy="Export the test again, or name another dialect.",
+        "the specimen above the row of names",
+        "none",
+        "Export the test again, or name another dialect.",
     )
-    raise ReadError(text_of_fault)
 
 
 def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
@@ -127,14 +127,13 @@ def _no_table(faults: Mapping[str, ReadError], path: Path) -> ReadError:
     for fault in faults.values():
         if "numbers below it" not in str(fault):
             return fault
-    text = complaint(
+    return unreadable(
         path,
         "",
-        expected="a sheet with names, units and numbers",
-        found=f"{len(faults)} sheets without",
-        remedy="Export the test again, or name another dialect.",
+        "a sheet with names, units and numbers",
+        f"{len(faults)} sheets without",
+        "Export the test again, or name another dialect.",
     )
-    return ReadError(text)
 
 
 def _left_out(sheets: Sequence[str]) -> list[QualityNote]:
@@ -206,15 +205,7 @@ def _number(cell: object, place: str, path: Path) -> float:
         if isfinite(float(text)):
             return float(text)
         expected = "a number below 1.8e308"
-    raise ReadError(
-        complaint(
-            path,
-            place,
-            expected=expected,
-            found=f"'{text[:40]}'",
-            remedy=LOST if is_grouped(text) else _AGAIN,
-        )
-    )
+    raise unreadable(path, place, expected, f"'{text[:40]}'", LOST if is_grouped(text) else _AGAIN)
 
 
 def _filled(columns: Mapping[int, Floats]) -> int:
