@@ -1,13 +1,16 @@
-"""Finding a channel by the name that a person wrote."""
+"""Channels of an export: found by the name that a person wrote, and what is odd about them."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
+from collections import Counter
 from collections.abc import Sequence
 from typing import TypeAlias
 
 from labpipe.errors import ReadError, complaint, nearest
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Recording
 
 Wanted: TypeAlias = str | tuple[str, ...]
@@ -15,6 +18,8 @@ Wanted: TypeAlias = str | tuple[str, ...]
 
 _BEFORE = re.compile(r"(?:_+|(?:channel|ch|kanal|canale|canal|voie|c)[\s._]*\d+[\s._:-]+)+")
 """What stands before the name of a channel: an underscore, or the number of the channel."""
+_NOTED = 3
+"""Channels that a note lists."""
 _SHOWN = 6
 """Names that a message lists."""
 _INSPECT = "`labpipe inspect` lists them all."
@@ -206,3 +211,52 @@ def _unknown(names: tuple[str, ...], paths: list[str], file: object) -> str:
 
 def _listed(paths: list[str]) -> str:
     return ", ".join(f"'{path}'" for path in paths)
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """Number the names that occur more than once, and name the columns without one."""
+    called = [name or f"column {i + 1}" for i, name in enumerate(names)]
+    return [
+        f"{name} [{called[: i + 1].count(name)}]" if called.count(name) > 1 else name
+        for i, name in enumerate(called)
+    ]
+
+
+def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
+    """Say what is odd about the channels of an export, whatever wrote it.
+
+    Parameters
+    ----------
+    channels : of the recording
+
+    Returns
+    -------
+    Notes ``constant_channel``, ``units_not_stated`` and ``names_not_unique``.
+    """
+    constant = [channel.path for channel in channels if _is_constant(channel.values)]
+    silent = [channel.path for channel in channels if not channel.unit_in_file]
+    names = Counter(channel.name for channel in channels)
+    shared = [f"{count} are called '{name}'" for name, count in names.items() if count > 1]
+    total, told = len(channels), {}
+    if constant:
+        told["constant_channel"] = f"{len(constant)} of {total} channels never change:"
+        told["constant_channel"] += f" {_some(constant)}"
+    if silent and len(silent) == total:
+        told["units_not_stated"] = "the export states no units; the protocol must"
+    elif silent:
+        told["units_not_stated"] = f"no unit is stated for {len(silent)} of {total} channels:"
+        told["units_not_stated"] += f" {_some(silent)}"
+    if shared:
+        listed = ", ".join(shared[:_NOTED])
+        told["names_not_unique"] = f"of {total} channels {listed}: tell them apart by path"
+    return [QualityNote(code, Severity.INFO, "channels", text) for code, text in told.items()]
+
+
+def _some(paths: list[str]) -> str:
+    return _listed(paths[:_NOTED]) + (" ..." if len(paths) > _NOTED else "")
+
+
+def _is_constant(values: Floats) -> bool:
+    """Tell whether at least two samples are all alike; the ends spare a look at most channels."""
+    alike = len(values) > 1 and values[0] == values[-1]
+    return alike and bool(values.min() == values.max())

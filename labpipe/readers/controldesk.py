@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from labpipe.readers.channels import Wanted, find_channel
+from labpipe.readers.channels import Wanted, channel_notes, find_channel, unique_names
 from labpipe.readers.clocks import clock_notes
 from labpipe.readers.files import unreadable
 from labpipe.records.arrays import Flags, Floats
@@ -83,7 +82,8 @@ def load_export(
     ReadError
         If a wanted channel does not exist, or a channel is not as long as its time axis.
     """
-    traces = _with_unique_paths(export.traces)
+    paths = unique_names([trace.path for trace in export.traces])
+    traces = [replace(trace, path=path) for trace, path in zip(export.traces, paths, strict=True)]
     if channels is not None:
         known = [(trace.name, trace.path) for trace in traces]
         chosen = sorted({find_channel(wanted, known, path) for wanted in channels})
@@ -102,10 +102,11 @@ def load_export(
         notes=(
             *export.notes,
             *_several_note(names),
-            *_name_notes(traces),
+            *_path_notes(traces),
             *(note for clock in clocks.values() for note in clock_notes(clock)),
             *_start_note(list(clocks.values()), export.start),
             *_value_notes(traces, loaded),
+            *channel_notes(loaded),
         ),
     )
 
@@ -127,18 +128,6 @@ def plain(value: object) -> object:
 def _program_version(origin: str) -> str:
     match = _PROGRAM_VERSION.search(origin)
     return match.group(1).rstrip(".") if match else ""
-
-
-def _with_unique_paths(traces: Sequence[Trace]) -> list[Trace]:
-    """Number the paths that occur more than once: one signal on two rasters."""
-    total = Counter(trace.path for trace in traces)
-    seen: Counter[str] = Counter()
-    unique: list[Trace] = []
-    for trace in traces:
-        seen[trace.path] += 1
-        number = f" [{seen[trace.path]}]" if total[trace.path] > 1 else ""
-        unique.append(replace(trace, path=trace.path + number))
-    return unique
 
 
 def _clock_names(rasters: Sequence[str]) -> list[str]:
@@ -175,21 +164,12 @@ def _several_note(clocks: Sequence[str]) -> list[QualityNote]:
     return [QualityNote("several_clocks", Severity.INFO, "file", message)]
 
 
-def _name_notes(traces: Sequence[Trace]) -> list[QualityNote]:
-    notes: list[QualityNote] = []
-    shared = {name: n for name, n in Counter(t.name for t in traces).items() if n > 1}
-    if shared:
-        listed = ", ".join(f"{n} are called '{name}'" for name, n in list(shared.items())[:3])
-        message = f"of {len(traces)} channels {listed}: tell them apart by path"
-        notes.append(QualityNote("names_not_unique", Severity.INFO, "channels", message))
+def _path_notes(traces: Sequence[Trace]) -> list[QualityNote]:
     broken = [trace.path for trace in traces if "\\n" in trace.path]
-    if broken:
-        message = f"a path holds the two characters backslash-n: '{broken[0]}'"
-        notes.append(QualityNote("line_break_in_path", Severity.INFO, "channels", message))
-    if traces and not any(trace.unit_in_file for trace in traces):
-        message = "the export states no units; the protocol must"
-        notes.append(QualityNote("units_not_stated", Severity.INFO, "channels", message))
-    return notes
+    if not broken:
+        return []
+    message = f"a path holds the two characters backslash-n: '{broken[0]}'"
+    return [QualityNote("line_break_in_path", Severity.INFO, "channels", message)]
 
 
 def _start_note(clocks: Sequence[Clock], stated: float | None) -> list[QualityNote]:
@@ -204,26 +184,8 @@ def _start_note(clocks: Sequence[Clock], stated: float | None) -> list[QualityNo
 
 
 def _value_notes(traces: Sequence[Trace], channels: Sequence[Channel]) -> list[QualityNote]:
-    notes: list[QualityNote] = []
-    constant: list[str] = []
-    for trace, channel in zip(traces, channels, strict=True):
-        blank = np.isnan(channel.values)
-        if blank.any():
-            notes.append(_blank_note(trace, blank, channel.path))
-        elif _is_constant(channel.values):
-            constant.append(channel.path)
-    if constant:
-        listed = ", ".join(f"'{path}'" for path in constant[:3])
-        message = f"{len(constant)} of {len(channels)} channels never change: {listed}"
-        message += " ..." if len(constant) > 3 else ""
-        notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
-    return notes
-
-
-def _is_constant(values: Floats) -> bool:
-    if not len(values) or values[0] != values[-1]:
-        return False
-    return bool(values.min() == values.max())
+    pairs = [(t, c, np.isnan(c.values)) for t, c in zip(traces, channels, strict=True)]
+    return [_blank_note(trace, blank, of.path) for trace, of, blank in pairs if blank.any()]
 
 
 def _blank_note(trace: Trace, blank: Flags, where: str) -> QualityNote:

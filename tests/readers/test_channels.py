@@ -6,9 +6,11 @@ import pytest
 from labpipe.errors import ReadError
 from labpipe.readers.channels import (
     NoChannelError,
+    channel_notes,
     find_channel,
     is_as_written,
     select_channel,
+    unique_names,
 )
 from labpipe.records.recording import Channel, Recording
 
@@ -157,3 +159,21 @@ def test_whether_a_channel_is_called_as_written() -> None:
     channel = Channel("_Load", "_Load", np.zeros(3))
     assert is_as_written(("Kraft", "_Load"), channel)
     assert not is_as_written(("Kraft", "Load"), channel)
+
+
+def test_names_are_made_unique() -> None:
+    assert unique_names(["F", "", "F"]) == ["F [1]", "column 2", "F [2]"]
+
+
+def test_notes_on_channels() -> None:
+    values = {"A/F": np.arange(4.0), "B/F": np.full(4, 2.0), "C/gone": np.full(4, np.nan)}
+    units = {"A/F": "N"}
+    channels = [
+        Channel(path[2:], path, each, clock="time", unit_in_file=units.get(path, ""))
+        for path, each in values.items()
+    ]
+    found = {note.code: note.message for note in channel_notes(channels)}
+    assert found["constant_channel"] == "1 of 3 channels never change: 'B/F'"
+    assert found["units_not_stated"] == "no unit is stated for 2 of 3 channels: 'B/F', 'C/gone'"
+    assert found["names_not_unique"].startswith("of 3 channels 2 are called 'F': ")
+    assert channel_notes(channels[:1]) == []

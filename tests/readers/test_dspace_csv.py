@@ -44,7 +44,7 @@ def test_what_it_says_of_itself(tmp_path: Path) -> None:
         "Model Root/Laser/Out1",
     ]
     assert [c.unit_in_file for c in recording.channels] == ["", "mm"]
-    assert [note.code for note in recording.notes] == ["names_not_unique"]
+    assert [note.code for note in recording.notes] == ["units_not_stated", "names_not_unique"]
 
 
 def test_channels_are_chosen_by_path_in_any_order(tmp_path: Path) -> None:

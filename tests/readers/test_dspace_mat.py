@@ -57,7 +57,7 @@ def test_what_it_says_of_itself(tmp_path: Path, write: Any) -> None:
     about: Any = recording.metadata["channels"]
     assert about["Model Root/Laser Sensor\\n/In1"]["Min"] == "-inf"
     assert {note.code for note in recording.notes} == {
-        *("variable_name_differs", "names_not_unique", "line_break_in_path"),
+        *("variable_name_differs", "names_not_unique", "line_break_in_path", "units_not_stated"),
     }
 
 

@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.readers.channels import Wanted, find_in_parts
+from labpipe.readers.channels import Wanted, channel_notes, find_in_parts, unique_names
 from labpipe.readers.clocks import clock_notes
 from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.table import FEW, Export, Table, time_column, unique_names
+from labpipe.readers.load_frame.table import FEW, Export, Table, time_column
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.units import si_factor
 
-_MOST_NAMED = 3
 _SAY_UNIT = (
     "Write it in a row below the names, or in brackets as in 'Time (s)', or say it in a card of"
     " your own (time_unit); see docs/how-to/new-dialect.md."
@@ -158,18 +156,9 @@ def _few_note(rows: int, name: str) -> list[QualityNote]:
 
 
 def _channel_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:
-    notes: list[QualityNote] = []
-    constant: list[str] = []
-    for channel in channels:
-        missing = np.isnan(channel.values)
-        if missing.any():
-            notes.append(_missing_note(channel, int(missing.sum()), card))
-        elif len(channel.values) > 1 and channel.values.min() == channel.values.max():
-            constant.append(channel.path)
-    if constant:
-        message = f"{len(constant)} of {len(channels)} channels never change: {_listed(constant)}"
-        notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
-    return notes + _unit_note(channels) + _name_note(channels)
+    blank = [(channel, int(np.isnan(channel.values).sum())) for channel in channels]
+    missing = [_missing_note(channel, count, card) for channel, count in blank if count]
+    return [*missing, *channel_notes(channels)]
 
 
 def _missing_note(channel: Channel, count: int, card: Card) -> QualityNote:
@@ -178,26 +167,3 @@ def _missing_note(channel: Channel, count: int, card: Card) -> QualityNote:
     message = f"{count} of {len(channel.values)} values are missing (blank{codes}),"
     message += f" the first in row {first}"
     return QualityNote("missing_values", Severity.WARNING, channel.path, message)
-
-
-def _unit_note(channels: Sequence[Channel]) -> list[QualityNote]:
-    silent = [channel.path for channel in channels if not channel.unit_in_file]
-    if not silent:
-        return []
-    message = f"no unit is stated for {len(silent)} of {len(channels)} channels: {_listed(silent)}"
-    return [QualityNote("units_not_stated", Severity.INFO, "channels", message)]
-
-
-def _name_note(channels: Sequence[Channel]) -> list[QualityNote]:
-    names = Counter(channel.name for channel in channels)
-    shared = {name: count for name, count in names.items() if count > 1}
-    if not shared:
-        return []
-    told = ", ".join(f"{count} are called '{name}'" for name, count in list(shared.items())[:3])
-    message = f"of {len(channels)} channels {told}: tell them apart by path"
-    return [QualityNote("names_not_unique", Severity.INFO, "channels", message)]
-
-
-def _listed(paths: Sequence[str]) -> str:
-    named = ", ".join(f"'{path}'" for path in paths[:_MOST_NAMED])
-    return named + (" ..." if len(paths) > _MOST_NAMED else "")

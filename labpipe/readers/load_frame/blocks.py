@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.readers.body import read_columns
 from labpipe.readers.cells import is_number, split_line
-from labpipe.readers.channels import Wanted
+from labpipe.readers.channels import Wanted, unique_names
 from labpipe.readers.content import HEAD, line_start, lines_of
 from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
@@ -21,7 +21,6 @@ from labpipe.readers.load_frame.table import (
     Table,
     preamble,
     time_column,
-    unique_names,
     wanted_columns,
 )
 from labpipe.readers.load_frame.titles import Header

@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.errors import nearest
 from labpipe.readers.cells import is_like
-from labpipe.readers.channels import Wanted, find_channel, plain_name
+from labpipe.readers.channels import Wanted, find_channel, plain_name, unique_names
 from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.titles import Header, Rows
@@ -128,15 +128,6 @@ def wanted_columns(
     chosen = {offered[find_channel(wanted, pairs, path)] for wanted in channels}
     always = {i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)}
     return sorted(chosen | always | ({time} if time is not None else set()))
-
-
-def unique_names(names: Sequence[str]) -> list[str]:
-    """Number the names that occur more than once, and name the columns without one."""
-    called = [name or f"column {i + 1}" for i, name in enumerate(names)]
-    return [
-        f"{name} [{called[: i + 1].count(name)}]" if called.count(name) > 1 else name
-        for i, name in enumerate(called)
-    ]
 
 
 def preamble(rows: Rows) -> dict[str, object]:

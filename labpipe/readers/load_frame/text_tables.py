@@ -8,6 +8,7 @@ import numpy as np
 
 from labpipe.readers.body import read_columns
 from labpipe.readers.cells import split_line
+from labpipe.readers.channels import unique_names
 from labpipe.readers.content import HEAD, Content, decode, is_blank, line_start, lines_of
 from labpipe.readers.load_frame.blocks import Place, decimal_of, no_samples, read_blocks
 from labpipe.readers.load_frame.card import Card
@@ -16,7 +17,6 @@ from labpipe.readers.load_frame.table import (
     Export,
     Table,
     preamble,
-    unique_names,
     wanted_columns,
     word_columns,
 )

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError
+from labpipe.readers.channels import unique_names
 from labpipe.readers.files import unreadable
 from labpipe.readers.load_frame.card import Card
 from labpipe.readers.load_frame.header import header_of_rows
@@ -21,7 +22,6 @@ from labpipe.readers.load_frame.table import (
     Table,
     preamble,
     time_column,
-    unique_names,
     word_columns,
 )
 from labpipe.readers.load_frame.titles import Header

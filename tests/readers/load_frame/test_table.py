@@ -10,7 +10,6 @@ from labpipe.readers.load_frame.table import (
     choose_part,
     preamble,
     time_column,
-    unique_names,
     wanted_columns,
     without_codes,
 )
@@ -57,10 +56,6 @@ def test_the_most_wanted_time_counts() -> None:
 )
 def test_time_under_other_names(names: list[str], units: list[str], found: int | None) -> None:
     assert time_column(names, units, shipped_cards()["mts-testsuite"]) == found
-
-
-def test_names_are_made_unique() -> None:
-    assert unique_names(["F", "", "F"]) == ["F [1]", "column 2", "F [2]"]
 
 
 def test_time_comes_with_what_is_asked_for() -> None:
