@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from benchmarks.first_loadings import observe_loading
 from labpipe.records.calibration import Calibration, CalibrationFailure
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
-from labpipe.virtual_lab.loading import observe_loading
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.calibration import MeasuredCurve, Settings, Wire, calibrate
 from labpipe.wire.cantilever import StringRig

@@ -22,7 +22,6 @@ from labpipe.virtual_lab.cantilever_scenarios import (
     wire_scenario,
 )
 from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario, conduit_scenario
-from labpipe.virtual_lab.loading import Loading, observe_loading
 from labpipe.virtual_lab.observations import (
     ConduitObservation,
     Observation,
@@ -43,7 +42,6 @@ __all__ = [
     "ConduitCampaign",
     "ConduitObservation",
     "ConduitScenario",
-    "Loading",
     "Observation",
     "TapedCampaign",
     "TensileCampaign",
@@ -53,7 +51,6 @@ __all__ = [
     "WireGroup",
     "conduit_scenario",
     "observe",
-    "observe_loading",
     "simulate_campaigns",
     "simulate_test",
     "taped_scenario",

@@ -154,66 +154,122 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
     ValueError
         If there is no equilibrium somewhere on it.
     """
-    rig, rest = _set_up(test, _law_in(test, 1))
+    rig, rest = _set_up(test)
     cycles: list[list[Segment]] = []
     state, bent, starts = rest.state, 0.0, []
-    for number in range(test.cycles):
-        begin = 2.0 * test.stroke * number
+    for number in range(1, test.cycles + 1):
         starts.append(state)
-        if number > 1 and _same(state, starts[-2]):  # loops of a rate-independent law close
+        if number > 2 and _same(state, starts[-2]):  # loops of a rate-independent law close
             cycles.append([_later(segment, 2.0 * test.stroke) for segment in cycles[-1]])
             continue
-        goals = (test.stroke, 0.0)
-        segments, state, bent = _cycle(rig, state, begin, test=test, goals=goals, bent=bent)
+        segments, state, bent = _Cycle(test, rig, number).walk(state, bent)
         cycles.append(segments)
     return MechanicalPath(test, rig, rest, tuple(s for cycle in cycles for s in cycle))
 
 
-def solve_loading(test: MechanicalTest) -> MechanicalPath:
-    """Solve the first loading of a test alone.
-
-    Parameters
-    ----------
-    test : wire and rig
-
-    Returns
-    -------
-    The path up to a progress of one stroke; it is not for looking up beyond.
-
-    Raises
-    ------
-    ValueError
-        If there is no equilibrium somewhere on it.
-    """
-    rig, rest = _set_up(test, _law_in(test, 1))
-    segments, _, _ = _cycle(rig, rest.state, 0.0, test=test, goals=(test.stroke,))
-    return MechanicalPath(test, rig, rest, tuple(segments))
+def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
+    """Hang the string and find the rest before the motion."""
+    law, weight = test.wire.law(), GRAVITY * test.counterweight
+    unbent = straight(law, test.n_stations)
+    level = StringRig(test.string_length, weight, test.length, test.string_length)
+    if test.slack is None:
+        return level, bend_to_travel(law, unbent, test.length, level, 0.0)
+    hanging = bend_under_force(law, unbent, test.length, np.array([0.0, -weight]))
+    surplus = test.slack - level.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
+    rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
+    return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
 
 
-def _law_in(test: MechanicalTest, cycle: int, bent: float = 0.0) -> MomentLaw:
-    """The law of a cycle after some largest curvature: what bundles remember, wires do not."""
-    wire = test.wire
-    return wire.law(cycle, bent) if isinstance(wire, BundleModel) else wire.law()
+@dataclass(frozen=True, slots=True)
+class _Cycle:
+    """One cycle of a test, solved position by position; `bent` is the largest curvature so far."""
+
+    test: MechanicalTest
+    rig: StringRig
+    number: int
+
+    def walk(self, state: WireState, bent: float) -> tuple[list[Segment], WireState, float]:
+        """Load and unload: the segments, the state at the end, the largest curvature so far."""
+        segments: list[Segment] = []
+        progress = 2.0 * self.test.stroke * (self.number - 1)
+        for goal in (self.test.stroke, 0.0):
+            for shapes in self._branch(state, goal, bent):
+                segments.append(_segment(shapes, self.number, goal > 0.0, progress))
+                state, progress = shapes[-1].state, float(segments[-1].progress[-1])
+                bent = _most_bent(shapes, bent)
+        return segments, state, bent
+
+    def _branch(
+        self, state: WireState, goal: float, bent: float
+    ) -> Iterator[list[CantileverShape]]:
+        """Walk to `goal`, giving the shapes of each stretch between events, ends included."""
+        law = self._law(bent)
+        here = self._shape(law, state, state.travel)
+        event = self._taut_travel(law, here)
+        if here.tension <= 0.0:  # slack: nothing bends until the string spans again
+            stop = min(event, goal) if goal > state.travel else goal
+            if abs(stop - state.travel) > _SHORTEST:
+                there = self._shape(law, here.state, stop)
+                yield [here, there]
+                here = there
+        if abs(goal - here.state.travel) > _SHORTEST:
+            yield from self._taut(here, goal, bent)
+
+    def _taut(
+        self, here: CantileverShape, goal: float, bent: float
+    ) -> Iterator[list[CantileverShape]]:
+        shapes, test = [here], self.test
+        share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
+        for travel in here.state.travel + share * (goal - here.state.travel):
+            law, ahead, bent = self._step(shapes[-1], float(travel), bent)
+            if ahead.tension > 0.0:
+                shapes.append(ahead)
+                continue
+            event = self._taut_travel(law, shapes[-1])
+            slackened = _without_tension(self._shape(law, shapes[-1].state, event))
+            if abs(event - shapes[-1].state.travel) > _SHORTEST:
+                shapes.append(slackened)
+            yield shapes
+            if abs(goal - event) > _SHORTEST:
+                yield [slackened, self._shape(law, slackened.state, goal)]
+            return
+        yield shapes
+
+    def _step(
+        self, here: CantileverShape, travel: float, bent: float
+    ) -> tuple[MomentLaw, CantileverShape, float]:
+        """Go on to a travel under the law that belongs to the largest curvature reached there."""
+        wire = self.test.wire
+        for _ in range(_REPEATS):
+            law = self._law(bent)
+            ahead = self._shape(law, here.state, travel)
+            reached = _most_bent([ahead], bent)
+            if not isinstance(wire, BundleModel) or reached == bent:
+                break
+            settled = abs(wire.held(reached) - wire.held(bent)) < _HELD
+            bent = reached
+            if settled:
+                break
+        return law, ahead, bent
+
+    def _law(self, bent: float) -> MomentLaw:
+        """The law after some largest curvature: what bundles remember, wires do not."""
+        wire = self.test.wire
+        return wire.law(self.number, bent) if isinstance(wire, BundleModel) else wire.law()
+
+    def _shape(self, law: MomentLaw, state: WireState, travel: float) -> CantileverShape:
+        return bend_to_travel(law, state, self.test.length, self.rig, travel)
+
+    def _taut_travel(self, law: MomentLaw, shape: CantileverShape) -> float:
+        """Travel at which the string would go taut or slack, from the history of a shape, m."""
+        weight = np.array([0.0, -self.rig.weight])
+        hanging = bend_under_force(law, shape.state, self.test.length, weight)
+        return self.rig.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
-def _cycle(
-    rig: StringRig,
-    state: WireState,
-    progress: float,
-    *,
-    test: MechanicalTest,
-    goals: tuple[float, ...],
-    bent: float = 0.0,
-) -> tuple[list[Segment], WireState, float]:
-    """Walk to each goal: the segments, the state at the end, the largest curvature so far."""
-    segments: list[Segment] = []
-    cycle = round(progress / (2.0 * test.stroke)) + 1
-    for goal in goals:
-        for shapes in _branch(test, cycle, rig, state, goal, bent=bent):
-            segments.append(_segment(shapes, cycle, goal > 0.0, progress))
-            state, progress = shapes[-1].state, float(segments[-1].progress[-1])
-            bent = _most_bent(shapes, bent)
-    return segments, state, bent
+def _without_tension(shape: CantileverShape) -> CantileverShape:
+    """The shape in which the string goes slack: what tension is left is rounding."""
+    return replace(shape, tension=0.0, state=replace(shape.state, load=0.0))
 
 
 def _most_bent(shapes: list[CantileverShape], bent: float) -> float:
@@ -228,97 +284,6 @@ def _same(one: WireState, other: WireState) -> bool:
 
 def _later(segment: Segment, progress: float) -> Segment:
     return replace(segment, cycle=segment.cycle + 1, progress=segment.progress + progress)
-
-
-def _set_up(test: MechanicalTest, law: MomentLaw) -> tuple[StringRig, CantileverShape]:
-    """Hang the string and find the rest before the motion."""
-    weight = GRAVITY * test.counterweight
-    unbent = straight(law, test.n_stations)
-    level = StringRig(test.string_length, weight, test.length, test.string_length)
-    if test.slack is None:
-        return level, bend_to_travel(law, unbent, test.length, level, 0.0)
-    hanging = bend_under_force(law, unbent, test.length, np.array([0.0, -weight]))
-    surplus = test.slack - level.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
-    rig = StringRig(test.string_length, weight, test.length, test.string_length - surplus)
-    return rig, bend_to_travel(law, hanging.state, test.length, rig, 0.0)
-
-
-def _branch(
-    test: MechanicalTest, cycle: int, rig: StringRig, state: WireState, goal: float, *, bent: float
-) -> Iterator[list[CantileverShape]]:
-    """Walk to `goal`, giving the shapes of each stretch between events, ends included."""
-    law = _law_in(test, cycle, bent)
-    here = bend_to_travel(law, state, test.length, rig, state.travel)
-    event = _taut_travel(law, rig, here, test.length)
-    if here.tension <= 0.0:  # slack: nothing bends until the string spans again
-        stop = min(event, goal) if goal > state.travel else goal
-        if abs(stop - state.travel) > _SHORTEST:
-            there = bend_to_travel(law, here.state, test.length, rig, stop)
-            yield [here, there]
-            here = there
-    if abs(goal - here.state.travel) > _SHORTEST:
-        yield from _taut(test, cycle, rig, here, goal, bent=bent)
-
-
-def _taut(
-    test: MechanicalTest,
-    cycle: int,
-    rig: StringRig,
-    here: CantileverShape,
-    goal: float,
-    *,
-    bent: float,
-) -> Iterator[list[CantileverShape]]:
-    shapes = [here]
-    share = np.linspace(0.0, 1.0, test.steps_per_branch + 1)[1:] ** test.crowding
-    for travel in here.state.travel + share * (goal - here.state.travel):
-        law, ahead, bent = _step(test, cycle, rig, shapes[-1], float(travel), bent=bent)
-        if ahead.tension > 0.0:
-            shapes.append(ahead)
-            continue
-        event = _taut_travel(law, rig, shapes[-1], test.length)
-        slackened = _let_go(bend_to_travel(law, shapes[-1].state, test.length, rig, event))
-        if abs(event - shapes[-1].state.travel) > _SHORTEST:
-            shapes.append(slackened)
-        yield shapes
-        if abs(goal - event) > _SHORTEST:
-            yield [slackened, bend_to_travel(law, slackened.state, test.length, rig, goal)]
-        return
-    yield shapes
-
-
-def _step(
-    test: MechanicalTest,
-    cycle: int,
-    rig: StringRig,
-    here: CantileverShape,
-    travel: float,
-    *,
-    bent: float,
-) -> tuple[MomentLaw, CantileverShape, float]:
-    """Go on to a travel under the law that belongs to the largest curvature reached there."""
-    for _ in range(_REPEATS):
-        law = _law_in(test, cycle, bent)
-        ahead = bend_to_travel(law, here.state, test.length, rig, travel)
-        reached = _most_bent([ahead], bent)
-        if not isinstance(test.wire, BundleModel) or reached == bent:
-            break
-        settled = abs(test.wire.held(reached) - test.wire.held(bent)) < _HELD
-        bent = reached
-        if settled:
-            break
-    return law, ahead, bent
-
-
-def _let_go(shape: CantileverShape) -> CantileverShape:
-    """The shape in which the string goes slack: what tension is left is rounding."""
-    return replace(shape, tension=0.0, state=replace(shape.state, load=0.0))
-
-
-def _taut_travel(law: MomentLaw, rig: StringRig, shape: CantileverShape, length: float) -> float:
-    """Travel at which the string would go taut or slack, from the history of a shape, m."""
-    hanging = bend_under_force(law, shape.state, length, np.array([0.0, -rig.weight]))
-    return rig.taut_travel(float(hanging.x[-1]), float(hanging.y[-1]))
 
 
 def _segment(shapes: list[CantileverShape], cycle: int, loading: bool, progress: float) -> Segment:

@@ -10,7 +10,7 @@ import yaml
 
 from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.campaigns import TapedCampaign
-from labpipe.virtual_lab.cantilever_path import solve_loading, solve_path
+from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario, taped_scenario
 from labpipe.virtual_lab.observations import observe, truth_as_json
 from labpipe.virtual_lab.sheet_texts import write_sheet
@@ -66,7 +66,7 @@ def test_sheet_names_bundle_and_protocol() -> None:
 def test_stepping_finer_changes_little() -> None:
     """But for the corner where the tape begins to slide, about the noise of the load cell, 3 mN."""
     test = taped_scenario("TWB-B1-19-PVC", cycles=1).mechanics
-    path, finer = solve_loading(test), solve_loading(replace(test, steps_per_branch=150))
+    path, finer = solve_path(test), solve_path(replace(test, steps_per_branch=150))
     progress = np.linspace(0.0, test.stroke, 500)
     off = np.abs(path.tension(progress) - finer.tension(progress))
     assert np.max(off) < 12e-3

@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.bundles import BundleModel
-from labpipe.virtual_lab.cantilever_path import solve_loading
+from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
 from labpipe.virtual_lab.specimens import StrandedWire
 
@@ -139,7 +139,7 @@ def _plain_loadings(test: MechanicalTest) -> Floats:
     """Deflections and forces of the plain wire under three counterweights, shape (3, 2, n)."""
     curves = []
     for inverse in _INVERSES.tolist():
-        path = solve_loading(replace(test, counterweight=test.counterweight * inverse))
+        path = solve_path(replace(test, counterweight=test.counterweight * inverse))
         at = _positions(test)
         curves.append([path.deflection(at), path.tension(at) - path.rest.tension])
     return np.array(curves)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from labpipe.virtual_lab.cantilever_path import solve_loading, solve_path
+from benchmarks.first_loadings import Loading, observe_loading
+from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import (
     GRAVITY,
     CantileverScenario,
     LoadCell,
     wire_scenario,
 )
-from labpipe.virtual_lab.loading import Loading, observe_loading
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import load_cantilever
@@ -52,16 +52,9 @@ def test_the_true_curve_is_that_of_the_first_integral(name: str) -> None:
 def test_a_sample_is_interpolated_exactly() -> None:
     test = scenario(factor=1.1).mechanics
     found = observe_loading(scenario(factor=1.1), 1)
-    path = solve_loading(test)
+    path = solve_path(replace(test, cycles=1))
     assert found.true_force == pytest.approx(path.tension(found.travel) - WEIGHT, abs=1e-7)
     assert found.true_deflection == pytest.approx(path.deflection(found.travel), abs=1e-9)
-
-
-def test_loading_alone_is_the_beginning_of_the_whole_test() -> None:
-    test = replace(scenario().mechanics, cycles=1)
-    alone, whole = solve_loading(test).segments, solve_path(test).segments
-    assert len(alone) == 1
-    np.testing.assert_array_equal(alone[0].tension, whole[0].tension)
 
 
 def test_noise_and_gain(loading: Loading) -> None:
