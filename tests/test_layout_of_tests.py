@@ -7,10 +7,8 @@ from pathlib import Path
 import pytest
 
 ELSEWHERE = {
-    "cli/calibrate.py": "end_to_end/test_calibrate.py",
     "cli/check.py": "cli/test_cli.py",
     "cli/inspect.py": "cli/test_cli.py",
-    "cli/model.py": "end_to_end/test_model.py",
     "cli/new.py": "cli/test_cli.py",
     # Blocks of the grammar without code of their own, and how they are told: through the loader.
     "protocol/outline.py": "protocol/test_load.py",

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
+from collections.abc import Iterator
 
-from labpipe.cli.bundle_lines import bundle_table
+from labpipe.cli.terminal import from_here
 from labpipe.errors import UsageError, complaint
-from labpipe.pipeline.bundling import as_json, model_bundle
+from labpipe.pipeline.bundling import ModelledBundle, as_json, model_bundle
 from labpipe.units import parse_quantity
+from labpipe.wire.bundle.packing_fraction import WANTED
+
+_WIDTH = 44
 
 
 def run(options: argparse.Namespace) -> int:
@@ -44,3 +49,56 @@ def _not_a_bore(text: str) -> UsageError:
         remedy="Write the inner diameter of the conduit.",
     )
     return UsageError(message)
+
+
+def bundle_table(modelled: ModelledBundle) -> str:
+    """Lay out the main numbers of a bundle for a terminal.
+
+    Parameters
+    ----------
+    modelled : the bundle
+
+    Returns
+    -------
+    The bounds of its stiffness, its principal axes, how full its conduit is, the notes, and where
+    the files are.
+    """
+    model = modelled.model
+    least, largest = model.principal
+    lines = [
+        f"{modelled.name}: {model.bundle.composition}, {model.layout.arrangement}",
+        _stiffness("EI, wires slip, strands slip", model.low),
+        _stiffness("EI, wires slip, strands stick", model.free),
+        _stiffness("EI, nothing slips, bent along y", model.high),
+        _stiffness("  in the least stiff direction", least),
+        _stiffness(f"  in the stiffest ({_direction(modelled)})", largest),
+        f"  {'smallest bore for the wires as they lie':<{_WIDTH}}"
+        f"{1e3 * model.smallest_bore:>12.5g} mm",
+        *_conduits(modelled),
+    ]
+    lines += [f"  {note.severity}: {note.message}" for note in model.notes]
+    return "\n".join([*lines, f"results: {from_here(modelled.folder)}"])
+
+
+def _stiffness(words: str, value: float) -> str:
+    digits = float(f"{1e6 * value:.5g}")  # never as a power of ten
+    return f"  {words:<{_WIDTH}}{digits:>12.10g} N mm^2"
+
+
+def _direction(modelled: ModelledBundle) -> str:
+    least, largest = modelled.model.principal
+    if largest - least <= 1e-6 * largest:
+        return "all are alike"
+    return f"{math.degrees(modelled.model.principal_angle):.3g} deg from x"
+
+
+def _conduits(modelled: ModelledBundle) -> Iterator[str]:
+    words = f"bore for a packing fraction of {WANTED:g}"
+    mark = "  the wires do not fit" if modelled.wanted_bore < modelled.model.smallest_bore else ""
+    yield f"  {words:<{_WIDTH}}{1e3 * modelled.wanted_bore:>12.5g} mm{mark}"
+    chosen = modelled.model.bundle.conduit_bore
+    for conduit in modelled.conduits:
+        words = f"packing fraction in a bore of {1e3 * conduit.bore:.4g} mm"
+        mark = "" if conduit.holds else "  the wires do not fit"
+        mark = "  chosen" if conduit.bore == chosen and len(modelled.conduits) > 1 else mark
+        yield f"  {words:<{_WIDTH}}{conduit.packing_fraction:>12.3g}{mark}"

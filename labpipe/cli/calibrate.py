@@ -4,11 +4,23 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
+from collections.abc import Sequence
 
-from labpipe.cli.calibration_lines import calibration_table
-from labpipe.cli.telling import reading
-from labpipe.pipeline.calibrating import as_json, calibrate_tests
+from labpipe.cli.terminal import from_here, reading
+from labpipe.pipeline.calibrating import Calibrated, as_json, calibrate_tests
+from labpipe.records.calibration import (
+    DISPLAYED,
+    CalibratedParameter,
+    CalibrationFailure,
+    Identified,
+)
+from labpipe.records.comparison import CurveMatch, ThirdCurveComparison
+from labpipe.report.calibration_shown import ValidationGroup
+
+_DOUBTED = {Identified.NOT, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
+_WIDEST = 28
 
 
 def run(options: argparse.Namespace) -> int:
@@ -26,3 +38,129 @@ def run(options: argparse.Namespace) -> int:
     for reason in done.left_out.values():
         print(f"labpipe calibrate: left out: {reason}", file=sys.stderr)
     return 2 if done.left_out else 0
+
+
+def calibration_table(done: Calibrated) -> str:
+    """Lay out a calibration for a terminal.
+
+    Parameters
+    ----------
+    done : the calibration and what it was compared with
+
+    Returns
+    -------
+    The parameters with intervals, what is not identified, a line per wire and length, notes, and
+    where the files are.
+    """
+    found = done.calibration
+    lines = [
+        f"{found.wire}: {found.n_points} points of {found.n_samples} "
+        f"sample{'s' * (found.n_samples != 1)}, rms "
+        f"{1e3 * found.rmse:.3g} mN ({100.0 * found.rmse_share:.2g} % of the largest force)"
+    ]
+    lines += [_parameter(each) for each in found.parameters]
+    lines += [f"  {each.words}" for each in found.parameters if each.words]
+    if found.friction_separability is not None:
+        lines.append(f"  {found.friction_separability.words}")
+    lines += ["", *_groups(done)]
+    lines += comparison_lines(done.comparisons)
+    lines += _source(done)
+    said = {each.words for each in found.parameters}
+    lines += [
+        f"  {note.severity}: {note.where}: {note.message}"
+        for note in found.notes
+        if note.message not in said
+    ]
+    lines.append(f"results: {from_here(done.folder)}")
+    return "\n".join(lines)
+
+
+def _parameter(each: CalibratedParameter) -> str:
+    factor, unit = DISPLAYED[each.name]
+    mark = "?" if each.verdict in _DOUBTED else " "
+    line = f"{mark} {each.name:<20}{_written(factor * each.value):>10} {unit:<4}"
+    if each.interval is None:
+        return f"{line} {each.verdict}"
+    low = "?" if each.is_open_below else _written(factor * each.interval.lower)
+    high = "?" if each.is_open_above else _written(factor * each.interval.upper)
+    return f"{line} 95 %: {low} to {high}  {each.verdict}"
+
+
+def _written(number: float) -> str:
+    """Five digits, or more where a large number would else be a power of ten."""
+    return f"{number:.5g}" if number < 99_999.0 else f"{number:.0f}"
+
+
+def _groups(done: Calibrated) -> list[str]:
+    heading = (
+        f"  {'wire':<14}{'samples':>8}{'rms mN':>9}{'of peak':>9}{'in band':>9}  {'tests are'}"
+    )
+    return [heading, *(_group(each) for each in done.groups)]
+
+
+def _group(each: ValidationGroup) -> str:
+    role = "calibrating" if each.is_calibrated else "predicted"
+    head = f"  {f'{each.wire}, {1e3 * each.length:.4g} mm':<14}{len(each.samples):>8}"
+    errors = each.errors
+    if errors is None:
+        return f"{head}{'-':>9}{'-':>9}{'-':>9}  {role}; {each.reason or ''}"
+    return (
+        f"{head}{1e3 * errors.rmse:>9.3g}{f'{100.0 * errors.rmse_share:.2g} %':>9}"
+        f"{f'{100.0 * errors.inside:.3g} %':>9}  {role}"
+    )
+
+
+def _source(done: Calibrated) -> list[str]:
+    source = done.source
+    if source is None:
+        return []
+    if isinstance(source, CalibrationFailure):
+        return [f"  method of the source: failed, {source.code}: {source.message}"]
+    unsettled = "" if source.converged else "; its search did not converge"
+    return [
+        f"  method of the source, to compare: mu_s {source.strand_friction:.3g}, mu_p "
+        f"{source.insulation_friction:.3g}, F_rad {1e3 * source.radial_force:.4g} mN, "
+        f"together {1e3 * source.radial_friction:.4g} mN, rms {1e3 * source.rmse:.3g} mN; where it "
+        f"ends depends on where it begins{unsettled}"
+    ]
+
+
+def comparison_lines(comparisons: Sequence[ThirdCurveComparison]) -> list[str]:
+    """Lay out external curves for a terminal.
+
+    Parameters
+    ----------
+    comparisons : external curves, compared with tests and model
+
+    Returns
+    -------
+    A heading, a line for each curve and what it is compared with, and what was left out; nothing
+    without any.
+    """
+    if not comparisons:
+        return []
+    width = min(_WIDEST, max(len(each.curve.name) for each in comparisons))
+    width = max(width, len("external curve"))
+    heading = f"  {'external curve':<{width}}  {'compared with':<22}{'points':>8}{'rms mN':>9}"
+    lines = ["", f"{heading}{'of peak':>9}{'in band':>9}"]
+    for each in comparisons:
+        curve = each.curve
+        of = f"{curve.wire}, {1e3 * curve.length:.4g} mm"
+        for what, found in (("tests", each.tests), ("model", each.model)):
+            if found is not None:
+                called = (
+                    curve.name if len(curve.name) <= _WIDEST else f"{curve.name[: _WIDEST - 1]}…"
+                )
+                name = f"  {called:<{width}}  {f'{what} of {of}':<22}"
+                lines.append(f"{name}{_numbers(found)}")
+    notes = [note for each in comparisons for note in each.notes]
+    return [*lines, *(f"  {note.severity}: {note.where}: {note.message}" for note in notes)]
+
+
+def _numbers(found: CurveMatch) -> str:
+    errors = found.errors
+    if errors is None:
+        return f"{0:>8}{'-':>9}{'-':>9}{'-':>9}"
+    inside = f"{100.0 * errors.inside:.3g} %" if math.isfinite(errors.inside) else "-"
+    share = f"{100.0 * errors.rmse_share:.2g} %"
+    return f"{errors.n:>8}{1e3 * errors.rmse:>9.3g}{share:>9}{inside:>9}"

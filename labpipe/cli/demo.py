@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from labpipe.cli.calibration_lines import calibration_table
-from labpipe.cli.process import process_all
+from labpipe.cli.calibrate import calibration_table
+from labpipe.cli.process import headline, process_all, table
 from labpipe.cli.report import status_of
-from labpipe.cli.telling import from_here, headline, table
+from labpipe.cli.terminal import from_here
 from labpipe.pipeline.calibrating import Calibrated, calibrate_tests
 from labpipe.pipeline.many import run_jobs
 from labpipe.pipeline.process import Processed

@@ -5,10 +5,23 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 
-from labpipe.cli.telling import reading
-from labpipe.cli.wire_lines import model_table
-from labpipe.pipeline.modelling import as_json, model_wires
+import numpy as np
+
+from labpipe.cli.terminal import from_here, reading
+from labpipe.pipeline.modelling import Modelled, as_json, model_wires
+from labpipe.records.quality import Severity
+from labpipe.records.wire import WireTable
+
+_HEADING = (
+    *("wire", "strands", "layout", "EI stick", "EI slip"),
+    *("first slip", "range", "force at 0.3 L"),
+)
+_UNITS = ("", "", "", "N mm^2", "N mm^2", "1/m", "1/m", "N")
+_WORDS = 3  # columns of words, flush left
+_DEFLECTION = 0.3  # of the length
+_MOST_NAMED = 10  # wires after a note
 
 
 def run(options: argparse.Namespace) -> int:
@@ -21,3 +34,80 @@ def run(options: argparse.Namespace) -> int:
     for reason in modelled.refused.values():
         print(f"labpipe model: {reason}", file=sys.stderr)
     return 1 if modelled.refused else 0
+
+
+def model_table(modelled: Modelled) -> str:
+    """Lay out the main numbers of modelled wires for a terminal.
+
+    Parameters
+    ----------
+    modelled : the wires of a sheet
+
+    Returns
+    -------
+    A line per wire, the notes that many of them share told once, then where the files are.
+    """
+    rows = [_HEADING, _UNITS, *(_cells(table) for table in modelled.tables)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADING))]
+    lines = [_line(row, widths) for row in rows]
+    lines += ["", *_notes(modelled.tables)]
+    if modelled.refused:
+        names = _named(tuple(modelled.refused), 0)
+        lines.append(f"  not modelled: {names} (reasons below)")
+    if modelled.gone:
+        names = _named(modelled.gone, 0)
+        lines.append(f"  no longer in the sheet, files taken away: {names}")
+    lines.append(f"results: {from_here(modelled.folder)}")
+    return "\n".join(lines)
+
+
+def _cells(table: WireTable) -> tuple[str, ...]:
+    onset = table.slip_onset(0)
+    return (
+        table.name,
+        str(len(table.layout.x)),
+        table.layout.kind,
+        f"{1e6 * table.stick_stiffness:.5g}",
+        f"{1e6 * table.slip_stiffness:.5g}",
+        onset if isinstance(onset, str) else f"{onset:.3g}",
+        f"{table.curvature[-1]:.4g}",
+        _force(table),
+    )
+
+
+def _force(table: WireTable) -> str:
+    """End load at the deflection of the heading; a dash where the curve does not reach it."""
+    wanted = _DEFLECTION * table.spec.length
+    if not len(table.tip_deflection) or wanted > table.tip_deflection[-1]:
+        return "-"
+    return f"{np.interp(wanted, table.tip_deflection, table.tip_force):.4g}"
+
+
+def _line(row: Sequence[str], widths: Sequence[int]) -> str:
+    cells = [
+        f"{cell:<{width}}" if column < _WORDS else f"{cell:>{width}}"
+        for column, (cell, width) in enumerate(zip(row, widths, strict=True))
+    ]
+    return "  ".join(cells).rstrip()
+
+
+def _notes(tables: Sequence[WireTable]) -> list[str]:
+    """Notes with the wires they concern, equal ones once; warnings first."""
+    wires: dict[tuple[Severity, str], list[str]] = {}
+    for table in tables:
+        for note in table.notes:
+            wires.setdefault((note.severity, note.message), []).append(table.name)
+    order = sorted(wires, key=lambda key: key[0] is Severity.INFO)
+    return [
+        f"  {severity}: {message}  [{_named(wires[severity, message], len(tables))}]"
+        for severity, message in order
+    ]
+
+
+def _named(names: Sequence[str], count: int) -> str:
+    """Name some wires; all of very many are named in the workbook."""
+    if len(names) <= _MOST_NAMED:
+        return ", ".join(names)
+    if len(names) == count:
+        return f"all {count} wires"
+    return f"{', '.join(names[:_MOST_NAMED])} and {len(names) - _MOST_NAMED} more"

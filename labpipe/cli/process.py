@@ -5,15 +5,19 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from labpipe.cli.telling import progress, table
+from labpipe.cli.terminal import from_here, name_width, progress, result_line
 from labpipe.pipeline.many import Refused, process_tests
 from labpipe.pipeline.process import Processed
 from labpipe.pipeline.targets import find_tests
+from labpipe.records.result import Result, Status
+from labpipe.report.numbers import shown_in
 from labpipe.store.summary import summary
 
+_MOST_CYCLES = 8
 _FINISHED = "a process was killed while it replaced the files here; that was finished first"
 
 
@@ -75,3 +79,65 @@ def process_all(
                 print(f"labpipe process: {done.folder}: {_FINISHED}", file=sys.stderr)
             processed.append(done)
     return processed, refused
+
+
+def table(processed: Processed) -> str:
+    """Lay out the results of one test for a terminal.
+
+    Parameters
+    ----------
+    processed : the test
+
+    Returns
+    -------
+    A heading, one line per result, then what is doubtful or failed with its reasons.
+    """
+    result = processed.result
+    lines, width = [headline(processed)], name_width(each.name for each in result.results)
+    for several in _by_quantity(result.results):
+        lines += _lines(several, dict(result.display), width)
+    reasons: dict[str, list[str]] = {}
+    for each in result.results:
+        if each.reasons:
+            reasons.setdefault(f"{each.status}: {each.why}", []).append(each.name)
+    lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
+    warnings = [note for note in result.quality if note.severity != "info"]
+    lines += [f"  {note.severity}: {note.where}: {note.message}" for note in warnings]
+    return "\n".join(lines)
+
+
+def headline(processed: Processed) -> str:
+    """Say in one line what became of a test.
+
+    Parameters
+    ----------
+    processed : the test
+    """
+    result = processed.result
+    counts = Counter(each.status for each in result.results)
+    said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+    return f"{result.test}  ({result.protocol}): {said}  ->  {from_here(processed.folder)}"
+
+
+def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:
+    """Results of one quantity together: ``energy.1``, ``energy.2``, ..."""
+    groups: dict[str, list[Result]] = {}
+    for result in results:
+        groups.setdefault(result.name.partition(".")[0], []).append(result)
+    return list(groups.values())
+
+
+def _lines(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:
+    """One line each; of many cycles only the first ones and the range of the rest."""
+    if len(results) <= _MOST_CYCLES:
+        return [result_line(result, display, width) for result in results]
+    rest = results[_MOST_CYCLES // 2 :]
+    values = [result.value for result in rest if result.value is not None]
+    lines = [result_line(result, display, width) for result in results[: _MOST_CYCLES // 2]]
+    if values:
+        shown = shown_in(results[0].name, results[0].unit, display)
+        low, high = shown.factor * min(values), shown.factor * max(values)
+        span = f"{low:.5g} to {high:.5g} {shown.unit}"
+        name = f"... to {rest[-1].name}"
+        lines.append(f"  {name:<{width}} {span} ({len(rest)} more in summary.json)")
+    return lines

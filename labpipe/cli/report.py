@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Mapping
 
-from labpipe.cli.telling import reading, report_table
+from labpipe.cli.terminal import from_here, name_width, reading, result_line
 from labpipe.pipeline.reporting import BY_TYPE, Reported, Wanted, report_tests
 from labpipe.pipeline.targets import find_results
-from labpipe.records.result import Status
+from labpipe.records.group import GroupNumber
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result, Status
 
 
 def run(options: argparse.Namespace) -> int:
@@ -37,3 +40,44 @@ def status_of(reported: Reported) -> int:
     samples = [sample for group in reported.campaign.groups for sample in group.samples]
     failed = any(each.status is Status.FAILED for sample in samples for each in sample.results)
     return 1 if failed else 0
+
+
+def report_table(reported: Reported) -> str:
+    """Lay out the main numbers of a report for a terminal.
+
+    Parameters
+    ----------
+    reported : the report
+
+    Returns
+    -------
+    A heading per group, one line per number with its interval, then where the files are.
+    """
+    lines: list[str] = []
+    for group in reported.campaign.groups:
+        spools = {sample.specimen.spool for sample in group.samples}
+        count = f"{_several(len(group.samples), 'sample')} from {_several(len(spools), 'spool')}"
+        lines.append(f"{group.name}  ({group.protocol}): {count}")
+        display = dict(group.samples[0].display) if group.samples else {}
+        width = name_width(number.name for number in group.numbers)
+        lines += [_mean_line(number, display, width) for number in group.numbers]
+        lines.append("")
+    lines.append(
+        f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
+    )
+    return "\n".join(lines)
+
+
+def _several(count: int, what: str) -> str:
+    return f"{count} {what}{'' if count == 1 else 's'}"
+
+
+def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> str:
+    mean = number.mean.chosen if number.mean is not None else None
+    value = mean.mean if mean is not None else None
+    interval = mean.interval if mean is not None else None
+    status = Status.FAILED if value is None else Status.OK
+    reasons = (Reason("no_samples", "no sample has it"),) if value is None else ()
+    as_result = Result(number.name, value, number.unit, interval, status, reasons)
+    missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
+    return f"{result_line(as_result, display, width)}{missing}"

@@ -73,7 +73,7 @@ def test_collector_works_again_once_all_is_imported(
 
 def test_check(run: Run, lab: Lab) -> None:
     ran = run("check", lab.raw)
-    assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: all well\n")
+    assert (ran.status, ran.out) == (DONE, "0 protocols, 1 tests: no faults found\n")
     lab.edit("test.yaml", "take.csv", "tale.csv")
     ran = run("check", lab.raw)
     assert ran.status == 2

@@ -40,7 +40,7 @@ def plan(folder: Path, text: str) -> str:
     return str(path)
 
 
-def test_truth_is_found_and_another_wire_foretold(
+def test_truth_is_found_and_another_wire_predicted(
     campaign: Path, sheet: str, tmp_path: Path, run: Run
 ) -> None:
     out = tmp_path / "out"
@@ -63,7 +63,7 @@ def test_truth_is_found_and_another_wire_foretold(
     assert found["source_method"]["rmse"] > found["rmse"]
     assert "where it ends depends on where it begins" in done.out
     assert "cannot be told apart" in done.out
-    assert "foretold" in done.out
+    assert "predicted" in done.out
     assert (out / "calibration.xlsx").is_file()
 
 

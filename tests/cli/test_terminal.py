@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.cli.telling import progress, reading, report_table, table
+from labpipe.cli.process import table
+from labpipe.cli.report import report_table
+from labpipe.cli.terminal import progress, reading
 from labpipe.pipeline.process import Processed
 from labpipe.pipeline.reporting import Reported
 from labpipe.records.curve import Interval

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.cli.wire_lines import model_table
+from labpipe.cli.model import model_table
 from labpipe.pipeline.modelling import Modelled
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from labpipe.cli.bundle_lines import bundle_table
+from labpipe.cli.bundle import bundle_table
 from labpipe.pipeline.bundling import Conduit, ModelledBundle
 from labpipe.wire.bundle.model import bundle_model
 from tests.builders.bundles import bundle, example_wires

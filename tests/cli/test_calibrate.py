@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.cli.calibration_lines import calibration_table
+from labpipe.cli.calibrate import calibration_table
 from labpipe.pipeline.calibrating import Calibrated
 from labpipe.pipeline.first_loadings import FirstLoading
 from labpipe.pipeline.validation_groups import compare

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from labpipe.cli.comparison_lines import comparison_lines
+from labpipe.cli.calibrate import comparison_lines
 from tests.builders.third_curves import third_comparison, unmodelled, untested
 
 
@@ -11,7 +11,7 @@ def test_a_line_for_each_curve_and_what_it_is_held_against() -> None:
     assert not blank
     words = [" ".join(line.split()) for line in (heading, tests, model)]
     assert words == [
-        "third curve held against points rms mN of peak in band",
+        "external curve compared with points rms mN of peak in band",
         "finite elements tests of A2, 85 mm 5 1 1 % 100 %",
         "finite elements model of A2, 85 mm 5 3 3.1 % 100 %",
     ]

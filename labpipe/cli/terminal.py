@@ -1,0 +1,115 @@
+"""What the commands share on a terminal: progress, and the line of a result."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+from labpipe.records.result import Result, Status
+from labpipe.report.numbers import shown_in
+
+_STAGES = ("read", "process", "write", "draw")
+_MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
+_LEAST_WIDTH = 26
+
+
+@contextmanager
+def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
+    """Show how far tests are: with a bar on a terminal, with a line each in a pipe.
+
+    Parameters
+    ----------
+    count : of tests
+
+    Yields
+    ------
+    begin : to be called with each test; it gives what is to be called with each stage as it begins
+    """
+    numbers = itertools.count()
+    if not sys.stderr.isatty():
+
+        def tell(test: Path) -> Callable[[str], None]:
+            print(f"{next(numbers) + 1}/{count} {test.parent.name}", file=sys.stderr)
+            return lambda _: None
+
+        yield tell
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=count * len(_STAGES), unit="stage", leave=False, delay=1.0) as bar:
+
+        def begin(test: Path) -> Callable[[str], None]:
+            bar.n = next(numbers) * len(_STAGES)
+
+            def say(stage: str) -> None:
+                bar.set_description(f"{test.parent.name}: {stage}")
+                bar.update()
+
+            return say
+
+        yield begin
+
+
+@contextmanager
+def reading(count: int) -> Iterator[Callable[[str], None]]:
+    """Show on a terminal which test is being read; in a pipe, nothing.
+
+    Parameters
+    ----------
+    count : of tests
+
+    Yields
+    ------
+    say : to be called with the name of each test
+    """
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from tqdm import tqdm
+
+    with tqdm(total=count + 1, unit="test", leave=False, delay=1.0) as bar:
+
+        def say(name: str) -> None:
+            bar.set_description(name)
+            bar.update()
+
+        yield say
+
+
+def from_here(path: Path) -> Path:
+    """A path as seen from the working folder, if it lies below.
+
+    Parameters
+    ----------
+    path : absolute or relative
+    """
+    here = Path.cwd()
+    return path.relative_to(here) if path.is_relative_to(here) else path
+
+
+def name_width(names: Iterable[str]) -> int:
+    """Room for the names of a table."""
+    return max(_LEAST_WIDTH, *(len(name) for name in names), 0)
+
+
+def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
+    """A result with its interval, in its display unit.
+
+    Parameters
+    ----------
+    result : of a test, or the mean of a group
+    display : unit by quantity
+    width : of the name
+    """
+    factor, unit = shown_in(result.name, result.unit, display)
+    mark = _MARK[result.status]
+    if result.value is None:
+        return f"{mark} {result.name:<{width}}{'-':>12}"
+    shown = f"{mark} {result.name:<{width}}{factor * result.value:>12.5g} {unit:<6}"
+    if result.interval is None:
+        return shown
+    low, high = factor * result.interval.lower, factor * result.interval.upper
+    return f"{shown} 95 %: {low:.5g} to {high:.5g}"
