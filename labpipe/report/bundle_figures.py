@@ -11,7 +11,15 @@ import numpy as np
 
 from labpipe.records.bundle import BundleModel
 from labpipe.report.numbers import write_number
-from labpipe.report.page import DOUBLE_COLUMN, GREY, Words, keyed_page, number_log, panel_letter
+from labpipe.report.page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Words,
+    keyed_page,
+    number_log,
+    panel_letter,
+    style_colours,
+)
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_look import CURVATURE, LENGTH, MOMENT, STIFFNESS
 
@@ -209,7 +217,5 @@ def _is_alike(model: BundleModel) -> bool:
 
 
 def _colours() -> list[str]:
-    import matplotlib as mpl
-
-    own: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    own = style_colours()
     return own[-1:] + own[-2:-1] + own[2:4]  # light ones first, so that lines are seen on them

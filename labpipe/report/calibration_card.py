@@ -16,10 +16,11 @@ from labpipe.report.calibration_curves import (
     plot_loadings,
     plot_residuals,
 )
-from labpipe.report.calibration_look import SOURCE, count_of, length_words
+from labpipe.report.calibration_look import SOURCE, length_words
 from labpipe.report.calibration_profiles import INTERVAL, PRIOR, THRESHOLD, plot_profile
 from labpipe.report.calibration_words import HEADS, parameter_row, sentences
 from labpipe.report.page import DOUBLE_COLUMN, Words, keyed_page, panel_letter
+from labpipe.report.wording import count_of
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist

@@ -10,7 +10,8 @@ from labpipe.report.calibration_card import calibration_card
 from labpipe.report.calibration_shapes import shapes_figure
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_third import third_figure, third_pages
-from labpipe.report.calibration_validation import validation_figure, validation_pages
+from labpipe.report.calibration_validation import MOST_GROUPS, validation_figure
+from labpipe.report.page import in_pages
 from labpipe.report.saving import FigureToSave, save_pages
 
 
@@ -31,7 +32,7 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
         calibration_card, report.calibration, report.source, predictions=report.predictions
     )
     yield FigureToSave("calibration", card)
-    for number, groups in enumerate(validation_pages(report.groups), start=1):
+    for number, groups in enumerate(in_pages(report.groups, MOST_GROUPS), start=1):
         yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))
     for number, panels in enumerate(third_pages(report), start=1):
         name = "third-curves" if number == 1 else f"third-curves-{number}"

@@ -13,7 +13,8 @@ from labpipe.records.calibration import (
     INSULATION_MODULUS,
     RADIAL_FRICTION,
 )
-from labpipe.report.page import Look
+from labpipe.report.numbers import SUPERSCRIPTS
+from labpipe.report.page import Look, dash_of
 from labpipe.report.wording import Scale
 
 DEFLECTION = Scale(1e3, "mm")
@@ -29,12 +30,8 @@ SOURCE: Mapping[str, Any] = {
 """What `method: source` makes of the same tests."""
 
 _COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
-_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
 _POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
-_SUPERSCRIPTS = str.maketrans(
-    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
-)
 
 
 class Shown(NamedTuple):
@@ -103,7 +100,7 @@ def typeset(sentence: str) -> str:
 
 def _power(found: re.Match[str]) -> str:
     sign = "-" if found[1] == "-" else ""
-    return f" \u00d7 10{(sign + found[2]).translate(_SUPERSCRIPTS)}"
+    return f" \u00d7 10{(sign + found[2]).translate(SUPERSCRIPTS)}"
 
 
 def percent(share: float) -> str:
@@ -124,11 +121,6 @@ def length_words(length: float) -> str:
     return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
 
 
-def count_of(number: int, noun: str) -> str:
-    """A number of things, such as ``1 sample`` or ``3 samples``."""
-    return f"{number} {noun}{'s' * (number != 1)}"
-
-
 def length_looks(lengths: Sequence[float]) -> dict[float, Look]:
     """Give the samples of each length a colour and a dash, to be told apart in grey too.
 
@@ -137,6 +129,6 @@ def length_looks(lengths: Sequence[float]) -> dict[float, Look]:
     lengths : m, in any order, with repetitions
     """
     return {
-        length: Look(_COLOURS[number % len(_COLOURS)], _DASHES[number % len(_DASHES)])
+        length: Look(_COLOURS[number % len(_COLOURS)], dash_of(number))
         for number, length in enumerate(sorted(set(lengths)))
     }

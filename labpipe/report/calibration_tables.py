@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import zip_longest
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
 from labpipe.records.calibration import (
     PARAMETERS,
     CalibratedParameter,
@@ -20,8 +17,7 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_look import DEFLECTION, FORCE, SHOWN, length_words, typeset
 from labpipe.report.calibration_shown import CalibrationReport, ValidationGroup
 from labpipe.report.comparison_tables import comparison_tables
-from labpipe.report.sheets import Sheet, Value, sheet_name
-from labpipe.report.wording import Scale
+from labpipe.report.sheets import FREE, Column, Sheet, Value, column, sheet_name, sheet_of_columns
 
 SUMMARY, FIT, IDENTIFIED, CURVES = "summary", "fit", "identified", "curves"
 AGREEMENT, NOTES = "agreement", "notes"
@@ -238,39 +234,34 @@ def _group(group: ValidationGroup, name: str) -> Sheet:
     blocks = [*_mean(group), *_prediction(group)]
     for test, sample in group.samples.items():
         blocks += [
-            ("", ()),
-            _column(f"{test}, deflection", DEFLECTION, sample.displacement),
-            _column(f"{test}, force", FORCE, sample.force),
+            FREE,
+            column(f"{test}, deflection", DEFLECTION, sample.displacement),
+            column(f"{test}, force", FORCE, sample.force),
         ]
-    rows = list(zip_longest(*(values for _, values in blocks)))
-    return Sheet(name, [head for head, _ in blocks], rows)
+    return sheet_of_columns(name, blocks)
 
 
-def _mean(group: ValidationGroup) -> Iterator[tuple[str, Iterable[Any]]]:
-    yield _column("deflection", DEFLECTION, group.band.displacement)
-    yield _column("mean", FORCE, group.band.mean)
-    yield _column("mean, lower", FORCE, group.band.lower)
-    yield _column("mean, upper", FORCE, group.band.upper)
+def _mean(group: ValidationGroup) -> Iterator[Column]:
+    yield column("deflection", DEFLECTION, group.band.displacement)
+    yield column("mean", FORCE, group.band.mean)
+    yield column("mean, lower", FORCE, group.band.lower)
+    yield column("mean, upper", FORCE, group.band.upper)
 
 
-def _prediction(group: ValidationGroup) -> Iterator[tuple[str, Iterable[Any]]]:
+def _prediction(group: ValidationGroup) -> Iterator[Column]:
     found = group.prediction
     if found is None:
         return
-    yield "", ()
-    yield _column("deflection of the model", DEFLECTION, found.deflection)
-    yield _column("model", FORCE, found.force)
+    yield FREE
+    yield column("deflection of the model", DEFLECTION, found.deflection)
+    yield column("model", FORCE, found.force)
     for name, values in (
         ("model, lower", found.lower),
         ("model, upper", found.upper),
         ("model of the mean sample, lower", found.lower_mean),
         ("model of the mean sample, upper", found.upper_mean),
     ):
-        yield _column(name, FORCE, values)
-
-
-def _column(words: str, scale: Scale, values: Floats) -> tuple[str, Iterable[Any]]:
-    return scale.label(words), (scale.factor * values).tolist()
+        yield column(name, FORCE, values)
 
 
 def _yes(value: bool) -> str:

@@ -25,7 +25,15 @@ from labpipe.report.calibration_validation import (
     MEASURED_LOOK,
     MODEL_LOOK,
 )
-from labpipe.report.page import DOUBLE_COLUMN, Words, keyed_page, panel_letter
+from labpipe.report.page import (
+    DOUBLE_COLUMN,
+    Words,
+    in_pages,
+    keyed_page,
+    panel_grid,
+    panel_letter,
+    require_room,
+)
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -80,7 +88,7 @@ def third_pages(report: CalibrationReport) -> list[Sequence[ThirdPanel]]:
         found.setdefault(key, []).append(each)
     groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
     panels = [ThirdPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in found.items()]
-    return [panels[start : start + MOST_PANELS] for start in range(0, len(panels), MOST_PANELS)]
+    return in_pages(panels, MOST_PANELS)
 
 
 def third_figure(panels: Sequence[ThirdPanel]) -> Figure:
@@ -95,23 +103,18 @@ def third_figure(panels: Sequence[ThirdPanel]) -> Figure:
     ValueError
         If there is no panel, or there are more than fit on a page.
     """
-    if not 1 <= len(panels) <= MOST_PANELS:
-        message = f"{len(panels)} panels: allowed are 1 to {MOST_PANELS} on a page"
-        raise ValueError(message)
-    columns = min(_THIRD_COLUMNS, len(panels))
-    rows = math.ceil(len(panels) / columns)
+    require_room(len(panels), MOST_PANELS, "panels")
+    rows = math.ceil(len(panels) / _THIRD_COLUMNS)
     words = Words(
         "Curves from elsewhere, tests and model", _third_note(panels), _third_keys(panels)
     )
     row = _THIRD_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
     page = keyed_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
-    drawn = page.subplots(rows, columns, squeeze=False).ravel()
+    drawn = panel_grid(page, len(panels), columns=_THIRD_COLUMNS)
     for letter, panel, axes in zip("abcdef", panels, drawn, strict=False):
         plot_third(panel, axes)
         load = ", load normal to the axis" if panel.is_normal else ""
         panel_letter(axes, letter, f"{panel.wire}, {length_words(panel.length)}{load}")
-    for spare in drawn[len(panels) :]:
-        spare.set_axis_off()
     return page
 
 

@@ -17,14 +17,22 @@ from labpipe.report.calibration_look import (
     FORCE,
     MODEL,
     SMALL_FORCE,
-    count_of,
     length_words,
     percent,
 )
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.report.concerns import sentences
-from labpipe.report.page import DOUBLE_COLUMN, GREY, Words, keyed_page, panel_letter
+from labpipe.report.page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Words,
+    keyed_page,
+    panel_grid,
+    panel_letter,
+    require_room,
+)
 from labpipe.report.thinning import extremes
+from labpipe.report.wording import count_of
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -46,11 +54,6 @@ _EDGE: dict[str, Any] = {"color": MODEL, "linewidth": 0.5, "zorder": 3}
 _BINS, _ROOM, _LINE = 100, 1.08, 48
 
 
-def validation_pages(groups: Sequence[ValidationGroup]) -> list[Sequence[ValidationGroup]]:
-    """Share groups out to pages of `MOST_GROUPS`."""
-    return [groups[start : start + MOST_GROUPS] for start in range(0, len(groups), MOST_GROUPS)]
-
-
 def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     """Draw force against deflection as measured and as the model has it, a panel for each group.
 
@@ -63,20 +66,16 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     ValueError
         If there is no group, or there are more than fit on a page.
     """
-    if not 1 <= len(groups) <= MOST_GROUPS:
-        message = f"{len(groups)} groups: allowed are 1 to {MOST_GROUPS} on a page"
-        raise ValueError(message)
-    columns = min(_COLUMNS, len(groups))
-    rows = math.ceil(len(groups) / columns)
+    require_room(len(groups), MOST_GROUPS, "groups")
     words = Words("Measured and foretold first loadings", _note(groups), _keys(groups))
-    page = keyed_page(words, height_mm=_ROW * rows, width_mm=DOUBLE_COLUMN)
-    panels = page.subplots(rows, columns, squeeze=False).ravel()
+    page = keyed_page(
+        words, height_mm=_ROW * math.ceil(len(groups) / _COLUMNS), width_mm=DOUBLE_COLUMN
+    )
+    panels = panel_grid(page, len(groups), columns=_COLUMNS)
     for letter, group, axes in zip("abcdef", groups, panels, strict=False):
         plot_group(group, axes)
         use = "calibrated" if group.is_calibrated else "foretold"
         panel_letter(axes, letter, f"{group.wire}, {length_words(group.length)}: {use}")
-    for spare in panels[len(groups) :]:
-        spare.set_axis_off()
     return page
 
 

@@ -14,11 +14,11 @@ from labpipe.records.quality import Severity
 from labpipe.report.calibration_look import (
     SHOWN,
     SMALL_FORCE,
-    count_of,
     percent,
     typeset,
 )
 from labpipe.report.numbers import write_number
+from labpipe.report.wording import count_of
 
 HEADS = ("parameter", "value", "95 % interval", "unit", "verdict")
 _DIGITS = 2

@@ -4,17 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.records.group import Band, Campaign, Group, GroupNumber
+from labpipe.records.group import Band, Campaign, GroupNumber
 from labpipe.report.group_figures import stems
 from labpipe.report.group_look import group_scale
 from labpipe.report.numbers import display_of, heading, in_words, shown_in
-from labpipe.report.page import DOUBLE_COLUMN, GREY, Look, Words, keyed_page, panel_letter, say
+from labpipe.report.page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Look,
+    Words,
+    keep_in_view,
+    keyed_page,
+    panel_letter,
+    say,
+    style_colours,
+)
 from labpipe.report.questions import Family, context_words, equal_words, families, field_words
 from labpipe.report.saving import FigureToSave
 from labpipe.report.thinning import bends
@@ -32,7 +41,6 @@ _POINTS, _UNSEEN = 40, 0.003
 page of eighteen groups is below 2 MB."""
 _ROOM = 0.4
 """Height left for bands above and below the mean curves, as a share of theirs."""
-_ROOM_FOR_INTERVALS = 1.5
 _BAND_LOOK: dict[str, Any] = {"alpha": 0.16, "linewidth": 0, "zorder": 1}
 _DASHES: tuple[Any, ...] = (
     "-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)), (0, (9, 2)),
@@ -83,7 +91,9 @@ def caption(family: Family) -> str:
         word for word, each in zip(family.words, family.groups, strict=True) if each.band.n == 1
     ]
     lacking = [
-        w for w, each in zip(family.words, family.groups, strict=True) if not _has_curve(each)
+        word
+        for word, each in zip(family.words, family.groups, strict=True)
+        if not len(each.band.displacement)
     ]
     return " ".join(
         [
@@ -163,7 +173,8 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
     drawn = [
         (look, band)
         for look, group in zip(_looks(family), family.groups, strict=True)
-        if (band := _band(group, is_scaled=is_scaled)) is not None and len(band.displacement)
+        if (band := group.band_scaled if is_scaled else group.band) is not None
+        and len(band.displacement)
     ]
     if not drawn:
         say(axes, "No group has a mean curve.")
@@ -208,7 +219,7 @@ def plot_means(family: Family, name: str, axes: Axes) -> None:
     name : of the number
     axes : to draw on
     """
-    numbers = [_number(group, name) for group in family.groups]
+    numbers = [next(each for each in group.numbers if each.name == name) for group in family.groups]
     shown = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
     every: list[float] = []
     for row, (number, look, sign) in enumerate(
@@ -224,7 +235,7 @@ def plot_means(family: Family, name: str, axes: Axes) -> None:
     axes.set_ylim(len(numbers) - 0.4, -0.6)
     axes.set_xlabel(heading(name, shown.unit))
     axes.locator_params(axis="x", nbins=4)
-    _keep_in_view(every, axes)
+    keep_in_view(every, axes)
 
 
 def _plot_mean(
@@ -240,28 +251,6 @@ def _plot_mean(
     return chosen.mean
 
 
-def _keep_in_view(values: Sequence[float], axes: Axes) -> None:
-    """Let the axis cut intervals that would press the groups into one place."""
-    known = [value for value in values if not isnan(value)]
-    low, high = min(known), max(known)
-    room = _ROOM_FOR_INTERVALS * (high - low)
-    if room > 0.0:
-        now = axes.get_xlim()
-        axes.set_xlim(max(now[0], low - room), min(now[1], high + room))
-
-
-def _number(group: Group, name: str) -> GroupNumber:
-    return next(each for each in group.numbers if each.name == name)
-
-
-def _band(group: Group, *, is_scaled: bool) -> Band | None:
-    return group.band_scaled if is_scaled else group.band
-
-
-def _has_curve(group: Group) -> bool:
-    return bool(len(group.band.displacement))
-
-
 def _is_scaled(family: Family) -> bool:
     bands = [group.band_scaled for group in family.groups]
     return any(band is not None and len(band.displacement) for band in bands)
@@ -269,9 +258,7 @@ def _is_scaled(family: Family) -> bool:
 
 def _looks(family: Family) -> list[Look]:
     """A colour and a dash of its own for each group, to be told apart in grey too."""
-    import matplotlib as mpl
-
-    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    own = style_colours()
     return [Look(own[at % len(own)], _DASHES[at]) for at in range(len(family.groups))]
 
 

@@ -11,9 +11,9 @@ import numpy as np
 from labpipe.records.curve import Interval
 from labpipe.records.group import Group, GroupNumber, MeanInterval
 from labpipe.records.result import Status
-from labpipe.report.group_look import RED, group_page, panel_grid, spool_looks
+from labpipe.report.group_look import RED, group_page, spool_looks
 from labpipe.report.numbers import display_of, in_words, shown_in, unit_words
-from labpipe.report.page import GREY
+from labpipe.report.page import GREY, keep_in_view, panel_grid
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -86,7 +86,7 @@ def draw_dots(group: Group) -> Figure:
     page = group_page(
         group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
     )
-    panels = panel_grid(page, len(numbers), columns=_COLUMNS)
+    panels = panel_grid(page, len(numbers), columns=_COLUMNS, sharey=True)
     for number, axes in zip(numbers, panels, strict=True):
         plot_dots(group, number, axes)
     return page
@@ -111,7 +111,7 @@ def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
     axes.set_ylim(len(labels) - 0.4, -0.6)
     axes.set_title(in_words(number.name), loc="left", size=8)
     axes.set_xlabel(unit_words(shown.unit))
-    _keep_in_view(rows, shown.factor, axes)
+    keep_in_view([shown.factor * row.value for row in rows], axes)
     axes.locator_params(axis="x", nbins=5)
 
 
@@ -184,16 +184,6 @@ def _plot_row(row: Row, factor: float, axes: Axes) -> None:
     axes.plot(factor * row.value, row.height, row.marker, color=row.colour, markerfacecolor=face)
     if row.is_marked:
         axes.plot(factor * row.value, row.height, **_RING)
-
-
-def _keep_in_view(rows: list[Row], factor: float, axes: Axes) -> None:
-    """Let the axis cut intervals that would press the dots into one place."""
-    values = [factor * row.value for row in rows if not math.isnan(row.value)]
-    low, high = min(values), max(values)
-    room = 1.5 * (high - low)
-    if room > 0.0:
-        now = axes.get_xlim()
-        axes.set_xlim(max(now[0], low - room), min(now[1], high + room))
 
 
 def _is_first(name: str) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 from labpipe.records.group import Group
 from labpipe.report.group_look import first_loading, group_page, group_scale, label_axes, thin
 from labpipe.report.numbers import display_of, in_words, shown_in, unit_words, write_mean
+from labpipe.report.page import style_colours
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -72,9 +73,7 @@ def plot_lines(group: Group, axes: Axes) -> None:
 
 def _looks(group: Group) -> dict[str, dict[str, Any]]:
     """Broad and pale for lines over set windows, thin and dotted upon them for fitted segments."""
-    import matplotlib as mpl
-
-    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    own = style_colours()
     names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
     windows = [name for name in names if not name.startswith("segment")]
     looks: dict[str, dict[str, Any]] = dict.fromkeys(names, _SEGMENT)

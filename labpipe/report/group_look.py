@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.group import Group, Sample, SampleCurve
 from labpipe.report.numbers import display_of, shown_in
-from labpipe.report.page import Look, Words, keyed_page
+from labpipe.report.page import Look, Words, keyed_page, line_looks
 from labpipe.report.thinning import bends
-from labpipe.report.wording import Scale
+from labpipe.report.wording import Scale, count_of
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -23,19 +22,12 @@ if TYPE_CHECKING:
 RED = "#b2182b"
 POINTS, FAINT_POINTS = 120, 40
 """Points that a curve is drawn with at the most, so that a page of thirty tests is below 1 MB."""
-_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 
 
 def spool_looks(group: Group) -> dict[str, Look]:
     """Give each spool a colour, and a dash so that they differ on a grey print too."""
-    import matplotlib as mpl
-
-    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
     spools = dict.fromkeys(sample.specimen.spool for sample in group.samples)
-    return {
-        spool: Look(own[number % len(own)], _DASHES[number % len(_DASHES)])
-        for number, spool in enumerate(spools)
-    }
+    return dict(zip(spools, line_looks(len(spools)), strict=True))
 
 
 def group_scale(group: Group, quantity: str) -> Scale:
@@ -46,8 +38,7 @@ def group_scale(group: Group, quantity: str) -> Scale:
 def count_words(group: Group) -> str:
     """Count what a group holds, such as ``6 samples from 2 spools``."""
     spools = {sample.specimen.spool for sample in group.samples}
-    samples = f"{len(group.samples)} sample{'s' * (len(group.samples) != 1)}"
-    return f"{samples} from {len(spools)} spool{'s' * (len(spools) != 1)}"
+    return f"{count_of(len(group.samples), 'sample')} from {count_of(len(spools), 'spool')}"
 
 
 def group_page(
@@ -65,23 +56,6 @@ def group_page(
     """
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
     return keyed_page(Words(title, note, keys), height_mm=height_mm, columns=columns)
-
-
-def panel_grid(page: Figure, count: int, *, columns: int) -> list[Axes]:
-    """Make panels of one height axis, row by row.
-
-    Parameters
-    ----------
-    page : they are put on
-    count : of panels, at least one
-    columns : side by side at the most
-    """
-    columns = min(columns, count)
-    rows = math.ceil(count / columns)
-    panels = page.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for spare in panels[count:]:
-        spare.set_axis_off()
-    return list(panels[:count])
 
 
 def thin(curve: SampleCurve, values: Floats, *, points: int = POINTS) -> tuple[Floats, Floats]:

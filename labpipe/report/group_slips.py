@@ -15,11 +15,10 @@ from labpipe.report.group_look import (
     group_page,
     group_scale,
     label_axes,
-    panel_grid,
     spool_looks,
     thin,
 )
-from labpipe.report.page import GREY
+from labpipe.report.page import GREY, panel_grid
 from labpipe.report.wording import shortened
 
 if TYPE_CHECKING:
@@ -56,7 +55,7 @@ def draw_slips(group: Group) -> Figure:
         f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
     )
     page = group_page(group, _slip_keys(shown), height_mm=_HEIGHT * rows, note=note)
-    panels = panel_grid(page, len(shown), columns=_SLIP_COLUMNS)
+    panels = panel_grid(page, len(shown), columns=_SLIP_COLUMNS, sharey=True)
     for sample, axes in zip(shown, panels, strict=True):
         plot_slips(group, sample, axes)
         axes.set_title(shortened(sample.test, _LONGEST), loc="left")

@@ -18,6 +18,7 @@ from labpipe.report.numbers import (
     write_mean,
     write_number,
 )
+from labpipe.report.wording import count_of
 from labpipe.statistics.methods import mixed
 
 DASH = "\u2013"
@@ -116,8 +117,7 @@ def _over(number: GroupNumber) -> str:
     mean = number.mean
     if mean is None:
         return DASH
-    what = "sample" if mean.is_pooled else "spool mean"
-    return f"{mean.chosen.n} {what}{'s' * (mean.chosen.n != 1)}"
+    return count_of(mean.chosen.n, "sample" if mean.is_pooled else "spool mean")
 
 
 def _mixed(ways: int) -> str:

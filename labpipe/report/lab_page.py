@@ -28,6 +28,7 @@ from labpipe.report.place_tables import has_bundles, place_table
 from labpipe.report.question_tables import difference_table, question_table, remarks_on_pairs
 from labpipe.report.questions import answering_pairs, field_words
 from labpipe.report.saving import SavedFigure
+from labpipe.report.wording import count_of
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -122,17 +123,13 @@ def _summary(campaign: Campaign) -> str:
     spools = {(sample.specimen.type, sample.specimen.spool) for sample in samples}
     protocols = sorted({group.protocol for group in campaign.groups})
     words = (
-        f"{_count(len(samples), 'sample')} from {_count(len(spools), 'spool')} in"
-        f" {_count(len(campaign.groups), 'group')}, tested by"
+        f"{count_of(len(samples), 'sample')} from {count_of(len(spools), 'spool')} in"
+        f" {count_of(len(campaign.groups), 'group')}, tested by"
         f" {', '.join(protocols) or 'no protocol'}."
     )
     if campaign.left_out:
-        words += f" {_count(len(campaign.left_out), 'test')} could not be read."
+        words += f" {count_of(len(campaign.left_out), 'test')} could not be read."
     return words
-
-
-def _count(count: int, what: str) -> str:
-    return f"{count} {what}{'s' * (count != 1)}"
 
 
 def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str, Any]:

@@ -62,7 +62,7 @@ _DIGITS_OF_INTERVAL = 2
 _DIGITS_OF_MEAN, _BEYOND_INTERVAL = 3, 2
 _PLAIN = (1e-3, 1e6)
 """Sizes between which a number is written without a power of ten."""
-_SUPERSCRIPTS = str.maketrans(
+SUPERSCRIPTS = str.maketrans(
     "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
 )
 
@@ -163,7 +163,7 @@ def unit_words(unit: str) -> str:
     >>> unit_words("1")
     ''
     """
-    raised = re.sub(r"\^(-?\d+)", lambda found: found[1].translate(_SUPERSCRIPTS), unit)
+    raised = re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), unit)
     return "" if unit == "1" else raised.replace("*", "·")
 
 
@@ -289,7 +289,7 @@ def _alike(numbers: Iterable[float], place: int) -> list[str]:
     if _PLAIN[0] <= largest < _PLAIN[1] or largest == 0.0 or not math.isfinite(largest):
         return [_rounded(number, place) for number in several]
     power = math.floor(math.log10(largest))
-    tail = f" \u00d7 10{str(power).translate(_SUPERSCRIPTS)}"
+    tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
     return [_rounded(number / 10.0**power, place - power) + tail for number in several]
 
 

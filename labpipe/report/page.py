@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from labpipe.records.result import TestResult
 from labpipe.report.wording import footnote, printable, shortened, title
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.text import Text
 
+T = TypeVar("T")
+
 STYLE_FILE = Path(__file__).with_name("labpipe.mplstyle")
 DOUBLE_COLUMN = 180.0
 WIDTH = 120.0
@@ -30,7 +32,10 @@ _LINE_MM = 4.2
 _EDGE = 0.012
 _LONGEST_TICK, _LONGEST_LINE = 40, 150
 """Characters of a word at an axis, and of a line anywhere on a page."""
+_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _FEW_DECADES = 500.0
+_ROOM_FOR_INTERVALS = 1.5
+"""Beside the values of an axis, as a share of their range."""
 _NOTE_CHARACTERS = 0.8
 """Characters of a footnote for each mm of the page's width."""
 _KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
@@ -287,3 +292,78 @@ def number_log(axis: Axis) -> None:
     axis.set_major_locator(LogLocator(subs=steps))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
+
+
+def style_colours() -> list[str]:
+    """Colours of the style, in their order."""
+    import matplotlib as mpl
+
+    own: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
+    return own
+
+
+def line_looks(count: int) -> list[Look]:
+    """Give each of several lines a colour and a dash of its own, to be told apart in grey too."""
+    own = style_colours()
+    return [
+        # the dash moves on where the colours begin anew, so that no pair comes twice
+        Look(own[number % len(own)], dash_of(number + number // len(own)))
+        for number in range(count)
+    ]
+
+
+def dash_of(number: int) -> Any:
+    """Dash of a line by its number, from 0; they begin anew after four."""
+    return _DASHES[number % len(_DASHES)]
+
+
+def panel_grid(page: Figure, count: int, *, columns: int, sharey: bool = False) -> list[Axes]:
+    """Make panels row by row; places that are left over stay empty.
+
+    Parameters
+    ----------
+    page : they are put on
+    count : of panels, at least one
+    columns : side by side at the most
+    sharey : all have one height axis
+    """
+    columns = min(columns, count)
+    rows = math.ceil(count / columns)
+    panels = page.subplots(rows, columns, squeeze=False, sharey=sharey).ravel()
+    for spare in panels[count:]:
+        spare.set_axis_off()
+    return list(panels[:count])
+
+
+def in_pages(items: Sequence[T], most: int) -> list[Sequence[T]]:
+    """Share things out to pages of so many."""
+    return [items[start : start + most] for start in range(0, len(items), most)]
+
+
+def require_room(count: int, most: int, what: str) -> None:
+    """Refuse a page of nothing, and one of more than it has room for.
+
+    Raises
+    ------
+    ValueError
+        With the number and what is allowed.
+    """
+    if not 1 <= count <= most:
+        message = f"{count} {what}: allowed are 1 to {most} on a page"
+        raise ValueError(message)
+
+
+def keep_in_view(values: Sequence[float], axes: Axes) -> None:
+    """Let the axis cut intervals that would press the values into one place.
+
+    Parameters
+    ----------
+    values : in the unit of the axis; NaN for none
+    axes : with all that is drawn
+    """
+    known = [value for value in values if not math.isnan(value)]
+    low, high = min(known), max(known)
+    room = _ROOM_FOR_INTERVALS * (high - low)
+    if room > 0.0:
+        now = axes.get_xlim()
+        axes.set_xlim(max(now[0], low - room), min(now[1], high + room))

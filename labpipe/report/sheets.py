@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from labpipe.errors import StoreError, complaint
-from labpipe.report.wording import printable
+from labpipe.records.arrays import Floats
+from labpipe.report.wording import Scale, printable
 
 if TYPE_CHECKING:
     from openpyxl.cell import Cell
@@ -24,6 +26,9 @@ _RESERVED = "history"
 """Excel's own sheet of tracked changes, in any case of letters."""
 
 Value: TypeAlias = str | float | None
+Column: TypeAlias = tuple[str, Iterable[Any]]
+FREE: Column = ("", ())
+"""A column that is left free."""
 
 
 class Sheet(NamedTuple):
@@ -86,6 +91,23 @@ def save_sheets(sheets: Iterable[Sheet], path: Path, *, again: str, active: int 
             " again.",
         )
         raise StoreError(message) from error
+
+
+def sheet_of_columns(name: str, columns: Iterable[Column]) -> Sheet:
+    """Put columns of any lengths beside each other.
+
+    Parameters
+    ----------
+    name : of the sheet
+    columns : heading and values of each; `FREE` for one without anything
+    """
+    heads, values = zip(*columns, strict=True)
+    return Sheet(name, heads, list(zip_longest(*values)))
+
+
+def column(words: str, scale: Scale, values: Floats) -> Column:
+    """Column of numbers in a display unit, below a heading with that unit."""
+    return scale.label(words), (scale.factor * values).tolist()
 
 
 def sheet_name(wanted: str, taken: Sequence[str]) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.report.page import Words, keyed_page, panel_letter
+from labpipe.report.page import Words, keyed_page, line_looks, panel_letter, require_room
 from labpipe.report.wire_look import (
     CURVATURE,
     MOMENT,
@@ -18,7 +18,6 @@ from labpipe.report.wire_look import (
     set_log,
     short_name,
     stiffness_scale,
-    wire_looks,
 )
 
 if TYPE_CHECKING:
@@ -41,14 +40,12 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     ValueError
         If there is no wire, or there are more than can be told apart.
     """
-    if not 1 <= len(tables) <= MOST_WIRES:
-        message = f"{len(tables)} wires: allowed are 1 to {MOST_WIRES} on a page"
-        raise ValueError(message)
+    require_room(len(tables), MOST_WIRES, "wires")
     words = Words("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
     page = keyed_page(words, height_mm=_COMPARISON_HEIGHT)
     left, right = page.subplots(1, 2)
     unit = stiffness_scale(tables)
-    for table, look in zip(tables, wire_looks(tables), strict=True):
+    for table, look in zip(tables, line_looks(len(tables)), strict=True):
         style: dict[str, Any] = {"color": look.colour, "linestyle": look.dash}
         use = bent(table)
         left.plot(table.curvature[use], unit.factor * table.secant_stiffness[use], **style)
@@ -75,5 +72,5 @@ def _wire_keys(tables: Sequence[WireTable]) -> list[Artist]:
 
     return [
         Line2D([], [], color=look.colour, linestyle=look.dash, label=short_name(table))
-        for table, look in zip(tables, wire_looks(tables), strict=True)
+        for table, look in zip(tables, line_looks(len(tables)), strict=True)
     ]

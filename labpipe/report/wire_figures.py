@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labpipe.records.wire import WireTable
+from labpipe.report.page import in_pages
 from labpipe.report.saving import FigureToSave, save_pages
 from labpipe.report.wire_cantilever import cantilever_figure
 from labpipe.report.wire_comparison import comparison_figure
-from labpipe.report.wire_look import pages
+from labpipe.report.wire_look import MOST_WIRES
 from labpipe.report.wire_sections import section_figure
 from labpipe.report.wire_stiffness import moment_figure, stiffness_figure
 
@@ -40,7 +41,7 @@ def wire_drawings(tables: Sequence[WireTable]) -> Iterator[FigureToSave]:
     of each wire ``NAME.stiffness``, ``NAME.moment`` and ``NAME.cantilever``. There is no comparison
     with one wire alone.
     """
-    for number, some in enumerate(pages(tables), start=1):
+    for number, some in enumerate(in_pages(tables, MOST_WIRES), start=1):
         yield FigureToSave(f"sections-{number}", partial(section_figure, some))
         if len(some) > 1:
             yield FigureToSave(f"comparison-{number}", partial(comparison_figure, some))

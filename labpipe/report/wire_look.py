@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report.page import Look, number_log
+from labpipe.report.page import number_log
 from labpipe.report.wording import Scale
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ FORCE = Scale(1.0, "N")
 MOST_WIRES = 12
 """Wires on one page: more could not be told apart."""
 
-_DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.2, 1.5)))
 _LONGEST_NAME = 24
 
 
@@ -72,23 +71,6 @@ def warnings_of(table: WireTable) -> str:
     """Sentences of the notes that are more than information, one after the other."""
     told = [note.message for note in table.notes if note.severity is not Severity.INFO]
     return " ".join(told)
-
-
-def wire_looks(tables: Sequence[WireTable]) -> list[Look]:
-    """Give each wire of a page a colour and a dash of its own, to be told apart in grey too."""
-    import matplotlib as mpl
-
-    own = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
-    return [
-        # the dash moves on where the colours begin anew, so that no pair comes twice
-        Look(own[number % len(own)], _DASHES[(number + number // len(own)) % len(_DASHES)])
-        for number in range(len(tables))
-    ]
-
-
-def pages(tables: Sequence[WireTable]) -> list[Sequence[WireTable]]:
-    """Share wires out to pages of `MOST_WIRES`."""
-    return [tables[start : start + MOST_WIRES] for start in range(0, len(tables), MOST_WIRES)]
 
 
 def bent(table: WireTable) -> Flags:

@@ -11,7 +11,15 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireLayout, WireTable
 from labpipe.report.numbers import write_number
-from labpipe.report.page import DOUBLE_COLUMN, GREY, Words, keyed_page
+from labpipe.report.page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Words,
+    keyed_page,
+    panel_grid,
+    require_room,
+    style_colours,
+)
 from labpipe.report.wire_look import LENGTH, MOST_WIRES, short_name, stiffness_scale, strand_words
 from labpipe.report.wording import Scale
 
@@ -53,19 +61,15 @@ def section_figure(tables: Sequence[WireTable]) -> Figure:
     ValueError
         If there is no wire, or there are more than fit on a page.
     """
-    if not 1 <= len(tables) <= MOST_WIRES:
-        message = f"{len(tables)} wires: allowed are 1 to {MOST_WIRES} on a page"
-        raise ValueError(message)
+    require_room(len(tables), MOST_WIRES, "wires")
     columns = min(_COLUMNS, len(tables))
     rows = math.ceil(len(tables) / columns)
     width = DOUBLE_COLUMN if columns > 2 else DOUBLE_COLUMN * 2 / 3
     page = keyed_page(_words(tables), height_mm=rows * (_CELL_MM + _TEXT_MM) + 8.0, width_mm=width)
-    panels = page.subplots(rows, columns, squeeze=False).ravel()
+    panels = panel_grid(page, len(tables), columns=columns)
     unit = stiffness_scale(tables)
-    for table, axes, reach in zip(tables, panels, _reaches(tables), strict=False):
+    for table, axes, reach in zip(tables, panels, _reaches(tables), strict=True):
         plot_section(table, axes, reach=reach, unit=unit)
-    for axes in panels[len(tables) :]:
-        axes.set_axis_off()
     return page
 
 
@@ -112,7 +116,7 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
     """
     from matplotlib.patches import Circle, Wedge
 
-    colours = layer_colours()
+    colours = style_colours()
     looks = [{"facecolor": colours[each % len(colours)], **_OUTLINE} for each in layout.layer]
     x, y = _turned(layout, orientation)
     if layout.kind != "compressed":
@@ -133,14 +137,6 @@ def strand_patches(layout: WireLayout, orientation: float = 0.0) -> list[Patch]:
 
 
 _OUTLINE: dict[str, Any] = {"edgecolor": "black", "linewidth": 0.4}
-
-
-def layer_colours() -> list[str]:
-    """Colours of the layers from the innermost outwards."""
-    import matplotlib as mpl
-
-    own: list[str] = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
-    return own
 
 
 def _turned(layout: WireLayout, orientation: float) -> tuple[Floats, Floats]:
@@ -221,7 +217,7 @@ def _keys(tables: Sequence[WireTable]) -> list[Artist]:
     layers = max(int(table.layout.layer.max()) for table in tables) + 1
     keys: list[Artist] = [
         Patch(label=_layer_name(number, has_core=has_core), facecolor=colour, **_OUTLINE)
-        for number, colour in zip(range(layers), layer_colours(), strict=False)
+        for number, colour in zip(range(layers), style_colours(), strict=False)
     ]
     bore = {"color": _BORE["edgecolor"], "linestyle": _BORE["linestyle"], "linewidth": 0.6}
     return [

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import zip_longest
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from labpipe.records.arrays import Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
-from labpipe.report.sheets import Sheet, Value, save_sheets, sheet_name
+from labpipe.report.sheets import (
+    FREE,
+    Sheet,
+    Value,
+    column,
+    save_sheets,
+    sheet_name,
+    sheet_of_columns,
+)
 from labpipe.report.wire_look import CURVATURE, FORCE, LENGTH, MOMENT, STIFFNESS
 from labpipe.report.wire_summary import SUMMARY, row_error, shown_rows
 from labpipe.report.wording import Scale
@@ -131,21 +137,18 @@ def _notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Sheet:
 def _wire(table: WireTable, name: str, shown: Ints) -> Sheet:
     """The law, the cantilever, the onsets of slip and the strands beside each other."""
     layout = table.layout
-    blocks: list[tuple[str, Iterable[Any]]] = [
-        (scale.label(words), (scale.factor * getattr(table, field)[shown]).tolist())
-        for words, field, scale in _LAW
-    ]
-    blocks += [
-        ("", ()),
-        (LENGTH.label("tip deflection"), (LENGTH.factor * table.tip_deflection).tolist()),
-        (FORCE.label("end load"), (FORCE.factor * table.tip_force).tolist()),
-        ("", ()),
-        (CURVATURE.label("strands begin to slip"), (CURVATURE.factor * table.slip_onsets).tolist()),
-        ("", ()),
+    law = [column(words, scale, getattr(table, field)[shown]) for words, field, scale in _LAW]
+    columns = [
+        *law,
+        FREE,
+        column("tip deflection", LENGTH, table.tip_deflection),
+        column("end load", FORCE, table.tip_force),
+        FREE,
+        column("strands begin to slip", CURVATURE, table.slip_onsets),
+        FREE,
         ("layer of a strand", layout.layer.tolist()),
-        (LENGTH.label("its centre, x"), (LENGTH.factor * layout.x).tolist()),
-        (LENGTH.label("its centre, y"), (LENGTH.factor * layout.y).tolist()),
-        (LENGTH.label("its diameter"), (LENGTH.factor * layout.diameter).tolist()),
+        column("its centre, x", LENGTH, layout.x),
+        column("its centre, y", LENGTH, layout.y),
+        column("its diameter", LENGTH, layout.diameter),
     ]
-    rows = list(zip_longest(*(values for _, values in blocks)))
-    return Sheet(name, [head for head, _ in blocks], rows)
+    return sheet_of_columns(name, columns)

@@ -87,6 +87,11 @@ def shortened(word: str, most: int) -> str:
     return f"{word[: most - 1 - end]}…{word[len(word) - end :]}"
 
 
+def count_of(number: int, noun: str) -> str:
+    """A number of things, such as ``1 sample`` or ``3 samples``."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
 def why_missing(result: TestResult, what: str) -> str:
     """Say that a stage of the test is not there, with the first error that the test notes."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)

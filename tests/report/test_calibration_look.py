@@ -6,12 +6,12 @@ import pytest
 from labpipe.records.calibration import PARAMETERS
 from labpipe.report.calibration_look import (
     SHOWN,
-    count_of,
     length_looks,
     length_words,
     percent,
     typeset,
 )
+from labpipe.report.wording import count_of
 
 
 def test_every_parameter_has_words_and_a_unit() -> None:

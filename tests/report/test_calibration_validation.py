@@ -12,7 +12,6 @@ from labpipe.report.calibration_validation import (
     agreement_words,
     plot_group,
     validation_figure,
-    validation_pages,
 )
 from labpipe.report.page import style
 from tests.report.builders_calibrations import foretold, group, report
@@ -101,7 +100,6 @@ def test_footnote_tells_bands_apart_and_what_they_leave_out() -> None:
 
 
 def test_pages_of_six() -> None:
-    assert [len(page) for page in validation_pages([group()] * 13)] == [6, 6, 1]
     assert len(validation_figure([group()] * 6).axes) == 6
     spare = validation_figure([group()] * 3).axes[3]
     assert not spare.axison

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from labpipe.report.group_look import (
@@ -12,7 +11,6 @@ from labpipe.report.group_look import (
     first_loading,
     group_page,
     group_scale,
-    panel_grid,
     spool_looks,
     thin,
     value_of,
@@ -61,16 +59,3 @@ def test_page_has_room_for_key_and_footnote() -> None:
     assert page.get_size_inches()[0] == pytest.approx(WIDTH / 25.4)
     assert page.get_size_inches()[1] * 25.4 > 60.0 + 3 * 4.0 + 2 * 3.0
     assert page.texts[0].get_text() == "A  \u00b7  twist-tube  \u00b7  6 samples from 2 spools"
-
-
-@pytest.mark.parametrize(("count", "shape"), [(1, (1, 1)), (2, (1, 2)), (3, (2, 2))])
-def test_spare_panels_are_empty(count: int, shape: tuple[int, int]) -> None:
-    page = Figure()
-    panels = panel_grid(page, count, columns=2)
-    assert len(panels) == count
-    spec = panels[0].get_subplotspec()
-    assert spec is not None
-    assert spec.get_gridspec().get_geometry() == shape
-    assert [axes.axison for axes in page.axes] == [True] * count + [False] * (
-        len(page.axes) - count
-    )

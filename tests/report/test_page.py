@@ -12,9 +12,14 @@ from matplotlib.text import Text
 from labpipe.report.page import (
     STYLE_FILE,
     finish_layout,
+    in_pages,
+    keep_in_view,
+    line_looks,
     new_page,
+    panel_grid,
     panel_letter,
     put_key,
+    require_room,
     say,
     side_key,
     style,
@@ -126,3 +131,39 @@ def test_signs_of_mathematics_are_text() -> None:
     with style():
         drawn("$\\frac{$")
         assert drawn("$x_1$") != drawn("x_1")
+
+
+@pytest.mark.parametrize(("count", "shape"), [(1, (1, 1)), (2, (1, 2)), (3, (2, 2))])
+def test_spare_panels_are_empty(count: int, shape: tuple[int, int]) -> None:
+    page = Figure()
+    panels = panel_grid(page, count, columns=2)
+    assert len(panels) == count
+    spec = panels[0].get_subplotspec()
+    assert spec is not None
+    assert spec.get_gridspec().get_geometry() == shape
+    assert [axes.axison for axes in page.axes] == [True] * count + [False] * (
+        len(page.axes) - count
+    )
+
+
+def test_looks_of_a_page_are_all_different() -> None:
+    looks = line_looks(12)
+    assert len({(look.colour, str(look.dash)) for look in looks}) == 12
+
+
+def test_things_on_pages() -> None:
+    assert in_pages(range(25), 12) == [range(12), range(12, 24), range(24, 25)]
+    assert in_pages([], 12) == []
+    require_room(12, 12, "wires")
+    for count in (0, 13):
+        with pytest.raises(ValueError, match=f"^{count} wires: allowed are 1 to 12 on a page$"):
+            require_room(count, 12, "wires")
+
+
+def test_wide_intervals_are_cut_and_values_are_not() -> None:
+    axes = Figure().subplots()
+    axes.set_xlim(-100.0, 5.0)
+    keep_in_view([1.0, float("nan"), 3.0], axes)
+    assert axes.get_xlim() == (-2.0, 5.0)
+    keep_in_view([1.0], axes)
+    assert axes.get_xlim() == (-2.0, 5.0)

@@ -10,13 +10,10 @@ from matplotlib.lines import Line2D
 
 from labpipe.report.page import Words, keyed_page, style
 from labpipe.report.wire_look import (
-    MOST_WIRES,
     bent,
-    pages,
     short_name,
     strand_words,
     warnings_of,
-    wire_looks,
     wire_title,
 )
 from tests.builders.wire_tables import wire_table
@@ -53,16 +50,6 @@ def test_long_names_are_cut_in_titles() -> None:
 def test_warnings_without_what_is_only_worth_knowing() -> None:
     assert warnings_of(troubled()) == CUT.message
     assert warnings_of(wire_table("A3")) == ""
-
-
-def test_looks_of_a_page_are_all_different() -> None:
-    looks = wire_looks([wire_table("A1")] * MOST_WIRES)
-    assert len({(look.colour, str(look.dash)) for look in looks}) == MOST_WIRES
-
-
-def test_wires_on_pages() -> None:
-    assert [len(some) for some in pages([wire_table("A1")] * 25)] == [12, 12, 1]
-    assert pages([]) == []
 
 
 def test_zero_curvature_has_no_place_on_a_logarithmic_axis() -> None:

@@ -11,9 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Annulus, Circle, Patch, Wedge
 
 from labpipe.records.wire import WireTable
-from labpipe.report.page import style
+from labpipe.report.page import style, style_colours
 from labpipe.report.wire_sections import (
-    layer_colours,
     plot_section,
     section_figure,
     strand_patches,
@@ -49,7 +48,7 @@ def test_strands_to_scale_in_the_colours_of_their_layers() -> None:
     assert [circle.radius for circle in circles] == pytest.approx([0.12] * 19)
     centres = np.array([circle.center for circle in circles])
     np.testing.assert_allclose(centres, 1e3 * np.column_stack([layout.x, layout.y]))
-    own = [colour.upper() for colour in layer_colours()]
+    own = [colour.upper() for colour in style_colours()]
     assert colours(patches) == [own[layer] for layer in layout.layer]
     assert len(set(own)) >= 6
 
