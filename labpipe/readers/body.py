@@ -56,7 +56,7 @@ def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[Qualit
     shape = Shape(body, end, decimal, max(len(body.names), len(first)))
     parsed = _parsed(shape, path)
     columns = {column: parsed[column] for column in body.columns}
-    rows = _filled(columns)
+    rows = filled_rows(columns)
     if not all(np.isfinite(values).all() for values in columns.values()):
         infinite = any(np.isinf(values).any() for values in columns.values())
         if infinite and not body.as_exported:
@@ -159,7 +159,7 @@ def _odd_quotes(body: Body) -> bool:
     return any(line.count(b'"') % 2 for line in above)
 
 
-def _filled(columns: dict[int, Floats]) -> int:
+def filled_rows(columns: Mapping[int, Floats]) -> int:
     """Number of rows up to the last one that holds anything."""
     rows = max((len(values) for values in columns.values()), default=0)
     while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):

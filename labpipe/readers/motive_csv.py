@@ -34,9 +34,9 @@ from labpipe.readers.motive_header import Header, parse_header
 from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import Columns, header_notes, marker_tracks, needed_columns
 from labpipe.readers.rows import Body
+from labpipe.readers.sheet_cells import as_text, sheet_columns
 from labpipe.readers.tracking import track_notes
 from labpipe.readers.workbooks import is_workbook, opened_workbook
-from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Clock, MarkerTracks, Recording
 
@@ -101,11 +101,10 @@ def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: 
         rows = [next(csv.reader([line]), []) for line in text.split("\n")]
     header = parse_header(rows, path)
     offset = sum(len(line) + 1 for line in lines[: header.rows])
-    chosen = needed_columns(header)
     body = Body(
         data=content,
         names=header.names,
-        columns=chosen,
+        columns=needed_columns(header),
         first_line=header.rows + 1,
         separator=",",
         decimal=".",
@@ -113,19 +112,17 @@ def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: 
         stated_rows=header.stated_rows,
         as_exported=True,
     )
-    read, notes = read_columns(body, path)
-    values = np.column_stack([read[column] for column in chosen])
-    return _recording("motive-csv", header, Columns(values, chosen), notes, path)
+    columns, notes = read_columns(body, path)
+    return _recording("motive-csv", header, columns, notes, path)
 
 
 def _read_workbook(path: Path) -> Recording:
-    sheet = _sheet(path)
-    rows = [[_as_text(cell) for cell in row] for row in sheet[:_HEADER_LINES]]
-    header = parse_header(rows, path)
-    chosen = needed_columns(header)
-    values = _numbers(sheet[header.rows :], chosen, header.rows + 1, path)
-    notes = rows_note(header.stated_rows, len(values))
-    return _recording("motive-xlsx", header, Columns(values, chosen), notes, path)
+    name, rows = _sheet(path)
+    header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
+    wanted = {column: header.names[column] for column in needed_columns(header)}
+    columns = sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
+    notes = rows_note(header.stated_rows, len(columns[0]))
+    return _recording("motive-xlsx", header, columns, notes, path)
 
 
 def _recording(
@@ -168,55 +165,22 @@ def _take_notes(tracks: MarkerTracks) -> list[QualityNote]:
 
 
 def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
-    infinite = np.isinf(columns.values)
+    infinite = np.array([np.isinf(values) for values in columns.values()])
     if not infinite.any():
         return columns, []
-    row = int(np.flatnonzero(infinite.any(axis=1))[0]) + 1
+    row = int(np.flatnonzero(infinite.any(axis=0))[0]) + 1
     message = f"{int(infinite.sum())} infinite numbers count as blank, the first in data row {row}"
     note = QualityNote("not_finite", Severity.WARNING, "take", message)
-    return Columns(np.where(infinite, np.nan, columns.values), columns.chosen), [note]
+    return {i: np.where(np.isinf(each), np.nan, each) for i, each in columns.items()}, [note]
 
 
-def _sheet(path: Path) -> list[list[object]]:
-    """Cells of the first sheet that begins with a Motive header."""
+def _sheet(path: Path) -> tuple[str, list[list[object]]]:
+    """Name and cells of the first sheet that begins with a Motive header."""
     with opened_workbook(path, "a whole xlsx workbook") as book:
-        for number in range(len(book.sheet_names)):
-            sheet = book.get_sheet_by_index(number)
-            cells = [list[object](row) for row in sheet.to_python(skip_empty_area=False)]
-            if cells and cells[0] and cells[0][0] == "Format Version":
-                return cells
+        for name in book.sheet_names:
+            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+            if rows and rows[0] and rows[0][0] == "Format Version":
+                return name, [list[object](row) for row in rows]
     remedy = "Save the sheet of the take alone as xlsx."
     expected = "a sheet whose first cell is Format Version"
     raise unreadable(path, "", expected, "none", remedy)
-
-
-def _as_text(cell: object) -> str:
-    """A header cell as Motive wrote it: the spreadsheet made 120.000000 a number."""
-    if isinstance(cell, float):
-        return f"{cell:.12g}"
-    return str(cell)
-
-
-def _numbers(
-    rows: Sequence[Sequence[object]], chosen: Sequence[int], first_row: int, path: Path
-) -> Floats:
-    """Cells of the data rows as numbers, blanks as NaN; wholly blank last rows do not count."""
-    values = np.full((len(rows), len(chosen)), np.nan)
-    for i, row in enumerate(rows):
-        for j, column in enumerate(chosen):
-            cell = row[column] if column < len(row) else ""
-            if isinstance(cell, float):
-                values[i, j] = cell
-            elif cell != "":
-                values[i, j] = _number(cell, f"row {first_row + i}, cell {column + 1}", path)
-    filled = np.flatnonzero(~np.isnan(values).all(axis=1))
-    return values[: int(filled[-1]) + 1 if len(filled) else 0]
-
-
-def _number(cell: object, place: str, path: Path) -> float:
-    try:
-        return float(str(cell))
-    except ValueError as error:
-        remedy = "Save the export again without editing it."
-        expected, found = "a number or a blank", f"'{str(cell)[:40]}'"
-        raise unreadable(path, place, expected, found, remedy) from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,23 +21,8 @@ _ROUNDED = 2e-6
 """Agreement of a time column that is not rounded to milliseconds, s."""
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Numbers of an export by their column number in the file.
-
-    Parameters
-    ----------
-    values : shape (frames, chosen columns); NaN where blank
-    chosen : column numbers, ascending
-    """
-
-    values: Floats
-    chosen: Sequence[int]
-
-    def get(self, columns: Sequence[int]) -> Floats:
-        """Give back some columns, shape (frames, columns)."""
-        places = np.searchsorted(self.chosen, columns)
-        return self.values[:, places]
+Columns = Mapping[int, Floats]
+"""Numbers of an export by their column number in the file, shape (frames,); NaN where blank."""
 
 
 def needed_columns(header: Header) -> list[int]:
@@ -77,7 +61,7 @@ def marker_tracks(
     markers = [group for group in header.groups if group.type == "Marker"]
     bodies = [group for group in header.groups if group.type == "Rigid Body"]
     places = [place for group in markers for place in _position(group, header, path)]
-    positions = columns.get(places) * header.length_unit
+    positions = _together(columns, places) * header.length_unit
     tracks = MarkerTracks(
         time=time,
         frames=frames,
@@ -93,6 +77,11 @@ def marker_tracks(
         unit_in_file=header.about["Length Units"],
     )
     return tracks, notes + _euler_note(bodies, header)
+
+
+def _together(columns: Columns, chosen: Sequence[int]) -> Floats:
+    """Columns side by side, shape (frames, chosen)."""
+    return np.transpose([columns[column] for column in chosen])
 
 
 def unique_names(objects: Sequence[tuple[str, str]]) -> tuple[str, ...]:
@@ -151,7 +140,7 @@ def header_notes(header: Header, path: Path) -> list[QualityNote]:
 
 
 def _frames(header: Header, columns: Columns, path: Path) -> Floats:
-    frames = columns.get([0])[:, 0]
+    frames = columns[0]
     bad = np.flatnonzero(~np.isfinite(frames))
     if len(bad):
         place = f"line {header.rows + 1 + int(bad[0])}, cell 1"
@@ -164,7 +153,7 @@ def _time(
     header: Header, columns: Columns, frames: Floats
 ) -> tuple[Floats, float, list[QualityNote]]:
     """Time as frame / export rate where the column of times agrees, else the column."""
-    written = columns.get([header.time_column])[:, 0] if header.time_column is not None else None
+    written = None if header.time_column is None else columns[header.time_column]
     if header.rate is None:
         time = frames * np.nan if written is None else written
         message = "line 1 states no Export Frame Rate: it is derived from the times"
@@ -219,11 +208,11 @@ def _position(group: Group, header: Header, path: Path) -> list[int]:
 
 
 def _body(name: str, group: Group, header: Header, columns: Columns, path: Path) -> RigidBody:
-    position = columns.get(_position(group, header, path)) * header.length_unit
+    position = _together(columns, _position(group, header, path)) * header.length_unit
     errors = [quantity for quantity in group.scalars if "Error" in quantity]
     error = np.full(len(position), np.nan)
     if errors:
-        error = columns.get([group.columns[errors[0], ""]])[:, 0] * header.length_unit
+        error = columns[group.columns[errors[0], ""]] * header.length_unit
     return RigidBody(name, position, _rotation(group, header.about, columns), error)
 
 
@@ -231,14 +220,14 @@ def _rotation(group: Group, about: Mapping[str, str], columns: Columns) -> Float
     """Quaternion x, y, z, w; made from Euler angles where the export holds those."""
     quaternion = group.axes("Rotation", "XYZW")
     if quaternion is not None:
-        return columns.get(quaternion)
+        return _together(columns, quaternion)
     order = _euler_order(about)
     angles = group.axes("Rotation", order) if order else None
     if angles is None:
-        return np.full((len(columns.values), 4), np.nan)
+        return np.full((len(columns[0]), 4), np.nan)
     from scipy.spatial.transform import Rotation
 
-    degrees = columns.get(angles)
+    degrees = _together(columns, angles)
     rotation = np.full((len(degrees), 4), np.nan)
     known = np.isfinite(degrees).all(axis=1)
     if known.any():

@@ -11,15 +11,24 @@ import io
 import re
 import warnings
 import zipfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import date, time, timedelta
+from math import isfinite
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import numpy as np
+
 from labpipe.errors import ReadError, complaint
+from labpipe.readers.body import filled_rows
 from labpipe.readers.extent import column_letters
 from labpipe.readers.files import reading, unreadable
+from labpipe.readers.regrouped import LOST, is_grouped, lost_signs, regrouped_at
+from labpipe.readers.rows import PLAIN
 from labpipe.readers.workbooks import is_workbook, opened_workbook
+from labpipe.records.arrays import Floats
 
 _XLSX = "an xlsx workbook"
 _MOST = 1_000_000
@@ -253,3 +262,77 @@ def _fitted(row: list[Cell], width: int, path: Path) -> Row:
                 remedy += ' Put a list in quotes, "12;-15", and write a decimal point, no comma.'
             raise unreadable(path, cell.place, expected, found, remedy)
     return (*row[:width], *(Cell("", row[0].place) for _ in range(width - len(row))))
+
+
+def as_text(cell: object) -> str:
+    """A cell as one would write it."""
+    if isinstance(cell, float):
+        return f"{cell:.15g}"
+    if isinstance(cell, date | time):
+        return cell.isoformat()
+    return str(cell).strip()
+
+
+def sheet_columns(
+    rows: Sequence[Sequence[object]], first: int, names: Mapping[int, str], where: tuple[Path, str]
+) -> dict[int, Floats]:
+    """Read columns of numbers of a sheet; a blank cell is NaN.
+
+    Parameters
+    ----------
+    rows : cells of the whole sheet, as `labpipe.readers.workbooks.open_sheets` gives them
+    first : number of the first row of numbers, counted from 0
+    names : of the columns wanted, by their number
+    where : file and sheet, for messages
+
+    Returns
+    -------
+    The columns by their number, up to the last row in which one of them is filled.
+
+    Raises
+    ------
+    ReadError
+        If a cell is no number or too large a one, or a column lost its decimal signs.
+    """
+    body, width = rows[first:], max(names, default=-1) + 1
+    if min(map(len, body), default=width) < width:  # what a row lacks is blank
+        body = [[*row, *[""] * (width - len(row))] for row in body]
+    columns = {
+        at: _column(list(map(itemgetter(at), body)), f"column '{name}'", first, where)
+        for at, name in names.items()
+    }
+    filled = filled_rows(columns)
+    return {at: values[:filled] for at, values in columns.items()}
+
+
+def _column(cells: Sequence[object], column: str, first: int, where: tuple[Path, str]) -> Floats:
+    path, sheet = where
+    if {float, int}.issuperset(map(type, cells)):
+        values = np.fromiter(cells, dtype=np.float64, count=len(cells))
+    else:
+        numbers = (
+            _number(cell, f"{sheet}, row {first + 1 + i}, {column}", path)
+            for i, cell in enumerate(cells)
+        )
+        values = np.fromiter(numbers, dtype=np.float64, count=len(cells))
+    rows = regrouped_at(values)
+    if rows is not None:
+        jump = f"{sheet}, row {first + 1 + rows[1]}, {column}"
+        raise ReadError(lost_signs(path, jump, *(as_text(cells[row]) for row in rows)))
+    return values
+
+
+def _number(cell: object, place: str, path: Path) -> float:
+    if isinstance(cell, float | int) and not isinstance(cell, bool):
+        return float(cell)
+    if isinstance(cell, timedelta):
+        return cell.total_seconds()
+    text = as_text(cell)
+    if not text:
+        return float("nan")
+    is_plain = PLAIN["."].fullmatch(text) is not None
+    if is_plain and isfinite(float(text)):
+        return float(text)
+    expected = "a number below 1.8e308" if is_plain else "a number"
+    remedy = LOST if is_grouped(text) else "Export it again; the cell may have been edited."
+    raise unreadable(path, place, expected, f"'{text[:40]}'", remedy)

@@ -153,7 +153,9 @@ def test_a_cell_of_a_workbook_that_is_no_number(tmp_path: Path) -> None:
     book = load_workbook(file)
     book.active["F12"] = "lost"  # type: ignore[index]
     book.save(file)
-    with pytest.raises(ReadError, match=r"row 12, cell 6: expected a number or a blank, found 'lo"):
+    with pytest.raises(
+        ReadError, match=r"row 12, column 'Clamp Rotation W': expected a number, found 'lost'"
+    ):
         motive_csv.read(file)
 
 

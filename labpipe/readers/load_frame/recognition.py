@@ -21,7 +21,8 @@ from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_n
 from labpipe.readers.load_frame.header import find_header, header_of_rows
 from labpipe.readers.load_frame.table import time_column
 from labpipe.readers.load_frame.titles import Header
-from labpipe.readers.load_frame.workbook import as_text, sheet_head
+from labpipe.readers.load_frame.workbook import sheet_head
+from labpipe.readers.sheet_cells import as_text
 from labpipe.readers.workbooks import is_workbook, open_sheets
 
 _LOOKED_AT = 16384

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from datetime import date, time, timedelta
-from math import isfinite
-from operator import itemgetter
 from pathlib import Path
-
-import numpy as np
 
 from labpipe.errors import ReadError
 from labpipe.readers.channels import unique_names
@@ -25,10 +20,8 @@ from labpipe.readers.load_frame.table import (
     word_columns,
 )
 from labpipe.readers.load_frame.titles import Header
-from labpipe.readers.regrouped import LOST, is_grouped, lost_signs, regrouped_at
-from labpipe.readers.rows import PLAIN
+from labpipe.readers.sheet_cells import as_text, sheet_columns
 from labpipe.readers.workbooks import Sheets
-from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 
 _HEAD_ROWS = 60
@@ -40,15 +33,6 @@ _KEPT_ROWS = 50
 def sheet_head(rows: Sequence[Sequence[object]]) -> str:
     """Give the first rows of a sheet as text, cells parted by tabs."""
     return "\n".join("\t".join(as_text(cell) for cell in row) for row in rows[:_HEAD_ROWS])
-
-
-def as_text(cell: object) -> str:
-    """A cell as one would write it."""
-    if isinstance(cell, float):
-        return f"{cell:.15g}"
-    if isinstance(cell, date | time):
-        return cell.isoformat()
-    return str(cell).strip()
 
 
 def read_sheets(sheets: Sheets, card: Card, path: Path) -> Export:
@@ -156,60 +140,6 @@ def _table(
     wanted = [i for i in range(len(header.names)) if i not in words]
     place = f"sheet '{sheet}'"
     names = unique_names(header.names)
-    body = _filled_up(rows[header.first :], len(header.names))
-    columns = {
-        i: _column(list(map(itemgetter(i), body)), (names[i], place, header.first), path)
-        for i in wanted
-    }
-    filled = _filled(columns)
-    columns = {i: values[:filled] for i, values in columns.items()}
+    columns = sheet_columns(rows, header.first, {i: names[i] for i in wanted}, (path, place))
     specimen = next((cell for cell in header.specimens if cell), "")
     return Table(specimen or sheet, header.names, header.units, columns, also=sheet)
-
-
-def _filled_up(rows: Sequence[Sequence[object]], width: int) -> Sequence[Sequence[object]]:
-    """Rows of at least as many cells as there are names; what a row lacks is blank."""
-    if min(map(len, rows), default=width) >= width:
-        return rows
-    return [[*row, *[""] * (width - len(row))] for row in rows]
-
-
-def _column(cells: Sequence[object], where: tuple[str, str, int], path: Path) -> Floats:
-    """One column as numbers; a blank cell is NaN."""
-    name, place, first = where
-    if {float, int}.issuperset(map(type, cells)):
-        values = np.fromiter(cells, dtype=np.float64, count=len(cells))
-    else:
-        numbers = (
-            _number(cell, f"{place}, row {first + 1 + i}, column '{name}'", path)
-            for i, cell in enumerate(cells)
-        )
-        values = np.fromiter(numbers, dtype=np.float64, count=len(cells))
-    rows = regrouped_at(values)
-    if rows is not None:
-        jump = f"{place}, row {first + 1 + rows[1]}, column '{name}'"
-        raise ReadError(lost_signs(path, jump, *(as_text(cells[row]) for row in rows)))
-    return values
-
-
-def _number(cell: object, place: str, path: Path) -> float:
-    if isinstance(cell, float | int) and not isinstance(cell, bool):
-        return float(cell)
-    if isinstance(cell, timedelta):
-        return cell.total_seconds()
-    text = as_text(cell)
-    if not text:
-        return float("nan")
-    expected = "a number"
-    if PLAIN["."].fullmatch(text):
-        if isfinite(float(text)):
-            return float(text)
-        expected = "a number below 1.8e308"
-    raise unreadable(path, place, expected, f"'{text[:40]}'", LOST if is_grouped(text) else _AGAIN)
-
-
-def _filled(columns: Mapping[int, Floats]) -> int:
-    rows = max((len(values) for values in columns.values()), default=0)
-    while rows and all(np.isnan(values[rows - 1]) for values in columns.values()):
-        rows -= 1
-    return rows

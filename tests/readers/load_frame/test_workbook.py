@@ -96,7 +96,7 @@ def test_faults(tmp_path: Path, rows: list[list[object]], said: str) -> None:
 @pytest.mark.parametrize(
     ("cell", "said"),
     [
-        ("inf", r"row 5, column 'Strain': expected a number, found 'inf'\. Export the test again"),
+        ("inf", r"row 5, column 'Strain': expected a number, found 'inf'\. Export it again"),
         ("nan", r"row 5, column 'Strain': expected a number, found 'nan'\. Export"),
         ("1_000", r"expected a number, found '1_000'\. Export"),
         (True, r"expected a number, found 'True'\. Export"),
