@@ -65,11 +65,11 @@ def calibration_table(done: Calibrated) -> str:
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
     lines += _source(done)
-    said = {each.words for each in found.parameters}
+    shown = {each.words for each in found.parameters}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in found.notes
-        if note.message not in said
+        if note.message not in shown
     ]
     lines.append(f"results: {from_here(done.folder)}")
     return "\n".join(lines)

@@ -14,6 +14,6 @@ def run(options: argparse.Namespace) -> int:
     for finding in checked.findings:
         print(finding.message, file=sys.stderr)
     faults = len(checked.findings)
-    said = f"{faults} fault{'' if faults == 1 else 's'}" if faults else "no faults found"
-    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests: {said}")
+    verdict = f"{faults} fault{'' if faults == 1 else 's'}" if faults else "no faults found"
+    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests: {verdict}")
     return 2 if faults else 0

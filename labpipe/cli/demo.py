@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
         jobs=options.jobs,
     )
     processed, refused = _processed(raw, out, options)
-    print(_told(processed))
+    print(_shown(processed))
     wires = write_wire_sheet(raw / WIRES)
     print(f"reports of {', '.join(CAMPAIGNS)}", file=sys.stderr)
     reports = run_jobs(
@@ -106,11 +106,11 @@ def _name_files(
         print("\n".join(f"  {from_here(path)}" for path in drawn))
 
 
-def _told(processed: Sequence[Processed]) -> str:
+def _shown(processed: Sequence[Processed]) -> str:
     """The first test of each kind in full, the others in a line."""
     firsts = _firsts(processed)
-    told = [f"\n{table(each)}\n" if each in firsts else headline(each) for each in processed]
-    return "\n".join(told).replace("\n\n\n", "\n\n").strip()
+    shown = [f"\n{table(each)}\n" if each in firsts else headline(each) for each in processed]
+    return "\n".join(shown).replace("\n\n\n", "\n\n").strip()
 
 
 def _firsts(processed: Sequence[Processed]) -> list[Processed]:

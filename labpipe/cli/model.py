@@ -45,7 +45,7 @@ def model_table(modelled: Modelled) -> str:
 
     Returns
     -------
-    A line per wire, the notes that many of them share told once, then where the files are.
+    A line per wire, the notes that many of them share shown once, then where the files are.
     """
     rows = [_HEADING, _UNITS, *(_cells(table) for table in modelled.tables)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADING))]

@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
         follow_links=options.follow_links,
     )
     if not processed:
-        return 2  # each has been told
+        return 2  # each has its message
     if options.json:
         summaries = [summary(each.result) for each in processed]
         print(json.dumps(summaries[0] if len(tests) == 1 else summaries, indent=2))
@@ -115,8 +115,8 @@ def headline(processed: Processed) -> str:
     """
     result = processed.result
     counts = Counter(each.status for each in result.results)
-    said = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    return f"{result.test}  ({result.protocol}): {said}  ->  {from_here(processed.folder)}"
+    became = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+    return f"{result.test}  ({result.protocol}): {became}  ->  {from_here(processed.folder)}"
 
 
 def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:

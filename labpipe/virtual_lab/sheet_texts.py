@@ -145,8 +145,8 @@ def bundle_lines(bundle: BundleModel) -> Iterator[str]:
 
     Parameters
     ----------
-    bundle : what it is made of. Where the wires lie is said of mixed bundles, whose wires somebody
-        has laid on purpose
+    bundle : what it is made of. Mixed bundles, whose wires are laid on purpose, have the places of
+        their wires
     """
     yield "  bundle:"
     wires = {

@@ -49,7 +49,7 @@ def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:
 
 @dataclass(frozen=True, slots=True)
 class ElasticModel:
-    """A bar of constant stiffness, N m^2, to hold the rig against textbooks."""
+    """A bar of constant stiffness, N m^2, to compare the rig with textbooks."""
 
     stiffness: float
 

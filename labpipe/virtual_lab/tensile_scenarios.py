@@ -61,6 +61,11 @@ class BilinearLaw:
         """Distance at which the first straight line meets zero force, m."""
         return self.slack + 0.5 * self.toe
 
+    def scaled(self, factor: float) -> BilinearLaw:
+        """The same law with all forces multiplied by `factor`."""
+        first, second = self.stiffness_first * factor, self.stiffness_second * factor
+        return replace(self, stiffness_first=first, stiffness_second=second)
+
 
 @dataclass(frozen=True, slots=True)
 class GripSlip:
@@ -242,6 +247,21 @@ _CORRUGATED = BilinearLaw(1.80e3, 0.55e3, 19e-3, knee=18e-3, slack=0.4e-3, toe=0
 _TAPE = BilinearLaw(12.0e3, 2.1e3, 6.5e-3, knee=3e-3, slack=0.5e-3, toe=0.8e-3)
 _BAR = BilinearLaw(1.55e8, 1.55e8, 1.0, slack=20e-6, toe=0.3e-6)
 
+_R_CONTROLLER = FrameInstruments(
+    rate=20.0,
+    first_sample=0.087,
+    white_noise=0.02,
+    slow_noise=0.03,
+    correlation_time=0.3,
+    displacement_noise=1e-6,
+    displacement_step=2.54e-6,
+    force_step=4.4482216152605e-3,
+    tare=-0.83,
+    displacement_tare=1.016e-3,
+    gain_uncertainty=GAIN_UNCERTAINTY,
+)
+"""A 500 lbf load cell and a displacement sensor that reads to 1/10000 inch."""
+
 
 def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) -> TensileScenario:
     """One corrugated tube of 10 mm: no slip, no failure, stopped at 50 mm.
@@ -253,11 +273,6 @@ def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) 
     gain_error : of the load cell
     """
     kind, _, sample = name.rpartition("-")
-    law = replace(
-        _CORRUGATED,
-        stiffness_first=_CORRUGATED.stiffness_first * factor,
-        stiffness_second=_CORRUGATED.stiffness_second * factor,
-    )
     return TensileScenario(
         name=name,
         protocol="corrugated-tube",
@@ -265,9 +280,9 @@ def corrugated_tube(name: str, *, factor: float = 1.0, gain_error: float = 0.0) 
         spool=f"{kind}-s1",
         sample=sample,
         length=114.3e-3,
-        law=law,
+        law=_CORRUGATED.scaled(factor),
         frame=LoadFrame(speed=0.423e-3, stroke=50e-3),
-        instruments=_r_controller(gain_error),
+        instruments=replace(_R_CONTROLLER, gain_error=gain_error),
         export=ExportLayout(Program.R_CONTROLLER, "lbf"),
         date="2026-03-09",
     )
@@ -339,11 +354,6 @@ def pet_tape(
     fails_at : m, displacement
     gain_error : of the load cell
     """
-    law = replace(
-        _TAPE,
-        stiffness_first=_TAPE.stiffness_first * factor,
-        stiffness_second=_TAPE.stiffness_second * factor,
-    )
     return TensileScenario(
         name=f"pet-tape-{sample}",
         protocol="pet-tape",
@@ -351,7 +361,7 @@ def pet_tape(
         spool="pet-tape-s1" if int(sample) <= 3 else "pet-tape-s2",
         sample=sample,
         length=0.3,
-        law=law,
+        law=_TAPE.scaled(factor),
         frame=LoadFrame(speed=0.5e-3, stroke=0.1, overrun=2.3, compliance=GIVE),
         instruments=_test_suite(20.0, gain_error),
         failure=Failure(fails_at, duration=0.15, residue=0.06, tail=1.2),
@@ -394,24 +404,6 @@ def _test_suite(rate: float, gain_error: float) -> FrameInstruments:
         displacement_noise=2e-7,
         displacement_tare=1.2e-5,
         tare=2.7,
-        gain_error=gain_error,
-        gain_uncertainty=GAIN_UNCERTAINTY,
-    )
-
-
-def _r_controller(gain_error: float) -> FrameInstruments:
-    """A 500 lbf load cell and a displacement sensor that reads to 1/10000 inch."""
-    return FrameInstruments(
-        rate=20.0,
-        first_sample=0.087,
-        white_noise=0.02,
-        slow_noise=0.03,
-        correlation_time=0.3,
-        displacement_noise=1e-6,
-        displacement_step=2.54e-6,
-        force_step=4.4482216152605e-3,
-        tare=-0.83,
-        displacement_tare=1.016e-3,
         gain_error=gain_error,
         gain_uncertainty=GAIN_UNCERTAINTY,
     )

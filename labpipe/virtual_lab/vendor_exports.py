@@ -1,7 +1,7 @@
 """The files that the programs of the bench export, in the layout of real exports.
 
 **ControlDesk** (force recorder): a .mat file, MAT v5, file format revision 2.1. One struct with
-Info, X, Y and Description; channels told apart by Path and Name; units empty; whole numbers stored
+Info, X, Y and Description; channels known by Path and Name; units empty; whole numbers stored
 as small integers; data as rows; the text header names the time of saving.
 
 **Motive** (cameras): a table CSV, Format Version 1.23. One line of keys and values, a blank line,
