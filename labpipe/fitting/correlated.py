@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import beta, stdtr, stdtrit
 
 from labpipe.fitting.estimates import Estimate
 from labpipe.fitting.noise_spectra import (
@@ -16,14 +17,9 @@ from labpipe.fitting.noise_spectra import (
     cubic_basis,
     exact_covariance,
 )
-from labpipe.fitting.student import density, half_width, share_within
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
 
-_LONG = 10_000
-"""Samples above which the time of a fit is that of passing over them."""
-_INDEPENDENT = 1e8
-"""Condition of the products of columns below which two steps of Cholesky are exact to rounding."""
 _NOTHING = 1e-15
 """Chance of a spectrum below which it cannot move a half width."""
 
@@ -162,22 +158,8 @@ def orthonormal(design: Floats) -> tuple[Floats, Floats]:
     -------
     basis : shape (p, n), orthonormal rows
     to_coefficients : shape (p, p); the coefficients of the columns from those of the basis
-
-    Notes
-    -----
-    Of long columns by two steps of Cholesky (Fukaya et al., SIAM J. Sci. Comput. 42 (2020) A477),
-    which only form products: as good as Householder's reflections as long as the columns are far
-    from dependent, and several times as fast. Else by reflections.
     """
-    gram = design.T @ design
-    scale = np.sqrt(np.diag(gram))
-    if len(design) > _LONG:
-        gram = gram / np.outer(scale, scale)
-        if np.linalg.cond(gram) < _INDEPENDENT:
-            first = np.linalg.inv(np.linalg.cholesky(gram)) / scale
-            basis = first @ design.T
-            second = np.linalg.inv(np.linalg.cholesky(basis @ basis.T))
-            return second @ basis, (second @ first).T
+    scale = np.linalg.norm(design, axis=0)
     columns, triangle = np.linalg.qr(design / scale)
     return np.ascontiguousarray(columns.T), np.linalg.inv(triangle) / scale[:, None]
 
@@ -189,7 +171,7 @@ def _half_widths(noise: Noise, variances: Floats, offsets: Floats) -> Floats:
     """
     deviations = np.sqrt(np.maximum(variances, 0.0))
     safe = np.where(deviations > 0.0, deviations, 1.0)
-    half: Floats = half_width(0.95, noise.freedom) * np.exp(noise.chances @ np.log(safe))
+    half: Floats = stdtrit(noise.freedom, 0.975) * np.exp(noise.chances @ np.log(safe))
     least = 0.1 * half
     counted = noise.chances > _NOTHING
     chances, safe, offsets = noise.chances[counted], safe[counted], offsets[counted]
@@ -206,7 +188,14 @@ def _held(half: Floats, safe: Floats, offsets: Floats, freedom: int) -> tuple[Fl
     """Share that a half width holds of each t-distribution, and what it gains per width."""
     if not offsets.any():
         t = half / safe
-        return share_within(t, freedom), 2.0 * density(t, freedom) / safe
+        return 2.0 * stdtr(freedom, t) - 1.0, 2.0 * _density(t, freedom) / safe
     high, low = (half - offsets) / safe, (half + offsets) / safe
-    share = 0.5 * (share_within(high, freedom) + share_within(low, freedom))
-    return share, (density(high, freedom) + density(low, freedom)) / safe
+    share = stdtr(freedom, high) - stdtr(freedom, -low)
+    return share, (_density(high, freedom) + _density(low, freedom)) / safe
+
+
+def _density(t: Floats, freedom: int) -> Floats:
+    """Density of Student's distribution."""
+    density: Floats = (1.0 + t * t / freedom) ** (-0.5 * (freedom + 1))
+    density /= np.sqrt(freedom) * beta(0.5, 0.5 * freedom)
+    return density

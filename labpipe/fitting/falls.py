@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
+from scipy.special import stdtr
 
 from labpipe.fitting.correlated import fit_linear
 from labpipe.fitting.noise_spectra import cubic_basis, smooth_stretches
-from labpipe.fitting.student import share_within
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Interval
 
@@ -168,11 +168,6 @@ class _Window:
         return max(self.high - self.low - self.degree - 4, 1)
 
 
-def _tail(t: Floats, freedom: int) -> Floats:
-    """Chance that Student's t exceeds each of some."""
-    return 0.5 * (1.0 - share_within(t, freedom))
-
-
 def _chance(pull: Pull) -> float:
     """Chance that noise may have to make a fall at one place."""
     return _SURE / (len(pull.f) * (pull.most + 1))
@@ -183,8 +178,8 @@ def _is_clear(pull: Pull, window: _Window, squared: float) -> bool:
 
     The F-test of the whitened sums of squares.
     """
-    t = np.sqrt(np.array([max(squared, 0.0)]))
-    return bool(_tail(t, window.freedom)[0] <= _chance(pull))
+    t = float(np.sqrt(max(squared, 0.0)))
+    return bool(stdtr(window.freedom, -t) <= _chance(pull))
 
 
 def _is_rare(pull: Pull, window: _Window, found: Fall) -> bool:
@@ -197,7 +192,7 @@ def _is_rare(pull: Pull, window: _Window, found: Fall) -> bool:
     elsewhere = np.convolve(pull.without([found]).f, kernel[::-1], mode="valid")
     spread = max(MAD * median(np.abs(elsewhere)), 1e-9 * float(np.ptp(pull.f)))
     freedom = int(MAD_SHARE * len(elsewhere) / _shared(kernel, window.factor))
-    return bool(_tail(np.array([here / spread]), max(freedom, 1))[0] <= _chance(pull))
+    return bool(stdtr(max(freedom, 1), -here / spread) <= _chance(pull))
 
 
 def _step_kernel(window: _Window, found: Fall) -> Floats:

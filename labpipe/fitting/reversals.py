@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import log_ndtr, ndtr
 
 from labpipe.fitting.corners import Corner, block_means
 from labpipe.fitting.noise import long_run_variance
-from labpipe.fitting.normal import log_share_below
 from labpipe.records.arrays import Floats
 
 _BINS = 600
@@ -242,10 +242,10 @@ def _falls(inverse: Floats, curves: Floats, variance: float, wait: float) -> tup
         back = _fallen(_BACK, columns, wait) / _BACK
         waiting = (whole - half) / (0.5 * wait)
         tried += [back - waiting, first / (0.25 * wait) - rises]
-        likely = np.exp(log_share_below(sure(back - 2.0 * waiting)))
+        likely = ndtr(sure(back - 2.0 * waiting))
         usual = np.log(_ODD + (1.0 - _ODD) * likely)
     least = np.minimum(sure(falls), np.min([sure(each) for each in tried], axis=0) + _SLIGHTLY)
-    return log_share_below(least), usual
+    return log_ndtr(least), usual
 
 
 def _fallen(since: float, columns: int, wait: float) -> Floats:

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.ndimage import median_filter
+from scipy.special import stdtrit
 
 from labpipe.fitting.estimates import Failure
 from labpipe.fitting.falls import MAD, MAD_SHARE, Fall, Pull, fit_fall
-from labpipe.fitting.medians import running_median
-from labpipe.fitting.student import half_width
 from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.records.curve import Interval
 from labpipe.records.slips import Slip, SlipDecision
@@ -148,7 +148,7 @@ def _stands_alone(f: Floats) -> Flags:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
     usual = median(steps)
-    off = np.abs(f - running_median(f, 5))
+    off = np.abs(f - median_filter(f, 5, mode="nearest"))
     spread = 1.4826 * median(np.abs(steps - usual))
     is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
     if not is_off.any():
@@ -205,7 +205,7 @@ def _seen(f: Floats, min_drop: float) -> Floats:
         spread = max(MAD * median(np.abs(size)), 1e-9 * float(np.ptp(f)))
         # Neighbouring places share their samples: so many of them speak for themselves.
         freedom = int(MAD_SHARE * len(f) / window)
-        seen = size / (spread * half_width(1.0 - 2.0 * _SEEN, freedom))
+        seen = size / (spread * stdtrit(freedom, 1.0 - _SEEN))
         best = np.maximum(best, np.where(size >= 0.5 * min_drop, seen, 0.0))
     best[:_SIDE], best[len(f) - _SIDE :] = 0.0, 0.0
     return best
@@ -216,7 +216,7 @@ def _sizes(f: Floats, window: int) -> Floats:
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     ends = np.arange(window, len(f) - window + 1)
     inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
-    inner = inner - running_median(inner, 8 * window + 1)
+    inner = inner - median_filter(inner, 8 * window + 1, mode="nearest")
     sizes = np.zeros(len(f))
     sizes[ends - 1] = inner
     return sizes

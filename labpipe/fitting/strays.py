@@ -5,8 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from labpipe.fitting.medians import running_median
 from labpipe.records.arrays import Floats, Ints, median
 
 _WINDOW = 7
@@ -44,7 +44,7 @@ def stray_samples(force: Floats) -> Ints:
     f = force[known]
     if len(f) < 2 * _WINDOW or _is_smooth(f):
         return np.zeros(0, dtype=np.int64)
-    level = running_median(f, _WINDOW)
+    level = median_filter(f, _WINDOW, mode="nearest")
     off = f - level
     far = max(_FAR * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
     runs = [_core(run, off) for run in _runs(np.flatnonzero(np.abs(off) > far))]

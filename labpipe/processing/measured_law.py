@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from labpipe.processing.law_basis import LawBasis, law_knots
 from labpipe.processing.law_shapes import LawShapes, Loaded
-from labpipe.processing.nonnegative import solve_nonnegative
 from labpipe.records.arrays import Flags, Floats
 
 _ROUNDS = 12
@@ -194,7 +194,8 @@ def _solve(normal: Floats, right: Floats) -> Floats:
     plain: Floats = inverse @ right
     if (plain >= 0.0).all():
         return plain
-    return solve_nonnegative(normal / np.outer(scale, scale), right / scale) / scale
+    triangle = np.linalg.cholesky(normal / np.outer(scale, scale))
+    return nnls(triangle.T, np.linalg.solve(triangle, right / scale))[0] / scale
 
 
 def _inverse(normal: Floats) -> Floats:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 from scipy.stats import binomtest
@@ -15,6 +16,7 @@ from labpipe.fitting.noise_spectra import (
     Noise,
     cubic_basis,
     exact_covariance,
+    slowest_cosines,
     smooth_stretches,
 )
 from labpipe.records.arrays import Floats
@@ -30,6 +32,17 @@ def test_cubics_are_orthonormal() -> None:
     basis = cubic_basis(40)
     assert basis.shape == (4, 40)
     assert basis @ basis.T == pytest.approx(np.eye(4), abs=1e-12)
+
+
+@pytest.mark.parametrize("count", [5, 2001, 52_000, 76_001, 79_979])
+def test_slowest_cosines(count: int) -> None:
+    random = np.random.default_rng(1)
+    rows = np.stack([random.normal(size=count), np.full(count, count**-0.5), np.arange(count)])
+    rows[2, -4:] = 1e3
+    terms = min(count, 128)
+    expected = dct(rows, norm="ortho")[:, :terms]
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(slowest_cosines(rows, terms), expected, rtol=0, atol=1e-13 * scale)
 
 
 def test_stretches_with_a_step_or_a_corner_are_left_out() -> None:
