@@ -1,10 +1,8 @@
 """The two-segment fit against pwlf and piecewise-regression in one run, like against like.
 
-`pwlf.fit` gives break point and slopes, and no intervals: `find_hinge` stands against it.
 `piecewise-regression` gives intervals, and so does `pwlf.fit` with the standard errors of its
-non-linear model: `fit_two_segments` stands against them. The others are printed too: the fit with
-intervals against `pwlf.fit` without, and `fitfast`, which starts from random breaks and may end in
-a local optimum.
+non-linear model: `fit_two_segments` is compared with them. The others are printed too: `pwlf.fit`
+without intervals, and `fitfast`, which starts from random breaks and may end in a local optimum.
 """
 
 from __future__ import annotations
@@ -18,7 +16,7 @@ import numpy as np
 import piecewise_regression
 import pwlf
 
-from labpipe.fitting.segments import find_hinge, fit_two_segments
+from labpipe.fitting.segments import fit_two_segments
 
 COUNT = 2000
 RUNS = 5
@@ -53,9 +51,6 @@ def comparisons() -> list[tuple[str, Work, Work]]:
         model.fit(2)
         return model.standard_errors(method="non-linear", step_size=1e-4)
 
-    def optimum() -> object:
-        return find_hinge(x, y)
-
     def with_intervals() -> object:
         return fit_two_segments(x, y)
 
@@ -69,8 +64,6 @@ def comparisons() -> list[tuple[str, Work, Work]]:
         return piecewise_regression.Fit(x, y, n_breakpoints=1, start_values=[9.0])
 
     return [
-        ("pwlf.fit / optimum", fit, optimum),
-        ("pwlf.fitfast, local / optimum", fit_fast, optimum),
         ("piecewise-regression / with intervals", muggeo, with_intervals),
         ("pwlf.fit + standard_errors / with intervals", pwlf_with_errors, with_intervals),
         ("pwlf.fit, no intervals / with intervals", fit, with_intervals),

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.correlated import LinearFit, fit_linear, orthonormal
+from labpipe.fitting.correlated import LinearFit, fit_linear
 from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -26,7 +26,7 @@ class TwoSegments:
     Parameters
     ----------
     first, second : N/m, slopes before and behind the break
-    break_point : m, with an interval that may be lopsided
+    break_point : m, with an interval that may be asymmetric
     level : N, force at the break
     squares : N^2, sum of squared residuals at the optimum
     start, stop : m, ends of the stretch
@@ -39,25 +39,6 @@ class TwoSegments:
     squares: float
     start: float
     stop: float
-
-
-@dataclass(frozen=True, slots=True)
-class Hinge:
-    """Two lines that meet, as least squares has them.
-
-    Parameters
-    ----------
-    break_point : m
-    level : N, force at the break
-    first, second : N/m, slopes before and behind the break
-    squares : N^2, sum of squared residuals
-    """
-
-    break_point: float
-    level: float
-    first: float
-    second: float
-    squares: float
 
 
 def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failure:
@@ -81,40 +62,11 @@ def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failu
     Both have closed forms in cumulative sums, so the scan is O(n) after sorting by displacement.
     Slopes: intervals of the linearised model for correlated noise (`fit_linear`). Break point: all
     places whose sum of squares exceeds the optimum by no more than the square of the linearised
-    half width in units of independent noise; this profile of the sum of squares may be lopsided.
+    half width in units of independent noise; this profile of the sum of squares may be asymmetric.
     At least four samples stand on each side.
     """
     scan = _scan(displacement, force)
     return scan if isinstance(scan, Failure) else _described(scan, scan.best())
-
-
-def find_hinge(displacement: Floats, force: Floats) -> Hinge | Failure:
-    """The optimum of `fit_two_segments` alone: no intervals, and a bend even where there is none.
-
-    Parameters
-    ----------
-    displacement, force : as `fit_two_segments` takes them
-
-    Returns
-    -------
-    The two lines, or a failure ``too_few_samples`` or ``not_increasing``.
-
-    Examples
-    --------
-    >>> d = np.linspace(0.0, 0.02, 41)
-    >>> hinge = find_hinge(d, 30.0 - 4000.0 * np.maximum(0.01 - d, 0.0))
-    >>> round(hinge.break_point, 9), round(hinge.first, 6), round(hinge.level, 9)
-    (0.01, 4000.0, 30.0)
-    """
-    scan = _scan(displacement, force)
-    if isinstance(scan, Failure):
-        return scan
-    at = scan.best()
-    basis, to_coefficients = orthonormal(scan.design(at)[:, :3])
-    plain = basis @ scan.y
-    left = scan.y - plain @ basis
-    level, first, second = (float(each) for each in to_coefficients @ plain)
-    return Hinge(scan.d_of(at), level, first, second, float(left @ left))
 
 
 def _scan(displacement: Floats, force: Floats) -> _Scan | Failure:

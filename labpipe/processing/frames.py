@@ -1,4 +1,4 @@
-"""Rotations, and the specimen frame: x along the wire, y towards the pull, z out of the plane."""
+"""The specimen frame: x along the wire, y towards the pull, z out of the plane."""
 
 from __future__ import annotations
 
@@ -45,55 +45,6 @@ class SpecimenFrame:
         """Turn positions of shape (..., 3) from the lab into the specimen frame; NaN stays NaN."""
         moved = (positions_lab - self.origin_lab) @ self.rotation_lab_to_specimen.T
         return np.asarray(moved, dtype=np.float64)
-
-    def to_lab(self, positions_specimen: Floats) -> Floats:
-        """Turn positions of shape (..., 3) from the specimen frame back into the lab."""
-        moved = positions_specimen @ self.rotation_lab_to_specimen + self.origin_lab
-        return np.asarray(moved, dtype=np.float64)
-
-
-def rotation_between(v1: Floats, v2: Floats, *, half_turn_axis: Floats) -> Floats:
-    """Rotation that takes the direction of one vector to that of another.
-
-    Parameters
-    ----------
-    v1, v2 : shape (3,), of any length but zero
-    half_turn_axis : shape (3,), the axis to turn about when the two are opposed; only its part
-        perpendicular to `v1` is used
-
-    Returns
-    -------
-    shape (3, 3), R with R v1 / abs(v1) = v2 / abs(v2), det R = +1. Parallel vectors give the
-    identity.
-
-    Raises
-    ------
-    ValueError
-        If a vector is zero or not finite, or the axis is needed and lies along `v1`.
-
-    Notes
-    -----
-    Rodrigues: R = c I + s K + (1 - c) a a^T, with a the unit axis, K its cross-product matrix, c
-    and s cosine and sine of the angle; opposed: R = 2 a a^T - I.
-    """
-    one, two = _direction(v1, "v1"), _direction(v2, "v2")
-    cosine = float(one @ two)
-    cross = np.cross(one, two)
-    if cosine < 0 and np.linalg.norm(cross) < 1e-12:
-        axis = np.asarray(half_turn_axis, dtype=np.float64)
-        across = _direction(axis - (axis @ one) * one, "half_turn_axis across v1")
-        return np.asarray(2 * np.outer(across, across) - np.eye(3), dtype=np.float64)
-    sine = float(np.linalg.norm(cross))
-    if sine == 0.0:
-        return np.eye(3)
-    # Rounding leaves a part along v1 in a short cross product: nearly opposed vectors show it.
-    axis = cross / sine
-    axis = _direction(axis - (axis @ one) * one, "axis")
-    x, y, z = axis
-    skew = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    scale = np.hypot(cosine, sine)
-    turned = (cosine * np.eye(3) + sine * skew) / scale
-    return np.asarray(turned + (1 - cosine / scale) * np.outer(axis, axis), dtype=np.float64)
 
 
 def _direction(vector: Floats, name: str) -> Floats:

@@ -42,7 +42,6 @@ class Bent:
     tilt : shape (frames,), sine of the slope at mid-span
     height : shape (frames,), m, y at mid-span
     residual : shape (frames,), m, root mean square distance of the points in y
-    unit_error : shape (frames,), 1/m per m: error of the curvature at mid-span over that of a point
     freedom : shape (frames,), points seen less what was fitted
     span : m
     """
@@ -51,7 +50,6 @@ class Bent:
     tilt: Floats
     height: Floats
     residual: Floats
-    unit_error: Floats
     freedom: Floats
     span: float
 
@@ -280,10 +278,10 @@ def fit_bent(points: Floats, *, span: float, terms: int, start: Bent | None = No
         _fit_some(points[at : at + _CHUNK], span, np.nan_to_num(first[at : at + _CHUNK]), steps)
         for at in range(0, len(points), _CHUNK)
     ]
-    curvature, tilt, height, residual, unit_error, freedom = (
+    curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
-    return Bent(curvature, tilt, height, residual, unit_error, freedom, span)
+    return Bent(curvature, tilt, height, residual, freedom, span)
 
 
 def _fit_some(points: Floats, span: float, unknown: Floats, steps: int) -> tuple[Floats, ...]:
@@ -309,13 +307,11 @@ def _fit_some(points: Floats, span: float, unknown: Floats, steps: int) -> tuple
         unknown = unknown + step[..., 0] / scale
     _, model = _linearised(unknown, columns, grid, x)
     squares = np.sum(((y - model) * weight) ** 2, axis=1)
-    middle = np.concatenate([np.ones(terms), np.zeros(2)]) / scale
-    unit = np.sqrt(np.einsum("fi,fij,fj->f", middle, np.linalg.inv(normal), middle))
     unknown[~enough] = np.nan
     count = seen.sum(axis=1)
     residual = np.where(enough, np.sqrt(squares / np.maximum(count, 1)), np.nan)
     freedom = np.where(enough, count - terms - 2.0, 0.0)
-    return unknown[:, :terms], unknown[:, terms], unknown[:, -1], residual, unit, freedom
+    return unknown[:, :terms], unknown[:, terms], unknown[:, -1], residual, freedom
 
 
 def _linearised(unknown: Floats, columns: Floats, grid: Floats, x: Floats) -> tuple[Floats, Floats]:

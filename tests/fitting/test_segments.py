@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.fitting.estimates import Failure
-from labpipe.fitting.segments import Hinge, TwoSegments, find_hinge, fit_two_segments
+from labpipe.fitting.segments import TwoSegments, fit_two_segments
 from labpipe.records.arrays import Floats
 
 D = np.linspace(0.002, 0.02, 120)
@@ -35,18 +35,6 @@ def test_no_break_on_a_fine_grid_does_better(seed: int) -> None:
         design = np.column_stack([np.ones_like(D), np.minimum(D - at, 0), np.maximum(D - at, 0)])
         left = np.linalg.lstsq(design, force, rcond=None)[1][0]
         assert found.squares <= left * (1.0 + 1e-10)
-
-
-def test_the_optimum_alone_is_the_same() -> None:
-    force = noisy(3)
-    found, hinge = fit_two_segments(D, force), find_hinge(D, force)
-    assert isinstance(found, TwoSegments)
-    assert isinstance(hinge, Hinge)
-    assert hinge.break_point == found.break_point.value
-    alone = [hinge.level, hinge.first, hinge.second, hinge.squares]
-    both = [found.level, found.first.value, found.second.value, found.squares]
-    assert alone == pytest.approx(both, rel=1e-12)
-    assert find_hinge(D[::-1], force) == fit_two_segments(D[::-1], force)
 
 
 def test_order_and_missing_samples_do_not_matter() -> None:

@@ -11,7 +11,6 @@ from labpipe.records.arrays import Floats
 from labpipe.statistics.bands import (
     common_curves,
     mean_band,
-    misfit,
     simultaneous_quantile,
 )
 
@@ -125,19 +124,3 @@ def test_moves_scales_and_does_not_mind_the_order(
         expected = scale * getattr(first, name) + shift
         np.testing.assert_allclose(getattr(moved, name), expected, rtol=1e-6, atol=1e-6 * scale)
     assert moved.n == n
-
-
-def test_misfit_does_not_depend_on_the_number_of_points() -> None:
-    for n in (11, 500):
-        found = misfit(line(1.1e3, n=n), line(1e3, n=37))
-        # Root mean square of 100 d over 0 to 20 mm; F_max 20 N.
-        assert found.rmse == pytest.approx(2.0 / np.sqrt(3.0), rel=0.01)
-        assert found.relative == pytest.approx(found.rmse / 20.0)
-
-
-def test_misfit_of_curves_that_share_nothing() -> None:
-    found = misfit(line(1.0, 0.0, 0.01), line(1.0, 0.02, 0.03))
-    assert found.n == 0
-    assert np.isnan([found.rmse, found.relative]).all()
-    flat = misfit(line(1.0), line(0.0))
-    assert np.isnan(flat.relative)

@@ -9,7 +9,7 @@ import piecewise_regression
 import pwlf
 import pytest
 
-from labpipe.fitting.segments import Hinge, TwoSegments, find_hinge, fit_two_segments
+from labpipe.fitting.segments import TwoSegments, fit_two_segments
 from labpipe.records.arrays import Floats
 
 
@@ -34,9 +34,6 @@ def test_pwlf(seed: int) -> None:
     assert found.squares == pytest.approx(model.ssr, rel=1e-5)
     assert found.break_point.value == pytest.approx(breaks[1], abs=1e-2)
     assert [found.first.value, found.second.value] == pytest.approx(model.slopes, rel=1e-3)
-    alone = find_hinge(*curve(seed))
-    assert isinstance(alone, Hinge)
-    assert alone.squares == pytest.approx(found.squares, rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(4))
