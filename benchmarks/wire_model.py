@@ -14,7 +14,7 @@ from openpyxl import Workbook, load_workbook
 
 from benchmarks import plain_loop
 from labpipe.wire.cross_section import CrossSection, Insulation, Layer, hexagonal, lay_up
-from labpipe.wire.end_load_path import end_load_curve
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.friction import Contacts, insulated
 from labpipe.wire.materials import ANNEALED_COPPER
 from labpipe.wire.moment_curvature import moment_curvature
@@ -90,8 +90,8 @@ def cantilever_curve(strands: int) -> None:
     section, contacts = section_of(strands), contacts_of(strands)
     deflections = np.linspace(0.0, DEFLECTION, 101)[1:]
     law = play_law(section, contacts, largest_curvature=LARGEST)
-    loads = end_load_curve(law, LENGTH, deflections)[9::10].tolist()
-    ours = best(lambda: end_load_curve(law, LENGTH, deflections), runs=5)
+    loads = end_load_path(law, LENGTH, deflections).load[9::10].tolist()
+    ours = best(lambda: end_load_path(law, LENGTH, deflections).load, runs=5)
     kappa = np.linspace(0.0, LARGEST, 1000)
     moment = moment_curvature(section, contacts, kappa).moment
     plain = 10.0 * best(
@@ -107,7 +107,7 @@ def far_cantilever_curve(strands: int) -> None:
     """100 points up to 0.8 of the length: the last dozen station by station."""
     law = play_law(section_of(strands), contacts_of(strands), largest_curvature=FARTHEST_LARGEST)
     deflections = np.linspace(0.0, FARTHEST, 101)[1:]
-    ours = best(lambda: end_load_curve(law, LENGTH, deflections))
+    ours = best(lambda: end_load_path(law, LENGTH, deflections).load)
     show(f"  up to 0.8 of the length, {strands} strands, ms", 1e3 * ours, "at most 30")
 
 

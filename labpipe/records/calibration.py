@@ -292,25 +292,6 @@ class CalibrationFailure:
     message: str
 
 
-@dataclass(frozen=True, slots=True)
-class BootstrapCheck:
-    """Intervals of one parameter by simulation, next to those of the profile.
-
-    Parameters
-    ----------
-    name : of the parameter
-    interval : 95 %, studentised; None where fewer than nine tenths of the draws could be fitted
-    covered : share of the draws whose profile interval holds the value that they were drawn from
-    draws, failed : how many, and how many could not be fitted
-    """
-
-    name: str
-    interval: Interval | None
-    covered: float
-    draws: int
-    failed: int
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceCalibration:
     """The source's procedure: three friction numbers and one stiffness for the whole wire.

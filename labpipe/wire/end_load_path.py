@@ -15,7 +15,6 @@ from labpipe.wire.cantilever import DEFAULT_STATIONS, WireState, deflect, settle
 from labpipe.wire.end_load import EndLoads, end_loads
 from labpipe.wire.laws import (
     MomentLaw,
-    first_curvature,
     is_within,
     require_finite,
     require_positive,
@@ -42,37 +41,6 @@ class EndLoadPath:
     def part(self, start: int, stop: int | None = None) -> EndLoadPath:
         """The path from a point on, up to another, with the same arrays."""
         return EndLoadPath(self.load[start:stop], self.clamp_moment[start:stop])
-
-
-def end_load_curve(
-    law: MomentLaw, length: float, deflections: Floats, *, n_stations: int = DEFAULT_STATIONS
-) -> Floats:
-    """End load normal to the clamped axis at each of a row of tip deflections, from straight.
-
-    Parameters
-    ----------
-    law, length, deflections, n_stations : as for `end_load_path`
-
-    Returns
-    -------
-    Shape (n,), N.
-
-    Raises
-    ------
-    ValueError
-        If no equilibrium is found on the way, or the law ends before the last deflection (the
-        message says the curvature).
-    """
-    path = end_load_path(law, length, deflections, n_stations=n_stations)
-    reached = len(path.load)
-    if reached < len(deflections):
-        last = float(first_curvature(law, np.array([law.largest_moment]))[0])
-        message = (
-            f"deflection={float(deflections[reached])!r}: the wire would be bent farther than its "
-            f"law goes, {last:.4g} 1/m"
-        )
-        raise ValueError(message)
-    return path.load
 
 
 def end_load_path(

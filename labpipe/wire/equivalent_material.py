@@ -63,11 +63,6 @@ class EquivalentMaterial:
         plastic = self.strain - self.stress / self.modulus
         return np.asarray(plastic - plastic[0])
 
-    @property
-    def largest_error(self) -> float:
-        """The largest distance over the whole range, as a share of the wire's moment."""
-        return float(np.max(np.abs(self.error)))
-
     def holds_from(self, tolerance: float) -> float | None:
         """Curvature from which the bar's law is within a share of the wire's, to the end.
 
@@ -138,33 +133,6 @@ def equivalent_material(
     shares = np.append(1.0, slopes)
     stress = modulus * np.cumsum(shares * np.diff(strain, prepend=0.0))
     return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
-
-
-def bar_moment(material: EquivalentMaterial, curvature: Floats) -> Floats:
-    """Moment of the bar, N m.
-
-    Parameters
-    ----------
-    material : of the bar
-    curvature : 1/m, shape (n,), positive, within the range of the material
-
-    Returns
-    -------
-    Shape (n,).
-
-    Raises
-    ------
-    ValueError
-        If a curvature is beyond the range.
-    """
-    radius = 0.5 * material.diameter
-    end = float(material.strain[-1]) / radius
-    if np.any(curvature > end * (1.0 + 1e-12)):
-        message = f"curvature={float(np.max(curvature))!r}: allowed are curvatures <= {end!r}"
-        raise ValueError(message)
-    slopes = np.diff(material.stress, prepend=0.0) / np.diff(material.strain, prepend=0.0)
-    moment: Floats = _segments(curvature, material.strain, radius) @ slopes
-    return moment
 
 
 def _moment_at(at: float, curvature: Floats, moment: Floats) -> float:

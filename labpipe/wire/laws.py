@@ -93,42 +93,6 @@ class LinearLaw:
         return np.zeros(0)
 
 
-@dataclass(frozen=True, slots=True)
-class BilinearLaw:
-    """Two stiffnesses on first loading; a single play, so it unloads with the first one.
-
-    Parameters
-    ----------
-    stiffness : EI0 below the break, N m^2
-    second_stiffness : dM/dkappa above the break, N m^2; smaller than `stiffness`
-    break_moment : N m
-    """
-
-    stiffness: float
-    second_stiffness: float
-    break_moment: float
-
-    def __post_init__(self) -> None:
-        require_positive("stiffness", self.stiffness)
-        require_positive("break_moment", self.break_moment)
-        _require_hardening("second_stiffness", self.second_stiffness, self.stiffness)
-
-    @property
-    def largest_moment(self) -> float:
-        """No end."""
-        return np.inf
-
-    @property
-    def half_widths(self) -> Floats:
-        """The break moment: shape (1,)."""
-        return np.array([self.break_moment])
-
-    @property
-    def compliances(self) -> Floats:
-        """What the second stiffness adds to the first's compliance: shape (1,)."""
-        return np.array([1.0 / self.second_stiffness - 1.0 / self.stiffness])
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class PlayLaw:
     """Many plays: any concave first-loading law, with Masing loops and residual curvature.
@@ -297,13 +261,4 @@ def require_finite(name: str, values: Floats | float) -> None:
     """
     if not np.all(np.isfinite(values)):
         message = f"{name}={np.asarray(values).tolist()}: allowed are finite numbers"
-        raise ValueError(message)
-
-
-def _require_hardening(name: str, value: float, stiffness: float) -> None:
-    if not 0.0 < value < stiffness:
-        message = (
-            f"{name}={value!r}: allowed are numbers > 0 (a law that softens has no curvature for "
-            f"a given moment) and < stiffness={stiffness!r}"
-        )
         raise ValueError(message)

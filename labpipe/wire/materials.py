@@ -228,14 +228,3 @@ class StressTable:
 
 ANNEALED_COPPER = RambergOsgood(110e9, 530e6, 0.44, "annealed copper, handbook value")
 """Copper of the source's wires."""
-
-FIRMER_COPPER = RambergOsgood(110e9, 455e6, 0.343, "annealed copper, alternative handbook value")
-"""A firmer curve for annealed copper, proof stress 54 MPa: how much the choice matters."""
-
-
-def secant_modulus(material: Material, strain: Floats) -> Floats:
-    """Stress over strain, Pa, any shape; the modulus at zero strain, NaN where stress is NaN."""
-    at = np.asarray(strain, dtype=np.float64)
-    is_zero = at == 0.0
-    ratio = material.stress(at) / np.where(is_zero, 1.0, at)
-    return np.where(is_zero, material.modulus, ratio)

@@ -36,8 +36,8 @@ def play_law(
 
     Returns
     -------
-    The law, with Masing's loops: those of `wire.bending_history` where friction is even on both
-    sides, which it nearly is for small mu sin(alpha).
+    The law, with Masing's loops: those of Coulomb sliders and hardening strands where friction is
+    even on both sides, which it nearly is for small mu sin(alpha).
 
     Raises
     ------

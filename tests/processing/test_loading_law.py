@@ -11,13 +11,14 @@ from labpipe.processing.bending_test import BendingErrors, BendingTest
 from labpipe.processing.loading_law import measure_bending
 from labpipe.records.bending import MeasuredLaw
 from labpipe.virtual_lab.specimens import WireModel
-from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
+from labpipe.wire.laws import LinearLaw, MomentLaw
 from tests.builders.bent_tests import bending_test, law_moment, loaded, pulled
+from tests.builders.bilinear_laws import bilinear_law
 
 LAWS: dict[str, tuple[MomentLaw, float]] = {
     "elastic": (LinearLaw(5e-3), 5e-4),
     "stick and slip": (WireModel().law(), 2e-3),
-    "kinked": (BilinearLaw(8e-3, 2e-3, 0.02), 1.5e-2),  # rounded between two knots
+    "kinked": (bilinear_law(8e-3, 2e-3, 0.02), 1.5e-2),  # rounded between two knots
 }
 
 

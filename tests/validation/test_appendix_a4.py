@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import plain_loop
 from labpipe.wire.cross_section import hexagonal
-from labpipe.wire.end_load_path import end_load_curve
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.moment_curvature import moment_curvature
 from labpipe.wire.packing import overlap_energy
 from labpipe.wire.wire_law import play_law
@@ -54,7 +54,7 @@ def test_cantilever_with_the_law_along_the_wire(name: str) -> None:
     section, contacts = wire(name), contacts_of(wire(name))
     deflections = np.array([0.010, 0.030, 0.050])
     law = play_law(section, contacts, largest_curvature=80.0)
-    loads = end_load_curve(law, 0.085, deflections)
+    loads = end_load_path(law, 0.085, deflections).load
     kappa = np.append(0.0, np.geomspace(1e-3, 80.0, 2000))
     moment = moment_curvature(section, contacts, kappa).moment
     marched = [plain_loop.tip_deflection(load, 0.085, kappa, moment) for load in loads]

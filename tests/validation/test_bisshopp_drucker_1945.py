@@ -21,7 +21,7 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import bend_under_force, straight
-from labpipe.wire.end_load_path import end_load_curve
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.laws import LinearLaw
 
 PRINTED = {1.0: (0.30172, 0.05643, 0.46135), 2.0: (0.49346, 0.16064, 0.78175)}
@@ -58,6 +58,6 @@ def test_loads_of_a_whole_curve() -> None:
     """Up to a deflection of 0.85 of the length, where the tip stands at 87 degrees."""
     rows: Floats = np.array([closed_form(angle) for angle in np.linspace(0.05, 1.52, 30)])
     law, length = LinearLaw(3e-3), 0.085
-    found = end_load_curve(law, length, rows[:, 1] * length)
+    found = end_load_path(law, length, rows[:, 1] * length).load
     # A curve stops at changes of 1e-6; 1.2e-8 is what it was off by.
     assert found * length**2 / law.stiffness == pytest.approx(rows[:, 0], rel=1e-7)

@@ -29,7 +29,7 @@ from labpipe.readers.curve_csv import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.end_load_path import end_load_curve
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.laws import LinearLaw
 from labpipe.wire.wire_law import concave_law
 from labpipe.wire.wire_table import wire_table as table_of
@@ -70,7 +70,7 @@ def compressed(name: str) -> WireTable:
 def test_a_linear_bar_is_the_elastica(tmp_path: Path) -> None:
     table = wire_table("A2")
     deflection, load = pushed(linear(table, 4e-4), tmp_path, n_steps=12)
-    expected = end_load_curve(LinearLaw(4e-4), table.spec.length, deflection)
+    expected = end_load_path(LinearLaw(4e-4), table.spec.length, deflection).load
     assert deflection[-1] == pytest.approx(0.6 * table.spec.length)
     assert load == pytest.approx(expected, rel=3e-3)
 
@@ -81,7 +81,7 @@ def assert_near(table: WireTable, folder: Path) -> None:
     held = (deflection >= 0.005) & (deflection <= 0.05)
     assert np.count_nonzero(held) > 60
     law = concave_law(table.curvature[1:], table.moment[1:])
-    expected = end_load_curve(law, table.spec.length, deflection[held])
+    expected = end_load_path(law, table.spec.length, deflection[held]).load
     assert load[held] == pytest.approx(expected, rel=CLOSE)
 
 

@@ -19,13 +19,14 @@ from scipy.optimize import brentq
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import bend_under_force, straight
-from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
+from labpipe.wire.laws import LinearLaw, MomentLaw
 from labpipe.wire.wire_law import play_law
+from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.stranded_wires import contacts_of, wire
 
 LENGTH = 0.085
 STIFFNESS, SECOND, BREAK = 5e-3, 1.5e-3, 0.02
-BILINEAR = BilinearLaw(STIFFNESS, SECOND, BREAK)
+BILINEAR = bilinear_law(STIFFNESS, SECOND, BREAK)
 
 
 def plays(name: str) -> MomentLaw:

@@ -17,18 +17,18 @@ from labpipe.wire.cantilever import (
     bend_under_force,
     straight,
 )
-from labpipe.wire.end_load_path import end_load_curve
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.laws import (
-    BilinearLaw,
     LinearLaw,
     MomentLaw,
     complementary_energy,
 )
+from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE
 
 STRING = 0.760
 WEIGHT = 0.0027 * 9.80665
-BILINEAR = BilinearLaw(5e-3, 1.5e-3, 0.02)
+BILINEAR = bilinear_law(5e-3, 1.5e-3, 0.02)
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_small_load_limit() -> None:
 )
 def test_first_integral_holds_along_the_wire(law: MomentLaw, bound: float) -> None:
     """W*(M) + P sin(psi) is the same at every station on first loading."""
-    load = end_load_curve(law, LENGTH, np.array([0.053]), n_stations=96)[0]
+    load = end_load_path(law, LENGTH, np.array([0.053]), n_stations=96).load[0]
     shape = bend_under_force(law, straight(law, 96), LENGTH, np.array([0.0, load]))
     integral = complementary_energy(law, shape.moment) + load * np.sin(shape.angle)
     assert np.max(integral) - np.min(integral) < bound * load
@@ -72,7 +72,7 @@ def test_first_integral_holds_along_the_wire(law: MomentLaw, bound: float) -> No
 
 def test_energy_put_in_is_stored_by_an_elastic_law() -> None:
     law, deflections = LinearLaw(3e-3), np.linspace(0.0, 0.053, 401)[1:]
-    loads = np.append(0.0, end_load_curve(law, LENGTH, deflections))
+    loads = np.append(0.0, end_load_path(law, LENGTH, deflections).load)
     work = np.trapezoid(loads, np.append(0.0, deflections))
     shape = bend_under_force(law, straight(law), LENGTH, np.array([0.0, loads[-1]]))
     stored = np.trapezoid(shape.moment**2 / (2 * 3e-3), shape.arc_length)
@@ -143,8 +143,8 @@ def _lean(law: MomentLaw, at: float) -> tuple[float, float]:
     """
     rig = StringRig(STRING, WEIGHT, LENGTH, STRING)
     shape = bend_to_travel(law, straight(law), LENGTH, rig, at)
-    relative = end_load_curve(law, LENGTH, np.array([shape.y[-1]]))[0]
-    travelled = end_load_curve(law, LENGTH, np.array([at]))[0]
+    relative = end_load_path(law, LENGTH, np.array([shape.y[-1]])).load[0]
+    travelled = end_load_path(law, LENGTH, np.array([at])).load[0]
     force = shape.tension - WEIGHT
     return 100 * (force / relative - 1), 100 * (force / travelled - 1)
 

@@ -9,10 +9,10 @@ import pytest
 
 from labpipe.records.calibration import PARAMETERS
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire
-from labpipe.wire.bending_history import bend_along
 from labpipe.wire.laws import respond, virgin_plays
 from labpipe.wire.materials import ANNEALED_COPPER
 from labpipe.wire.moment_curvature import moment_curvature, stick_stiffness
+from tests.builders.bending_history import bend_along
 
 EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)
 
@@ -46,7 +46,7 @@ def test_unloading_is_that_of_sliders_and_kinematic_plasticity(wire: StrandedWir
     law, peak = wire.law(), 29.0
     there, back = np.linspace(0.3, peak, 97), np.linspace(peak, -5.0, 140)[1:]
     path = bend_along(wire.section(), wire.contacts(), np.concatenate([there, back]))
-    top, down = path.moment[len(there) - 1], path.moment[len(there) :]
+    top, down = path[len(there) - 1], path[len(there) :]
     history = respond(law, np.array([top]), virgin_plays(law, 1)).plays
     found = respond(law, down, np.repeat(history, len(down), axis=0)).curvature
     moment = np.interp(back[::-1], found[::-1], down[::-1])[::-1]

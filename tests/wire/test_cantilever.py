@@ -16,8 +16,9 @@ from labpipe.wire.cantilever import (
     bend_under_force,
     straight,
 )
-from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
+from labpipe.wire.laws import LinearLaw, MomentLaw
 from labpipe.wire.wire_law import play_law
+from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
 
@@ -93,7 +94,7 @@ def test_one_step_or_many_reach_the_same_place_on_a_branch() -> None:
     np.testing.assert_allclose(one.y, many.y, atol=1e-9)
 
 
-@pytest.mark.parametrize("law", [LinearLaw(3e-3), BilinearLaw(5e-3, 1.5e-3, 0.02), WIRE])
+@pytest.mark.parametrize("law", [LinearLaw(3e-3), bilinear_law(5e-3, 1.5e-3, 0.02), WIRE])
 def test_deflection_of_four_fifths_of_the_length(law: MomentLaw) -> None:
     rig = StringRig(0.76, 0.0265, LENGTH, 0.76)
     shapes = travel_through(law, rig, ramp(0.0, 0.067, 0.0))

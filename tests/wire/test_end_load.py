@@ -11,7 +11,6 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
 from labpipe.wire.laws import (
-    BilinearLaw,
     LinearLaw,
     MomentLaw,
     complementary_energy,
@@ -19,6 +18,7 @@ from labpipe.wire.laws import (
     virgin_plays,
 )
 from labpipe.wire.wire_law import play_law
+from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.stranded_wires import contacts_of, wire
 
 LENGTH = 0.085
@@ -65,7 +65,7 @@ def by_adaptive_quadrature(law: MomentLaw, clamp: float) -> tuple[float, float]:
 
 @pytest.mark.parametrize("clamp", [0.02, 0.06, 0.09])
 def test_a_bilinear_law_by_adaptive_quadrature(clamp: float) -> None:
-    law = BilinearLaw(5e-3, 1e-3, 0.05)
+    law = bilinear_law(5e-3, 1e-3, 0.05)
     load, deflection = by_adaptive_quadrature(law, clamp)
     found = end_loads(law, LENGTH, np.array([deflection]))
     assert found.load[0] == pytest.approx(load, rel=1e-7)
@@ -125,7 +125,7 @@ def test_a_far_bent_wire_stands_upright(length: float) -> None:
     [
         (LinearLaw(3e-3), 0.85),
         (LinearLaw(3e-3), 0.97),
-        (BilinearLaw(5e-3, 1e-3, 0.05), 0.6),  # beyond, parts that have yielded unload
+        (bilinear_law(5e-3, 1e-3, 0.05), 0.6),  # beyond, parts that have yielded unload
     ],
 )
 def test_far_bent_wires_station_by_station(law: MomentLaw, share: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.end_load_path import end_load_curve, end_load_path
+from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.laws import LinearLaw, PlayLaw
 from labpipe.wire.wire_law import play_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
@@ -18,23 +18,27 @@ def test_the_curve_is_that_of_the_stations_also_where_the_tip_unloads(n_deflecti
     law = play_law(section, contacts_of(section), largest_curvature=95.0)
     fine = np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
     deflections = np.linspace(0.0, 0.8 * LENGTH, n_deflections + 1)[1:]
-    loads = end_load_curve(law, LENGTH, deflections)
+    loads = end_load_path(law, LENGTH, deflections).load
     expected = np.interp(deflections, fine, by_stations(law, fine))
     assert loads == pytest.approx(expected, rel=1e-4)  # of the stations: see the test of doubling
 
 
 def test_a_curve_that_turns_back_goes_on_from_its_first_loading() -> None:
     deflections = np.array([0.02, 0.04, 0.03, 0.02, -0.01, 0.0])
-    loads = end_load_curve(WIRE, LENGTH, deflections)
+    loads = end_load_path(WIRE, LENGTH, deflections).load
     assert loads == pytest.approx(by_stations(WIRE, deflections), abs=5e-5 * loads.max())
     assert loads[3] < 0.7 * loads[0]
 
 
 def test_a_curve_from_zero_and_one_to_the_other_side() -> None:
-    assert end_load_curve(WIRE, LENGTH, np.array([0.0, 0.02]))[0] == pytest.approx(0.0, abs=1e-15)
-    up, down = (end_load_curve(WIRE, LENGTH, side * np.array([0.02, 0.04])) for side in (1.0, -1.0))
+    assert end_load_path(WIRE, LENGTH, np.array([0.0, 0.02])).load[0] == pytest.approx(
+        0.0, abs=1e-15
+    )
+    up, down = (
+        end_load_path(WIRE, LENGTH, side * np.array([0.02, 0.04])).load for side in (1.0, -1.0)
+    )
     assert down == pytest.approx(-up, rel=1e-4)
-    assert end_load_curve(WIRE, LENGTH, np.zeros(0)).shape == (0,)
+    assert end_load_path(WIRE, LENGTH, np.zeros(0)).load.shape == (0,)
 
 
 def law_to(largest_curvature: float) -> PlayLaw:
@@ -49,12 +53,6 @@ def test_a_path_ends_where_the_law_does() -> None:
     assert 5 < len(path.load) < 25
     beyond = end_load_path(law_to(60.0), LENGTH, deflections).clamp_moment
     assert beyond[len(path.load) - 1] < law.largest_moment < beyond[len(path.load)]
-    with pytest.raises(
-        ValueError,
-        match=rf"^deflection={deflections[len(path.load)]}: the wire would be bent farther than "
-        rf"its law goes, 20 1/m$",
-    ):
-        end_load_curve(law, LENGTH, deflections)
 
 
 def test_a_path_that_comes_back_ends_where_the_law_does() -> None:
@@ -66,10 +64,10 @@ def test_a_path_that_comes_back_ends_where_the_law_does() -> None:
 def test_numbers_that_are_not_finite_are_refused(number: float) -> None:
     said = rf"^deflections=\[?(0.0, )?{number}\]?: allowed are finite numbers$"
     with pytest.raises(ValueError, match=said):
-        end_load_curve(LinearLaw(3e-3), LENGTH, np.array([0.0, number]))
+        end_load_path(LinearLaw(3e-3), LENGTH, np.array([0.0, number]))
 
 
 @pytest.mark.parametrize("length", [0.0, -0.085, np.nan, np.inf])
 def test_lengths_are_positive(length: float) -> None:
     with pytest.raises(ValueError, match=rf"^length={length}: allowed are finite numbers > 0$"):
-        end_load_curve(LinearLaw(3e-3), length, np.array([0.01]))
+        end_load_path(LinearLaw(3e-3), length, np.array([0.01]))

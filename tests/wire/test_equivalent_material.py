@@ -7,13 +7,11 @@ from scipy.integrate import quad
 from labpipe.records.arrays import Floats
 from labpipe.wire.equivalent_material import (
     EquivalentMaterial,
-    bar_moment,
     equivalent_material,
 )
 from tests.builders.wire_tables import wire_table
 
 DIAMETER = 1.6e-3
-RADIUS = 0.5 * DIAMETER
 SECOND_MOMENT = np.pi / 64.0 * DIAMETER**4
 
 
@@ -24,30 +22,30 @@ def of_wire(name: str, **options: float) -> tuple[EquivalentMaterial, Floats, Fl
     return found, curvature, moment
 
 
-def integrated(material: EquivalentMaterial, curvature: float) -> float:
-    """The moment of the bar, by numerical integration over its height."""
+def bar_moment(material: EquivalentMaterial, curvature: Floats) -> Floats:
+    """Moments of the bar, by numerical integration over its height."""
+    radius = 0.5 * material.diameter
     strain, stress = np.append(0.0, material.strain), np.append(0.0, material.stress)
 
-    def force(y: float) -> float:
-        pull = np.interp(y * curvature, strain, stress)
-        return float(4.0 * pull * y * np.sqrt(RADIUS**2 - y**2))
+    def force(y: float, bend: float) -> float:
+        return float(4.0 * np.interp(y * bend, strain, stress) * y * np.sqrt(radius**2 - y**2))
 
-    kinks = strain[1:][strain[1:] < curvature * RADIUS] / curvature
-    return float(quad(force, 0.0, RADIUS, points=kinks, limit=200)[0])
+    def moment(bend: float) -> float:
+        kinks = strain[1:][strain[1:] < bend * radius] / bend
+        return float(quad(force, 0.0, radius, args=(bend,), points=kinks, limit=200)[0])
+
+    return np.array([moment(bend) for bend in curvature.tolist()])
 
 
-@pytest.mark.parametrize("curvature", [0.1, 3.0, 40.0, 125.0])
-def test_the_moment_is_the_integral_over_the_section(curvature: float) -> None:
-    material, _, _ = of_wire("A2")
-    found = bar_moment(material, np.array([curvature]))[0]
-    assert found == pytest.approx(integrated(material, curvature), rel=1e-6)
+def largest(error: Floats) -> float:
+    return float(np.abs(error).max())
 
 
 def test_a_linear_law_has_its_modulus() -> None:
     curvature = np.geomspace(0.01, 100.0, 60)
     material = equivalent_material(curvature, 4e-4 * curvature, DIAMETER)
     assert material.modulus == pytest.approx(4e-4 / SECOND_MOMENT)
-    assert material.largest_error < 1.1e-3
+    assert largest(material.error) < 1.1e-3
     assert material.holds_from(0.002) == curvature[0]
 
 
@@ -61,7 +59,7 @@ def test_a_perfectly_plastic_bar_is_found_again() -> None:
     assert moment[-1] == pytest.approx(4e7 * DIAMETER**3 / 6.0, rel=1e-2)
     material = equivalent_material(curvature, moment, DIAMETER, n_knots=60)
     assert material.modulus == pytest.approx(1e10, rel=1e-9)
-    assert material.largest_error < 0.005
+    assert largest(material.error) < 0.005
     assert material.stress[-1] == pytest.approx(4e7, rel=0.01)
 
 
@@ -74,13 +72,12 @@ def test_the_law_of_a_wire_is_held_within_one_percent_where_it_is_bent(name: str
     near = curvature >= start
     found = bar_moment(material, curvature)
     assert found[near] == pytest.approx(moment[near], rel=0.01)
-    np.testing.assert_allclose(material.error, found / moment - 1.0, atol=1e-12)
-    assert material.largest_error == np.abs(material.error).max()
+    np.testing.assert_allclose(material.error, found / moment - 1.0, atol=1e-6)
 
 
 def test_a_smaller_elastic_share_follows_the_law_further_down() -> None:
     coarse, fine = of_wire("A2")[0], of_wire("A2", elastic_share=1e-4, n_knots=40)[0]
-    assert fine.largest_error < 0.05 < 0.5 < coarse.largest_error
+    assert largest(fine.error) < 0.05 < 0.5 < largest(coarse.error)
     starts = fine.holds_from(0.01), coarse.holds_from(0.01)
     assert None not in starts
     assert starts[0] < 0.1 * starts[1]  # type: ignore[operator]
@@ -96,16 +93,10 @@ def test_the_stress_never_falls_and_the_plastic_strain_grows(name: str) -> None:
     assert material.elastic_curvature == pytest.approx(0.002 * curvature[-1])
 
 
-def test_the_range_ends_where_the_law_does() -> None:
-    material, curvature, _ = of_wire("A2")
-    with pytest.raises(ValueError, match=r"^curvature=126\.0: allowed are curvatures <= 12[45]\."):
-        bar_moment(material, np.array([1.0, curvature[-1] + 1.0]))
-
-
 def test_a_law_that_stiffens_is_nowhere_near() -> None:
     curvature = np.geomspace(0.1, 100.0, 60)
     material = equivalent_material(curvature, 1e-6 * curvature**2, DIAMETER)
-    assert material.largest_error > 0.5
+    assert largest(material.error) > 0.5
     assert material.holds_from(0.01) is None
 
 

@@ -17,10 +17,10 @@ from labpipe.wire.first_integral import (
     tension_of,
     weight_of,
 )
-from labpipe.wire.laws import BilinearLaw
 from labpipe.wire.loading_law import law_of_plays
+from tests.builders.bilinear_laws import bilinear_law
 
-RULE = rule_of(law_of_plays(BilinearLaw(5e-3, 1.5e-3, 0.004), 0.02, n_points=6))
+RULE = rule_of(law_of_plays(bilinear_law(5e-3, 1.5e-3, 0.004), 0.02, n_points=6))
 RIG = StringRig(0.76, 0.026, 0.085, 0.76)
 FORCE, LEAN = np.linspace(0.05, 0.4, 6), np.linspace(-0.05, 0.08, 6)
 STEP = 1e-6

@@ -8,15 +8,16 @@ from scipy.interpolate import CubicSpline
 
 from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
-from labpipe.wire.laws import BilinearLaw, LinearLaw, MomentLaw
+from labpipe.wire.laws import LinearLaw, MomentLaw
 from labpipe.wire.loading_law import law_of_plays
+from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.loading_tests import law_of, rig_of, wire_of
 
 LENGTH = 0.085
 CLOSE = 5e-5  # 64 stations straddle a corner of the law: they are good to 4e-5 of a small load
 GOALS = (0.0005, 0.002, 0.005, 0.01, 0.02, 0.035, 0.05)
 A2 = law_of(wire_of("A2"), n_plays=60)
-LAWS = [LinearLaw(4e-4), BilinearLaw(5e-3, 4e-4, 5e-4), A2]
+LAWS = [LinearLaw(4e-4), bilinear_law(5e-3, 4e-4, 5e-4), A2]
 
 
 def curve_of(law: MomentLaw, rig: StringRig | None, n_points: int = 240) -> LoadingCurve:

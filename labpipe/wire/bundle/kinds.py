@@ -87,33 +87,18 @@ def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
 
     Notes
     -----
-    Least is `unevenness`; of equal ones, the fewest neighbours of one kind. A bundle in which each
-    kind has the centroid and the second moments of the whole is as stiff, in every direction, as
-    one of wires of the mean axial stiffness, whatever the stiffnesses of the kinds: if the sites
-    have no preferred direction, nor has the bundle.
+    Least is the unevenness: the sum over kinds and traits of (sum of the trait over the wires of
+    the kind)^2 / wires, where the traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are without their mean
+    over all wires, and of a size of one. Of equal ones, the fewest neighbours of one kind. A bundle
+    in which each kind has the centroid and the second moments of the whole is as stiff, in every
+    direction, as one of wires of the mean axial stiffness, whatever the stiffnesses of the kinds:
+    if the sites have no preferred direction, nor has the bundle.
     """
     traits, near = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
     starts = (by_chance(counts, rng) for _ in range(N_STARTS))
     found = [_exchanged(start, traits, near) for start in starts]
     return min(found, key=lambda kind: _merit(kind, traits, near))
-
-
-def unevenness(sites: Floats, kind: Ints) -> float:
-    """How far the kinds are from being spread as the whole bundle, a pure number, 0 for alike.
-
-    Parameters
-    ----------
-    sites : shape (wires, 2), in any unit
-    kind : shape (wires,)
-
-    Returns
-    -------
-    Sum over kinds and traits of (sum of the trait over the wires of the kind)^2 / wires, where the
-    traits x, y, x^2 - y^2, 2 x y, x^2 + y^2 are without their mean over all wires, and of a size of
-    one.
-    """
-    return _unevenness(kind, _traits(sites))
 
 
 def _traits(sites: Floats) -> Floats:

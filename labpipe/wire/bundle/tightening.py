@@ -14,7 +14,6 @@ import numpy as np
 from scipy.optimize import minimize
 
 from labpipe.records.arrays import Floats
-from labpipe.wire.cross_section import largest_overlap
 from labpipe.wire.packing import squared_overlaps
 
 _PULLS = (0.1, 1e-2)
@@ -130,11 +129,6 @@ def _spread(centres: Floats, diameters: Floats) -> float:
     first, second = np.triu_indices(len(centres), 1)
     distance = np.hypot(*(centres[first] - centres[second]).T)
     return float(max(np.max(0.5 * (diameters[first] + diameters[second]) / distance), 1.0))
-
-
-def overlap_of(centres: Floats, diameters: Floats) -> float:
-    """Deepest overlap of wires, m; 0 where none overlap."""
-    return largest_overlap(centres, diameters / 2.0)
 
 
 def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:

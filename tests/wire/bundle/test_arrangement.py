@@ -7,7 +7,7 @@ import pytest
 
 from labpipe.records.bundle import ARRANGEMENTS, BundleLayout
 from labpipe.wire.bundle.arrangement import arrange
-from labpipe.wire.bundle.tightening import overlap_of
+from labpipe.wire.cross_section import largest_overlap
 from tests.builders.bundles import bundle
 
 DIAMETERS, STIFFNESS = (1.10e-3, 1.25e-3), (37e3, 52e3)
@@ -20,7 +20,7 @@ def centres(layout: BundleLayout) -> np.ndarray:
 def test_nineteen_wires_are_a_hexagon() -> None:
     layout = arrange(bundle(("B1", 19)), DIAMETERS[:1], STIFFNESS[:1])
     assert layout.radius == pytest.approx(2.5 * 1.10e-3)
-    assert overlap_of(centres(layout), layout.diameter) < 1e-12
+    assert largest_overlap(centres(layout), layout.diameter / 2.0) < 1e-12
     assert layout.arrangement == "packed"
 
 
@@ -29,7 +29,7 @@ def test_mixed_bundles(arrangement: str) -> None:
     layout = arrange(bundle(("B1", 10), ("B2", 9), arrangement=arrangement), DIAMETERS, STIFFNESS)
     assert layout.kind.tolist() == [0] * 10 + [1] * 9
     assert layout.diameter == pytest.approx(np.repeat(DIAMETERS, [10, 9]))
-    assert overlap_of(centres(layout), layout.diameter) < 1e-12
+    assert largest_overlap(centres(layout), layout.diameter / 2.0) < 1e-12
     centroid = np.average(centres(layout), axis=0, weights=layout.diameter**2)
     assert centroid == pytest.approx([0.0, 0.0], abs=1e-9)
     assert 2.5 * 1.10e-3 < layout.radius < 2.5 * 1.25e-3

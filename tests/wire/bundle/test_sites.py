@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from labpipe.wire.bundle.sites import sites
-from labpipe.wire.bundle.tightening import holding_circle, overlap_of
+from labpipe.wire.bundle.tightening import holding_circle
+from labpipe.wire.cross_section import largest_overlap
 
 
 @pytest.mark.parametrize(("number", "radius"), [(1, 0.0), (7, 1.0), (19, 2.0), (37, 3.0)])
@@ -31,7 +32,7 @@ def test_hexagons_around_a_core_of_three(number: int, farthest: float) -> None:
 def test_wires_touch_and_do_not_overlap(number: int) -> None:
     found = sites(number)
     assert found.shape == (number, 2)
-    assert overlap_of(found, np.ones(number)) < 1e-9
+    assert largest_overlap(found, np.ones(number) / 2.0) < 1e-9
     distance = np.hypot(*(found[:, None] - found[None]).transpose(2, 0, 1))
     np.fill_diagonal(distance, np.inf)
     assert distance.min(axis=1) == pytest.approx(1.0, abs=1e-4)

@@ -12,9 +12,9 @@ from labpipe.records.arrays import Floats
 from labpipe.wire.bundle.tightening import (
     drawn_together,
     holding_circle,
-    overlap_of,
     pulled_overlap_energy,
 )
+from labpipe.wire.cross_section import largest_overlap
 
 
 def test_gradient_of_the_energy() -> None:
@@ -40,7 +40,7 @@ def test_three_unequal_wires_touch_each_other() -> None:
 
 def test_wires_on_one_another_part() -> None:
     found = drawn_together(np.zeros((7, 2)), np.ones(7))
-    assert overlap_of(found, np.ones(7)) < 1e-9
+    assert largest_overlap(found, np.ones(7) / 2.0) < 1e-9
 
 
 def test_one_wire_lies_in_the_middle() -> None:
@@ -60,7 +60,7 @@ def test_no_two_overlap(seed: int, number: int) -> None:
     rng = np.random.default_rng(seed)
     diameters = rng.uniform(0.5, 1.5, number)
     found = drawn_together(rng.normal(size=(number, 2)), diameters)
-    assert overlap_of(found, diameters) < 1e-9
+    assert largest_overlap(found, diameters / 2.0) < 1e-9
 
 
 def test_circle_around_two_unequal_wires() -> None:

@@ -1,7 +1,8 @@
-"""A wire bent there and back: sliders for the axial forces, kinematic plasticity for the strands.
+"""A wire bent there and back: sliders for axial forces, kinematic plasticity for strands.
 
-The source's model does not unload; its tests do. Two things remember, and both are the first
-loading of `wire.moment_curvature` as long as the bending has not turned:
+The truth that the laws of plays, which unload by Masing's rule, are compared with. Two things
+remember, and both are the first loading of `wire.moment_curvature` as long as the bending has not
+turned:
 
 - the axial force of each strand is that of a Coulomb slider: it follows E A r sin(theta)
   cos^2(alpha) d(kappa) between the two friction limits (3.14) of bending one way and the other,
@@ -18,145 +19,29 @@ soften or harden from cycle to cycle.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import Floats, Ints
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Bundle, Contacts, arrange, ring_pressure, sines
 from labpipe.wire.strand_bending import helix_factor, strand_moment
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BendingPath:
-    """Moments along a path of curvatures, in its order; arrays of shape (n,).
-
-    Parameters
-    ----------
-    curvature : 1/m
-    axial : N m, of the strands' axial forces
-    own : N m, of the strands about their own axes
-    insulation : N m
-    """
-
-    curvature: Floats
-    axial: Floats
-    own: Floats
-    insulation: Floats
-
-    def __post_init__(self) -> None:
-        shape = (len(self.curvature),)
-        for name in ("curvature", "axial", "own", "insulation"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
-
-    @property
-    def moment(self) -> Floats:
-        """All parts together, N m."""
-        return np.asarray(self.axial + self.own + self.insulation)
-
-    @property
-    def dissipated(self) -> float:
-        """Integral of M d(kappa) along the path, N: what a closed loop loses, per length."""
-        mean = (self.moment[1:] + self.moment[:-1]) / 2.0
-        return float(mean @ np.diff(self.curvature))
-
-
 def bend_along(
-    section: CrossSection,
-    contacts: Contacts,
-    curvature: Floats,
-    *,
-    tension: float = 0.0,
-    orientation: float = 0.0,
-) -> BendingPath:
-    """Bend a straight wire, never bent before, along a path of curvatures.
+    section: CrossSection, contacts: Contacts, path: Floats, *, orientation: float = 0.0
+) -> Floats:
+    """Moments of a straight wire, never bent before, along a path of curvatures, N m.
 
-    Parameters
-    ----------
-    section, contacts, tension, orientation : as for `moment_curvature`
-    curvature : shape (n,), 1/m; the path goes straight from zero to the first and from each to the
-        next
-
-    Returns
-    -------
-    Moments at the path's points.
-
-    Raises
-    ------
-    ValueError
-        If a curvature is infinite, or NaN, for what came before would be lost; and as
-        `moment_curvature`.
-
-    Notes
-    -----
     On the first loading the points are exact however far apart they are. After a turn they are
     exact for a single ring, whose pressure does not change; with more rings the limits are those at
     the end of each step.
     """
-    path = np.asarray(curvature, dtype=np.float64)
-    if not np.isfinite(path).all():
-        at = int(np.isfinite(path).argmin())
-        message = f"curvature[{at}]={path[at]}: allowed is a path of finite numbers without gaps"
-        raise ValueError(message)
     sine = sines(section, orientation)
-    forward = arrange(section, contacts, sine, tension=tension)
-    backward = arrange(section, contacts, -sine, tension=tension)
+    forward, backward = (arrange(section, contacts, s) for s in (sine, -sine))
     tube = section.insulation.bending_stiffness if section.insulation else 0.0
-    return BendingPath(path, _axial(forward, backward, path), _own(section, path), tube * path)
-
-
-def hysteresis_loop(
-    section: CrossSection,
-    contacts: Contacts,
-    amplitude: float,
-    *,
-    n_points: int = 200,
-    tension: float = 0.0,
-    orientation: float = 0.0,
-) -> BendingPath:
-    """The closed loop between plus and minus an amplitude, after loading and one full cycle.
-
-    Parameters
-    ----------
-    section, contacts, tension, orientation : as for `moment_curvature`
-    amplitude : 1/m
-    n_points : of each half of the loop
-
-    Returns
-    -------
-    From plus to minus and back to plus the amplitude, shape (2 n_points + 1,).
-    """
-    down = np.linspace(amplitude, -amplitude, n_points + 1)
-    loop = np.concatenate([down, -down[1:]])
-    lead = np.concatenate([np.linspace(0.0, amplitude, n_points + 1)[1:-1], loop[:-1]])
-    whole = bend_along(
-        section,
-        contacts,
-        np.concatenate([lead, loop]),
-        tension=tension,
-        orientation=orientation,
-    )
-    last = slice(len(lead), None)
-    return BendingPath(
-        whole.curvature[last], whole.axial[last], whole.own[last], whole.insulation[last]
-    )
-
-
-def residual_curvature(path: BendingPath) -> float:
-    """Curvature at which the moment first is zero again after the farthest point of a path, 1/m.
-
-    Straight between the points of the path; NaN where the path ends before.
-    """
-    far = int(np.argmax(np.abs(path.curvature)))
-    moment, curvature = path.moment[far:], path.curvature[far:]
-    past = np.flatnonzero(moment * moment[0] <= 0.0)
-    if not len(past) or past[0] == 0:
-        return float("nan")
-    i = int(past[0])
-    share = moment[i - 1] / (moment[i - 1] - moment[i])
-    return float(curvature[i - 1] + share * (curvature[i] - curvature[i - 1]))
+    return _axial(forward, backward, path) + _own(section, path) + tube * path
 
 
 def _axial(forward: Bundle, backward: Bundle, path: Floats) -> Floats:
