@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from scipy.ndimage import median_filter
 
-from labpipe.records.arrays import Floats, Ints, median
+from labpipe.records.arrays import Floats, Ints, median, stretches_of
 
 _WINDOW = 7
 _LONGEST = _WINDOW // 2
-_FAR = 8.0
+_FAR_OFF = 8.0
 """Robust deviations from the short median that a stray sample is away at least."""
 _FLOOR = 0.01
 """Share of the signal's range that it is away at least: less does no harm."""
 _SOME = 200
 """Medians that are looked at to see how far the signal goes at least."""
-_STEPS = 4.0
+_FAR_IN_STEPS = 4.0
 """Largest steps of the neighbours that it is away at least, so that a sharp turn is none."""
 
 
@@ -46,8 +44,8 @@ def stray_samples(force: Floats) -> Ints:
         return np.zeros(0, dtype=np.int64)
     level = median_filter(f, _WINDOW, mode="nearest")
     off = f - level
-    far = max(_FAR * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
-    runs = [_core(run, off) for run in _runs(np.flatnonzero(np.abs(off) > far))]
+    far = max(_FAR_OFF * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
+    runs = [_core(np.arange(*run), off) for run in stretches_of(np.abs(off) > far)]
     strays = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
     numbers: Ints = known[np.concatenate(strays).astype(np.int64)] if strays else known[:0]
     return numbers
@@ -84,12 +82,6 @@ def _is_smooth(f: Floats) -> bool:
     return _LONGEST * largest <= _FLOOR * float(np.ptp(some))
 
 
-def _runs(numbers: Ints) -> list[Ints]:
-    cuts = np.flatnonzero(np.diff(numbers) > 1) + 1
-    ends = [0, *cuts.tolist(), len(numbers)]
-    return [numbers[low:high] for low, high in pairwise(ends) if high > low]
-
-
 def _core(run: Ints, off: Floats) -> Ints:
     """The samples of a run without its neighbours, whose median it has pulled away."""
     away = np.abs(off[run])
@@ -104,4 +96,4 @@ def _returns(f: Floats, run: Ints, off: float) -> bool:
         return False
     step = max(float(np.abs(np.diff(side)).max()) for side in (before, after))
     apart = abs(median(after) - median(before))
-    return off > _STEPS * step and apart < 0.5 * off
+    return off > _FAR_IN_STEPS * step and apart < 0.5 * off

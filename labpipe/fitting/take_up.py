@@ -15,7 +15,7 @@ _CLEAR = 4.0
 """Standard deviations of the force that are told from zero."""
 _FOOT = 5.0
 """Limits up to which the foot of the force is taken for straight."""
-_LEAST = 8
+_LEAST_AT_FOOT = 8
 _BACK = 0.02
 """Share of the branch that a line through its foot may be followed back beyond its beginning."""
 
@@ -67,8 +67,8 @@ def find_take_up(
     2.0
     """
     known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
-    if len(known) < 2 * _LEAST:
-        return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST} are needed")
+    if len(known) < 2 * _LEAST_AT_FOOT:
+        return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST_AT_FOOT} are needed")
     d, f = displacement[known], force[known]
     limit = _CLEAR * fast_noise(f)
     top = int(np.argmax(f))
@@ -87,7 +87,7 @@ def find_take_up(
 def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> tuple[Estimate, bool]:
     """Where a line through the foot of a force is zero; if none rises, its first sample."""
     beyond = np.flatnonzero(f > _FOOT * limit)
-    foot = slice(0, max(_LEAST, int(beyond[0]) if len(beyond) else len(f)))
+    foot = slice(0, max(_LEAST_AT_FOOT, int(beyond[0]) if len(beyond) else len(f)))
     d, f = d[foot], f[foot]
     lever = d - d.mean()
     travel = float(lever @ lever)

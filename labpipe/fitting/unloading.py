@@ -16,7 +16,7 @@ _CLEAR = 4.0
 """Standard deviations of the force that are told from zero."""
 _REACH = 0.1
 """Share of a branch on each side of its zero that a parabola is fitted to."""
-_LEAST = 8
+_LEAST_NEAR_ZERO = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +72,8 @@ def residual_after_unloading(
     """
     known = ~np.isnan(displacement) & ~np.isnan(force)
     time, displacement, force = time[known], displacement[known], force[known]
-    if len(time) < 2 * _LEAST:
-        return Failure("too_few_samples", f"{len(time)} samples, {2 * _LEAST} are needed")
+    if len(time) < 2 * _LEAST_NEAR_ZERO:
+        return Failure("too_few_samples", f"{len(time)} samples, {2 * _LEAST_NEAR_ZERO} are needed")
     limit = max(_CLEAR * fast_noise(force), min(force_below, _SMALL * float(force.max())))
     above = np.flatnonzero(force > limit)
     if len(above) == 0:
@@ -81,14 +81,14 @@ def residual_after_unloading(
     if above[-1] >= len(force) - 3:
         found = f"the force ends at {force[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
         return Failure("force_not_zero", found)
-    if np.median(force[-_LEAST:]) < -limit:
+    if np.median(force[-_LEAST_NEAR_ZERO:]) < -limit:
         return _passed(time, displacement, force, zero_error, clock_error)
     far = np.flatnonzero(force > 5.0 * limit)
     foot = slice(int(far[-1]) if len(far) else 0, int(above[-1]) + 1)
     zero, change = _followed(time[foot], force[foot], zero_error, clock_error)
     rest = time > zero.time + 0.2
     has_stopped = zero.slope * (time[-1] - zero.time) < -3.0 * limit
-    is_slack = rest.sum() >= _LEAST and np.abs(force[rest]).max() <= 2.0 * limit
+    is_slack = rest.sum() >= _LEAST_NEAR_ZERO and np.abs(force[rest]).max() <= 2.0 * limit
     if has_stopped and is_slack and _is_still(time[rest], displacement[rest]):
         return _rest_mean(displacement[rest])
     return _line_to(time, displacement, zero, change)
@@ -103,8 +103,8 @@ def _passed(
     found = []
     for share in (1.0, 0.5):
         near = np.abs(time - middle) <= share * reach
-        if near.sum() < _LEAST:
-            message = f"{int(near.sum())} samples near zero force, {_LEAST} are needed"
+        if near.sum() < _LEAST_NEAR_ZERO:
+            message = f"{int(near.sum())} samples near zero force, {_LEAST_NEAR_ZERO} are needed"
             return Failure("too_few_samples", message)
         at, zero = time[near] - middle, _root(time[near] - middle, force[near], zero_error)
         place, speed = _value_at(at, displacement[near], zero.time, degree=2)
@@ -170,7 +170,7 @@ def _rest_mean(values: Floats) -> Estimate:
 def _line_to(time: Floats, values: Floats, zero: _Zero, change: float) -> Estimate | Failure:
     """Value at a zero of the force, from a straight line through the second before it."""
     near = (time >= zero.time - 1.0) & (time <= zero.time)
-    if near.sum() < _LEAST:
+    if near.sum() < _LEAST_NEAR_ZERO:
         found = f"{int(near.sum())} samples in the 1 s to {zero.time:.3f} s"
         return Failure("too_few_samples", found)
     place, speed = _value_at(time[near], values[near], zero.time, degree=1)

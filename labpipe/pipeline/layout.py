@@ -9,10 +9,9 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
-from labpipe.processing.oddities import times_of
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.source import ChannelSource
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, times_of
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 

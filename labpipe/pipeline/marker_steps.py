@@ -12,7 +12,6 @@ from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, rms
 from labpipe.pipeline.zeros import LEAST, mean_level
 from labpipe.processing.frames import SpecimenFrame, specimen_frame
-from labpipe.processing.oddities import times_of
 from labpipe.processing.rings import ring_centres, rings_by_body
 from labpipe.processing.shape import ShapeFit, deflection, fit_shape
 from labpipe.processing.strokes import find_strokes, noise_level
@@ -21,7 +20,7 @@ from labpipe.processing.tracks import RepairedTracks, repair_tracks
 from labpipe.protocol.rig import Markers
 from labpipe.protocol.steps import FitShape, RepairMarkers
 from labpipe.protocol.steps import SpecimenFrame as SpecimenFrameStep
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 

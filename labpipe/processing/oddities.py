@@ -7,11 +7,11 @@ from math import sqrt
 import numpy as np
 
 from labpipe.processing.strokes import noise_level
-from labpipe.records.arrays import Flags, Floats, median
+from labpipe.records.arrays import Floats, median, stretches_of
 
 _AS_FAST = 0.5
 """Share of its mean speed above which a motion still moves."""
-_SURE = 0.15
+_SURE_OF_SPEED = 0.15
 """Share of the mean speed to which a speed is to be known."""
 _LAST = 0.02
 """Share of a stretch whose speed is that at its end; more where noise asks for it."""
@@ -27,35 +27,6 @@ _CORNERS = 200
 """Places at which a corner is tried."""
 _SURELY, _MOSTLY = 25.0, 0.5
 """Variances, and share of the sum of squares about a line, that a corner takes off."""
-
-
-def stretches_of(flags: Flags) -> list[tuple[int, int]]:
-    """Find the runs of flagged samples.
-
-    Parameters
-    ----------
-    flags : shape (n,)
-
-    Returns
-    -------
-    First sample of each run, and the first one behind it.
-    """
-    edges = np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
-
-
-def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
-    """Tell when samples are flagged.
-
-    Parameters
-    ----------
-    flags, time : shape (n,)
-
-    Returns
-    -------
-    First and last time of each run, s.
-    """
-    return tuple((float(time[start]), float(time[end - 1])) for start, end in stretches_of(flags))
 
 
 def moves_at_end(time: Floats, values: Floats) -> bool:
@@ -78,7 +49,7 @@ def moves_at_end(time: Floats, values: Floats) -> bool:
     speed, noise = abs(way) / lasts, noise_level(values)
     apart = median(np.diff(time))
     size = max(3, int(_LAST * len(values)))
-    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / apart > _SURE * speed:
+    while size < len(values) // 3 and noise * sqrt(12.0 / size**3) / apart > _SURE_OF_SPEED * speed:
         size += max(1, size // 4)
     late, high = time[-size:] - time[-size:].mean(), values[-size:]
     slope = float(late @ high) / float(late @ late)

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from labpipe.processing.linking import Links
 from labpipe.processing.naming import Chain, Naming, is_unlabelled
-from labpipe.processing.oddities import stretches_of
 from labpipe.processing.tracklets import Tracklets, in_sight
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, stretches_of
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote, Severity
 

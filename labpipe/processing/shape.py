@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from labpipe.processing.arc_curves import RestCurve, curve_at_rest
 from labpipe.processing.frame_fits import EndConditions, FrameFits, fit_frames
 from labpipe.processing.frames import Selection
-from labpipe.processing.oddities import times_of
 from labpipe.processing.tracklets import in_sight
 from labpipe.processing.tracks import LEAST_MARKERS
-from labpipe.records.arrays import Flags, Floats
+from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.quality import QualityNote, Severity
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.processing import repair_notes
 from labpipe.processing.linking import Links, link_tracklets
 from labpipe.processing.naming import Chain, Naming, name_chains
+from labpipe.processing.repair_notes import Take, describe
 from labpipe.processing.tracklets import Tracklets, cut_tracklets, frozen_samples
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.arrays import frozen as read_only
@@ -110,11 +110,11 @@ def repair_tracks(
         apart=_DOUBLE * max_jump,
     )
     _require_markers(names, naming)
-    take = repair_notes.Take(names, tracks.frames, tracks.time, pieces)
+    take = Take(names, tracks.frames, tracks.time, pieces)
     positions, flags = _assemble(measured, pieces, naming)
     holes = _holes(pieces, links, naming, len(measured))
     _fill(positions, flags, base, tracks.time, holes)
-    notes = repair_notes.describe(take, links, naming, stale=stale, flags=flags, measured=measured)
+    notes = describe(take, links, naming, stale=stale, flags=flags, measured=measured)
     return RepairedTracks(tuple(names[label] for label in naming.markers), positions, flags, notes)
 
 

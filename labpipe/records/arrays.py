@@ -1,4 +1,4 @@
-"""Array types, the freezing of the arrays that records hold, and the median of long ones."""
+"""Array types, the freezing of the arrays that records hold, medians, and runs of flags."""
 
 from __future__ import annotations
 
@@ -66,3 +66,32 @@ def median(values: Floats) -> float:
         return float("nan")
     upper = float(ordered[half])
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
+
+
+def stretches_of(flags: Flags) -> list[tuple[int, int]]:
+    """Find the runs of flagged samples.
+
+    Parameters
+    ----------
+    flags : shape (n,)
+
+    Returns
+    -------
+    First sample of each run, and the first one behind it.
+    """
+    edges = np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
+    """Tell when samples are flagged.
+
+    Parameters
+    ----------
+    flags, time : shape (n,)
+
+    Returns
+    -------
+    First and last time of each run, s.
+    """
+    return tuple((float(time[start]), float(time[end - 1])) for start, end in stretches_of(flags))

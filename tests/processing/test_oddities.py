@@ -9,8 +9,6 @@ from labpipe.processing.oddities import (
     moves_at_end,
     samples_at_rest,
     standing_stretches,
-    stretches_of,
-    times_of,
 )
 from labpipe.records.arrays import Floats
 
@@ -46,13 +44,6 @@ def test_few_samples() -> None:
     assert moves_at_end(TIME[:3], TIME[:3])
     assert not moves_at_end(TIME[:2], TIME[:2])
     assert not moves_at_end(TIME[:5], np.zeros(5))
-
-
-def test_stretches() -> None:
-    flags = np.array([True, False, True, True, False, True])
-    assert stretches_of(flags) == [(0, 1), (2, 4), (5, 6)]
-    assert times_of(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
-    assert stretches_of(np.zeros(3, dtype=np.bool_)) == []
 
 
 def stretch(rest: int, noise: float, *, count: int = 60, seed: int = 0) -> Floats:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from labpipe.records.arrays import Floats, frozen, median
+from labpipe.records.arrays import Floats, frozen, median, stretches_of, times_of
 
 
 def test_read_only_without_a_copy() -> None:
@@ -37,3 +37,10 @@ def test_median_is_numpys(values: Floats) -> None:
 
 def test_no_median_of_nothing() -> None:
     assert np.isnan(median(np.empty(0)))
+
+
+def test_stretches() -> None:
+    flags = np.array([True, False, True, True, False, True])
+    assert stretches_of(flags) == [(0, 1), (2, 4), (5, 6)]
+    assert times_of(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
+    assert stretches_of(np.zeros(3, dtype=np.bool_)) == []
