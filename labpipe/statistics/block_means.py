@@ -1,7 +1,4 @@
-"""Means over blocks of samples.
-
-Apart from the bands: importing their scipy takes longer than processing a test.
-"""
+"""Means over blocks of samples."""
 
 from __future__ import annotations
 

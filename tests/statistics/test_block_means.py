@@ -1,8 +1,5 @@
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import numpy as np
 
 from labpipe.statistics.block_means import block_means
@@ -14,10 +11,3 @@ def test_block_means() -> None:
     assert block_means(np.arange(4.0), 9).tolist() == [0.0, 1.0, 2.0, 3.0]
     assert block_means(np.zeros(0), 9).tolist() == []
     assert np.isnan(block_means(np.array([1.0, np.nan, 2.0, 4.0]), 2)).tolist() == [True, False]
-
-
-def test_processing_does_not_wait_for_scipy() -> None:
-    """Importing it takes longer than a test of a load frame; measured laws have no need of it."""
-    code = "import sys, labpipe.pipeline.bending; print([m for m in sys.modules if 'scipy' in m])"
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout == "[]\n"
