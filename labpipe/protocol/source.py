@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import hypot
-from typing import Annotated, Final, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Final, Literal, get_args
 
 from pydantic import (
     BeforeValidator,
@@ -15,18 +15,16 @@ from pydantic import (
 from labpipe.protocol.block import Block
 from labpipe.protocol.quantities import SI_UNITS
 from labpipe.protocol.words import Text, one_or_several
+from labpipe.records.export_formats import EXPORT_FORMATS
 from labpipe.records.setting_types import Ratio, Snake
 from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]
-ReaderName = Literal[
-    "dspace-mat", "dspace-csv", "dspace-mf4", "motive-csv", "motive-xlsx", "load-frame"
-]
 ROLES: Final[tuple[str, ...]] = get_args(Role)
 """What an export can be for."""
-READERS: Final[tuple[str, ...]] = get_args(ReaderName)
-"""The readers a protocol can name; `labpipe.readers` must offer each of them."""
-MARKER_READERS: Final = frozenset({"motive-csv", "motive-xlsx"})
+READERS: Final = tuple(each.name for each in EXPORT_FORMATS)
+"""The readers a protocol can name."""
+MARKER_READERS: Final = frozenset(each.name for each in EXPORT_FORMATS if each.has_markers)
 """Those whose exports hold marker tracks rather than channels."""
 
 
@@ -35,8 +33,13 @@ def _listed(value: object) -> object:
     return value if isinstance(value, list | tuple) else [value]
 
 
+if TYPE_CHECKING:
+    _ReaderName = str
+else:
+    _ReaderName = Literal[READERS]
+
 Readers = Annotated[
-    tuple[ReaderName, ...],
+    tuple[_ReaderName, ...],
     BeforeValidator(_listed),
     Field(min_length=1),
     one_or_several({"enum": list(READERS)}),

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple, Protocol, cast
+from typing import TYPE_CHECKING, Protocol, cast
 
 from labpipe.errors import ReadError
 from labpipe.readers.files import unreadable
 from labpipe.readers.workbooks import is_workbook, open_sheets
+from labpipe.records.export_formats import EXPORT_FORMATS, ExportFormat
 
 if TYPE_CHECKING:
     from labpipe.readers.channels import Wanted
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = ["READERS", "Reader", "read_export", "recognise_export"]
 
 
-class _Format(Protocol):
+class _Module(Protocol):
     """What the module of a format has."""
 
     def recognise(self, path: Path) -> bool: ...
@@ -26,44 +28,32 @@ class _Format(Protocol):
     def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: ...
 
 
-class Reader(NamedTuple):
-    """One format; its module is imported when it is asked.
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """The reader of a format; its module is imported when it is asked."""
 
-    Parameters
-    ----------
-    name : as protocols write it
-    module : in this package
-    of_texts, of_workbooks : whether its files can be texts or binary files of their own, and
-        whether they can be workbooks
-    """
+    format: ExportFormat
 
-    name: str
-    module: str
-    of_texts: bool = True
-    of_workbooks: bool = False
+    @property
+    def name(self) -> str:
+        """As protocols write it."""
+        return self.format.name
 
     def recognise(self, path: Path) -> bool:
         """Tell from the content whether a file is of this format."""
-        is_of_kind = self.of_workbooks if is_workbook(path) else self.of_texts
-        return is_of_kind and self._format.recognise(path)
+        is_of_kind = self.format.is_workbook if is_workbook(path) else self.format.is_text
+        return is_of_kind and self._module.recognise(path)
 
     def read(self, path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:
         """Make a recording of a file, faults of the time axis as notes of severity error."""
-        return self._format.read(path, channels=channels)
+        return self._module.read(path, channels=channels)
 
     @property
-    def _format(self) -> _Format:
-        return cast("_Format", import_module(f"labpipe.readers.{self.module}"))
+    def _module(self) -> _Module:
+        return cast("_Module", import_module(self.format.module))
 
 
-READERS: dict[str, Reader] = {
-    "dspace-mat": Reader("dspace-mat", "dspace_mat"),
-    "dspace-csv": Reader("dspace-csv", "dspace_csv"),
-    "dspace-mf4": Reader("dspace-mf4", "dspace_mf4"),
-    "motive-csv": Reader("motive-csv", "motive_csv"),
-    "motive-xlsx": Reader("motive-xlsx", "motive_csv", of_texts=False, of_workbooks=True),
-    "load-frame": Reader("load-frame", "load_frame", of_workbooks=True),
-}
+READERS: dict[str, Reader] = {each.name: Reader(each) for each in EXPORT_FORMATS}
 
 
 def recognise_export(path: Path) -> Reader:

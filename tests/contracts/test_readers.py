@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +18,7 @@ from hypothesis import strategies as st
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
 from labpipe.records.arrays import Floats
+from labpipe.records.export_formats import EXPORT_FORMATS
 from labpipe.records.recording import Recording
 from tests.builders import load_frames as frames
 from tests.builders.controldesk import (
@@ -174,6 +177,26 @@ def test_importing_the_readers_loads_no_heavy_library() -> None:
     code = f"import labpipe.readers, sys; print(sorted({heavy!r} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     assert done.stdout.strip() == "[]"
+
+
+def imports_of(module: str, known: set[str]) -> set[str]:
+    """Add to the known modules of labpipe.readers what a module imports, and what that imports."""
+    spec = find_spec(module)
+    origin = Path(str(spec.origin if spec else ""))
+    for file in origin.parent.glob("*.py") if origin.name == "__init__.py" else [origin]:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            name = (node.module or "") if isinstance(node, ast.ImportFrom) else ""
+            if name.startswith("labpipe.readers.") and name not in known:
+                known.add(name)
+                imports_of(name, known)
+    return known
+
+
+@pytest.mark.parametrize("module", sorted({each.module for each in EXPORT_FORMATS}))
+def test_readers_do_not_import_each_other(module: str) -> None:
+    others = {each.module for each in EXPORT_FORMATS} - {module}
+    found = imports_of(module, set())
+    assert not {name for name in found if any(f"{name}.".startswith(f"{o}.") for o in others)}
 
 
 def read_or_refuse(file: Path) -> int | None:
