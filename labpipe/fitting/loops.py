@@ -10,7 +10,7 @@ from labpipe.records.arrays import Flags, Floats
 
 _NEAR = 1000
 """Samples on each side of the largest one that show what the file rounds to."""
-_LEAST = 3
+_LEAST_OF_LOOP = 3
 """Samples that enclose an area."""
 
 
@@ -76,8 +76,8 @@ def loop_energy(
     if np.isnan(displacement).any() or np.isnan(force).any():
         missing = int((np.isnan(displacement) | np.isnan(force)).sum())
         return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(time) < _LEAST:
-        message = f"{len(time)} samples in the cycle, {_LEAST} are needed"
+    if len(time) < _LEAST_OF_LOOP:
+        message = f"{len(time)} samples in the cycle, {_LEAST_OF_LOOP} are needed"
         return Failure("too_few_samples", message)
     work = _work(displacement, force)
     steps, rises = np.gradient(displacement), np.gradient(force)

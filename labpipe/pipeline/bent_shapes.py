@@ -10,7 +10,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.report.calibration_shown import BentShape
 from labpipe.store.read import read_result
-from labpipe.wire.calibrating.finding import Wire
+from labpipe.wire.calibration import Wire
 from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
 from labpipe.wire.wire_law import play_law
 

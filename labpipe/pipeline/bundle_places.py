@@ -56,10 +56,10 @@ def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[
 
 
 def _bundles(group: Group) -> list[Bundle]:
-    return [bundle for each in group.samples if (bundle := _bundle(each)) is not None]
+    return [bundle for each in group.samples if (bundle := _bundle_of(each)) is not None]
 
 
-def _bundle(sample: Sample) -> Bundle | None:
+def _bundle_of(sample: Sample) -> Bundle | None:
     """What bounds rest on: the wires and where they lie, whatever holds them together."""
     own = sample.specimen.bundle
     return None if own is None else Bundle(own.wires, own.arrangement, own.positions)
@@ -97,7 +97,7 @@ def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -
     value = None if result is None else result.value
     interval = None if result is None else result.interval
     place = BundlePlace(group.name, sample.test, value, interval, reasons=_why_no_value(result))
-    bundle = _bundle(sample)
+    bundle = _bundle_of(sample)
     if bundle is None:
         return _without(place, "no_bundle", "no bounds: its test sheet says no bundle")
     return _between(place, bounds[bundle])
@@ -120,7 +120,7 @@ def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
     place = BundlePlace(group.name, "", value, mean.interval if mean else None)
     if mean is None:
         place = _without(place, "no_result", f"no sample has a {STIFFNESS}")
-    shared = list(dict.fromkeys(map(_bundle, group.samples)))
+    shared = list(dict.fromkeys(map(_bundle_of, group.samples)))
     if len(shared) > 1 or shared[0] is None:
         return _without(place, "bundles_differ", "no bounds: its samples differ in them")
     return _between(place, bounds[shared[0]])

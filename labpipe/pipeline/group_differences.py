@@ -60,11 +60,11 @@ def find_differences(
         and (found := _compared(one, other, wishes[one.protocol], settings, by))
     ]
     shown = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
-    flat = [each for pair in sorted(shown, key=_turn) for each in pair]
+    flat = [each for pair in sorted(shown, key=_question_first) for each in pair]
     return Differences(tuple(flat), len(pairs) - len(shown))
 
 
-def _turn(pair: Sequence[Difference]) -> tuple[int, str]:
+def _question_first(pair: Sequence[Difference]) -> tuple[int, str]:
     question = pair[0].question
     if not question:
         return len(_ORDER) + 1, ""

@@ -13,7 +13,7 @@ _LARGER = 5.0
 """Times the fastest of these steps that it is faster."""
 _SHARE = 0.02
 """Share of the range of the signal below which a jump does no harm."""
-_SURE = 8.0
+_SURE_JUMP = 8.0
 """Standard deviations of the noise below which nobody can tell."""
 
 
@@ -41,7 +41,7 @@ def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:
         return ()
     steps = np.diff(v)
     speeds = np.abs(steps) / np.diff(time[known])
-    least = max(_SHARE * float(np.ptp(v)), _SURE * noise_level(v))
+    least = max(_SHARE * float(np.ptp(v)), _SURE_JUMP * noise_level(v))
     found = []
     for at in np.flatnonzero(np.abs(steps) > least).tolist():
         before, after = speeds[max(at - _NEAR, 0) : at], speeds[at + 1 : at + 1 + _NEAR]

@@ -9,7 +9,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
 
-N_STARTS = 12
+N_CHANCES = 12
 """Seeded starts of the search for an even spread."""
 
 _ROW = 1e-6
@@ -96,7 +96,7 @@ def evenly(sites: Floats, counts: Sequence[int], *, seed: int = 0) -> Ints:
     """
     traits, near = _traits(sites), _neighbours(sites)
     rng = np.random.default_rng(seed)
-    starts = (by_chance(counts, rng) for _ in range(N_STARTS))
+    starts = (by_chance(counts, rng) for _ in range(N_CHANCES))
     found = [_exchanged(start, traits, near) for start in starts]
     return min(found, key=lambda kind: _merit(kind, traits, near))
 

@@ -14,7 +14,7 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.wire.bundle.tightening import drawn_together, holding_circle
 
-N_STARTS = 8
+N_HEAP_STARTS = 8
 """Seeded starts of a heap, beside those from a lattice of triangles."""
 
 _CORES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
@@ -78,7 +78,7 @@ def _densest(number: int, seed: int) -> Floats:
     rng = np.random.default_rng(seed)
     spread = 0.7 * math.sqrt(number)
     starts = [_nearest(number, core) for core in _CORES]
-    starts += [rng.normal(scale=spread, size=(number, 2)) for _ in range(N_STARTS)]
+    starts += [rng.normal(scale=spread, size=(number, 2)) for _ in range(N_HEAP_STARTS)]
     best, least = starts[0], np.inf
     diameters = np.ones(number)
     for start in starts:
