@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import calibration, house, load_frames, two_segments, wire_model
-from labpipe.processing.filtering import moving_average
+from labpipe.signal.filters import moving_average
 
 LABPIPE = str(Path(sys.executable).with_name("labpipe"))
 RUNS = 5

@@ -16,7 +16,7 @@ import numpy as np
 import piecewise_regression
 import pwlf
 
-from labpipe.fitting.segments import fit_two_segments
+from labpipe.fits.two_segments import fit_two_segments
 
 COUNT = 2000
 RUNS = 5

@@ -15,9 +15,9 @@ import pytest
 from labpipe.cli import main
 from labpipe.protocol import results
 from labpipe.protocol.load import load_calibration_plan, load_test_sheet, parse_protocol, resolve
-from labpipe.protocol.steps import Step
 from labpipe.readers import READERS
-from labpipe.records.slips import SlipDecision
+from labpipe.records.curve import SlipDecision
+from labpipe.records.step_settings import Step
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

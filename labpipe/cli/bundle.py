@@ -9,9 +9,9 @@ from collections.abc import Iterator
 
 from labpipe.cli.terminal import from_here
 from labpipe.errors import UsageError, complaint
-from labpipe.pipeline.bundling import ModelledBundle, as_json, model_bundle
+from labpipe.studies.bundle_bounds import ModelledBundle, as_json, model_bundle
 from labpipe.units import parse_quantity
-from labpipe.wire.bundle.packing_fraction import WANTED
+from labpipe.wire.bundle_packing import WANTED
 
 _WIDTH = 44
 

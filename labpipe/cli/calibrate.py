@@ -9,15 +9,15 @@ import sys
 from collections.abc import Sequence
 
 from labpipe.cli.terminal import from_here, reading
-from labpipe.pipeline.calibrating import Calibrated, as_json, calibrate_tests
-from labpipe.records.calibration import (
+from labpipe.records.curve_comparison import CurveMatch, ThirdCurveComparison
+from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
     CalibrationFailure,
     Identified,
 )
-from labpipe.records.comparison import CurveMatch, ThirdCurveComparison
 from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.studies.calibration_study import Calibrated, as_json, calibrate_tests
 
 _DOUBTED = {Identified.NOT, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
 _WIDEST = 28

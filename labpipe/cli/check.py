@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from labpipe.pipeline.check import check_paths
+from labpipe.process.checking import check_paths
 
 
 def run(options: argparse.Namespace) -> int:

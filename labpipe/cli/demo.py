@@ -8,16 +8,16 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from labpipe.campaign.reporting import Wanted, report_tests
+from labpipe.campaign.runs import run_jobs
 from labpipe.cli.calibrate import calibration_table
 from labpipe.cli.process import headline, process_all, table
 from labpipe.cli.report import status_of
 from labpipe.cli.terminal import from_here
-from labpipe.pipeline.calibrating import Calibrated, calibrate_tests
-from labpipe.pipeline.many import run_jobs
-from labpipe.pipeline.process import Processed
-from labpipe.pipeline.reporting import Wanted, report_tests
-from labpipe.pipeline.targets import find_tests
+from labpipe.process.run import Processed
+from labpipe.process.targets import find_tests
 from labpipe.protocol.load import load_test_sheet
+from labpipe.studies.calibration_study import Calibrated, calibrate_tests
 from labpipe.virtual_lab import (
     SMALL_HARNESS,
     Campaign,

@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from labpipe.cli.terminal import from_here, reading
-from labpipe.pipeline.modelling import Modelled, as_json, model_wires
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
+from labpipe.studies.wire_models import Modelled, as_json, model_wires
 
 _HEADING = (
     *("wire", "strands", "layout", "EI stick", "EI slip"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from labpipe.errors import UsageError, complaint
-from labpipe.pipeline.new import new_from_sheet, new_test
+from labpipe.process.new_sheets import new_from_sheet, new_test
 
 _OPTIONS = (
     "protocol",

@@ -9,12 +9,12 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from labpipe.campaign.runs import Refused, process_tests
 from labpipe.cli.terminal import from_here, name_width, progress, result_line
-from labpipe.pipeline.many import Refused, process_tests
-from labpipe.pipeline.process import Processed
-from labpipe.pipeline.targets import find_tests
+from labpipe.process.run import Processed
+from labpipe.process.targets import find_tests
 from labpipe.records.result import Result, Status
-from labpipe.report.numbers import shown_in
+from labpipe.report.wording import shown_in
 from labpipe.store.summary import summary
 
 _MOST_CYCLES = 8

@@ -6,9 +6,9 @@ import argparse
 import sys
 from collections.abc import Mapping
 
+from labpipe.campaign.reporting import BY_TYPE, Reported, Wanted, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
-from labpipe.pipeline.reporting import BY_TYPE, Reported, Wanted, report_tests
-from labpipe.pipeline.targets import find_results
+from labpipe.process.targets import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status

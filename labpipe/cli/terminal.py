@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from labpipe.records.result import Result, Status
-from labpipe.report.numbers import shown_in
+from labpipe.report.wording import shown_in
 
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}

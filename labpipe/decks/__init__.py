@@ -1,5 +1,5 @@
 """Decks: a wire's law as the input of simulation programs, each with its range."""
 
-from labpipe.decks.files import deck_paths, deck_texts, write_decks, write_texts
+from labpipe.decks.deck_files import deck_paths, deck_texts, write_decks, write_texts
 
 __all__ = ["deck_paths", "deck_texts", "write_decks", "write_texts"]

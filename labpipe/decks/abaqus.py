@@ -9,16 +9,18 @@ origin.
 
 from __future__ import annotations
 
-from labpipe.decks.facts import (
+from labpipe.decks.deck_law import (
     NO_MASS,
+    Thinned,
+    abaqus_label,
     facts,
+    on_one_line,
     require_mass,
     second_moment,
     skew_excess,
     solid_area,
+    thin,
 )
-from labpipe.decks.names import abaqus_label, on_one_line
-from labpipe.decks.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
 _WIDEST_NAME = 100  # of a wire in a comment: lines end at 256 characters

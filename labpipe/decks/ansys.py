@@ -9,9 +9,17 @@ strain the stiffness vanishes. ``GENB`` is a type of its own, beside ``BEAM``, a
 
 from __future__ import annotations
 
-from labpipe.decks.facts import NO_MASS, facts, require_mass, skew_excess
-from labpipe.decks.names import COMMENT_MOST, ansys_name, on_one_line
-from labpipe.decks.thinning import Thinned, thin
+from labpipe.decks.deck_law import (
+    COMMENT_MOST,
+    NO_MASS,
+    Thinned,
+    ansys_name,
+    facts,
+    on_one_line,
+    require_mass,
+    skew_excess,
+    thin,
+)
 from labpipe.records.wire import WireTable
 
 MOST_POINTS = 20

@@ -7,8 +7,7 @@ import json
 import numpy as np
 
 from labpipe import __version__
-from labpipe.decks.facts import FIRST_LOADING, NO_MASS, facts, require_mass
-from labpipe.decks.names import on_one_line
+from labpipe.decks.deck_law import FIRST_LOADING, NO_MASS, facts, on_one_line, require_mass
 from labpipe.records.wire import WireTable
 
 SCHEMA = 1

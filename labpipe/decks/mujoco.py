@@ -24,8 +24,14 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 
-from labpipe.decks.facts import COPPER_DENSITY, copper_mass, facts, linear_range, require_mass
-from labpipe.decks.names import on_one_line
+from labpipe.decks.deck_law import (
+    COPPER_DENSITY,
+    copper_mass,
+    facts,
+    linear_range,
+    on_one_line,
+    require_mass,
+)
 from labpipe.records.wire import WireTable
 
 CABLE = "wire"

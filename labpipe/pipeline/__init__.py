@@ -1,1 +1,1 @@
-"""labpipe.pipeline."""
+"""The reduction of one test."""

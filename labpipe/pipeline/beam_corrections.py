@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from labpipe.fitting.estimates import Estimate, Failure, scaled
-from labpipe.fitting.roller_supports import Rollers, stiffness_ratio
+from labpipe.fits.beam_stiffness import Rollers, stiffness_ratio
 from labpipe.pipeline.bench import Bench
 from labpipe.protocol.results import BendingStiffness, ResultEntry
-from labpipe.protocol.rig import SpecimenBlock
+from labpipe.protocol.schema import SpecimenBlock
+from labpipe.records.estimates import Estimate, Failure, scaled
 
 _ORDER = ("large-deflection", "roller-radius", "roller-friction")
 

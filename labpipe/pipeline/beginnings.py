@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate
 from labpipe.pipeline.bench import Bench, at_times_of_curve
-from labpipe.processing.strokes import noise_level
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
+from labpipe.records.estimates import Estimate
+from labpipe.signal.turning_points import noise_level
 
 _NEAR = 0.05
 """Share of the travel over which the first slope is read."""

@@ -7,20 +7,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.fitting.failure import FailurePoint
+from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.bending import Bending
-from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Shape
+from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Shape, Slip
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.measured_bending import Bending
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import MarkerTracks
-from labpipe.records.slips import Slip
 
 if TYPE_CHECKING:
-    from labpipe.processing.filtering import Filter
-    from labpipe.processing.frames import SpecimenFrame
-    from labpipe.processing.three_point import SpanShape
-    from labpipe.processing.tracks import RepairedTracks
+    from labpipe.markers.specimen_frame import SpecimenFrame
+    from labpipe.markers.three_point_axis import SpanShape
+    from labpipe.markers.track_repair import RepairedTracks
+    from labpipe.signal.filters import Filter
 
 
 @dataclass(frozen=True, slots=True, eq=False)

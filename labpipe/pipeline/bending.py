@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, bent
+from labpipe.bending.law_table import law_points, measure_bending
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch
 from labpipe.pipeline.held_at_rest import Held, held, stated
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result, while_loading
 from labpipe.pipeline.plausibility import GRAVITY
 from labpipe.pipeline.string_at_rest import at_rest
-from labpipe.processing.bending_moments import TipPull, bent
-from labpipe.processing.bending_test import BendingErrors, BendingTest
-from labpipe.processing.law_table import law_points
-from labpipe.processing.loading_law import measure_bending
 from labpipe.protocol.results import MomentCurvature
-from labpipe.protocol.rig import LoadString
-from labpipe.protocol.schema import Protocol
-from labpipe.protocol.steps import FitShape
+from labpipe.protocol.schema import LoadString, Protocol
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.bending import Bending, MeasuredLaw
 from labpipe.records.curve import AT_REST, Branch, Curve, Shape
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.measured_bending import Bending, MeasuredLaw
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result
+from labpipe.records.step_settings import FitShape
 
 _MISFIT = (3.0, 2e-5)
 """Times the noise, and m on top, that markers may lie off the shapes of the law."""

@@ -12,11 +12,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from labpipe.fitting.beams import beam_stiffness
-from labpipe.fitting.estimates import Estimate, Failure, scaled, widened
-from labpipe.fitting.kinks import Kink, fit_kink
-from labpipe.fitting.plateaus import EndSlope, Onset, find_onset, fit_end_slope
-from labpipe.fitting.take_up import find_take_up
+from labpipe.fits.beam_stiffness import beam_stiffness
+from labpipe.fits.plateau import EndSlope, Onset, find_onset, fit_end_slope
+from labpipe.fits.slack import find_take_up
+from labpipe.fits.two_segments import Kink, fit_kink
 from labpipe.pipeline.beam_corrections import corrected
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_stretch
@@ -37,6 +36,7 @@ from labpipe.protocol.results import BendingStiffness, Plateau
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, FittedLine
+from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.result import Result
 

@@ -7,20 +7,18 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.fitting.corners import Corner
-from labpipe.fitting.estimates import Failure
-from labpipe.fitting.repeats import fit_lag
-from labpipe.fitting.reversals import Reversal, fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.turns import Turn
-from labpipe.processing.alignment import Repeat, fit_clocks, match_peaks, rough_peaks
-from labpipe.processing.falls_of_force import turn_near
-from labpipe.processing.strokes import Stroke, goes_down
 from labpipe.protocol.overrides import in_test_sheet
-from labpipe.protocol.rig import AlignTurningPoints
+from labpipe.protocol.schema import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
+from labpipe.records.estimates import Failure
 from labpipe.records.quality import Severity
+from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, match_peaks, rough_peaks
+from labpipe.signal.corners import Corner
+from labpipe.signal.reversals import Reversal, fit_reversal
+from labpipe.signal.turning_points import Stroke, goes_down, turn_near
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""

@@ -7,17 +7,16 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.fitting.corners import Corner
-from labpipe.fitting.reversals import Reversal
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import match_strokes, turn_event
 from labpipe.pipeline.turns import Turn
-from labpipe.processing.falls_of_force import sharpest_turn
-from labpipe.processing.strokes import Stroke, goes_down
-from labpipe.protocol.rig import AlignCommonStart
+from labpipe.protocol.schema import AlignCommonStart
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.quality import Severity
+from labpipe.signal.corners import Corner
+from labpipe.signal.reversals import Reversal
+from labpipe.signal.turning_points import Stroke, goes_down, sharpest_turn
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,22 +13,21 @@ from math import hypot
 import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
-from labpipe.fitting.compliance import correct_displacement
-from labpipe.fitting.estimates import Estimate, Failure, scaled, widened
-from labpipe.fitting.failure import FailurePoint, LossOfForce, failure_point, final_loss
-from labpipe.fitting.loops import sense_of_loading
-from labpipe.fitting.slips import add_back, find_slips, samples_before
-from labpipe.fitting.strays import bridged, stray_samples
-from labpipe.fitting.toe import fit_slack
+from labpipe.fits.failure_point import FailurePoint, LossOfForce, failure_point, final_loss
+from labpipe.fits.grip_slips import add_back, find_slips, samples_before
+from labpipe.fits.loops import sense_of_loading
+from labpipe.fits.slack import fit_slack
+from labpipe.fits.straight_lines import correct_displacement
 from labpipe.pipeline.bench import Bench, Signal, at_times_of_curve
-from labpipe.processing.filtering import in_pieces
-from labpipe.protocol.rig import CurveBlock, MachineCompliance
-from labpipe.protocol.rig import Slack as SlackBlock
-from labpipe.protocol.rig import Slips as SlipsBlock
+from labpipe.protocol.schema import CurveBlock, MachineCompliance
+from labpipe.protocol.schema import Slack as SlackBlock
+from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.curve import Branch, Curve, Direction, Slip, SlipDecision
+from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Severity
-from labpipe.records.slips import Slip, SlipDecision
+from labpipe.signal.bad_samples import bridged, stray_samples
+from labpipe.signal.filters import in_pieces
 
 
 def correct_curve(bench: Bench, block: CurveBlock) -> None:

@@ -10,21 +10,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.loops import (
+from labpipe.fits.loops import (
     largest_sample,
     loop_energy,
     noise_power,
+    residual_after_unloading,
     secant_stiffness,
     sense_of_loading,
 )
-from labpipe.fitting.unloading import residual_after_unloading
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import repair_error
-from labpipe.processing.filtering import moving_average, power_passed
-from labpipe.processing.strokes import noise_level
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.signal.filters import moving_average, power_passed
+from labpipe.signal.turning_points import noise_level
 
 _FEW = 16
 """Samples below which nobody can tell how far the noise remembers."""

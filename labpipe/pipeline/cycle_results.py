@@ -12,8 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.failure import FailurePoint
+from labpipe.fits.failure_point import FailurePoint
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.cycle_numbers import (
     curve_of,
@@ -36,6 +35,7 @@ from labpipe.pipeline.outcomes import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
+from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
 

@@ -8,21 +8,21 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from labpipe.errors import ProcessingError, complaint, nearest
-from labpipe.fitting.estimates import Estimate, Failure
+from labpipe.markers.rings import ring_centres, rings_by_body
+from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
+from labpipe.markers.specimen_shape import ShapeFit, deflection, fit_shape
+from labpipe.markers.track_repair import RepairedTracks, repair_tracks
+from labpipe.markers.tracklets import frozen_samples
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, rms
 from labpipe.pipeline.zeros import LEAST, mean_level
-from labpipe.processing.frames import SpecimenFrame, specimen_frame
-from labpipe.processing.rings import ring_centres, rings_by_body
-from labpipe.processing.shape import ShapeFit, deflection, fit_shape
-from labpipe.processing.strokes import find_strokes, noise_level
-from labpipe.processing.tracklets import frozen_samples
-from labpipe.processing.tracks import RepairedTracks, repair_tracks
-from labpipe.protocol.rig import Markers
-from labpipe.protocol.steps import FitShape, RepairMarkers
-from labpipe.protocol.steps import SpecimenFrame as SpecimenFrameStep
+from labpipe.protocol.schema import Markers
 from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
+from labpipe.records.step_settings import FitShape, RepairMarkers
+from labpipe.records.step_settings import SpecimenFrame as SpecimenFrameStep
+from labpipe.signal.turning_points import find_strokes, noise_level
 
 _MOVES = 0.1
 """Share of its stroke by which the clamp has moved when it has begun to."""

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure, widened
 from labpipe.pipeline.bench import Bench
-from labpipe.records.curve import Interval
+from labpipe.records.curve import Interval, SlipDecision
+from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.records.slips import SlipDecision
 
 CURVE = ("force", "displacement", "clock")
 """What a number rests on that is read from the curve."""

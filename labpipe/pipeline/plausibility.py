@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.fitting.estimates import Failure
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import noise_level
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
+from labpipe.records.estimates import Failure
 from labpipe.records.quality import Severity
+from labpipe.signal.filters import moving_average, seconds_to_window
+from labpipe.signal.turning_points import noise_level
 
 GRAVITY = 9.80665
 _SPEED = 0.2

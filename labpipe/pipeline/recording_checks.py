@@ -7,13 +7,13 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.oddities import moves_at_end, standing_stretches
-from labpipe.processing.strokes import noise_level
-from labpipe.processing.stuck_channels import Stuck, stuck_runs
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.signal.bad_samples import Stuck, stuck_runs
+from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
+from labpipe.signal.turning_points import noise_level
 
 _CUT_FILES = {"truncated", "rows_differ"}
 """Notes of readers after which rows may be missing at the end."""

@@ -55,13 +55,6 @@ from labpipe.pipeline.tensile_results import (
 from labpipe.pipeline.turns import Turn, check_turns, turning_points
 from labpipe.pipeline.zero_changes import check_break, check_zeros
 from labpipe.pipeline.zeros import use_rest_there_is
-from labpipe.processing.strokes import (
-    Stroke,
-    branch_numbers,
-    find_strokes,
-    noise_level,
-    split_branches,
-)
 from labpipe.protocol.results import (
     BendingStiffness,
     ClockResult,
@@ -90,12 +83,24 @@ from labpipe.protocol.results import (
     TwoSegments,
     UnloadingStiffness,
 )
-from labpipe.protocol.rig import Align, AlignCommonStart, AlignStated, AlignTurningPoints
-from labpipe.protocol.schema import Protocol
+from labpipe.protocol.schema import (
+    Align,
+    AlignCommonStart,
+    AlignStated,
+    AlignTurningPoints,
+    Protocol,
+)
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, Series
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
+from labpipe.signal.turning_points import (
+    Stroke,
+    branch_numbers,
+    find_strokes,
+    noise_level,
+    split_branches,
+)
 
 _FAR_OFF = 5.0
 """Standard deviations that noise alone may reach."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.pipeline.bench import Bench, at_times_of_curve
-from labpipe.processing.strokes import noise_level
 from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch
+from labpipe.signal.turning_points import noise_level
 
 _BLOCKS = 200
 """Means that a force is looked at in, to tell a load from noise."""

@@ -9,12 +9,12 @@ from math import sqrt
 import numpy as np
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.alignment import rough_peaks
-from labpipe.processing.strokes import Stroke, goes_down
-from labpipe.protocol.rig import AlignStated
+from labpipe.protocol.schema import AlignStated
 from labpipe.records.arrays import median
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.quality import Severity
+from labpipe.signal.clock_alignment import rough_peaks
+from labpipe.signal.turning_points import Stroke, goes_down
 
 _RATE = 1e-4
 """How far two recorders may differ in rate that nobody has compared."""

@@ -12,16 +12,12 @@ import numpy as np
 from labpipe.errors import ProcessingError
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.zeros import FEWEST, LEAST, line_zero, mean_level, needed
-from labpipe.processing.filtering import (
-    in_pieces,
-    low_pass,
-    seconds_to_window,
-    smoothed,
-    window_length,
-)
 from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.steps import (
+from labpipe.records.arrays import Floats, median
+from labpipe.records.declarations import Span
+from labpipe.records.quality import Severity
+from labpipe.records.step_settings import (
     Decimate,
     FitShape,
     LowPass,
@@ -33,9 +29,13 @@ from labpipe.protocol.steps import (
     TravelFromSpeed,
     Zero,
 )
-from labpipe.records.arrays import Floats, median
-from labpipe.records.quality import Severity
-from labpipe.records.setting_types import Span
+from labpipe.signal.filters import (
+    in_pieces,
+    low_pass,
+    seconds_to_window,
+    smoothed,
+    window_length,
+)
 
 
 class ShortStretchError(ValueError):

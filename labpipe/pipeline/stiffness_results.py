@@ -8,16 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.lines import fit_line
-from labpipe.fitting.moduli import (
+from labpipe.fits.straight_lines import (
     annulus_area,
+    fit_line,
     modulus,
     rectangle_area,
     stiffness_per_peak_force,
     thin_wall_area,
 )
-from labpipe.fitting.segments import TwoSegments, fit_two_segments
+from labpipe.fits.two_segments import TwoSegments, fit_two_segments
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of, unscaled_peak
@@ -33,12 +32,12 @@ from labpipe.pipeline.outcomes import (
     with_force_scale,
 )
 from labpipe.protocol.results import Modulus
-from labpipe.protocol.rig import SpecimenBlock
+from labpipe.protocol.schema import SpecimenBlock
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import FittedLine
+from labpipe.records.curve import FittedLine, SlipDecision
+from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.records.slips import SlipDecision
 
 
 def line_stiffness(bench: Bench, *, name: str, low: float, high: float) -> list[Result]:

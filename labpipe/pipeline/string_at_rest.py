@@ -22,7 +22,7 @@ import numpy as np
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Shape
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.statistics.block_means import block_means
+from labpipe.statistics.mean_curves import block_means
 
 EARLY = (0.5e-3, 3e-3)
 """Deflections, m, over which it is seen how far the clamp is ahead of the tip."""

@@ -10,9 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.fitting.compliance import fit_compliance
-from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.failure import FailurePoint, energy_to_break
+from labpipe.fits.failure_point import FailurePoint, energy_to_break
+from labpipe.fits.straight_lines import fit_compliance
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_before, loading_stretch
 from labpipe.pipeline.cycle_numbers import curve_of
@@ -27,9 +26,10 @@ from labpipe.pipeline.outcomes import (
     with_force_scale,
 )
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import SlipDecision
+from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.records.slips import SlipDecision
 
 
 def failure_results(bench: Bench) -> list[Result]:

@@ -8,10 +8,9 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.fitting.correlated import fit_linear
-from labpipe.fitting.estimates import Estimate, Failure, widened
-from labpipe.fitting.loops import secant_stiffness
-from labpipe.fitting.noise import long_run_variance
+from labpipe.fits.loops import secant_stiffness
+from labpipe.markers.rings import Sections, find_sections
+from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal, SpanBend
 from labpipe.pipeline.corrections import loading_branch
 from labpipe.pipeline.outcomes import (
@@ -23,17 +22,18 @@ from labpipe.pipeline.outcomes import (
     with_force_scale,
 )
 from labpipe.pipeline.turns import turning_points
-from labpipe.processing.alignment import match_peaks
-from labpipe.processing.sections import Sections, find_sections
-from labpipe.processing.strokes import Stroke, find_strokes
-from labpipe.processing.three_point import SpanShape, fit_span
 from labpipe.protocol.results import MidSpan
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.steps import ThreePointShape
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, ClockFit, Curve, Interval, PointFlag, Shape
+from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Severity
 from labpipe.records.result import Result
+from labpipe.records.step_settings import ThreePointShape
+from labpipe.signal.clock_alignment import match_peaks
+from labpipe.signal.turning_points import Stroke, find_strokes
+from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.noise import long_run_variance
 
 NO_SPAN = Failure(
     "no_span",

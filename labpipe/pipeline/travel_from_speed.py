@@ -6,16 +6,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.fitting.corners import Corner, fit_corner
-from labpipe.fitting.reversals import fit_reversal
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.falls_of_force import sharpest_turn
-from labpipe.processing.filtering import moving_average, seconds_to_window
-from labpipe.processing.strokes import goes_down, noise_level
-from labpipe.protocol.rig import Rig
-from labpipe.protocol.steps import TravelFromSpeed
+from labpipe.protocol.schema import Rig
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
+from labpipe.records.step_settings import TravelFromSpeed
+from labpipe.signal.corners import Corner, fit_corner
+from labpipe.signal.filters import moving_average, seconds_to_window
+from labpipe.signal.reversals import fit_reversal
+from labpipe.signal.turning_points import goes_down, noise_level, sharpest_turn
 
 _WORST = 0.5
 """s; a turn known no better than this makes no displacement."""

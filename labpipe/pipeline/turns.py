@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from labpipe.fitting.corners import Corner, fit_corner, fit_stop
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.strokes import Stroke, noise_level
 from labpipe.records.arrays import Floats, median
+from labpipe.signal.corners import Corner, fit_corner, fit_stop
+from labpipe.signal.turning_points import Stroke, noise_level
 
 _SEEN = 0.5
 """s on each side of a turning point in which the motion must have been seen."""

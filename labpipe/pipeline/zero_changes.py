@@ -6,13 +6,13 @@ from math import sqrt
 
 import numpy as np
 
-from labpipe.fitting.failure import FailurePoint
-from labpipe.fitting.loops import sense_of_loading
+from labpipe.fits.failure_point import FailurePoint
+from labpipe.fits.loops import sense_of_loading
 from labpipe.pipeline.bench import Bench
-from labpipe.processing.level_jumps import level_jumps
-from labpipe.processing.strokes import noise_level
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.signal.rests_and_jumps import level_jumps
+from labpipe.signal.turning_points import noise_level
 
 _MOST = 2
 """Jumps of a force; what jumps again and again is the specimen."""

@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.fitting.correlated import fit_linear
-from labpipe.fitting.noise import long_run_variance
-from labpipe.fitting.noise_spectra import smooth_stretches
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.processing.oddities import samples_at_rest
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Interval
 from labpipe.records.quality import Severity
+from labpipe.signal.rests_and_jumps import samples_at_rest
+from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.noise import long_run_variance, smooth_stretches
 
 LEAST = 8
 """Samples below which a stretch alone says nothing of its level."""

@@ -8,13 +8,12 @@ from typing import TypeAlias
 
 from labpipe.errors import Fault, KeyPath
 from labpipe.protocol.faults import did_you_mean, one_of
-from labpipe.protocol.outline import Outline, Values
+from labpipe.protocol.outline import Outline, Values, source_faults
 from labpipe.protocol.overrides import in_test_sheet
-from labpipe.protocol.quantities import SI_UNITS
 from labpipe.protocol.results import RESULTS, result_names
-from labpipe.protocol.source_checks import source_faults
-from labpipe.protocol.steps import STEPS
-from labpipe.records.setting_types import Needs, defaults_of, existing_in
+from labpipe.protocol.values import SI_UNITS
+from labpipe.records.declarations import Needs, defaults_of, existing_in
+from labpipe.records.step_settings import STEPS
 from labpipe.units import si_factor
 
 Faults: TypeAlias = Iterator[Fault]

@@ -10,9 +10,9 @@ import json
 import sys
 from pathlib import Path
 
-from labpipe.protocol.block import Block
+from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.sheet_grammar import TestSheet
 
 SCHEMAS: dict[str, type[Block]] = {
     "protocol.schema.json": Protocol,

@@ -1,7 +1,8 @@
-"""From YAML to a protocol or a test sheet and back; one error lists every fault."""
+"""From YAML to a protocol or a test sheet and back; all faults are in one error."""
 
 from __future__ import annotations
 
+import sysconfig
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -10,20 +11,88 @@ import yaml
 from pydantic import ValidationError
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.absent import absent_faults, without_absent
-from labpipe.protocol.block import Block
 from labpipe.protocol.faults import did_you_mean, faults_of, one_of
-from labpipe.protocol.links import are_followed, link_faults
+from labpipe.protocol.grammar import Block
 from labpipe.protocol.outline import Outline
 from labpipe.protocol.overrides import with_overrides
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet import TestSheet
-from labpipe.protocol.shipped import find_protocol
+from labpipe.protocol.sheet_exports import absent_faults, are_followed, link_faults, without_absent
+from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text
 
 if TYPE_CHECKING:
-    from labpipe.protocol.calibration_plan import CalibrationPlan
+    from labpipe.protocol.plans import CalibrationPlan
+
+
+_SUFFIXES = (".yaml", ".yml")
+
+
+def protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
+    """List the folders that hold protocols, in the order in which they are searched.
+
+    Parameters
+    ----------
+    protocols : the lab's folder; ``protocols`` in the working folder if None
+
+    Returns
+    -------
+    The lab's folder, that of a checkout, and that of an installed labpipe, as far as they exist.
+    """
+    own = Path("protocols") if protocols is None else protocols
+    checkout = Path(__file__).resolve().parents[2] / "protocols"
+    installed = Path(sysconfig.get_path("data")) / "share" / "labpipe" / "protocols"
+    unique = {folder.resolve(): folder for folder in (installed, checkout, own) if folder.is_dir()}
+    return tuple(reversed(unique.values()))
+
+
+def known_protocols(protocols: Path | None = None) -> dict[str, Path]:
+    """List the protocols that can be named, with their files.
+
+    Parameters
+    ----------
+    protocols : as for `protocol_folders`
+    """
+    found: dict[str, Path] = {}
+    for folder in protocol_folders(protocols):
+        for path in sorted(folder.iterdir()):
+            if path.suffix in _SUFFIXES:
+                found.setdefault(path.stem, path)
+    return found
+
+
+def find_protocol(wanted: str, *, beside: Path, protocols: Path | None = None) -> Path | Fault:
+    """Find the file of a protocol.
+
+    Parameters
+    ----------
+    wanted : its name, or a path: beside the test sheet, or else from the working folder
+    beside : folder of the test sheet
+    protocols : as for `protocol_folders`
+
+    Returns
+    -------
+    The file, or what is wrong with the key ``protocol`` of the sheet.
+    """
+    if wanted.endswith(_SUFFIXES) or "/" in wanted or "\\" in wanted:
+        places = [beside / wanted, Path(wanted)]
+        files = [place for place in places if _is_file(place)]
+        remedy = f"There is none at {' or '.join(map(str, places))}."
+        return files[0] if files else Fault(("protocol",), "a protocol", repr(wanted), remedy)
+    known = known_protocols(protocols)
+    if wanted in known:
+        return known[wanted]
+    expected = f"one of the protocols {one_of(wanted, known)}" if known else "a protocol"
+    remedy = did_you_mean(wanted, known) or "There is no folder 'protocols' here."
+    return Fault(("protocol",), expected, repr(wanted), remedy)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
 
 _B = TypeVar("_B", bound=Block)
 
@@ -102,7 +171,7 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    from labpipe.protocol.calibration_plan import CalibrationPlan  # tests do without it
+    from labpipe.protocol.plans import CalibrationPlan  # tests do without it
 
     return checked(CalibrationPlan, parse_yaml(read_text(path), str(path)))
 

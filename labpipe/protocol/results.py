@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final, Literal, TypeAlias
 
 from labpipe.errors import Fault
-from labpipe.records.setting_types import (
+from labpipe.records.declarations import (
     Above,
     Curvature,
     Distance,

@@ -12,11 +12,10 @@ from pydantic import (
     PrivateAttr,
 )
 
-from labpipe.protocol.block import Block
-from labpipe.protocol.quantities import SI_UNITS
-from labpipe.protocol.words import Text, one_or_several
+from labpipe.protocol.grammar import Block
+from labpipe.protocol.values import SI_UNITS, Text, one_or_several
+from labpipe.records.declarations import Ratio, Snake
 from labpipe.records.export_formats import EXPORT_FORMATS
-from labpipe.records.setting_types import Ratio, Snake
 from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]

@@ -14,8 +14,8 @@ from pydantic import BeforeValidator, ValidationError, model_validator
 from pydantic_core import CoreSchema, core_schema
 
 from labpipe.errors import Fault, nearest
-from labpipe.protocol.block import Block
 from labpipe.protocol.faults import error_of, faults_of, raised
+from labpipe.protocol.grammar import Block
 from labpipe.records.wire import WireSpec
 
 Numbers = tuple[float, ...]

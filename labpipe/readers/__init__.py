@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 from labpipe.errors import ReadError
-from labpipe.readers.files import unreadable
+from labpipe.readers.raw_files import unreadable
 from labpipe.readers.workbooks import is_workbook, open_sheets
 from labpipe.records.export_formats import EXPORT_FORMATS, ExportFormat
 
@@ -77,7 +77,7 @@ def recognise_export(path: Path) -> Reader:
             return reader
     if is_workbook(path):
         open_sheets(path)  # where it cannot be opened at all, that is what is wrong
-    from labpipe.readers.strangers import recognise_stranger
+    from labpipe.readers.unknown_files import recognise_stranger
 
     stranger = recognise_stranger(path)
     raise unreadable(

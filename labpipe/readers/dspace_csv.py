@@ -25,12 +25,10 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, date, datetime
 from pathlib import Path
 
-from labpipe.readers.body import read_columns
 from labpipe.readers.channels import Wanted
-from labpipe.readers.controldesk import Export, Trace, load_export
-from labpipe.readers.dates import written_date
-from labpipe.readers.files import read_head, reading, unreadable
-from labpipe.readers.rows import Body
+from labpipe.readers.controldesk import Export, Trace, load_export, written_date
+from labpipe.readers.number_rows import Body, read_columns
+from labpipe.readers.raw_files import read_head, reading, unreadable
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import Recording

@@ -28,10 +28,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.readers.channels import Wanted
-from labpipe.readers.controldesk import Export, Trace, load_export, plain
-from labpipe.readers.dates import day_of_saving, written_date
-from labpipe.readers.files import read_head, reading, unreadable
+from labpipe.readers.controldesk import (
+    Export,
+    Trace,
+    day_of_saving,
+    load_export,
+    plain,
+    written_date,
+)
 from labpipe.readers.mat5 import Node, parse_mat5
+from labpipe.readers.raw_files import read_head, reading, unreadable
 from labpipe.records.quality import QualityNote, Severity
 
 if TYPE_CHECKING:

@@ -32,7 +32,7 @@ import numpy as np
 from labpipe.errors import ReadError, complaint
 from labpipe.readers.channels import Wanted
 from labpipe.readers.controldesk import Export, Trace, load_export
-from labpipe.readers.files import BROKEN, read_head, reading
+from labpipe.readers.raw_files import BROKEN, read_head, reading
 from labpipe.records.recording import Recording
 
 _PROPERTY = re.compile(r'<e name="([^"]*)"[^>]*>(.*?)</e>', re.DOTALL)

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.files import unreadable
 from labpipe.readers.motive_table import derived_rate, unique_names
+from labpipe.readers.raw_files import unreadable
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.units import whole_number

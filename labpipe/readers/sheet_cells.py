@@ -22,12 +22,10 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from labpipe.errors import ReadError, complaint
-from labpipe.readers.body import filled_rows
-from labpipe.readers.extent import column_letters
-from labpipe.readers.files import reading, unreadable
-from labpipe.readers.regrouped import LOST, is_grouped, lost_signs, regrouped_at
-from labpipe.readers.rows import PLAIN
-from labpipe.readers.workbooks import is_workbook, opened_workbook
+from labpipe.readers.number_rows import PLAIN, filled_rows
+from labpipe.readers.raw_files import reading, unreadable
+from labpipe.readers.text_cells import LOST, is_grouped, lost_signs, regrouped_at
+from labpipe.readers.workbooks import column_letters, is_workbook, opened_workbook
 from labpipe.records.arrays import Floats
 
 _XLSX = "an xlsx workbook"

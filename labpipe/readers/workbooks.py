@@ -1,21 +1,31 @@
-"""Cells of whole workbooks (xlsx, xls), parsed in a thread: nothing heavy is imported here."""
+"""Cells of whole workbooks (xlsx, xls): how far they reach, and parsed in a thread or a child.
+
+The libraries make a table of every sheet, from its first cell to its last one: one stray cell in
+the last corner of a sheet asks for hundreds of gigabytes, and the process is ended.
+"""
 
 from __future__ import annotations
 
 import gc
+import re
 import warnings
+import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
+from xml.etree import ElementTree
+from xml.parsers import expat
 
 from labpipe.errors import ReadError
-from labpipe.readers.files import read_head, reading
+from labpipe.readers.raw_files import read_head, reading, unreadable
 
 if TYPE_CHECKING:
     from python_calamine import CalamineWorkbook
+
 
 Sheets = Mapping[str, Sequence[Sequence[object]]]
 
@@ -122,8 +132,6 @@ def opened_workbook(
     """
     from python_calamine import CalamineError, CalamineWorkbook
 
-    from labpipe.readers.extent import MOST, check_extent
-
     with reading(path, what, also=(CalamineError,)):
         check_extent(path, most=MOST if most is None else most)
         with CalamineWorkbook.from_path(path) as book:
@@ -132,8 +140,6 @@ def opened_workbook(
 
 def _sheets(path: Path) -> Sheets:
     from python_calamine import CalamineError
-
-    from labpipe.readers.extent import check_extent, is_large
 
     with reading(path, "a whole workbook", also=(CalamineError, _ChildError)), _all_is_kept():
         if not read_head(path, 8).startswith(_XLSX):
@@ -154,8 +160,6 @@ def _sheets(path: Path) -> Sheets:
 def cells_of(path: Path) -> Sheets:
     """Read the cells of all sheets, whatever becomes of this process; see `open_sheets`."""
     from python_calamine import CalamineWorkbook
-
-    from labpipe.readers.extent import check_size, check_table
 
     sheets: dict[str, Sequence[Sequence[object]]] = {}
     with CalamineWorkbook.from_path(path) as book:
@@ -238,3 +242,245 @@ def _by_openpyxl(path: Path) -> Sheets:
 
 def _plain(cell: object) -> object:
     return float(cell) if isinstance(cell, int) and not isinstance(cell, bool) else cell
+
+
+MOST: Final = 10_000_000
+"""Cells that may be laid out in any case: some 400 MB."""
+SPARSE: Final = 20
+"""Beyond that, as many cells are laid out as this many times those that are filled."""
+
+_BEYOND = 4 * MOST
+_LARGE = 2_000_000
+"""Bytes, once unpacked: at about 100 MB a second."""
+_CHUNK = 1 << 20
+_HEAD = 4096
+_CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
+"""A cell as nearly every program writes it, or in another way."""
+_PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
+_PLACE = re.compile(r"([A-Za-z]+)(\d+)")
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_OTHERS = {
+    "content.xml": "an OpenDocument spreadsheet (ods)",
+    "xl/workbook.bin": "a binary workbook (xlsb)",
+}
+
+
+@dataclass(slots=True)
+class _Reach:
+    """How far the cells of a sheet reach, how many there are, and which is the last one."""
+
+    rows: int = 0
+    columns: int = 0
+    cells: int = 0
+    last: str = ""
+
+    @property
+    def size(self) -> int:
+        """Cells of the table."""
+        return self.rows * self.columns
+
+    def add(self, column: int, row: int) -> None:
+        """Take in one cell, its place counted from 1."""
+        if column * row >= self.columns * self.rows:
+            self.last = f"{column_letters(column)}{row}"
+        self.rows, self.columns = max(self.rows, row), max(self.columns, column)
+        self.cells += 1
+
+
+def is_large(path: Path) -> bool:
+    """Tell whether a workbook is so large that `check_extent` takes long; needs a whole archive."""
+    with zipfile.ZipFile(path) as parts:
+        return sum(part.file_size for part in parts.infolist()) > _LARGE
+
+
+def check_extent(path: Path, *, most: int = MOST) -> None:
+    """Refuse a workbook whose cells are so far apart that its tables would fill the memory.
+
+    Parameters
+    ----------
+    path : a zip archive
+    most : cells that may be laid out in any case
+
+    Raises
+    ------
+    ReadError
+        If the cells reach too far for their number, with the sheet and its last cell; or if the
+        archive is a spreadsheet of another format than xlsx.
+
+    Notes
+    -----
+    Cells without content, which only carry a style, do not count. What is wrong with the archive
+    otherwise is raised as the libraries raise it.
+    """
+    with zipfile.ZipFile(path) as parts:
+        _refuse_others(parts, path)
+        sheets = [name for name in parts.namelist() if _is_sheet(parts, name)]
+        if _is_small([_quick_reach(parts, name) for name in sheets], most):
+            return
+        reach = {name: _exact_reach(parts, name) for name in sheets}
+        if not _is_small(list(reach.values()), most):
+            worst = max(reach, key=lambda name: reach[name].size)
+            raise _too_far(path, _title(parts, worst), reach[worst])
+
+
+def check_size(path: Path, sheet: str, rows: int, columns: int) -> None:
+    """Refuse a sheet that is larger than any that can be worked with, before it is laid out.
+
+    Parameters
+    ----------
+    path, sheet : as for `check_table`
+    rows, columns : as the library counts them
+
+    Raises
+    ------
+    ReadError
+        As `check_extent`.
+    """
+    if rows * columns > _BEYOND:
+        last = f"{column_letters(columns)}{rows}"
+        raise _too_far(path, sheet, _Reach(rows, columns, last=last), filled="few")
+
+
+def check_table(path: Path, sheet: str, rows: Sequence[Sequence[object]]) -> None:
+    """Refuse a sheet that was laid out and is all but empty: to look through it takes minutes.
+
+    Parameters
+    ----------
+    path : of the workbook, for messages
+    sheet : its name
+    rows : of cells, all of one length; a blank one is an empty text
+
+    Raises
+    ------
+    ReadError
+        As `check_extent`.
+    """
+    size = len(rows) * len(rows[0]) if rows else 0
+    if size <= MOST:
+        return
+    filled = sum(cell != "" for row in rows for cell in row)
+    if size > SPARSE * filled:
+        columns = len(rows[0])
+        reach = _Reach(len(rows), columns, filled, f"{column_letters(columns)}{len(rows)}")
+        raise _too_far(path, sheet, reach)
+
+
+def _is_small(reaches: list[_Reach], most: int) -> bool:
+    filled = sum(each.cells for each in reaches)
+    return sum(each.size for each in reaches) <= max(most, SPARSE * filled)
+
+
+def _refuse_others(parts: zipfile.ZipFile, path: Path) -> None:
+    names = parts.namelist()
+    found = next((what for name, what in _OTHERS.items() if name in names), None)
+    remedy = "Save it as xlsx in the spreadsheet program."
+    if found is None and not any(name.startswith("xl/") for name in names):
+        found, remedy = "a zip archive of something else", "Unpack it, and name the export in it."
+    if found is not None:
+        raise unreadable(path, "", "an xlsx workbook", found, remedy)
+
+
+def _is_sheet(parts: zipfile.ZipFile, name: str) -> bool:
+    with parts.open(name) as part:
+        head = part.read(_HEAD)
+    return b"worksheet" in head or head.startswith(_UTF16)
+
+
+def _chunks(parts: zipfile.ZipFile, name: str) -> Iterator[bytes]:
+    with parts.open(name) as part:
+        while chunk := part.read(_CHUNK):
+            yield chunk
+
+
+def _quick_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
+    """Reach of all cells, also of blank ones: by words, which is faster than by parsing."""
+    reach, rest = _Reach(), b""
+    for chunk in _chunks(parts, name):
+        data = rest + chunk
+        cut = data.rfind(b"<") if len(data) < 2 * _CHUNK else len(data)
+        found = _CELL.findall(data, 0, cut)
+        rest = data[cut:]
+        is_prefixed = any(words in data for words in _PREFIXED)
+        if is_prefixed or (b"", b"") in found or data.startswith(_UTF16):
+            return _exact_reach(parts, name)
+        columns, rows = ({each[i] for each in found} for i in (0, 1))
+        reach.columns = max(reach.columns, *(_number(each.decode()) for each in columns), 0)
+        reach.rows = max(reach.rows, *map(int, rows), 0)
+        reach.cells += len(found)
+    return reach
+
+
+def _exact_reach(parts: zipfile.ZipFile, name: str) -> _Reach:
+    """Reach of the cells that hold anything."""
+    reach, at = _Reach(), [0, 0]
+    is_filled = False
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal is_filled
+        kind, place = tag.rpartition(":")[2], attributes.get("r", "")
+        if kind == "row":
+            at[:] = [0, int(place) if place else at[1] + 1]
+        elif kind == "c":
+            match = _PLACE.fullmatch(place)
+            at[:] = [_number(match[1].upper()), int(match[2])] if match else [at[0] + 1, at[1]]
+            is_filled = False
+
+    def inside(text: str) -> None:
+        nonlocal is_filled
+        is_filled = is_filled or bool(text.strip())
+
+    def end(tag: str) -> None:
+        if tag.rpartition(":")[2] == "c" and is_filled:
+            reach.add(at[0], max(at[1], 1))
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.CharacterDataHandler = inside
+    for chunk in _chunks(parts, name):
+        parser.Parse(chunk, False)
+    parser.Parse(b"", True)
+    return reach
+
+
+def _number(letters: str) -> int:
+    """Number of a column, counted from 1: 28 for AB."""
+    number = 0
+    for letter in letters:
+        number = 26 * number + ord(letter) - ord("A") + 1
+    return number
+
+
+def column_letters(number: int) -> str:
+    """Letters of a column counted from 1: AB for 28."""
+    letters = ""
+    while number:
+        number, letter = divmod(number - 1, 26)
+        letters = chr(ord("A") + letter) + letters
+    return letters
+
+
+def _title(parts: zipfile.ZipFile, name: str) -> str:
+    """What a person calls a sheet; the name of its part where the archive does not say."""
+    try:
+        links = ElementTree.fromstring(parts.read("xl/_rels/workbook.xml.rels"))
+        book = ElementTree.fromstring(parts.read("xl/workbook.xml"))
+    except (KeyError, ElementTree.ParseError):
+        return name
+    targets = {each.get("Id"): each.get("Target", "") for each in links}
+    for sheet in book.iter():
+        link = next((value for key, value in sheet.items() if key.endswith("}id")), None)
+        target = targets.get(link, "")
+        if target and name.endswith(target.lstrip("./")):
+            return sheet.get("name", name)
+    return name
+
+
+def _too_far(path: Path, sheet: str, reach: _Reach, filled: str = "") -> ReadError:
+    return unreadable(
+        path,
+        f"sheet '{sheet}', cell {reach.last}",
+        "cells that lie together",
+        f"a sheet of {reach.rows} rows and {reach.columns} columns with"
+        f" {filled or reach.cells} filled cells",
+        "Delete the rows and columns behind the table, and save the workbook.",
+    )

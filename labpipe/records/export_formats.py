@@ -28,7 +28,7 @@ EXPORT_FORMATS: Final = (
     ExportFormat("dspace-mat", "labpipe.readers.dspace_mat"),
     ExportFormat("dspace-csv", "labpipe.readers.dspace_csv"),
     ExportFormat("dspace-mf4", "labpipe.readers.dspace_mf4"),
-    ExportFormat("motive-csv", "labpipe.readers.motive_csv", has_markers=True),
-    ExportFormat("motive-xlsx", "labpipe.readers.motive_csv", False, True, has_markers=True),
+    ExportFormat("motive-csv", "labpipe.readers.motive_takes", has_markers=True),
+    ExportFormat("motive-xlsx", "labpipe.readers.motive_takes", False, True, has_markers=True),
     ExportFormat("load-frame", "labpipe.readers.load_frame", is_workbook=True),
 )

@@ -6,10 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from labpipe.records.arrays import Floats, frozen
-from labpipe.records.curve import FittedLine, Interval
+from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Result, Specimen
-from labpipe.records.slips import Slip
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from labpipe.records.bending import Bending
-from labpipe.records.bundle import Bundle
-from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape
+from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape, Slip
+from labpipe.records.harness_bundle import Bundle
+from labpipe.records.measured_bending import Bending
 from labpipe.records.quality import QualityNote, Reason, worded
 from labpipe.records.recording import Recording
-from labpipe.records.slips import Slip
 
 
 class Status(StrEnum):

@@ -6,26 +6,326 @@ import textwrap
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from labpipe.records.agreement import Prediction
-from labpipe.records.calibration import Calibration, Identified, SourceCalibration
-from labpipe.report.calibration_curves import (
-    MODEL_BAND,
-    MODEL_LINE,
-    SAMPLE,
-    looks_of,
-    plot_loadings,
-    plot_residuals,
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve_comparison import CurveAgreement, Prediction
+from labpipe.records.wire_calibration import (
+    CalibratedParameter,
+    Calibration,
+    Identified,
+    Profile,
+    SourceCalibration,
 )
-from labpipe.report.calibration_look import SOURCE, length_words
-from labpipe.report.calibration_profiles import INTERVAL, PRIOR, THRESHOLD, plot_profile
-from labpipe.report.calibration_words import HEADS, parameter_row, sentences
-from labpipe.report.page import DOUBLE_COLUMN, Words, keyed_page, panel_letter
+from labpipe.report.calibration_shown import (
+    BAND,
+    DEFLECTION,
+    FORCE,
+    HEADS,
+    MODEL,
+    SHOWN,
+    SMALL_FORCE,
+    SOURCE,
+    length_looks,
+    length_words,
+    parameter_row,
+    sentences,
+    typeset,
+)
+from labpipe.report.drawn_points import extremes
+from labpipe.report.figure_page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Look,
+    Words,
+    keyed_page,
+    number_log,
+    panel_letter,
+)
 from labpipe.report.wording import count_of
+from labpipe.statistics.mean_curves import block_means
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+SAMPLE: dict[str, Any] = {"linewidth": 0.6, "zorder": 2}
+MODEL_LINE: dict[str, Any] = {"color": MODEL, "linewidth": 1.5, "zorder": 4}
+MODEL_BAND: dict[str, Any] = {"color": BAND, "alpha": 0.55, "linewidth": 0, "zorder": 1}
+_FAINT: dict[str, Any] = {"alpha": 0.2, "linewidth": 0.4}
+_MEANS: dict[str, Any] = {"linewidth": 0.9, "zorder": 3}
+_ZERO: dict[str, Any] = {"color": "black", "linewidth": 0.6, "zorder": 1}
+N_MEANS = 25
+"""Stretches that residuals are averaged over at the least."""
+_BINS = 120
+"""Stretches of a curve that are drawn by their highest and lowest point."""
+
+
+def looks_of(calibration: Calibration) -> dict[float, Look]:
+    """Look of the samples of each length."""
+    return length_looks([curve.length for curve in calibration.curves])
+
+
+def plot_loadings(
+    calibration: Calibration,
+    axes: Axes,
+    *,
+    predictions: Mapping[float, Prediction] | None = None,
+    source: SourceCalibration | None = None,
+) -> None:
+    """Draw the first loadings of all samples, and the model once for each length.
+
+    Parameters
+    ----------
+    calibration : its curves are drawn
+    axes : to draw on
+    predictions : by length, m: what the model says with its band; no band without one
+    source : drawn where it is of the same curves
+    """
+    looks = looks_of(calibration)
+    for curve in calibration.curves:
+        look = looks[curve.length]
+        _plot(axes, curve.deflection, FORCE.factor * curve.force, look)
+    for length in looks:
+        deepest = _deepest(calibration, length)
+        order = np.argsort(deepest.deflection)
+        x = DEFLECTION.factor * deepest.deflection[order]
+        y = FORCE.factor * deepest.model[order]
+        axes.plot(x, y, **MODEL_LINE)
+        axes.annotate(
+            length_words(length), (x[-1], y[-1]), (3, 0), textcoords="offset points",
+            va="center", size=8, annotation_clip=False,
+        )  # fmt: skip
+        if predictions and length in predictions:
+            _draw_band(axes, predictions[length], deepest)
+        if source is not None:
+            _draw_source(axes, calibration, source, length)
+    axes.set_xlim(left=0.0)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    axes.set_xlabel(DEFLECTION.label("Tip deflection"))
+    axes.set_ylabel(FORCE.label("Force"))
+
+
+def plot_residuals(calibration: Calibration, axes: Axes, *, has_own_factor: bool = False) -> None:
+    """Draw measured force less that of the model against deflection.
+
+    Parameters
+    ----------
+    calibration : its curves are drawn
+    axes : to draw on
+    has_own_factor : the model is multiplied with each sample's own factor first, so that what
+        is left is noise and misfit of shape
+
+    Notes
+    -----
+    Every point is drawn faint, and means over neighbouring points as a line: `N_MEANS` or more of
+    them, where there are as many points.
+    """
+    looks = looks_of(calibration)
+    axes.axhline(0.0, **_ZERO)
+    for curve in calibration.curves:
+        factor = curve.sample_factor if has_own_factor else 1.0
+        left = SMALL_FORCE.factor * (curve.force - factor * curve.model)
+        _plot(axes, curve.deflection, left, looks[curve.length], **_FAINT)
+        across, up = (block_means(values, N_MEANS) for values in (curve.deflection, left))
+        look = looks[curve.length]
+        axes.plot(DEFLECTION.factor * across, up, color=look.colour, linestyle=look.dash, **_MEANS)
+    axes.set_xlim(left=0.0)
+    axes.set_xlabel(DEFLECTION.label("Tip deflection"))
+    axes.set_ylabel(SMALL_FORCE.label("Measured \u2212 model"))
+
+
+def source_curves(
+    calibration: Calibration, source: SourceCalibration
+) -> tuple[tuple[float, Floats, Floats], ...]:
+    """Cut what `method: source` makes of the tests into curves.
+
+    Returns
+    -------
+    Length, deflection and force (m, m, N) of each; nothing where the points are not those of the
+    calibration's curves, one after the other.
+    """
+    ends = np.cumsum([len(curve.deflection) for curve in calibration.curves])
+    joined = np.concatenate([curve.deflection for curve in calibration.curves])
+    if not np.array_equal(joined, source.deflection):
+        return ()
+    return tuple(
+        (curve.length, curve.deflection, source.model[end - len(curve.deflection) : end])
+        for curve, end in zip(calibration.curves, ends.tolist(), strict=True)
+    )
+
+
+def _draw_source(
+    axes: Axes, calibration: Calibration, source: SourceCalibration, length: float
+) -> None:
+    own = [each for each in source_curves(calibration, source) if each[0] == length]
+    for _, deflection, force in own[:1]:
+        order = np.argsort(deflection)
+        across = DEFLECTION.factor * deflection[order]
+        axes.plot(across, FORCE.factor * force[order], zorder=5, **SOURCE)
+
+
+def _draw_band(axes: Axes, prediction: Prediction, curve: CurveAgreement) -> None:
+    """The band of the mean sample, as far as the tests go."""
+    use = prediction.deflection <= np.max(curve.deflection)
+    axes.fill_between(
+        DEFLECTION.factor * prediction.deflection[use],
+        FORCE.factor * prediction.lower_mean[use],
+        FORCE.factor * prediction.upper_mean[use],
+        **MODEL_BAND,
+    )
+
+
+def _deepest(calibration: Calibration, length: float) -> CurveAgreement:
+    own = [curve for curve in calibration.curves if curve.length == length]
+    return max(own, key=lambda curve: float(np.max(curve.deflection)))
+
+
+def _plot(axes: Axes, deflection: Floats, values: Floats, look: Look, **more: Any) -> None:
+    kept = extremes(values, bins=_BINS)
+    across = DEFLECTION.factor * deflection[kept]
+    style = {"color": look.colour, "linestyle": look.dash, **SAMPLE, **more}
+    axes.plot(across, values[kept], **style)
+
+
+THRESHOLD: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
+INTERVAL: dict[str, Any] = {"color": "#dddddd", "linewidth": 0, "zorder": 0}
+PRIOR: dict[str, Any] = {"color": "#009E73", "linewidth": 1.0, "linestyle": (0, (1.4, 1.2))}
+_CURVE: dict[str, Any] = {"color": MODEL, "linewidth": 1.2}
+_DOTS: dict[str, Any] = {"color": MODEL, "linestyle": "", "marker": "o", "markersize": 2.2}
+_VALUE: dict[str, Any] = {"color": "black", "marker": "^", "markersize": 4.5, "clip_on": False}
+_HEIGHT = 2.6
+"""Of a panel, over the threshold."""
+_MARGIN = 0.12
+"""Beside what a panel has to show, as a share of it in logarithms."""
+_NORMAL = 1.959963984540054
+_FINE = 200
+_NARROW_LINE = 30
+_NARROW, _WIDE = 6.0, 500.0
+"""Ratio of the ends of an axis below which 1, 2, 5 are too few ticks, above which decades are too
+many."""
+
+
+def plot_profile(
+    parameter: CalibratedParameter, axes: Axes, *, elsewhere: float | None = None
+) -> None:
+    """Draw the deviance of a parameter on a logarithmic axis.
+
+    Parameters
+    ----------
+    parameter : one that was not fitted gets a panel that says so
+    axes : to draw on; with the threshold on either side of the value, the 95 % interval in grey up
+        to the end of the panel where it is open, the value as a triangle, and the deviance of the
+        prior from its own centre where there is one
+    elsewhere : SI, a value that another method found
+    """
+    profile = parameter.profile
+    if profile is None or parameter.interval is None:
+        _say(axes, typeset(parameter.words))
+        return
+    shown = SHOWN[parameter.name]
+    low, high = seen(parameter, elsewhere)
+    at = shown.scale.factor * np.array([low, parameter.value, high])
+    axes.set_xscale("log")
+    axes.axvspan(
+        at[0] if parameter.is_open_below else shown.scale.factor * parameter.interval.lower,
+        at[2] if parameter.is_open_above else shown.scale.factor * parameter.interval.upper,
+        **INTERVAL,
+    )
+    values, deviance = smooth(profile)
+    axes.plot(shown.scale.factor * values, deviance, **_CURVE)
+    axes.plot(shown.scale.factor * profile.value, profile.deviance, **_DOTS)
+    axes.plot(at[:2], [profile.threshold_below] * 2, **THRESHOLD)
+    axes.plot(at[1:], [profile.threshold_above] * 2, **THRESHOLD)
+    axes.plot(at[1], 0.0, **_VALUE)
+    if elsewhere is not None:
+        axes.axvline(shown.scale.factor * elsewhere, **SOURCE)
+    _draw_prior(parameter, axes, (low, high))
+    axes.set_xlim(at[0], at[2])
+    axes.set_ylim(0.0, _HEIGHT * max(profile.threshold_below, profile.threshold_above))
+    axes.set_xlabel(shown.label)
+    _number(axes)
+
+
+def seen(parameter: CalibratedParameter, elsewhere: float | None = None) -> tuple[float, float]:
+    """Find the values that the panel of a parameter shows, SI.
+
+    Parameters
+    ----------
+    parameter : with a profile; its interval, or up to where its profile was followed, is seen
+    elsewhere : is seen as well
+    """
+    profile, interval = parameter.profile, parameter.interval
+    if profile is None or interval is None:
+        return parameter.value, parameter.value
+    inside = profile.deviance <= _HEIGHT * max(profile.threshold_below, profile.threshold_above)
+    wanted = [*profile.value[inside], parameter.value]
+    wanted += [end for end in (interval.lower, interval.upper) if _within(end, profile)]
+    if elsewhere is not None and elsewhere > 0.0:
+        wanted.append(elsewhere)
+    if parameter.conflict is not None:
+        wanted.append(parameter.conflict.centre)
+    low, high = float(np.log(min(wanted))), float(np.log(max(wanted)))
+    margin = _MARGIN * max(high - low, 0.02)
+    return float(np.exp(low - margin)), float(np.exp(high + margin))
+
+
+def smooth(profile: Profile) -> tuple[Floats, Floats]:
+    """Lay a curve through the points at which a profile was worked out.
+
+    Parameters
+    ----------
+    profile : of at least one point
+
+    Returns
+    -------
+    Values, and deviances at them: of its square root, with the sign of the side, by straight lines
+    over the logarithm of the value, since where a parameter is normal in it that root is straight.
+    """
+    logs = np.log(profile.value)
+    side = np.sign(logs - logs[int(np.argmin(profile.deviance))])
+    fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], _FINE), logs)
+    root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance, 0.0)))
+    return np.exp(fine), root**2
+
+
+def _say(axes: Axes, sentence: str) -> None:
+    axes.set_axis_off()
+    axes.text(
+        0.5, 0.5, textwrap.fill(sentence, _NARROW_LINE), transform=axes.transAxes, ha="center",
+        va="center", color=GREY,
+    )  # fmt: skip
+
+
+def _within(end: float, profile: Profile) -> bool:
+    return bool(profile.value[0] <= end <= profile.value[-1])
+
+
+def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
+    """Draw the square of the distance from the prior's centre in its standard deviations."""
+    if parameter.conflict is None:
+        return
+    values: Floats = np.geomspace(*ends, 200)
+    error = np.log(parameter.conflict.factor) / _NORMAL
+    away = np.log(values / parameter.conflict.centre) / error
+    axes.plot(SHOWN[parameter.name].scale.factor * values, away**2, **PRIOR)
+
+
+def _number(axes: Axes) -> None:
+    from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
+
+    axes.yaxis.set_major_locator(MaxNLocator(4, integer=True))
+    low, high = axes.get_xlim()
+    number_log(axes.xaxis)
+    if high < _NARROW * low:
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.xaxis.set_minor_locator(NullLocator())
+    elif high > _WIDE * low:
+        axes.xaxis.set_major_locator(LogLocator(numticks=4))
+        axes.xaxis.set_minor_locator(NullLocator())
+
 
 _HEIGHTS = (58.0, 34.0, 32.0)
 """mm, of the rows of panels without what is around them."""

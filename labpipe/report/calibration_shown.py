@@ -1,16 +1,145 @@
-"""What the report of a calibration shows beside the calibration: other wires, lengths, shapes."""
+"""What the report of a calibration shows: its records, units, looks and sentences."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
-from labpipe.records.agreement import CurveErrors, Prediction
 from labpipe.records.arrays import Floats, frozen
-from labpipe.records.calibration import Calibration, SourceCalibration
-from labpipe.records.comparison import ThirdCurveComparison
+from labpipe.records.curve_comparison import CurveErrors, Prediction, ThirdCurveComparison
 from labpipe.records.group import Band, SampleCurve
-from labpipe.records.quality import Reason
+from labpipe.records.quality import Reason, Severity
+from labpipe.records.wire_calibration import (
+    COPPER_SCALE,
+    DISPLAYED,
+    INSULATION_MODULUS,
+    RADIAL_FRICTION,
+    CalibratedParameter,
+    Calibration,
+    Separability,
+    SourceCalibration,
+)
+from labpipe.report.figure_page import Look, dash_of
+from labpipe.report.wording import SUPERSCRIPTS, Scale, count_of, write_number
+
+DEFLECTION = Scale(1e3, "mm")
+FORCE = Scale(1.0, "N")
+SMALL_FORCE = Scale(1e3, "mN")
+MODEL, BAND = "#0072B2", "#a6cbe3"
+"""The model and its band; measured samples are black and grey beside it."""
+SOURCE: Mapping[str, Any] = {
+    "color": "#D55E00",
+    "linewidth": 0.9,
+    "linestyle": (0, (4, 1.4, 1, 1.4)),
+}
+"""What `method: source` makes of the same tests."""
+
+_COLOURS = ("#555555", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#D55E00")
+_LETTERS = {"phi": "\u03c6", "mu": "\u03bc"}
+_POWER = re.compile(r"(?<=\d)e([+-])0*(\d+)")
+
+
+class Shown(NamedTuple):
+    """How a parameter is shown.
+
+    Parameters
+    ----------
+    words : its name
+    symbol : on an axis
+    scale : its display unit; an empty one for a ratio
+    """
+
+    words: str
+    symbol: str
+    scale: Scale
+
+    @property
+    def label(self) -> str:
+        """Words for an axis."""
+        return self.scale.label(self.symbol) if self.scale.unit else self.symbol
+
+
+SHOWN: Mapping[str, Shown] = {
+    name: Shown(words, symbol, Scale(*DISPLAYED[name]))
+    for name, words, symbol in (
+        (RADIAL_FRICTION, "friction phi", "Friction \u03c6"),
+        (INSULATION_MODULUS, "modulus of the insulation", "Insulation modulus"),
+        (COPPER_SCALE, "strength of the copper, factor", "Factor on copper's strength"),
+    )
+}
+_IN_WORDS: Mapping[str, str] = {
+    RADIAL_FRICTION: "phi",
+    INSULATION_MODULUS: "the modulus of the insulation",
+    COPPER_SCALE: "the strength of the copper",
+    "strand_friction": "mu_s",
+    "insulation_friction": "mu_p",
+    "radial_force": "F_rad",
+}
+
+
+def typeset(sentence: str) -> str:
+    """Make a sentence of a calibration fit for print.
+
+    Parameters
+    ----------
+    sentence : from its record
+
+    Returns
+    -------
+    A whole sentence: a capital first, unless a symbol is first, powers of ten written as such,
+    parameters in words, and Greek letters.
+
+    Examples
+    --------
+    >>> typeset("the radial_force was held at 2 N")
+    'The F_rad was held at 2 N.'
+    """
+    for name, words in _IN_WORDS.items():
+        sentence = re.sub(rf"\b{name}\b", words, sentence)
+    sentence = _POWER.sub(_power, sentence.strip().rstrip("."))
+    is_symbol = sentence.startswith(("phi", "mu_"))
+    for name, letter in _LETTERS.items():
+        sentence = re.sub(rf"\b{name}(?=\b|_)", letter, sentence)
+    return f"{sentence if is_symbol else sentence[:1].upper() + sentence[1:]}."
+
+
+def _power(found: re.Match[str]) -> str:
+    sign = "-" if found[1] == "-" else ""
+    return f" \u00d7 10{(sign + found[2]).translate(SUPERSCRIPTS)}"
+
+
+def percent(share: float) -> str:
+    """A share to two digits or more, such as ``1.9 %``; empty where there is none.
+
+    Examples
+    --------
+    >>> percent(0.0193), percent(1.0), percent(math.nan)
+    ('1.9 %', '100 %', '')
+    """
+    if not math.isfinite(share):
+        return ""
+    return f"{100.0 * share:.3g} %" if share >= 0.1 else f"{100.0 * share:.2g} %"
+
+
+def length_words(length: float) -> str:
+    """A length, such as ``85 mm``."""
+    return f"{DEFLECTION.factor * length:.4g} {DEFLECTION.unit}"
+
+
+def length_looks(lengths: Sequence[float]) -> dict[float, Look]:
+    """Give the samples of each length a colour and a dash, to be told apart in grey too.
+
+    Parameters
+    ----------
+    lengths : m, in any order, with repetitions
+    """
+    return {
+        length: Look(_COLOURS[number % len(_COLOURS)], dash_of(number))
+        for number, length in enumerate(sorted(set(lengths)))
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,3 +219,126 @@ class CalibrationReport:
             for group in self.groups
             if group.is_calibrated and group.prediction is not None
         }
+
+
+HEADS = ("parameter", "value", "95 % interval", "unit", "verdict")
+_DIGITS = 2
+"""Of a value whose interval is open."""
+_TOLD = frozenset({"at_bound", "not_identified", "prior_contradicts_data"})
+"""Codes of notes that repeat what the sentences of the parameters say."""
+
+
+def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
+    """Write a parameter as the line of a table, under `HEADS`.
+
+    Parameters
+    ----------
+    parameter : an interval that is open on a side is ``below ...`` or ``above ...``
+    """
+    shown = SHOWN[parameter.name]
+    factor, is_open = shown.scale.factor, parameter.is_open_below or parameter.is_open_above
+    written = write_number(parameter.value, parameter.interval, factor)
+    value = write_number(parameter.value, None, factor, digits=_DIGITS) if is_open else written
+    ends = {
+        (False, False): written.interval,
+        (True, False): f"below {written.upper}",
+        (False, True): f"above {written.lower}",
+        (True, True): "open on both sides",
+    }
+    between = ends[parameter.is_open_below, parameter.is_open_above]
+    unit = shown.scale.unit or "1"
+    return (
+        typeset(shown.words).rstrip("."),
+        value.value,
+        between or "\u2013",
+        unit,
+        parameter.verdict.value,
+    )
+
+
+def sentences(calibration: Calibration, source: SourceCalibration | None = None) -> list[str]:
+    """Say what a calibration found, and what it does not know.
+
+    Parameters
+    ----------
+    calibration : all of it
+    source : said where it was run
+
+    Returns
+    -------
+    Sentences on: each parameter, its prior, agreement with the tests, what cannot be told apart,
+    notes, `method: source`.
+    """
+    return [
+        *_parameters(calibration),
+        _agreement(calibration),
+        _levels(calibration),
+        *_separabilities(calibration),
+        *_notes(calibration),
+        *([_source(source)] if source is not None else []),
+    ]
+
+
+def _parameters(calibration: Calibration) -> Iterator[str]:
+    for parameter in calibration.parameters:
+        yield typeset(parameter.words)
+        if parameter.conflict is not None:
+            yield typeset(parameter.conflict.message)
+
+
+def _agreement(calibration: Calibration) -> str:
+    rmse = SMALL_FORCE.factor * calibration.rmse
+    counts = (
+        count_of(calibration.n_points, "point"),
+        count_of(len(calibration.curves), "curve"),
+        count_of(calibration.n_samples, "sample"),
+    )
+    return (
+        f"Model against all curves: RMSE {rmse:.3g} {SMALL_FORCE.unit}, "
+        f"{percent(calibration.rmse_share)} of the largest force, over {' of '.join(counts)}."
+    )
+
+
+def _levels(calibration: Calibration) -> str:
+    levels = calibration.levels
+    scatter = f"Samples scatter by {percent(levels.scatter)} in force"
+    if levels.scatter_freedom == 0.0:
+        scatter = "How samples scatter is not known"
+    return (
+        f"{scatter}; the gain of the load cell is uncertain by {percent(levels.gain)}; "
+        f"the noise is {levels.noise_factor:.2f} times as much as stated, and neighbouring points "
+        f"are correlated by {levels.correlation:.2f}."
+    )
+
+
+def _separabilities(calibration: Calibration) -> Iterator[str]:
+    """Of friction always; of the parameters where they are not all told apart."""
+    for each in (calibration.friction_separability, calibration.separability):
+        if each is not None and _is_worth_saying(each):
+            yield typeset(each.words)
+
+
+def _is_worth_saying(separability: Separability) -> bool:
+    return not all(separability.are_identified.values())
+
+
+def _notes(calibration: Calibration) -> Iterator[str]:
+    for note in calibration.notes:
+        if note.code not in _TOLD and note.severity is not Severity.INFO:
+            yield f"Note: {typeset(note.message)}"
+
+
+def _source(source: SourceCalibration) -> str:
+    milli, unit = SMALL_FORCE
+    numbers = (
+        f"mu_s {source.strand_friction:.3g}, mu_p {source.insulation_friction:.3g}, F_rad "
+        f"{milli * source.radial_force:.4g} {unit}"
+    )
+    start = ", ".join(f"{value:g}" for value in source.start)
+    ending = "" if source.converged else "; its search did not converge"
+    return typeset(
+        f"Method: source, three friction numbers and one stiffness for the whole wire: phi = "
+        f"{milli * source.radial_friction:.4g} {unit} ({numbers}, search begun at {start}); RMSE "
+        f"{milli * source.rmse:.3g} {unit}, "
+        f"{percent(source.rmse_share)} of the largest force{ending}."
+    )

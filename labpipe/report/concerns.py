@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 
+from labpipe.records.curve import Slip, SlipDecision
 from labpipe.records.group import Campaign, Group, GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.records.slips import Slip, SlipDecision
-from labpipe.report.numbers import (
+from labpipe.report.wording import (
     display_of,
     in_words,
     shown_in,
@@ -18,7 +18,7 @@ from labpipe.report.numbers import (
     with_names_in_words,
     write_number,
 )
-from labpipe.statistics.methods import PROTOCOLS_DIFFER
+from labpipe.statistics.group_notes import PROTOCOLS_DIFFER
 
 _IN_LEDGER = frozenset(f"slip_{decision}" for decision in SlipDecision)
 """Notes that only repeat what the slip ledger says."""

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from labpipe.records.result import TestResult
-from labpipe.report.force_displacement import draw_force_displacement
-from labpipe.report.marker_quality import draw_marker_quality
-from labpipe.report.moment_curvature import draw_moment_curvature
+from labpipe.report.bending_figure import draw_moment_curvature
+from labpipe.report.curve_figures import (
+    draw_force_displacement,
+    draw_stiffness_lines,
+    draw_timeline,
+)
+from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
 from labpipe.report.saving import FigureToSave, save_pages
-from labpipe.report.stiffness_lines import draw_stiffness_lines
-from labpipe.report.timeline import draw_timeline
-from labpipe.report.wire_shapes import draw_wire_shapes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -1,22 +1,311 @@
-"""The figures of a group: which there are, what they say in words, and how they are saved."""
+"""The figures of a group: slips, dots of each number, which figures there are, and saving them."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.group import Band, Group
-from labpipe.report.group_curves import draw_curves, draw_scaled, seen
-from labpipe.report.group_dots import draw_dots, numbers_to_draw
-from labpipe.report.group_lines import draw_lines, has_lines
-from labpipe.report.group_look import count_words, finite_end, group_scale
-from labpipe.report.group_slips import draw_slips, with_slips
-from labpipe.report.numbers import in_words
+from labpipe.records.curve import Interval, SlipDecision
+from labpipe.records.group import Band, Group, GroupNumber, MeanInterval, Sample, SampleCurve
+from labpipe.records.result import Status
+from labpipe.report.figure_page import GREY, keep_in_view, panel_grid
+from labpipe.report.group_plots import (
+    RED,
+    count_words,
+    draw_curves,
+    draw_lines,
+    draw_scaled,
+    finite_end,
+    first_loading,
+    group_page,
+    group_scale,
+    has_lines,
+    label_axes,
+    seen,
+    spool_looks,
+    thin,
+)
 from labpipe.report.saving import FigureToSave, SavedFigure, save_report_figures
+from labpipe.report.wording import display_of, in_words, shortened, shown_in, unit_words
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+MOST_PANELS = 8
+_SLIP_COLUMNS = 2
+_HEIGHT = 62.0
+_LONGEST = 40
+_MEASURED: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (4, 1.6))}
+_CUT: dict[str, Any] = {"color": GREY, "linewidth": 0.6, "linestyle": ":"}
+
+
+def with_slips(group: Group) -> list[Sample]:
+    """Samples of a group that slipped and have a curve."""
+    return [
+        sample for sample in group.samples if sample.slips and first_loading(sample) is not None
+    ]
+
+
+def draw_slips(group: Group) -> Figure:
+    """Draw a panel for each sample that slipped, at the most `MOST_PANELS`.
+
+    Parameters
+    ----------
+    group : one with slips; samples beyond the last panel are named in the footnote
+    """
+    samples = with_slips(group)
+    shown, rest = samples[:MOST_PANELS], samples[MOST_PANELS:]
+    rows = math.ceil(len(shown) / _SLIP_COLUMNS)
+    note = (
+        f"Not drawn, but in the list of slips: {', '.join(s.test for s in rest)}." if rest else ""
+    )
+    page = group_page(group, _slip_keys(shown), height_mm=_HEIGHT * rows, note=note)
+    panels = panel_grid(page, len(shown), columns=_SLIP_COLUMNS, sharey=True)
+    for sample, axes in zip(shown, panels, strict=True):
+        plot_slips(group, sample, axes)
+        axes.set_title(shortened(sample.test, _LONGEST), loc="left")
+        axes.label_outer(remove_inner_ticks=True)
+    return page
+
+
+def plot_slips(group: Group, sample: Sample, axes: Axes) -> None:
+    """Draw the first loading of one sample: as measured dashed, as processed solid, slips marked.
+
+    Parameters
+    ----------
+    group : gives looks and display units
+    sample : one with a curve
+    axes : to draw on
+    """
+    curve = first_loading(sample)
+    if curve is None:
+        return
+    across = group_scale(group, "displacement").factor
+    up = group_scale(group, "force").factor
+    if _is_repaired(sample):
+        x, y = thin(curve, curve.as_measured)
+        axes.plot(x * across, y * up, **_MEASURED)
+    x, y = thin(curve, curve.force)
+    axes.plot(x * across, y * up, color=spool_looks(group)[sample.specimen.spool].colour)
+    for slip in sample.slips:
+        height = _height(curve, slip.position)
+        axes.axvline(slip.position * across, **_CUT)
+        axes.plot(slip.position * across, height * up, "v", color=RED, zorder=5)
+    label_axes(group, axes)
+
+
+def _height(curve: SampleCurve, position: float) -> float:
+    """Force of the curve at a slip, N; NaN outside of it."""
+    known = np.isfinite(curve.force) & np.isfinite(curve.displacement)
+    x, y = curve.displacement[known], curve.force[known]
+    return float(np.interp(position, x, y, left=np.nan, right=np.nan)) if len(x) else math.nan
+
+
+def _is_repaired(sample: Sample) -> bool:
+    return any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips)
+
+
+def _slip_keys(samples: list[Sample]) -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    keys: list[Artist] = [Line2D([], [], label="as processed")]
+    if any(_is_repaired(sample) for sample in samples):
+        keys.append(Line2D([], [], label="as measured", **_MEASURED))
+    keys.append(Line2D([], [], color=RED, marker="v", linestyle="", label="slip"))
+    return keys
+
+
+MOST_NUMBERS = 6
+MOST_ROWS = 24
+"""Samples that get a row each; in larger groups those of a spool share one."""
+_ROW = 3.7
+_PANEL = 17.0
+_COLUMNS = 2
+_RING: dict[str, Any] = {
+    "marker": "o", "color": RED, "markerfacecolor": "none", "markersize": 8, "linestyle": ""
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One line of the figure.
+
+    Parameters
+    ----------
+    height : of the row, counted from 0 at the top
+    label : at its left
+    value : in SI; NaN for none
+    interval : 95 %
+    colour, marker : of its dot
+    is_open : an open dot: the result is doubtful
+    is_marked : a ring around it: marked as an outlier
+    note : written where there is no dot
+    """
+
+    height: float
+    label: str
+    value: float
+    interval: Interval | None
+    colour: str
+    marker: str
+    is_open: bool = False
+    is_marked: bool = False
+    note: str = ""
+
+
+def numbers_to_draw(group: Group) -> list[GroupNumber]:
+    """Pick numbers with at least two samples, no later cycles, and `MOST_NUMBERS` at the most."""
+    own = [
+        each
+        for each in group.numbers
+        if _is_first(each.name) and each.mean is not None and each.mean.over_samples.n > 1
+    ]
+    return own[:MOST_NUMBERS]
+
+
+def draw_dots(group: Group) -> Figure:
+    """Draw a panel per number; its rows are samples, spool means and the mean.
+
+    Parameters
+    ----------
+    group : one that has `numbers_to_draw`
+    """
+    numbers = numbers_to_draw(group)
+    drawn = {number.name for number in numbers}
+    left_out = [
+        each.name for each in group.numbers if _is_first(each.name) and each.name not in drawn
+    ]
+    rows = math.ceil(len(numbers) / _COLUMNS)
+    lines = _next(rows_of(group, numbers[0]))
+    note = f"In the tables only: {'; '.join(map(in_words, left_out))}." if left_out else ""
+    page = group_page(
+        group, _keys(numbers), columns=4, height_mm=rows * (_PANEL + _ROW * lines), note=note
+    )
+    panels = panel_grid(page, len(numbers), columns=_COLUMNS, sharey=True)
+    for number, axes in zip(numbers, panels, strict=True):
+        plot_dots(group, number, axes)
+    return page
+
+
+def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
+    """Draw one number: a dot and its interval per row, the mean's interval as a grey stripe.
+
+    Parameters
+    ----------
+    group : gives looks and display units
+    number : one with a mean
+    axes : to draw on
+    """
+    shown = shown_in(number.name, number.unit, display_of(group))
+    rows = rows_of(group, number)
+    for row in rows:
+        _plot_row(row, shown.factor, axes)
+    labels = {math.floor(row.height + 0.5): row.label for row in rows}
+    axes.set_yticks(list(labels), list(labels.values()))
+    axes.tick_params(axis="y", length=0, labelsize=7)
+    axes.set_ylim(len(labels) - 0.4, -0.6)
+    axes.set_title(in_words(number.name), loc="left", size=8)
+    axes.set_xlabel(unit_words(shown.unit))
+    keep_in_view([shown.factor * row.value for row in rows], axes)
+    axes.locator_params(axis="x", nbins=5)
+
+
+def rows_of(group: Group, number: GroupNumber) -> list[Row]:
+    """Lay out the rows of a panel: each spool's samples and its mean, then the mean of all.
+
+    Parameters
+    ----------
+    group, number : what to lay out; a sample without the number keeps its row, with a word in it
+
+    Returns
+    -------
+    The same heights for every number of a group. In a group of more than `MOST_ROWS` samples those
+    of a spool share a row, beside each other and without intervals.
+    """
+    rows: list[Row] = []
+    for spool, look in spool_looks(group).items():
+        own = [sample.test for sample in group.samples if sample.specimen.spool == spool]
+        rows += _sample_rows(number, own, _next(rows), look.colour, len(group.samples) > MOST_ROWS)
+        mean = number.mean.spool_means.get(spool) if number.mean is not None else None
+        label = f"mean of {spool}"
+        rows.append(_mean_row(_next(rows), label, mean, look.colour))
+    chosen = number.mean.chosen if number.mean is not None else None
+    return [*rows, _mean_row(_next(rows), "mean", chosen, "black")]
+
+
+def _next(rows: list[Row]) -> float:
+    return math.floor(rows[-1].height + 0.5) + 1.0 if rows else 0.0
+
+
+def _sample_rows(
+    number: GroupNumber, tests: list[str], top: float, colour: str, is_crowded: bool
+) -> list[Row]:
+    if not is_crowded:
+        return [_sample_row(number, test, top + at, colour) for at, test in enumerate(tests)]
+    label = f"{len(tests)} samples"
+    return [
+        replace(_sample_row(number, test, top + step, colour), label=label, interval=None, note="")
+        for test, step in zip(tests, np.linspace(-0.35, 0.35, len(tests)), strict=True)
+    ]
+
+
+def _mean_row(height: float, label: str, mean: MeanInterval | None, colour: str) -> Row:
+    if mean is None:
+        return Row(height, label, math.nan, None, colour, "D")
+    return Row(height, label, mean.mean, mean.interval, colour, "D")
+
+
+def _sample_row(number: GroupNumber, test: str, height: float, colour: str) -> Row:
+    result = number.values.get(test)
+    if result is None or result.value is None:
+        return Row(height, test, math.nan, None, colour, "o", note="no number")
+    is_marked = any(outlier.sample == test for outlier in number.outliers)
+    is_open = result.status is Status.DOUBTFUL
+    return Row(height, test, result.value, result.interval, colour, "o", is_open, is_marked)
+
+
+def _plot_row(row: Row, factor: float, axes: Axes) -> None:
+    if math.isnan(row.value):
+        axes.text(
+            0.5, row.height, row.note, transform=axes.get_yaxis_transform(), ha="center",
+            va="center", size=7, color=GREY,
+        )  # fmt: skip
+        return
+    if row.interval is not None:
+        ends = [factor * row.interval.lower, factor * row.interval.upper]
+        width = 1.6 if row.marker == "D" else 0.9
+        axes.plot(ends, [row.height] * 2, color=row.colour, linewidth=width)
+    face = "white" if row.is_open else row.colour
+    axes.plot(factor * row.value, row.height, row.marker, color=row.colour, markerfacecolor=face)
+    if row.is_marked:
+        axes.plot(factor * row.value, row.height, **_RING)
+
+
+def _is_first(name: str) -> bool:
+    """Tell numbers of the specimen as a whole, or of its first cycle, from those of later ones."""
+    return name.partition(".")[2] in {"", "1"}
+
+
+def _keys(numbers: list[GroupNumber]) -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    rings = [Line2D([], [], label="marked as outlier", **_RING)]
+    return [
+        Line2D([], [], color=GREY, marker="o", label="sample, 95 %"),
+        Line2D([], [], color=GREY, marker="o", markerfacecolor="white", label="doubtful"),
+        Line2D([], [], color=GREY, marker="D", linewidth=1.6, label="mean, 95 %"),
+        *(rings if any(number.outliers for number in numbers) else []),
+    ]
 
 
 def drawings(group: Group) -> Iterator[FigureToSave]:

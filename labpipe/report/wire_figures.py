@@ -1,4 +1,4 @@
-"""The figures of a sheet of wires: which there are, their names, and how they are saved."""
+"""The figures of a sheet of wires: stiffness, moment, cantilever, comparison, and saving them."""
 
 from __future__ import annotations
 
@@ -6,19 +6,380 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
-from labpipe.report.page import in_pages
+from labpipe.report.figure_page import (
+    Words,
+    in_pages,
+    keyed_page,
+    line_looks,
+    number_log,
+    panel_letter,
+    require_room,
+    say,
+)
 from labpipe.report.saving import FigureToSave, save_pages
-from labpipe.report.wire_cantilever import cantilever_figure
-from labpipe.report.wire_comparison import comparison_figure
-from labpipe.report.wire_look import MOST_WIRES
-from labpipe.report.wire_sections import section_figure
-from labpipe.report.wire_stiffness import moment_figure, stiffness_figure
+from labpipe.report.wire_sections import (
+    CURVATURE,
+    FORCE,
+    LENGTH,
+    MOMENT,
+    MOST_WIRES,
+    bent,
+    section_figure,
+    set_log,
+    short_name,
+    stiffness_scale,
+    warnings_of,
+    wire_title,
+)
+from labpipe.report.wording import Scale, write_number
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+
+_HEIGHT, _PAIR_HEIGHT = 76.0, 62.0
+_SECANT: dict[str, Any] = {"color": "#0072B2", "linewidth": 1.5, "zorder": 4}
+_TANGENT: dict[str, Any] = {
+    "color": "#D55E00", "linewidth": 1.2, "linestyle": (0, (5, 1.5)), "zorder": 3
+}  # fmt: skip
+_UNYIELDING: dict[str, Any] = {
+    "color": "#0072B2", "linewidth": 0.8, "linestyle": (0, (1, 1.4)), "zorder": 3
+}  # fmt: skip
+_SPREAD: dict[str, Any] = {"color": "#56B4E9", "alpha": 0.45, "linewidth": 0, "zorder": 1}
+_LIMIT: dict[str, Any] = {
+    "color": "black", "linewidth": 0.6, "linestyle": (0, (5, 1.5, 1.2, 1.5)), "zorder": 2
+}  # fmt: skip
+_ONSET: dict[str, Any] = {
+    "color": "black", "marker": "|", "markersize": 8.0, "linestyle": "", "zorder": 5
+}  # fmt: skip
+_WHOLE: dict[str, Any] = {"color": "black", "linewidth": 1.2, "zorder": 4}
+_ELASTIC: dict[str, Any] = {
+    "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.4)), "zorder": 3
+}  # fmt: skip
+_HEADROOM, _TOO_CLOSE = 1.4, 1.35
+_MOST_ELASTIC = 2.0
+"""How far a panel goes for the line without yielding, in largest moments."""
+_PARTS = (
+    ("insulation", "#c8c8c8", ""),
+    ("strands' own bending", "#E69F00", "\\\\\\\\"),
+    ("strands that slip", "#56B4E9", "////"),
+    ("strands that stick", "#0072B2", ""),
+)
+"""What a moment is made of from the bottom of the stack: name, colour, hatch."""
+
+
+def stiffness_figure(table: WireTable) -> Figure:
+    """Draw secant and tangent stiffness against curvature, both axes logarithmic.
+
+    Parameters
+    ----------
+    table : of the wire
+
+    Returns
+    -------
+    A page with the limits when all strands stick and when all slip without friction, the
+    curvatures at which strands begin to slip, and the spread of the secant stiffness over all
+    orientations of the section.
+    """
+    words = Words(wire_title(table), warnings_of(table), _stiffness_keys(table))
+    page = keyed_page(words, height_mm=_HEIGHT)
+    plot_stiffness(table, page.subplots())
+    return page
+
+
+def plot_stiffness(table: WireTable, axes: Axes) -> None:
+    """Draw the stiffnesses of one wire.
+
+    Parameters
+    ----------
+    table : the point at zero curvature is left out, as it has no place on the axis
+    axes : to draw on
+    """
+    use = bent(table)
+    across, unit = table.curvature[use], stiffness_scale([table])
+    up = unit.factor
+    lowest, highest = (
+        up * moment[use] / across for moment in (table.lowest_moment, table.highest_moment)
+    )
+    axes.fill_between(across, lowest, highest, **_SPREAD)
+    axes.plot(across, up * (table.moment - table.plastic)[use] / across, **_UNYIELDING)
+    axes.plot(across, up * table.tangent_stiffness[use], **_TANGENT)
+    axes.plot(across, up * table.secant_stiffness[use], **_SECANT)
+    axes.set_yscale("log")
+    _mark_limits(table, axes, unit)
+    set_log(axes, across)
+    axes.set_ylabel(unit.label("Bending stiffness"))
+    _mark_onsets(table, axes)
+
+
+def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
+    """Both limits as lines across the panel, named beside it, where no curve can be."""
+    stick, slip = (unit.factor * value for value in (table.stick_stiffness, table.slip_stiffness))
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, max(high, _HEADROOM * stick))
+    names = {stick: f"all stick\n{_digits(stick)}", slip: f"all slip\n{_digits(slip)}"}
+    for level in (stick, slip):
+        axes.axhline(level, **_LIMIT)
+    if stick < _TOO_CLOSE * slip:
+        names = {slip: f"all stick\n{_digits(stick)}\nall slip\n{_digits(slip)}"}
+    beside = axes.get_yaxis_transform()
+    for level, words in names.items():
+        axes.text(1.01, level, words, transform=beside, va="center", fontsize=8)
+
+
+def _digits(value: float) -> str:
+    return write_number(value, None, digits=4).value
+
+
+def _mark_onsets(table: WireTable, axes: Axes) -> None:
+    seen = _shown_onsets(table)
+    level = np.full(len(seen), 0.035)
+    axes.plot(seen, level, transform=axes.get_xaxis_transform(), **_ONSET)
+
+
+def _shown_onsets(table: WireTable) -> Floats:
+    """Onsets of slip within the range; zero has no place on the axis."""
+    onsets = table.slip_onsets
+    return np.asarray(onsets[(onsets > 0.0) & (onsets <= table.curvature[-1])])
+
+
+def _stiffness_keys(table: WireTable) -> list[Artist]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    return [
+        Line2D([], [], label="secant", **_SECANT),
+        Line2D([], [], label="tangent", **_TANGENT),
+        Line2D([], [], label="secant, without yielding", **_UNYIELDING),
+        Patch(label="secant, all orientations", **_SPREAD),
+        Line2D([], [], label="limits without yielding", **_LIMIT),
+        *(
+            [Line2D([], [], label="a strand begins to slip", **_ONSET)]
+            if len(_shown_onsets(table))
+            else []
+        ),
+    ]
+
+
+def moment_figure(table: WireTable) -> Figure:
+    """Draw the moment against curvature with what it is made of, and the shares of each part.
+
+    Parameters
+    ----------
+    table : of the wire
+
+    Returns
+    -------
+    A page with two panels: moments stacked against curvature; shares of the moment against
+    curvature on a logarithmic axis, where the change from stick to slip is seen.
+    """
+    words = Words(wire_title(table), warnings_of(table), _moment_keys())
+    page = keyed_page(words, height_mm=_PAIR_HEIGHT)
+    left, right = page.subplots(1, 2)
+    plot_parts(table, left)
+    plot_shares(table, right)
+    panel_letter(left, "a", "moment")
+    panel_letter(right, "b", "shares of the moment")
+    return page
+
+
+def plot_parts(table: WireTable, axes: Axes) -> None:
+    """Stack the parts of the moment; a dotted line is the moment if no strand yielded.
+
+    Parameters
+    ----------
+    table : of the wire; what yielding takes away is taken from the strands' own bending
+    axes : to draw on
+    """
+    across, up = table.curvature, MOMENT.factor
+    _stack(axes, across, [up * part for part in moment_parts(table)])
+    axes.plot(across, up * table.moment, **_WHOLE)
+    elastic = up * (table.moment - table.plastic)
+    axes.plot(across, elastic, **_ELASTIC)
+    top = 1.04 * min(float(elastic.max()), _MOST_ELASTIC * up * float(table.moment.max()))
+    axes.set_xlim(0.0, across[-1])
+    axes.set_ylim(0.0, top)
+    axes.set_xlabel(CURVATURE.label("Curvature"))
+    axes.set_ylabel(MOMENT.label("Bending moment"))
+
+
+def plot_shares(table: WireTable, axes: Axes) -> None:
+    """Stack the parts as percentages of the moment against the logarithm of the curvature.
+
+    Parameters
+    ----------
+    table : the point at zero curvature is left out
+    axes : to draw on
+    """
+    use = bent(table)
+    across = table.curvature[use]
+    _stack(axes, across, [100.0 * part[use] / table.moment[use] for part in moment_parts(table)])
+    axes.set_xscale("log")
+    axes.set_xlim(across[0], across[-1])
+    number_log(axes.xaxis)
+    axes.set_ylim(0.0, 100.0)
+    axes.set_xlabel(CURVATURE.label("Curvature"))
+    axes.set_ylabel("Share of the moment (%)")
+
+
+def moment_parts(table: WireTable) -> tuple[Floats, Floats, Floats, Floats]:
+    """Insulation, strands' own bending as they yield, strands that slip, that stick; each N m."""
+    return table.insulation, table.bending + table.plastic, table.slip, table.stick
+
+
+def _stack(axes: Axes, across: Floats, parts: Sequence[Floats]) -> None:
+    floor = np.zeros(len(across))
+    for part, (_, colour, hatch) in zip(parts, _PARTS, strict=True):
+        axes.fill_between(across, floor, floor + part, **_fill(colour, hatch))
+        floor = floor + part
+
+
+def _fill(colour: str, hatch: str) -> dict[str, Any]:
+    return {"facecolor": colour, "hatch": hatch, "edgecolor": "white", "linewidth": 0.0}
+
+
+def _moment_keys() -> list[Artist]:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    return [
+        *(Patch(label=name, **_fill(colour, hatch)) for name, colour, hatch in reversed(_PARTS)),
+        Line2D([], [], label="whole moment", **_WHOLE),
+        Line2D([], [], label="without yielding", **_ELASTIC),
+    ]
+
+
+_CANTILEVER_HEIGHT = 70.0
+_CURVE: dict[str, Any] = {"color": "#0072B2", "linewidth": 1.5, "zorder": 3}
+_STICK: dict[str, Any] = {"color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.4))}
+_SLIP: dict[str, Any] = {"color": "black", "linewidth": 0.6, "linestyle": (0, (5, 1.5, 1.2, 1.5))}
+_ROOM = 1.08
+
+
+def cantilever_figure(table: WireTable) -> Figure:
+    """Draw the end load against the deflection of the tip.
+
+    Parameters
+    ----------
+    table : one without a cantilever curve gets a page that says so
+
+    Returns
+    -------
+    A page with the curve and the two straight lines of small deflections: all strands stick, all
+    slip without friction.
+    """
+    note = " ".join([*_setting(table), warnings_of(table)]).strip()
+    if not len(table.tip_deflection):
+        page = keyed_page(Words(wire_title(table), note), height_mm=40.0)
+        say(page.subplots(), "There is no cantilever curve to draw.")
+        return page
+    page = keyed_page(Words(wire_title(table), note, _keys()), height_mm=_CANTILEVER_HEIGHT)
+    plot_cantilever(table, page.subplots())
+    return page
+
+
+def plot_cantilever(table: WireTable, axes: Axes) -> None:
+    """Draw the curve, and the straight lines of small deflections as far as the panel goes.
+
+    Parameters
+    ----------
+    table : with a cantilever curve
+    axes : to draw on
+
+    Notes
+    -----
+    The straight lines are force = 3 EI deflection / length^3.
+    """
+    across, up = LENGTH.factor * table.tip_deflection, FORCE.factor * table.tip_force
+    ends = np.array([0.0, table.tip_deflection[-1]])
+    for stiffness, look in ((table.stick_stiffness, _STICK), (table.slip_stiffness, _SLIP)):
+        force = 3.0 * stiffness / table.spec.length**3 * ends
+        axes.plot(LENGTH.factor * ends, FORCE.factor * force, **look)
+    axes.plot(across, up, **_CURVE)
+    axes.set_xlim(0.0, across[-1])
+    axes.set_ylim(0.0, _ROOM * float(np.max(up)))
+    axes.set_xlabel(LENGTH.label("Tip deflection"))
+    axes.set_ylabel(FORCE.label("End load"))
+
+
+def _setting(table: WireTable) -> list[str]:
+    length = LENGTH.factor * table.spec.length
+    return [
+        f"Free length {length:.4g} {LENGTH.unit}, first loading; the load stays normal to the"
+        " clamped axis. Straight lines: the limits without yielding,"
+        " 3\u00a0EI\u00a0/\u00a0length³."
+    ]
+
+
+def _keys() -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], label="wire model", **_CURVE),
+        Line2D([], [], label="straight line, all stick", **_STICK),
+        Line2D([], [], label="straight line, all slip", **_SLIP),
+    ]
+
+
+_COMPARISON_HEIGHT = 76.0
+_RANGES = "Each line ends where the range of its law ends."
+
+
+def comparison_figure(tables: Sequence[WireTable]) -> Figure:
+    """Draw secant stiffness and moment of several wires against curvature, one line each.
+
+    Parameters
+    ----------
+    tables : 1 to 12 wires
+
+    Raises
+    ------
+    ValueError
+        If there is no wire, or there are more than can be told apart.
+    """
+    require_room(len(tables), MOST_WIRES, "wires")
+    words = Words("Wires compared  ·  wire model", _RANGES, _wire_keys(tables))
+    page = keyed_page(words, height_mm=_COMPARISON_HEIGHT)
+    left, right = page.subplots(1, 2)
+    unit = stiffness_scale(tables)
+    for table, look in zip(tables, line_looks(len(tables)), strict=True):
+        style: dict[str, Any] = {"color": look.colour, "linestyle": look.dash}
+        use = bent(table)
+        left.plot(table.curvature[use], unit.factor * table.secant_stiffness[use], **style)
+        right.plot(table.curvature, MOMENT.factor * table.moment, **style)
+    set_log(left, _shared_range(tables))
+    left.set_ylabel(unit.label("Secant bending stiffness"))
+    right.set_xlim(left=0.0)
+    right.set_ylim(bottom=0.0)
+    right.set_xlabel(CURVATURE.label("Curvature"))
+    right.set_ylabel(MOMENT.label("Bending moment"))
+    panel_letter(left, "a", "secant stiffness")
+    panel_letter(right, "b", "moment")
+    return page
+
+
+def _shared_range(tables: Sequence[WireTable]) -> Floats:
+    """Smallest and largest curvature that any of the wires has, 1/m."""
+    curvatures = [table.curvature[bent(table)] for table in tables]
+    return np.array([min(each[0] for each in curvatures), max(each[-1] for each in curvatures)])
+
+
+def _wire_keys(tables: Sequence[WireTable]) -> list[Artist]:
+    from matplotlib.lines import Line2D
+
+    return [
+        Line2D([], [], color=look.colour, linestyle=look.dash, label=short_name(table))
+        for table, look in zip(tables, line_looks(len(tables)), strict=True)
+    ]
+
 
 _NOT_IN_A_FILE = re.compile(r'[\\/:*?"<>|\x00-\x1f]')
 _OF_ONE_WIRE: dict[str, Callable[[WireTable], Figure]] = {

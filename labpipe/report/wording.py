@@ -1,13 +1,20 @@
-"""What figures say in words: axis labels with display units, titles, footnotes, missing data."""
+"""How reports write: names in words, units, numbers with the digits that mean something, labels."""
 
 from __future__ import annotations
 
+import math
 import re
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
+from labpipe.records.curve import Interval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.units import si_factor
+
+if TYPE_CHECKING:
+    from labpipe.records.group import Group, MeanInterval
 
 
 class Scale(NamedTuple):
@@ -96,3 +103,286 @@ def why_missing(result: TestResult, what: str) -> str:
     """Say that a stage of the test is not there, with the first error that the test notes."""
     errors = (note.message for note in result.quality if note.severity is Severity.ERROR)
     return " ".join([f"There is no {what} to draw.", *list(errors)[:1]])
+
+
+_WORDS = {
+    "bending_stiffness": "Bending stiffness",
+    "break_point": "Break point of the two segments",
+    "clock_drift": "Drift of the clocks",
+    "clock_offset": "Offset of the clocks",
+    "compliance": "Compliance of frame and grips",
+    "energy": "Energy dissipated",
+    "energy_to_break": "Energy to break",
+    "failure_displacement": "Displacement at failure",
+    "failure_force": "Force at failure",
+    "initial_stiffness": "Initial stiffness",
+    "kink_displacement": "Displacement at the kink",
+    "peak_displacement": "Displacement at the peak",
+    "peak_force": "Peak force",
+    "plateau_displacement": "Displacement at the plateau",
+    "residual_displacement": "Residual displacement",
+    "segment_stiffness_first": "Stiffness, first fitted segment",
+    "segment_stiffness_second": "Stiffness, second fitted segment",
+    "slack": "Slack",
+    "slip_drop": "Force lost in slip",
+    "slip_position": "Position of slip",
+    "stiffness": "Stiffness",
+    "stiffness_first": "Stiffness, first region",
+    "stiffness_second": "Stiffness, second region",
+    "tip_travel": "Travel of the tip",
+    "unloading_stiffness": "Unloading stiffness",
+}
+_QUANTITIES = {
+    "m": "displacement",
+    "N": "force",
+    "N/m": "stiffness",
+    "J": "energy",
+    "s": "time",
+    "Pa": "pressure",
+    "m/N": "compliance",
+    "1/m": "curvature",
+    "N*m^2": "bending_stiffness",
+    "rad": "angle",
+}
+"""The quantity whose display unit a result of this SI unit takes."""
+_PER_PEAK = "_per_peak_force"
+_ONE_BY_ONE = ("slip_position", "slip_drop")
+_DIGITS_ALONE = 4
+_DIGITS_OF_INTERVAL = 2
+_DIGITS_OF_MEAN, _BEYOND_INTERVAL = 3, 2
+_PLAIN = (1e-3, 1e6)
+"""Sizes between which a number is written without a power of ten."""
+SUPERSCRIPTS = str.maketrans(
+    "-0123456789", "\u207b\u2070\u00b9\u00b2\u00b3\u2074\u2075\u2076\u2077\u2078\u2079"
+)
+
+
+def in_words(name: str) -> str:
+    """Word the name of a result for a person.
+
+    Parameters
+    ----------
+    name : of a result, snake case, with a cycle or a part after a dot
+
+    Returns
+    -------
+    Words; for a name that is not known here, its own words.
+
+    Examples
+    --------
+    >>> in_words("peak_force.2")
+    'Peak force, cycle 2'
+    >>> in_words("stiffness_first_per_peak_force")
+    'Stiffness, first region, per peak force'
+    >>> in_words("slip_drop.1")
+    'Force lost in slip 1'
+    """
+    stem, _, part = name.partition(".")
+    if stem.endswith(_PER_PEAK):
+        words = f"{in_words(stem.removesuffix(_PER_PEAK))}, per peak force"
+    else:
+        words = _WORDS.get(stem) or stem.replace("_", " ").capitalize()
+    if not part:
+        return words
+    return f"{words} {part}" if stem in _ONE_BY_ONE else f"{words}, cycle {part}"
+
+
+_NAME = re.compile(r"(?<![\w./-])[a-z]+(?:_[a-z0-9]+)+(?:\.\d+)?(?![\w/]|\.\w)")
+_OPEN_ENDED = ("stiffness_", "modulus_")
+"""Names that a protocol goes on with as it likes."""
+
+
+def with_names_in_words(sentence: str) -> str:
+    """Word the names of results that stand in a sentence.
+
+    Parameters
+    ----------
+    sentence : names of files and keys of a protocol in it stay as they are
+
+    Examples
+    --------
+    >>> with_names_in_words("no modulus, as stiffness_second failed")
+    'no modulus, as stiffness, second region failed'
+    """
+
+    def word(found: re.Match[str]) -> str:
+        stem = found[0].partition(".")[0].removesuffix(_PER_PEAK)
+        if stem not in _WORDS and not stem.startswith(_OPEN_ENDED):
+            return found[0]
+        words = in_words(found[0])
+        return words if found.start() == 0 else words[0].lower() + words[1:]
+
+    return _NAME.sub(word, sentence)
+
+
+def is_main(name: str) -> bool:
+    """Tell numbers of the specimen from those of a single slip or of the clocks."""
+    return not name.startswith(("slip_", "clock_"))
+
+
+def shown_in(name: str, unit: str, display: Mapping[str, str]) -> Scale:
+    """Find factor and unit that a result is shown in.
+
+    Parameters
+    ----------
+    name, unit : of the result, in SI
+    display : display unit by quantity
+
+    Returns
+    -------
+    Factor from SI to the display unit, and its name; SI where no display unit is known.
+    """
+    if name == "clock_drift":
+        return Scale(1e6, "ppm")
+    wanted = display.get(_QUANTITIES.get(unit, ""))
+    return Scale(1.0, unit) if wanted is None else Scale(1.0 / si_factor(wanted, unit), wanted)
+
+
+def display_of(group: Group) -> Mapping[str, str]:
+    """Display units of a group: those of its first sample, as all share a protocol."""
+    return group.samples[0].display if group.samples else {}
+
+
+def unit_words(unit: str) -> str:
+    """Write a unit for people: ``N*mm^2`` as N·mm², and nothing for a pure number.
+
+    Examples
+    --------
+    >>> unit_words("N*mm^2")
+    'N·mm²'
+    >>> unit_words("1")
+    ''
+    """
+    raised = re.sub(r"\^(-?\d+)", lambda found: found[1].translate(SUPERSCRIPTS), unit)
+    return "" if unit == "1" else raised.replace("*", "·")
+
+
+def heading(name: str, unit: str) -> str:
+    """Name of a result in words with its unit in brackets, for a column or an axis."""
+    words = unit_words(unit)
+    return f"{in_words(name)} ({words})" if words else in_words(name)
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A number as text, with the ends of its interval; both empty where it has none."""
+
+    value: str
+    lower: str = ""
+    upper: str = ""
+
+    @property
+    def interval(self) -> str:
+        """The interval in words, such as ``46.3 to 58.3``; empty where there is none."""
+        return f"{self.lower} to {self.upper}" if self.lower else ""
+
+    @property
+    def text(self) -> str:
+        """Number and interval in one line."""
+        return f"{self.value} ({self.interval})" if self.lower else self.value
+
+
+def write_number(
+    value: float, interval: Interval | None, factor: float = 1.0, *, digits: int = _DIGITS_ALONE
+) -> Written:
+    """Write a number with as many digits as its interval supports.
+
+    Parameters
+    ----------
+    value, interval : in SI; a value that is not finite is written as a dash
+    factor : from SI to the display unit
+    digits : significant digits of a number without an interval
+
+    Returns
+    -------
+    With an interval, all three numbers to the second significant digit of half its width
+    (the convention of the GUM, 7.2.6); without one, `digits` significant digits.
+
+    Examples
+    --------
+    >>> write_number(0.052284, Interval(0.046271, 0.058296), 1e3)
+    Written(value='52.3', lower='46.3', upper='58.3')
+    >>> write_number(1234.567, None).value
+    '1235'
+    """
+    return _written(value, interval, factor, _place(value, interval, factor, digits))
+
+
+def write_mean(
+    mean: MeanInterval, factor: float = 1.0, parts: Iterable[MeanInterval] = ()
+) -> Written:
+    """Write a mean with digits that can be compared with what it was averaged from.
+
+    Parameters
+    ----------
+    mean : in SI
+    factor : from SI to the display unit
+    parts : means of the spools
+
+    Returns
+    -------
+    As `write_number`, but with three significant digits of the mean at least and as many decimals
+    as the coarsest of the parts, however wide the interval; at the most two digits more than the
+    interval supports.
+
+    Examples
+    --------
+    >>> from labpipe.records.group import MeanInterval
+    >>> write_mean(MeanInterval(11.468, Interval(-31.2, 54.1), 4.7, 2)).text
+    '11.5 (-31.2 to 54.1)'
+    """
+    supported = _place(mean.mean, mean.interval, factor, _DIGITS_ALONE)
+    wanted = [_place_of_mean(each, factor) for each in parts]
+    place = min([_place_of_mean(mean, factor), *([max(wanted)] if wanted else [])])
+    kept = max(place, supported - _BEYOND_INTERVAL)
+    return _written(mean.mean, mean.interval, factor, kept)
+
+
+def _place_of_mean(mean: MeanInterval, factor: float) -> int:
+    supported = _place(mean.mean, mean.interval, factor, _DIGITS_ALONE)
+    if mean.mean == 0.0 or not math.isfinite(mean.mean):
+        return supported
+    return min(supported, _last_place(abs(factor * mean.mean), _DIGITS_OF_MEAN))
+
+
+def _place(value: float, interval: Interval | None, factor: float, digits: int) -> int:
+    """Power of ten of the last digit that an interval supports; of `digits` without one."""
+    ends = (interval.lower, interval.upper) if interval is not None else ()
+    shown = [factor * number for number in (value, *ends)]
+    half = (max(shown[1:]) - min(shown[1:])) / 2.0 if ends else 0.0
+    if not all(map(math.isfinite, shown)) or not half > 0.0:
+        return _last_place(max(map(abs, shown)), digits)
+    return _last_place(half, _DIGITS_OF_INTERVAL)
+
+
+def _written(value: float, interval: Interval | None, factor: float, place: int) -> Written:
+    if not math.isfinite(value):
+        return Written("\u2013")
+    ends = (interval.lower, interval.upper) if interval is not None else ()
+    shown = [factor * number for number in (value, *ends)]
+    return Written(*_alike(shown, place))
+
+
+def _last_place(size: float, digits: int) -> int:
+    """Power of ten of the last of so many significant digits."""
+    if size == 0.0 or not math.isfinite(size):
+        return -digits
+    # rounded first: 9.96 to two digits is 10, not 10.0
+    exponent = int(f"{size:.{digits - 1}e}".partition("e")[2])
+    return exponent - digits + 1
+
+
+def _alike(numbers: Iterable[float], place: int) -> list[str]:
+    """Round numbers to one place, and give them one power of ten if they are far from one."""
+    several = list(numbers)
+    largest = max(map(abs, several))
+    if _PLAIN[0] <= largest < _PLAIN[1] or largest == 0.0 or not math.isfinite(largest):
+        return [_rounded(number, place) for number in several]
+    power = math.floor(math.log10(largest))
+    tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
+    return [_rounded(number / 10.0**power, place - power) + tail for number in several]
+
+
+def _rounded(number: float, place: int) -> str:
+    rounded = round(number, -place)
+    return f"{rounded + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero

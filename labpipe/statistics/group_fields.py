@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from re import split
 
-from labpipe.records.bundle import NONE, TAPINGS
 from labpipe.records.group import Group, Sample
+from labpipe.records.harness_bundle import NONE, TAPINGS
 from labpipe.records.result import Specimen
 
 TYPE, SPOOL = "type", "spool"

@@ -11,13 +11,18 @@ import numpy as np
 from labpipe.records.group import Difference, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result
-from labpipe.statistics.comparison import compare
-from labpipe.statistics.group_curves import loading_band, scaled_band
 from labpipe.statistics.group_fields import shared_fields
-from labpipe.statistics.group_notes import number_notes, sample_keys, sample_notes
-from labpipe.statistics.methods import apart, method_notes
-from labpipe.statistics.nested import USUAL, PoolingLimits, nested_mean
+from labpipe.statistics.group_notes import (
+    apart,
+    method_notes,
+    number_notes,
+    sample_keys,
+    sample_notes,
+)
+from labpipe.statistics.mean_curves import loading_band, scaled_band
+from labpipe.statistics.means import USUAL, PoolingLimits, nested_mean
 from labpipe.statistics.outliers import mark_outliers
+from labpipe.statistics.two_groups import compare
 
 __all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number"]
 

@@ -1,15 +1,182 @@
-"""Means of a few values with t-based intervals."""
+"""Means with intervals: of a few values, and of samples that were cut from spools."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import permutations
+from math import factorial, prod
 
 import numpy as np
-from scipy import special
+from scipy import special, stats
 
+from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
-from labpipe.records.group import MeanInterval
+from labpipe.records.group import Decision, MeanInterval, NestedMean
 from labpipe.records.quality import Reason
+
+
+@dataclass(frozen=True, slots=True)
+class PoolingLimits:
+    """When samples of several spools may be taken as independent.
+
+    Parameters
+    ----------
+    min_p : smallest p-value of the k-sample Anderson-Darling test that allows it; 0.05 is custom
+    max_spool_share : largest share of the variance that may lie between spools; at 0.1 and three
+        samples a spool the pooled interval is at most 9 % too short
+    confidence : how sure the data must be that the share is below; at 0.999 spools are pooled for
+        want of evidence so rarely that the interval still covers in 95 % of groups
+    """
+
+    min_p: float = 0.05
+    max_spool_share: float = 0.1
+    confidence: float = 0.999
+
+
+USUAL = PoolingLimits()
+
+
+def nested_mean(
+    spools: Mapping[str, Sequence[float] | Floats], limits: PoolingLimits = USUAL
+) -> NestedMean:
+    """Mean of samples nested in spools, with the interval that holds for the type.
+
+    Parameters
+    ----------
+    spools : values of the samples, by spool; NaN count as absent, and so does a spool without any
+    limits : when spools may be pooled
+
+    Returns
+    -------
+    In the unit of the values. `chosen` is over the spool means, as many as there are spools,
+    unless the Anderson-Darling test does not tell the spools apart *and* the upper confidence
+    limit of the share of variance between spools is below the limit. Spools count alike, however
+    many samples they have. One spool: over its samples, and `decision` says what that leaves out.
+
+    Notes
+    -----
+    A test that finds no difference between two or three spools says next to nothing, since it
+    would hardly find one; so it is the upper limit that decides. Measured coverage of the chosen
+    interval: docs/explanations/statistics.md.
+    """
+    kept = {name: _known(values) for name, values in spools.items()}
+    kept = {name: values for name, values in kept.items() if len(values)}
+    values = list(kept.values())
+    over_samples = mean_interval(np.concatenate([np.zeros(0), *values]), "sample")
+    means = {name: mean_interval(each, "sample") for name, each in kept.items()}
+    if len(kept) < 2:
+        return _one_spool(over_samples, means)
+    scatter = spool_scatter(values, limits.confidence)
+    p = equal_spools_p(values)
+    is_pooled = bool(p >= limits.min_p and scatter.share_upper < limits.max_spool_share)
+    over_spools = mean_interval([mean.mean for mean in means.values()], "spool")
+    return NestedMean(
+        chosen=over_samples if is_pooled else over_spools,
+        over_samples=over_samples,
+        over_spools=over_spools,
+        is_pooled=is_pooled,
+        decision=_decision(values, scatter, p, limits, is_pooled=is_pooled),
+        spool_means=means,
+        within=scatter.within,
+        between=scatter.between,
+        spool_p=p,
+    )
+
+
+def _known(values: Sequence[float] | Floats) -> Floats:
+    given = np.asarray(values, dtype=np.float64)
+    return given[~np.isnan(given)]
+
+
+def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) -> NestedMean:
+    said = Decision("No samples")
+    if over_samples.n:
+        counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
+        why = (
+            "how spools differ is not known, so the interval speaks of this spool and not of the "
+            "type"
+        )
+        said = Decision(f"Over {counted} of one spool", (why,))
+    nan = float("nan")
+    return NestedMean(
+        chosen=over_samples,
+        over_samples=over_samples,
+        over_spools=None,
+        is_pooled=True,
+        decision=said,
+        spool_means=means,
+        within=over_samples.deviation,
+        between=nan,
+        spool_p=nan,
+    )
+
+
+def _decision(
+    spools: Sequence[Floats],
+    scatter: SpoolScatter,
+    p: float,
+    limits: PoolingLimits,
+    *,
+    is_pooled: bool,
+) -> Decision:
+    """The decision in words: what was averaged, and the numbers that say so."""
+    counts = tuple(len(values) for values in spools)
+    done = (
+        f"Pooled over {sum(counts)} samples of {len(counts)} spools"
+        if is_pooled
+        else f"Over {len(counts)} spool means, not pooled over {sum(counts)} samples"
+    )
+    if max(counts) > 1 and np.ptp(np.concatenate(spools)) == 0.0:
+        why = "all values are equal, so there is no scatter to tell spools apart by"
+        return Decision(done, (why,))
+    return Decision(done, (*_share_words(scatter, limits), _test_words(p, counts, limits)))
+
+
+def _share_words(scatter: SpoolScatter, limits: PoolingLimits) -> tuple[str, ...]:
+    """How the variance is shared out, and what is asked of it."""
+    if np.isnan(scatter.within):
+        return ("no spool has two samples, so the scatter within spools is not known",)
+    upper = f"{100.0 * scatter.share_upper:.3g} %"
+    if scatter.between == 0.0:
+        found = (
+            "the spools differ no more than their samples explain, "
+            f"yet up to {upper} of the variance may lie between them"
+        )
+    else:
+        found = f"{100 * scatter.share:.3g} % of the variance lies between spools{_ratio(scatter)}"
+        found += f", and it may be up to {upper}"
+    needed = (
+        f"pooling needs that share below {100 * limits.max_spool_share:.3g} % "
+        f"with {100 * limits.confidence:.4g} % confidence"
+    )
+    return found, needed
+
+
+def _ratio(scatter: SpoolScatter) -> str:
+    if scatter.within == 0.0:
+        return ""
+    return f" (spools scatter {scatter.between / scatter.within:.3g} times as much as samples)"
+
+
+def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str:
+    if np.isnan(p):
+        return "the Anderson-Darling test of equal spools needs two samples in each spool"
+    least = smallest_p(counts)
+    if least >= limits.min_p:
+        sizes = f"{', '.join(map(str, counts[:-1]))} and {counts[-1]}"
+        return (
+            f"with {sizes} samples the Anderson-Darling test of equal spools cannot tell, "
+            f"as its p is never below {least:.2g}"
+        )
+    verdict = "does not tell them apart" if p >= limits.min_p else "tells them apart"
+    return (
+        f"the Anderson-Darling test of equal spools {verdict} "
+        f"(p = {p:.2g}, pooling needs {limits.min_p:.2g})"
+    )
+
 
 LEVEL = 0.95
 """Level of every interval: two-sided."""
@@ -57,3 +224,130 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     deviation = float(known.std(ddof=1))
     half = t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
+
+
+_MOST_PARTITIONS = 100
+"""Up to here the Anderson-Darling test counts every way to deal the samples out to the spools."""
+
+
+@dataclass(frozen=True, slots=True)
+class SpoolScatter:
+    """Scatter of samples within spools and of spools.
+
+    Parameters
+    ----------
+    within : standard deviation of samples of one spool; NaN where no spool has two samples
+    between : standard deviation of the true means of spools; 0 where the spool means scatter no
+        more than their samples make them; NaN where `within` is
+    share : between^2 / (between^2 + within^2)
+    share_upper : upper confidence limit of the share; 1 where it cannot be had
+    """
+
+    within: float
+    between: float
+    share: float
+    share_upper: float
+
+
+def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
+    """Tell the scatter between spools from the scatter within them.
+
+    Parameters
+    ----------
+    spools : values of the samples of each spool, two spools or more, none empty, without NaN
+    confidence : one-sided level of the upper limit of the share
+
+    Returns
+    -------
+    In the unit of the values.
+
+    Notes
+    -----
+    One-way analysis of variance on unweighted spool means, with the harmonic mean h of the numbers
+    of samples: between^2 = S^2 - within^2 / h, S^2 the variance of the spool means. The limit of
+    the share inverts the F distribution of h S^2 / within^2 (Thomas and Hultquist, Annals of
+    Statistics 6 (1978) 582); for equal numbers of samples it is exact.
+    """
+    counts = np.array([len(values) for values in spools])
+    free = int(np.sum(counts - 1))
+    if free == 0:
+        return SpoolScatter(np.nan, np.nan, np.nan, 1.0)
+    within = float(sum(np.sum((values - values.mean()) ** 2) for values in spools)) / free
+    harmonic = len(spools) / float(np.sum(1.0 / counts))
+    means = float(np.var([values.mean() for values in spools], ddof=1))
+    between = max(means - within / harmonic, 0.0)
+    total = between + within
+    low = float(special.fdtri(len(spools) - 1, free, 1.0 - confidence))
+    return SpoolScatter(
+        float(np.sqrt(within)),
+        float(np.sqrt(between)),
+        between / total if total > 0 else np.nan,
+        _share_at(harmonic * means, within * low, harmonic),
+    )
+
+
+def _share_at(observed: float, expected: float, harmonic: float) -> float:
+    """Share between spools at which a quantile of the mean square of spools is the observed one."""
+    if expected == 0.0:
+        return 1.0
+    excess = observed / expected - 1.0
+    return max(excess, 0.0) / (max(excess, 0.0) + harmonic)
+
+
+def equal_spools_p(spools: Sequence[Floats]) -> float:
+    """p-value of the k-sample Anderson-Darling test that all spools are alike.
+
+    Parameters
+    ----------
+    spools : values of the samples of each spool, without NaN
+
+    Returns
+    -------
+    NaN for fewer than two spools, a spool of one sample, or when all values are equal.
+
+    Notes
+    -----
+    Scholz and Stephens, J. Am. Stat. Assoc. 82 (1987) 918, with midranks (scipy). Where there are
+    few ways to deal the samples out to the spools (20 for two spools of three), all are counted
+    and p is exact; else it is read from their table, which ends at 0.001 and 0.25.
+    """
+    counts = [len(values) for values in spools]
+    if len(counts) < 2 or min(counts) < 2 or np.ptp(np.concatenate(spools)) == 0.0:
+        return float("nan")
+    exact = stats.PermutationMethod(n_resamples=_MOST_PARTITIONS)
+    with warnings.catch_warnings():
+        # The ends of the table are documented above.
+        warnings.filterwarnings("ignore", message="p-value (capped|floored)", category=UserWarning)
+        found = stats.anderson_ksamp(
+            spools,
+            variant="midrank",
+            method=exact if _partitions(counts) <= _MOST_PARTITIONS else None,
+        )
+    return float(found.pvalue)
+
+
+def _partitions(counts: Sequence[int]) -> int:
+    """Ways to deal samples out to spools of these sizes."""
+    return factorial(sum(counts)) // prod(factorial(count) for count in counts)
+
+
+@lru_cache(maxsize=64)
+def smallest_p(counts: tuple[int, ...]) -> float:
+    """Smallest p-value that `equal_spools_p` can give, which is that of spools wholly apart.
+
+    Parameters
+    ----------
+    counts : samples of each spool
+
+    Returns
+    -------
+    0.1 for 3 and 3 samples: of the 20 ways to deal six out, two keep them apart. 0.001, the end of
+    the table, where not all ways are counted; NaN where there is no test.
+    """
+    if len(counts) < 2 or min(counts) < 2:
+        return float("nan")
+    if _partitions(counts) > _MOST_PARTITIONS:
+        return 0.001
+    orders = set(permutations(sorted(counts)))
+    ranks = np.arange(sum(counts), dtype=np.float64)
+    return min(equal_spools_p(np.split(ranks, np.cumsum(order)[:-1])) for order in orders)

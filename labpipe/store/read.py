@@ -18,17 +18,16 @@ from labpipe.records.curve import (
     Interval,
     Series,
     Shape,
+    Slip,
+    SlipDecision,
 )
 from labpipe.records.recording import Recording
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
-from labpipe.records.slips import Slip, SlipDecision
 from labpipe.store import layout
-from labpipe.store.bending import read_bending
-from labpipe.store.checked import array, arrays, opened, strings, text, texts
+from labpipe.store.datasets import array, arrays, opened, strings, text, texts
 from labpipe.store.reasons import read_reasons
-from labpipe.store.recordings import read_notes, read_recording
 from labpipe.store.schema_1 import method_parts
-from labpipe.store.specimen import read_specimen
+from labpipe.store.stored_parts import read_bending, read_notes, read_recording, read_specimen
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,8 +7,7 @@ from typing import Any
 
 from labpipe.records.quality import Reason
 from labpipe.store import layout
-from labpipe.store.checked import text, texts
-from labpipe.store.chunks import Target
+from labpipe.store.datasets import Target, text, texts
 from labpipe.store.schema_1 import reasons_in
 
 

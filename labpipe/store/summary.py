@@ -7,7 +7,7 @@ from dataclasses import asdict
 from math import isfinite
 from pathlib import Path
 
-from labpipe.records.bundle import Bundle
+from labpipe.records.harness_bundle import Bundle
 from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.store.replace import replacing
 

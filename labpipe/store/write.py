@@ -17,13 +17,11 @@ from labpipe.errors import StoreError, complaint
 from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
 from labpipe.records.result import InputFile, Result, TestResult
 from labpipe.store import layout
-from labpipe.store.bending import write_bending
-from labpipe.store.chunks import Target, place_of, same_content
+from labpipe.store.datasets import Target, place_of, same_content
 from labpipe.store.layout import link_name
 from labpipe.store.reasons import write_reasons
-from labpipe.store.recordings import write_notes, write_recording
 from labpipe.store.replace import replacing
-from labpipe.store.specimen import write_specimen
+from labpipe.store.stored_parts import write_bending, write_notes, write_recording, write_specimen
 
 _BLOCK = 1 << 20
 

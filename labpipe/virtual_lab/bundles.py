@@ -31,12 +31,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from labpipe.law.plays import PlayLaw, corners_of
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.bundle import ARRANGEMENTS, NONE
+from labpipe.records.harness_bundle import ARRANGEMENTS, NONE
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire, scaled_law
-from labpipe.wire.laws import PlayLaw, corners_of
+from labpipe.wire.bending_law import polygon_law
 from labpipe.wire.materials import ANNEALED_COPPER
-from labpipe.wire.wire_law import polygon_law
 
 _PACKED, _SYMMETRIC, _ASYMMETRIC = ARRANGEMENTS
 _SHELL = 1e-6  # of the pitch: wires this close in distance from the centre are of one shell

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from labpipe.law.plays import MomentLaw
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.cantilever_scenarios import GRAVITY, MechanicalTest
@@ -26,8 +27,7 @@ from labpipe.wire.cantilever import (
     bend_under_force,
     straight,
 )
-from labpipe.wire.laws import MomentLaw
-from labpipe.wire.spectral import interpolation_matrix
+from labpipe.wire.newton import interpolation_matrix
 
 _SHORTEST = 1e-9
 _REPEATS = 20

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
-from labpipe.records.bundle import NONE
+from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.bundles import BundleModel
 from labpipe.virtual_lab.cantilever_scenarios import LoadCell, Pose
 from labpipe.virtual_lab.specimens import ElasticModel, WireModel

@@ -15,6 +15,7 @@ from typing import Generic, TypeAlias, TypeVar, overload
 
 import numpy as np
 
+from labpipe.law.plays import MomentLaw, respond, virgin_plays
 from labpipe.records.recording import Recording
 from labpipe.store.replace import storing
 from labpipe.virtual_lab.bundles import BundleModel
@@ -53,7 +54,6 @@ from labpipe.virtual_lab.vendor_exports import (
     write_r_controller,
     write_test_suite,
 )
-from labpipe.wire.laws import MomentLaw, respond, virgin_plays
 
 SHEET_FILE, TRUTH_FILE = "test.yaml", "truth.json"
 _DIGITS = 12

@@ -14,7 +14,7 @@ from math import degrees
 from pathlib import Path
 from typing import TypeAlias
 
-from labpipe.records.bundle import NONE
+from labpipe.records.harness_bundle import NONE
 from labpipe.virtual_lab.bundles import BundleModel, lay_wires
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario
 from labpipe.virtual_lab.conduit_scenarios import ConduitScenario

@@ -14,7 +14,9 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from labpipe.records.calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+from labpipe.law.plays import LinearLaw, PlayLaw, stick_slip_law
+from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
+from labpipe.wire.bending_law import play_law
 from labpipe.wire.cross_section import (
     CrossSection,
     Insulation,
@@ -24,10 +26,7 @@ from labpipe.wire.cross_section import (
     strand_diameter,
 )
 from labpipe.wire.friction import Contacts, insulated
-from labpipe.wire.laws import LinearLaw, PlayLaw
 from labpipe.wire.materials import ANNEALED_COPPER
-from labpipe.wire.play_fit import stick_slip_law
-from labpipe.wire.wire_law import play_law
 
 
 def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:

@@ -30,9 +30,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
+from labpipe.law.plays import MomentLaw, respond, virgin_plays
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.conduit_scenarios import ThreePointTest
-from labpipe.wire.laws import MomentLaw, respond, virgin_plays
 
 _ITERATIONS = 40
 _TOLERANCE = 1e-9

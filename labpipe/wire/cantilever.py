@@ -23,8 +23,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, frozen
-from labpipe.wire.laws import (
+from labpipe.law.plays import (
     MomentLaw,
     require_finite,
     require_positive,
@@ -32,6 +31,7 @@ from labpipe.wire.laws import (
     respond,
     virgin_plays,
 )
+from labpipe.records.arrays import Floats, frozen
 from labpipe.wire.newton import (
     Condition,
     DeadLoad,
@@ -39,9 +39,9 @@ from labpipe.wire.newton import (
     Equilibrium,
     Pull,
     Unknowns,
+    chebyshev_stations,
     solve,
 )
-from labpipe.wire.spectral import chebyshev_stations
 
 DEFAULT_STATIONS = 64  # beyond about 100, BLAS starts threads, which costs more than it gives
 _SMALLEST_STEP = 2.0**-12

@@ -15,8 +15,8 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
-from labpipe.wire.laws import require_positive
 from labpipe.wire.materials import ANNEALED_COPPER, Material
 
 TOLERANCE = 1e-3

@@ -29,8 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from labpipe.law.plays import MomentLaw, corners_of, first_curvature, require_positive
 from labpipe.records.arrays import Floats, Ints
-from labpipe.wire.laws import MomentLaw, corners_of, first_curvature, require_positive
 
 _FARTHEST = 0.9  # of the length: beyond, the wire hardly moves and the tip is upright
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(3)

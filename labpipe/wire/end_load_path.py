@@ -10,17 +10,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
-from labpipe.wire.cantilever import DEFAULT_STATIONS, WireState, deflect, settle, straight
-from labpipe.wire.end_load import EndLoads, end_loads
-from labpipe.wire.laws import (
+from labpipe.law.plays import (
     MomentLaw,
     is_within,
     require_finite,
     require_positive,
 )
-from labpipe.wire.newton import EndLoad, Unknowns
-from labpipe.wire.spectral import chebyshev_stations
+from labpipe.records.arrays import Floats
+from labpipe.wire.cantilever import DEFAULT_STATIONS, WireState, deflect, settle, straight
+from labpipe.wire.end_load import EndLoads, end_loads
+from labpipe.wire.newton import EndLoad, Unknowns, chebyshev_stations
 
 _FARTHEST_TREND = 2.0  # steps ahead that the last one is taken to go on
 

@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats
-from labpipe.wire.laws import require_positive
 
 _MOST_NEWTON = 60
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.processing.bending_moments import TipPull
-from labpipe.processing.bending_test import BendingErrors, BendingTest
-from labpipe.processing.shape import fit_shape
+from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull
+from labpipe.law.plays import MomentLaw
+from labpipe.markers.specimen_shape import fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, PointFlag
 from labpipe.wire.cantilever import (
@@ -19,7 +19,6 @@ from labpipe.wire.cantilever import (
     shape_of,
     straight,
 )
-from labpipe.wire.laws import MomentLaw
 
 LENGTH, STRING, WEIGHT = 0.085, 0.760, 0.0265
 HEIGHT, PULL_OFFSET = 0.0008, 0.004

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.wire.laws import PlayLaw
+from labpipe.law.plays import PlayLaw
 
 
 def bilinear_law(stiffness: float, second_stiffness: float, break_moment: float) -> PlayLaw:

@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.pipeline.group_differences import find_differences
-from labpipe.pipeline.grouping import group_names, in_turn, key_of
-from labpipe.protocol.rig import Groups
-from labpipe.records.bundle import Bundle, BundleWire
+from labpipe.campaign.grouping import find_differences, group_names, in_turn, key_of
+from labpipe.protocol.schema import Groups
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
+from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import Result, Specimen
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.groups import build_group

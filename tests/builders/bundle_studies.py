@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.records.recording import Recording

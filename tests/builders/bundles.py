@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.pipeline.wire_specs import read_wire_sheet
-from labpipe.records.bundle import PACKED, Bundle, BundleWire
+from labpipe.records.harness_bundle import PACKED, Bundle, BundleWire
 from labpipe.records.wire import WireSpec, WireTable
+from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.wire_table import wire_table
 
 MODULUS = 100e9

@@ -12,7 +12,7 @@ import numpy as np
 from scipy import stats
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import FittedLine, Interval
+from labpipe.records.curve import FittedLine, Interval, Slip, SlipDecision
 from labpipe.records.group import (
     Band,
     Campaign,
@@ -28,7 +28,6 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Specimen, Status
-from labpipe.records.slips import Slip, SlipDecision
 
 DISPLAY = {"displacement": "mm", "force": "N", "stiffness": "N/mm", "energy": "J"}
 END = 0.040

@@ -6,12 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.records.agreement import Prediction
-from labpipe.records.comparison import CurveMatch, ThirdCurve, ThirdCurveComparison
+from labpipe.records.curve_comparison import (
+    CurveMatch,
+    Prediction,
+    ThirdCurve,
+    ThirdCurveComparison,
+)
 from labpipe.records.group import Band
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_shown import ValidationGroup
-from labpipe.wire.calibrating.matching import match
+from labpipe.wire.calibration.measured_curves import match
 
 GRID = np.linspace(0.0, 0.05, 51)
 FORCE = 2.0 * GRID

@@ -14,8 +14,8 @@ from scipy.optimize import brentq
 
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.reduction import reduce_recordings
-from labpipe.protocol.absent import without_absent
 from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.sheet_exports import without_absent
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result

@@ -15,16 +15,16 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe import __version__
-from labpipe.pipeline.exports import name_channels
-from labpipe.pipeline.first_loadings import FirstLoading, first_loading
-from labpipe.pipeline.process import reduce_test
-from labpipe.pipeline.tested_wires import built_wire
-from labpipe.pipeline.wire_specs import read_wire_sheet
+from labpipe.process.reading import name_channels
+from labpipe.process.run import reduce_test
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import MomentCurvature
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.store.read import RawTest
+from labpipe.studies.first_loadings import FirstLoading, first_loading
+from labpipe.studies.validation import built_wire
+from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.virtual_lab.cameras import film_cantilever
 from labpipe.virtual_lab.campaigns import WireCampaign, WireGroup
 from labpipe.virtual_lab.cantilever_path import MechanicalPath, Segment, solve_path
@@ -36,7 +36,7 @@ from labpipe.virtual_lab.cantilever_scenarios import (
 from labpipe.virtual_lab.recorders import plan_cantilever, record_cantilever_force
 from labpipe.virtual_lab.sheet_texts import write_sheet, write_wire_sheet
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire
-from labpipe.wire.calibration import Wire
+from labpipe.wire.calibration.calibrate_wire import Wire
 
 CALIBRATED = "A2"
 UNUSED = (("A1", 0.085), ("B1", 0.1))

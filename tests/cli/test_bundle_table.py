@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from labpipe.cli.bundle import bundle_table
-from labpipe.pipeline.bundling import Conduit, ModelledBundle
-from labpipe.wire.bundle.model import bundle_model
+from labpipe.studies.bundle_bounds import Conduit, ModelledBundle
+from labpipe.wire.bundle_model import bundle_model
 from tests.builders.bundles import bundle, example_wires
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 
 from labpipe.cli.calibrate import calibration_table
-from labpipe.pipeline.calibrating import Calibrated
-from labpipe.pipeline.first_loadings import FirstLoading
-from labpipe.pipeline.validation_groups import compare
-from labpipe.records.calibration import Calibration, CalibrationFailure
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.wire.calibration import Settings, calibrate
+from labpipe.records.wire_calibration import Calibration, CalibrationFailure
+from labpipe.studies.calibration_study import Calibrated
+from labpipe.studies.first_loadings import FirstLoading
+from labpipe.studies.validation import compare
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from tests.builders.loading_tests import measured, wire_of
 
 

@@ -23,7 +23,7 @@ def test_any_other_exception_is_a_bug_and_shows(
     def broken(*arguments: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("labpipe.pipeline.process.reduce_recordings", broken)
+    monkeypatch.setattr("labpipe.process.run.reduce_recordings", broken)
     with pytest.raises(ZeroDivisionError):
         main(["process", str(lab.raw)])
 
@@ -35,7 +35,7 @@ def test_message_names_the_command(
         message = "take.csv, line 3: expected this, found that. Do so."
         raise LabpipeError(message)
 
-    monkeypatch.setattr("labpipe.pipeline.inspection.inspect_export", refused)
+    monkeypatch.setattr("labpipe.process.inspection.inspect_export", refused)
     ran = run("inspect", tmp_path)
     assert ran.err == ("labpipe inspect: take.csv, line 3: expected this, found that. Do so.\n")
     assert (ran.status, ran.out) == (2, "")
@@ -45,7 +45,7 @@ def test_interrupt(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     def stopped(path: Path) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("labpipe.pipeline.inspection.inspect_export", stopped)
+    monkeypatch.setattr("labpipe.process.inspection.inspect_export", stopped)
     assert run("inspect", tmp_path).status == 130
 
 
@@ -162,7 +162,7 @@ def test_memory_that_is_used_up(run: Run, tmp_path: Path, monkeypatch: pytest.Mo
     def large(path: Path) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("labpipe.pipeline.inspection.inspect_export", large)
+    monkeypatch.setattr("labpipe.process.inspection.inspect_export", large)
     ran = run("inspect", tmp_path)
     assert ran.status == 2
     assert ran.err.startswith("labpipe inspect: expected data that go into the memory, found that")

@@ -74,7 +74,7 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
         return [folder / "calibration.svg", folder / "calibration.png"]
 
     monkeypatch.setattr("labpipe.report.figures.save_figures", one)
-    monkeypatch.setattr("labpipe.pipeline.calibrating.save_calibration_figures", card)
+    monkeypatch.setattr("labpipe.studies.calibration_study.save_calibration_figures", card)
     ran = run("demo", tmp_path, "--jobs", 1)
     folder = tmp_path / "processed" / "demo"
     _, _, told = ran.out.partition(

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.cli.model import model_table
-from labpipe.pipeline.modelling import Modelled
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireTable
+from labpipe.studies.wire_models import Modelled
 from tests.builders.wire_tables import wire_table
 
 

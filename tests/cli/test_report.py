@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.campaign.reporting import Reported
 from labpipe.cli.report import status_of
-from labpipe.pipeline.reporting import Reported
 from labpipe.records.group import Campaign
 from tests.builders.campaigns import build_group, six_samples, troubled_samples
 from tests.builders.pulls import broken, pull

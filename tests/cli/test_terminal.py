@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.campaign.reporting import Reported
 from labpipe.cli.process import table
 from labpipe.cli.report import report_table
 from labpipe.cli.terminal import progress, reading
-from labpipe.pipeline.process import Processed
-from labpipe.pipeline.reporting import Reported
+from labpipe.process.run import Processed
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Reason, Severity

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.decks.abaqus import abaqus_deck
-from labpipe.decks.facts import solid_area
+from labpipe.decks.deck_law import solid_area
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from tests.builders.wire_tables import wire_table

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from labpipe.decks.calculix import TIP, calculix_deck
+from labpipe.law.equivalent_material import equivalent_material
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.wire.equivalent_material import equivalent_material
 from tests.builders.wire_tables import wire_table
 
 

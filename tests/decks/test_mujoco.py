@@ -8,11 +8,11 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 
-from labpipe.decks.facts import copper_mass, linear_range
+from labpipe.decks.deck_law import copper_mass, linear_range
 from labpipe.decks.mujoco import mujoco_deck
+from labpipe.law.plays import LinearLaw
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import bend_under_force, straight
-from labpipe.wire.laws import LinearLaw
 from tests.builders.wire_tables import LENGTH, wire_table
 
 

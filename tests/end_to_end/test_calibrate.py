@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from labpipe.pipeline.bent_shapes import STEPS, bent_shapes
-from labpipe.pipeline.wire_specs import read_wire_sheet
-from labpipe.wire.calibration import Wire
+from labpipe.studies.validation import STEPS, bent_shapes
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.cantilever import StringRig
-from labpipe.wire.from_spec import build
-from labpipe.wire.wire_table import wire_table
+from labpipe.wire.wire_table import build, wire_table
 from tests.builders.small_tests import Run, state
 from tests.builders.wire_lab import processed_wires
 

@@ -13,10 +13,9 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.records.arrays import Floats
-from labpipe.statistics.bands import CommonCurves, mean_band
-from labpipe.statistics.comparison import difference_of_means
-from labpipe.statistics.means import mean_interval
-from labpipe.statistics.nested import nested_mean
+from labpipe.statistics.mean_curves import CommonCurves, mean_band
+from labpipe.statistics.means import mean_interval, nested_mean
+from labpipe.statistics.two_groups import difference_of_means
 
 RUNS = 1000
 SHARES = [0.0, 0.05, 0.1, 0.3, 0.5, 0.8, 0.98]

@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.pipeline.exports import read_role
+from labpipe.process.reading import read_role
 from labpipe.protocol.source import Source
 from labpipe.readers import load_frame, read_export
 from tests.builders import load_frames as frames

@@ -15,13 +15,13 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
+from labpipe.bending.law_table import law_points
 from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
-from labpipe.processing.law_table import law_points
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.bending import Bending, MeasuredLaw
+from labpipe.records.measured_bending import Bending, MeasuredLaw
 from labpipe.records.result import Result, Status
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, WireCampaign, observe

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.store.lock import locked
 from labpipe.store.read import read_result
+from labpipe.store.replace import locked
 from tests.builders import bad_input
 from tests.builders.small_tests import Lab, Run, state
 
@@ -38,10 +38,10 @@ def test_second_process_on_the_same_test(lab: Lab, run: Run) -> None:
 
 
 STAGES = (
-    "labpipe.pipeline.process.read_inputs",
-    "labpipe.pipeline.process.reduce_recordings",
-    "labpipe.pipeline.process.write_result",
-    "labpipe.pipeline.process.write_summary",
+    "labpipe.process.run.read_inputs",
+    "labpipe.process.run.reduce_recordings",
+    "labpipe.process.run.write_result",
+    "labpipe.process.run.write_summary",
     "labpipe.report.figures.save_figures",
 )
 
@@ -97,7 +97,7 @@ def test_real_interrupt(lab: Lab) -> None:
     stopped = (
         "import signal, sys, time\n"
         "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a job in the background
-        "import labpipe.pipeline.process as process\n"
+        "import labpipe.process.run as process\n"
         "def wait(*arguments):\n"
         "    print('here', flush=True)\n"
         "    for _ in range(600):\n"  # a signal that another thread is given ends no long sleep

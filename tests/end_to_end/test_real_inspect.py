@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.pipeline.inspection import as_json, as_text, inspect_export
+from labpipe.process.inspection import as_json, as_text, inspect_export
 
 pytestmark = pytest.mark.realdata
 

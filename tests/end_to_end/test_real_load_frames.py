@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from labpipe.pipeline.exports import read_inputs
-from labpipe.pipeline.inspection import as_json, as_text, inspect_export
+from labpipe.process.inspection import as_json, as_text, inspect_export
+from labpipe.process.reading import read_inputs
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.readers import READERS
 from tests.builders.small_tests import Run

@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from openpyxl import load_workbook
 
+from labpipe.campaign.reporting import make_campaign
 from labpipe.cli import main
-from labpipe.pipeline.reporting import make_campaign
-from labpipe.pipeline.targets import find_results
+from labpipe.process.targets import find_results
 from labpipe.virtual_lab.observations import simulate_test
 from labpipe.virtual_lab.tensile_scenarios import (
     TABLE_2_3,

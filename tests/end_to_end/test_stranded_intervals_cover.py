@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import Result

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
-from labpipe.records.slips import SlipDecision
+from labpipe.records.curve import SlipDecision
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import TensileScenario
 from labpipe.virtual_lab.tensile_scenarios import (

@@ -25,7 +25,7 @@ HEAD = 8
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> TensileLab:
     """A twist tube with earlier results."""
-    from labpipe.pipeline.process import process_test
+    from labpipe.process.run import process_test
 
     lab = make_tensile(tmp_path_factory.mktemp("done"), twist_tube("1b"))
     process_test(lab.sheet, figures=False)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
-from labpipe.pipeline.inspection import as_json, as_text, inspect_export
+from labpipe.process.inspection import as_json, as_text, inspect_export
 from labpipe.readers import read_export
 from labpipe.records.recording import Recording
 from tests.builders.load_frames import EXAMPLES

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import parse_protocol
-from labpipe.records.bending import Bending
+from labpipe.records.measured_bending import Bending
 from labpipe.records.result import Result, Status
 from labpipe.virtual_lab import observe
 from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario

@@ -10,11 +10,11 @@ import pytest
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.clocks import align_clocks
 from labpipe.pipeline.turns import check_turns, turning_points
-from labpipe.processing.alignment import Repeat
-from labpipe.processing.strokes import Stroke, find_strokes
-from labpipe.protocol.rig import AlignTurningPoints
+from labpipe.protocol.schema import AlignTurningPoints
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Reason
+from labpipe.signal.clock_alignment import Repeat
+from labpipe.signal.turning_points import Stroke, find_strokes
 from tests.builders.doubts import doubted
 from tests.builders.dwelling_tests import Dwelling
 

@@ -11,9 +11,9 @@ from scipy.stats import binomtest
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.common_start import start_together
 from labpipe.pipeline.turns import turning_points
-from labpipe.processing.strokes import find_strokes
-from labpipe.protocol.rig import AlignCommonStart
+from labpipe.protocol.schema import AlignCommonStart
 from labpipe.records.curve import ClockFit
+from labpipe.signal.turning_points import find_strokes
 from tests.builders.doubts import doubted
 
 ALIGN = AlignCommonStart.model_validate(

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.fitting.estimates import Estimate, Failure
-from labpipe.fitting.failure import FailurePoint
+from labpipe.fits.failure_point import FailurePoint
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.corrections import loading_branch, loading_stretch
+from labpipe.records.curve import SlipDecision
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Severity
-from labpipe.records.slips import SlipDecision
 from tests.builders.doubts import doubted
 from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
 
@@ -170,7 +170,7 @@ def test_zero_of_the_force_is_in_the_interval_of_the_slack() -> None:
     from dataclasses import replace
 
     from labpipe.pipeline.corrections import correct_curve
-    from labpipe.protocol.rig import CurveBlock
+    from labpipe.protocol.schema import CurveBlock
 
     travel, force = pull(slack=0.003)
     bench, _ = pulled(travel, force)

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.estimates import Estimate
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.cycle_numbers import unloading_stiffness_of
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.estimates import Estimate
 
 
 def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench, MarkerBench
 from labpipe.pipeline.marker_steps import (
     fit_shapes,
@@ -18,10 +17,10 @@ from labpipe.pipeline.marker_steps import (
     turn_into_specimen,
 )
 from labpipe.protocol.load import load_protocol
-from labpipe.protocol.rig import Markers
-from labpipe.protocol.schema import Protocol
-from labpipe.protocol.steps import FitShape, RepairMarkers, SpecimenFrame
+from labpipe.protocol.schema import Markers, Protocol
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.recording import MarkerTracks
+from labpipe.records.step_settings import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.virtual_lab import Observation, observe
 from tests.builders.doubts import doubted
 from tests.builders.small_tests import small_scenario

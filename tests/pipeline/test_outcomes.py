@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.fitting.estimates import Estimate, Failure
 from labpipe.pipeline.bench import Bench
 from labpipe.pipeline.outcomes import Asked, blocked_or, to_result
 from labpipe.records.curve import Interval
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 

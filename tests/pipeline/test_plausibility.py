@@ -11,16 +11,16 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.plausibility import check_rest, check_rig
 from labpipe.pipeline.reduction import reduce_recordings
-from labpipe.processing.strokes import find_strokes, split_branches
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Shape
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
+from labpipe.signal.turning_points import find_strokes, split_branches
 from tests.builders.doubts import doubted
 
 TIME = np.arange(0.0, 50.0, 0.02)

@@ -9,11 +9,11 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.recording_checks import check_channels, check_end
-from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
+from labpipe.signal.turning_points import find_strokes, split_branches
 from tests.builders.doubts import doubted
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.reduced import reduced

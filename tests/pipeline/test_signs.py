@@ -12,10 +12,10 @@ import pytest
 from labpipe.cli import main
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.signs import check_signs
-from labpipe.processing.strokes import find_strokes, split_branches
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.result import Status
+from labpipe.signal.turning_points import find_strokes, split_branches
 from tests.builders.doubts import doubted
 from tests.builders.plain_records import PlainRecord, up_and_down
 from tests.builders.reduced import reduced

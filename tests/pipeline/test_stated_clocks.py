@@ -10,9 +10,9 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.stated_clocks import take_stated_clocks
-from labpipe.processing.strokes import find_strokes
-from labpipe.protocol.rig import AlignStated
+from labpipe.protocol.schema import AlignStated
 from labpipe.records.curve import ClockFit
+from labpipe.signal.turning_points import find_strokes
 from tests.builders.doubts import doubted
 from tests.builders.dwelling_tests import Dwelling
 from tests.builders.small_tests import Run, make_lab, small_scenario

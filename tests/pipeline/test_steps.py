@@ -11,10 +11,10 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, MarkerBench, Signal
 from labpipe.pipeline.steps import ShortStretchError, take_step
-from labpipe.processing.filtering import in_pieces, low_pass, smoothed
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
+from labpipe.signal.filters import in_pieces, low_pass, smoothed
 
 TIME: Floats = np.arange(2000, dtype=np.float64) * 0.01
 VALUES: Floats = 0.3 + np.sin(TIME) + np.random.default_rng(1).normal(0, 0.01, len(TIME))

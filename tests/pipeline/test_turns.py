@@ -7,8 +7,8 @@ import pytest
 
 from labpipe.pipeline.bench import Bench, Signal
 from labpipe.pipeline.turns import Turn, check_turns, turning_points
-from labpipe.processing.strokes import find_strokes
 from labpipe.records.arrays import Floats
+from labpipe.signal.turning_points import find_strokes
 from tests.builders.doubts import doubted
 from tests.builders.dwelling_tests import Dwelling
 

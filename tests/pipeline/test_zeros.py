@@ -10,9 +10,9 @@ import pytest
 from scipy.signal import lfilter
 
 from labpipe.pipeline.bench import Bench, Signal
-from labpipe.pipeline.exports import name_channels
 from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.pipeline.zeros import end_level, line_zero, mean_level, needed, use_rest_there_is
+from labpipe.process.reading import name_channels
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, ClockFit, Direction, Interval

@@ -17,7 +17,7 @@ from labpipe.protocol.load import (
     load_protocol,
     parse_protocol,
 )
-from labpipe.protocol.sheet import TestSheet
+from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 from tests.protocol.conftest import SHEET, TUBE, WIRE, Tell
 

@@ -10,8 +10,7 @@ import pytest
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
 from labpipe.protocol.results import ComplianceResult, Stiffness
-from labpipe.protocol.rig import AlignNone, AlignStated
-from labpipe.protocol.schema import Protocol
+from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
 from tests.protocol.conftest import SHEET, Tell
 
 

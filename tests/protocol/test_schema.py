@@ -3,15 +3,15 @@ from __future__ import annotations
 import pytest
 
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.rig import (
+from labpipe.protocol.schema import (
     AlignNone,
     AlignTurningPoints,
     Failure,
     MachineCompliance,
     Slips,
 )
-from labpipe.protocol.steps import Smooth
-from labpipe.records.setting_types import Span
+from labpipe.records.declarations import Span
+from labpipe.records.step_settings import Smooth
 from tests.protocol.conftest import Told
 
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
-from labpipe.readers import motive_csv
+from labpipe.readers import motive_takes as motive_csv
 from labpipe.readers.motive_table import derived_rate, unique_names
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks

@@ -74,7 +74,7 @@ def test_openpyxl_steps_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.fixture
 def large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A workbook that counts as large."""
-    monkeypatch.setattr("labpipe.readers.extent._LARGE", 0)
+    monkeypatch.setattr("labpipe.readers.workbooks._LARGE", 0)
     return workbook(tmp_path / "a.xlsx", {"v": specimen_sheet("A", [*ROWS, (1, 2, "")])})
 
 

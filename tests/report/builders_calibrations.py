@@ -7,15 +7,15 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.records.agreement import Prediction
-from labpipe.records.calibration import Calibration, ParameterChoice, SourceCalibration
+from labpipe.records.curve_comparison import Prediction
 from labpipe.records.group import SampleCurve
+from labpipe.records.wire_calibration import Calibration, ParameterChoice, SourceCalibration
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
-from labpipe.statistics.bands import common_curves, mean_band
-from labpipe.wire.calibrating.agreement import curve_errors
-from labpipe.wire.calibrating.prediction import predict
-from labpipe.wire.calibrating.source_method import calibrate_as_source
-from labpipe.wire.calibration import MeasuredCurve, Settings, calibrate
+from labpipe.statistics.mean_curves import common_curves, mean_band
+from labpipe.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate
+from labpipe.wire.calibration.measured_curves import curve_errors
+from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.calibration.source_method import calibrate_as_source
 from tests.builders.loading_tests import measured, rig_of, wire_of
 
 LENGTHS = (0.085, 0.12)

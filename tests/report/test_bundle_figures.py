@@ -15,7 +15,7 @@ from labpipe.report.bundle_figures import (
     plot_bundle_section,
     save_bundle_figure,
 )
-from labpipe.wire.bundle.model import bundle_model
+from labpipe.wire.bundle_model import bundle_model
 from tests.builders.bundles import bundle, example_wires
 
 MIXED = bundle_model(

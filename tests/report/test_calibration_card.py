@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 from matplotlib.figure import Figure
 
-from labpipe.records.calibration import Calibration
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire_calibration import Calibration
 from labpipe.report.calibration_card import calibration_card
-from labpipe.report.page import finish_layout, style
+from labpipe.report.figure_page import finish_layout, style
 from tests.report.builders_calibrations import foretold, source, troubled, usual
 
 A4_MM = 270.0

@@ -2,10 +2,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from labpipe.records.curve import SlipDecision
 from labpipe.records.group import Campaign
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Status
-from labpipe.records.slips import SlipDecision
 from labpipe.report.concerns import (
     Concern,
     Kind,

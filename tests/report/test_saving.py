@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
-from labpipe.report.page import style, titled_page
+from labpipe.report.figure_page import style, titled_page
 from labpipe.report.saving import PNG_DPI, FigureToSave, save_page, save_pages, save_report_figures
 
 

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Annulus, Circle, Patch, Wedge
 
 from labpipe.records.wire import WireTable
-from labpipe.report.page import style, style_colours
+from labpipe.report.figure_page import style, style_colours
 from labpipe.report.wire_sections import (
     plot_section,
     section_figure,

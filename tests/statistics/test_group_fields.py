@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.records.bundle import Bundle
 from labpipe.records.group import Group, Sample
+from labpipe.records.harness_bundle import Bundle
 from labpipe.statistics.group_fields import (
     differing_fields,
     fields_of,

@@ -25,11 +25,12 @@ from labpipe.records.curve import (
     PointFlag,
     Series,
     Shape,
+    Slip,
+    SlipDecision,
 )
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
-from labpipe.records.slips import Slip, SlipDecision
 
 LENGTH = 0.085
 STROKE = 0.050

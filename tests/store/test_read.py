@@ -13,9 +13,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
+from labpipe.records.curve import SlipDecision
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
-from labpipe.records.slips import SlipDecision
 from labpipe.store.read import RawTest, read_outcome, read_raw, read_result, read_stages
 from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
@@ -295,7 +295,7 @@ def test_more_than_goes_into_the_memory(path: Path, monkeypatch: pytest.MonkeyPa
         message = "Unable to allocate 9 TiB"
         raise MemoryError(message)
 
-    monkeypatch.setattr("labpipe.store.checked.np.empty", empty)
+    monkeypatch.setattr("labpipe.store.datasets.np.empty", empty)
     said = r"expected a result file that goes into the memory, found one that needs more \(Unable"
     with pytest.raises(StoreError, match=said):
         read_outcome(path)

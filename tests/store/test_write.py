@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
-from labpipe.records.curve import FittedLine, Interval
+from labpipe.records.curve import FittedLine, Interval, Slip, SlipDecision
 from labpipe.records.result import TestResult
-from labpipe.records.slips import Slip, SlipDecision
-from labpipe.store import chunks, layout, write
+from labpipe.store import datasets as chunks
+from labpipe.store import layout, write
 from labpipe.store.read import read_result
 from labpipe.store.write import write_result
 from tests.store.builders_result import (

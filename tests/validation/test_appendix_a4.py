@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from benchmarks import plain_loop
+from labpipe.wire.bending_law import moment_curvature, play_law
 from labpipe.wire.cross_section import hexagonal
 from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.moment_curvature import moment_curvature
 from labpipe.wire.packing import overlap_energy
-from labpipe.wire.wire_law import play_law
 from tests.builders.stranded_wires import WIRES, contacts_of, layers_of, tube, wire
 
 KAPPA = np.geomspace(1e-3, 60.0, 12)

@@ -19,10 +19,10 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
+from labpipe.law.plays import LinearLaw
 from labpipe.records.arrays import Floats
 from labpipe.wire.cantilever import bend_under_force, straight
 from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.laws import LinearLaw
 
 PRINTED = {1.0: (0.30172, 0.05643, 0.46135), 2.0: (0.49346, 0.16064, 0.78175)}
 PRINTED |= {5.0: (0.71379, 0.38763, 1.21537), 10.0: (0.81061, 0.55500, 1.43029)}

@@ -11,10 +11,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from labpipe.records.bundle import Bundle, BundleModel, BundleWire
-from labpipe.wire.bundle.model import bundle_model
-from labpipe.wire.bundle.sites import sites
-from labpipe.wire.bundle.stiffness import sticking
+from labpipe.records.harness_bundle import Bundle, BundleModel, BundleWire
+from labpipe.wire.bundle_layout import sites
+from labpipe.wire.bundle_model import bundle_model, sticking
 from tests.builders.bundles import bundle, example_wires, solid_stiffnesses, solid_wire
 
 

@@ -22,12 +22,12 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.pipeline.first_loadings import NotUsableError
-from labpipe.pipeline.validation_groups import compare
-from labpipe.records.calibration import PARAMETERS, Calibration
+from labpipe.records.wire_calibration import PARAMETERS, Calibration
 from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.studies.first_loadings import NotUsableError
+from labpipe.studies.validation import compare
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.calibration import Settings, calibrate
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from tests.builders.wire_chain import CALIBRATED, UNUSED, gain_read, loadings_of, mean_curve, wires
 
 FIRST_SEED, RUNS, WORKERS = 2001, 200, 2

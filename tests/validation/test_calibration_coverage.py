@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.records.calibration import Calibration
-from labpipe.wire.calibrating.prediction import predict
-from labpipe.wire.calibration import Settings, calibrate
+from labpipe.records.wire_calibration import Calibration
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.calibration.prediction import predict
 from tests.builders.loading_tests import TRUTH, exact_curve, measured, rig_of, wire_of
 
 QUICK, FULL = 20, 200

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
+from labpipe.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
 from labpipe.wire.friction import Contacts
-from labpipe.wire.moment_curvature import moment_curvature, slip_stiffness, stick_stiffness
 from tests.builders.stranded_wires import cardinal
 
 TENSION = 40e3

@@ -17,10 +17,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from labpipe.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
+from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import bend_under_force, straight
-from labpipe.wire.laws import LinearLaw, MomentLaw
-from labpipe.wire.wire_law import play_law
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.stranded_wires import contacts_of, wire
 

@@ -11,6 +11,11 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
+from labpipe.law.plays import (
+    LinearLaw,
+    MomentLaw,
+    complementary_energy,
+)
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_travel,
@@ -18,11 +23,6 @@ from labpipe.wire.cantilever import (
     straight,
 )
 from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.laws import (
-    LinearLaw,
-    MomentLaw,
-    complementary_energy,
-)
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE
 

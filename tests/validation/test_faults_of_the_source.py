@@ -9,7 +9,9 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
+from labpipe.law.plays import LinearLaw
 from labpipe.records.arrays import Floats
+from labpipe.wire.bending_law import MomentCurve, moment_curvature, play_law
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_travel,
@@ -18,11 +20,8 @@ from labpipe.wire.cantilever import (
 )
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.friction import arrange, sines, slip_onsets
-from labpipe.wire.laws import LinearLaw
 from labpipe.wire.materials import RambergOsgood
-from labpipe.wire.moment_curvature import MomentCurve, moment_curvature
 from labpipe.wire.strand_bending import helix_factor
-from labpipe.wire.wire_law import play_law
 from tests.builders.stranded_wires import contacts_of, wire
 
 KAPPA = np.array([1.0, 5.0, 20.0])

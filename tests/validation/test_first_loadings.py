@@ -9,6 +9,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from benchmarks.first_loadings import Loading, observe_loading
+from labpipe.law.loading_panels import law_of_plays
 from labpipe.virtual_lab.cantilever_path import solve_path
 from labpipe.virtual_lab.cantilever_scenarios import (
     GRAVITY,
@@ -19,7 +20,6 @@ from labpipe.virtual_lab.cantilever_scenarios import (
 from labpipe.virtual_lab.specimens import WIRES
 from labpipe.wire.cantilever import StringRig
 from labpipe.wire.first_loading import load_cantilever
-from labpipe.wire.loading_law import law_of_plays
 
 WEIGHT = 0.0027 * GRAVITY
 

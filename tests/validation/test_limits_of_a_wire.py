@@ -14,10 +14,10 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
+from labpipe.wire.bending_law import moment_curvature, slip_stiffness, stick_stiffness
 from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric
 from labpipe.wire.friction import Contacts
 from labpipe.wire.materials import Elastic, ElasticPerfectlyPlastic, Material, RambergOsgood
-from labpipe.wire.moment_curvature import moment_curvature, slip_stiffness, stick_stiffness
 
 MODULUS, NU, YIELD = 110e9, 0.34, 60e6
 SOFT = RambergOsgood(MODULUS, 530e6, 0.44)

@@ -17,10 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats
+from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.cross_section import CrossSection, Layer, concentric
 from labpipe.wire.friction import Contacts
 from labpipe.wire.materials import ElasticPerfectlyPlastic
-from labpipe.wire.moment_curvature import moment_curvature
 from labpipe.wire.strand_bending import LAMINAE
 from tests.builders.bending_history import bend_along
 from tests.builders.stranded_wires import contacts_of as usual_contacts

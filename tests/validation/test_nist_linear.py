@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fitting.correlated import fit_linear
-from labpipe.fitting.lines import StraightLine, fit_line
+from labpipe.fits.straight_lines import StraightLine, fit_line
+from labpipe.uncertainty.linear_fits import fit_linear
 
 NORRIS = """
 0.1 0.2 338.8 337.4 118.1 118.2 888.0 884.6 9.2 10.1 228.1 226.5 668.5 666.3 998.5 996.3

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.calibration import Calibration, ParameterChoice, SourceCalibration
-from labpipe.wire.calibrating.source_method import calibrate_as_source
-from labpipe.wire.calibration import Settings, calibrate
+from labpipe.records.wire_calibration import Calibration, ParameterChoice, SourceCalibration
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.calibration.source_method import calibrate_as_source
 from tests.builders.loading_tests import PHI, measured, wire_of
 
 WIRE = wire_of("A2")

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.statistics.comparison import difference_of_means, equivalence_p
 from labpipe.statistics.means import mean_interval
+from labpipe.statistics.two_groups import difference_of_means, equivalence_p
 
 FIRST = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
 SECOND = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])

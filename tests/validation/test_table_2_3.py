@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from labpipe.statistics.nested import nested_mean
+from labpipe.statistics.means import nested_mean
 
 FIRST = {"1": [58.33, 57.71, 56.28], "2": [47.09, 48.19, 46.08]}
 SECOND = {"1": [31.78, 33.98, 32.98], "2": [27.38, 28.81, 30.50]}

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import pytest
 
+from labpipe.wire.bending_law import stick_stiffness
 from labpipe.wire.cross_section import concentric
-from labpipe.wire.moment_curvature import stick_stiffness
 from tests.builders.stranded_wires import WIRES, layers_of, tube, wire
 
 PRINTED = {"C1": 1.46, "C2": 2.75, "C3": 6.22, "C4": 16.96, "C5": 39.87}

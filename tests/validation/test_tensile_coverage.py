@@ -12,11 +12,11 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from labpipe.fitting.correlated import fit_linear
-from labpipe.fitting.segments import TwoSegments, fit_two_segments
-from labpipe.fitting.slips import find_slips
+from labpipe.fits.grip_slips import find_slips
+from labpipe.fits.two_segments import TwoSegments, fit_two_segments
 from labpipe.records.arrays import Floats
-from labpipe.records.slips import SlipDecision
+from labpipe.records.curve import SlipDecision
+from labpipe.uncertainty.linear_fits import fit_linear
 
 QUICK, FULL = 200, 1000
 CASES = 35

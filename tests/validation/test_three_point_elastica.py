@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from labpipe.fitting.roller_supports import Rollers, path_of_load
+from labpipe.fits.beam_stiffness import Rollers, path_of_load
 from labpipe.records.arrays import Floats
 
 

@@ -9,7 +9,7 @@ import piecewise_regression
 import pwlf
 import pytest
 
-from labpipe.fitting.segments import TwoSegments, fit_two_segments
+from labpipe.fits.two_segments import TwoSegments, fit_two_segments
 from labpipe.records.arrays import Floats
 
 

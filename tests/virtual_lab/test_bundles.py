@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.law.plays import corners_of, first_curvature
 from labpipe.virtual_lab.bundles import BundleModel, lay_wires
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.laws import corners_of, first_curvature
 
 SEVEN = BundleModel((("B1", 7),))
 NINETEEN = BundleModel()

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.readers import dspace_mat, motive_csv
+from labpipe.readers import dspace_mat
+from labpipe.readers import motive_takes as motive_csv
 from labpipe.virtual_lab.conduit_scenarios import ConduitClocks, conduit_scenario
 from labpipe.virtual_lab.observations import (
     ConduitObservation,

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.pipeline.wire_specs import read_wire_sheet
+from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.virtual_lab.sheet_texts import write_wire_sheet
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.from_spec import build
+from labpipe.wire.wire_table import build
 
 
 def test_the_sheet_says_what_the_virtual_wires_are(tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.records.calibration import PARAMETERS
+from labpipe.law.plays import respond, virgin_plays
+from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire
-from labpipe.wire.laws import respond, virgin_plays
+from labpipe.wire.bending_law import moment_curvature, stick_stiffness
 from labpipe.wire.materials import ANNEALED_COPPER
-from labpipe.wire.moment_curvature import moment_curvature, stick_stiffness
 from tests.builders.bending_history import bend_along
 
 EVERY = pytest.mark.parametrize("wire", WIRES.values(), ids=WIRES)

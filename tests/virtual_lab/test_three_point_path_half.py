@@ -7,10 +7,10 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
+from labpipe.law.plays import virgin_plays
 from labpipe.virtual_lab.conduit_scenarios import ThreePointTest
 from labpipe.virtual_lab.specimens import ElasticModel
 from labpipe.virtual_lab.three_point_path import half_bundle, solve_three_point
-from labpipe.wire.laws import virgin_plays
 
 BAR = ElasticModel(0.1)
 

@@ -7,7 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from labpipe.law.plays import LinearLaw, MomentLaw
 from labpipe.records.arrays import Floats
+from labpipe.wire.bending_law import play_law
 from labpipe.wire.cantilever import (
     CantileverShape,
     StringRig,
@@ -16,8 +18,6 @@ from labpipe.wire.cantilever import (
     bend_under_force,
     straight,
 )
-from labpipe.wire.laws import LinearLaw, MomentLaw
-from labpipe.wire.wire_law import play_law
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire

@@ -8,16 +8,16 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 
-from labpipe.wire.cantilever import bend_to_deflection, straight
-from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
-from labpipe.wire.laws import (
+from labpipe.law.plays import (
     LinearLaw,
     MomentLaw,
     complementary_energy,
     respond,
     virgin_plays,
 )
-from labpipe.wire.wire_law import play_law
+from labpipe.wire.bending_law import play_law
+from labpipe.wire.cantilever import bend_to_deflection, straight
+from labpipe.wire.end_load import deflection_at, end_loads, polygon_of
 from tests.builders.bilinear_laws import bilinear_law
 from tests.builders.stranded_wires import contacts_of, wire
 

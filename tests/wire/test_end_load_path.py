@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.law.plays import LinearLaw, PlayLaw
+from labpipe.wire.bending_law import play_law
 from labpipe.wire.end_load_path import end_load_path
-from labpipe.wire.laws import LinearLaw, PlayLaw
-from labpipe.wire.wire_law import play_law
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
 

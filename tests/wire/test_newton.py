@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.laws import LinearLaw, virgin_plays
+from labpipe.law.plays import LinearLaw, virgin_plays
 from labpipe.wire.newton import (
     Condition,
     DeadLoad,
@@ -14,9 +14,9 @@ from labpipe.wire.newton import (
     Unknowns,
     _linearise,
     _Problem,
+    chebyshev_stations,
     solve,
 )
-from labpipe.wire.spectral import chebyshev_stations
 
 CONDITIONS = [
     DeadLoad(np.array([0.3, 1.7])),

@@ -6,16 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.pipeline.wire_specs import read_wire_sheet
 from labpipe.records.wire import WireSpec, WireTable
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.bending_law import concave_law, moment_curvature
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.cross_section import CrossSection, Layer, concentric
-from labpipe.wire.from_spec import WireError, build
 from labpipe.wire.materials import Elastic
-from labpipe.wire.moment_curvature import moment_curvature
-from labpipe.wire.wire_law import concave_law
 from labpipe.wire.wire_table import (
+    WireError,
     axial_stiffness,
+    build,
     curvature_grid,
     layout_of,
     torsional_stiffness,

@@ -24,20 +24,19 @@ from dataclasses import replace
 from pathlib import Path
 
 from labpipe.readers.channels import Wanted
-from labpipe.readers.content import read_content
-from labpipe.readers.load_frame.assembly import assemble
-from labpipe.readers.load_frame.blocks import Place
-from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.recognition import Named, chosen_card, recognised
-from labpipe.readers.load_frame.table import (
+from labpipe.readers.load_frame.cards import Card
+from labpipe.readers.load_frame.frame_recording import (
     Export,
     Table,
+    assemble,
     choose_part,
     without_codes,
     without_last_row,
 )
-from labpipe.readers.load_frame.text_tables import read_tables
-from labpipe.readers.load_frame.workbook import read_sheets
+from labpipe.readers.load_frame.frame_workbook import read_sheets
+from labpipe.readers.load_frame.recognition import Named, chosen_card, recognised
+from labpipe.readers.load_frame.text_layouts import Place, read_tables
+from labpipe.readers.raw_files import read_content
 from labpipe.readers.workbooks import forget_sheets, open_sheets
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Recording

@@ -1,15 +1,299 @@
-"""The cards there are: those that come with labpipe, and a lab's own."""
+"""Cards: what labpipe, or a lab, knows of a vendor's export, as data."""
 
 from __future__ import annotations
 
+import codecs
+import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from importlib import resources
 from pathlib import Path
+from types import MappingProxyType
+from typing import Final
 
-from labpipe.readers.files import reading, unreadable
-from labpipe.readers.load_frame.card import Card, parse_card
+from labpipe.errors import ReadError, nearest
+from labpipe.readers.raw_files import reading, unreadable
+
+Pattern = re.Pattern[str]
+
+KINDS: Final = ("text", "workbook")
+NAMES: Final = ("above units", "with units", "alone", "listed", "any")
+LAYOUTS: Final = ("one", "side by side", "blocks", "specimen above")
+BRACKETS: Final = ("", "()", "[]")
+DECIMALS: Final = (".", ",", "auto")
+_NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+
+
+@dataclass(frozen=True, slots=True)
+class Card:
+    """A dialect: how the export of one program is recognised and read.
+
+    Parameters
+    ----------
+    name : as protocols write it; the name of the card's file
+    about : one sentence for people
+    program : what wrote the export, empty in a card of last resort
+    kind : ``text`` or ``workbook`` (xlsx, xls)
+    recognise : patterns that must all be found in the head of the text, or of one sheet whose
+        cells are parted by tabs
+    fallback : whether it is only tried when no other card recognises the export
+    blank : whether a file with nothing but a byte order mark is an export without samples
+    version, model : patterns whose group is the version, or belongs behind the program's name
+    encodings : tried in order where no byte order mark says it; ``detect`` leaves it open
+    separators : between cells, the first one that fits; ``blanks`` for any number of blanks
+    decimal : decimal sign, or ``auto``
+    decimal_pattern : pattern whose group is the decimal sign; rules out `decimal`
+    names : where the names of the columns stand; see docs/how-to/new-dialect.md
+    brackets : around units
+    name_starts : pattern at which a name begins, where blanks part names that hold blanks
+    header_words : first cells of the row of names, where no row of units tells it
+    listed : pattern of the line of one column, its group being the name with the unit
+    start : pattern of the line after which the samples begin
+    units : unit of the names whose unit the export does not say
+    time : patterns of the name of the time column, most wanted first
+    time_unit : unit of time where the export does not say it
+    variable_rate : whether the program samples at a rate that varies: a long step is no loss
+    words : names of columns that hold words
+    missing : numbers that stand for a missing value
+    last_zeros : columns that are zero in a last row that is no sample
+    last_code : columns and what they hold in such a row
+    stated_rows, stated_columns : keys of the preamble that state the numbers of samples and columns
+    layout : how specimens and blocks share the export
+    source : file of the card, for messages
+    """
+
+    name: str
+    about: str
+    recognise: tuple[Pattern, ...]
+    time: tuple[Pattern, ...]
+    names: str
+    program: str = ""
+    kind: str = "text"
+    fallback: bool = False
+    blank: bool = False
+    version: Pattern | None = None
+    model: Pattern | None = None
+    encodings: tuple[str, ...] = ("utf-8", "cp1252")
+    separators: tuple[str, ...] = ("\t", ";", ",")
+    decimal: str = "auto"
+    decimal_pattern: Pattern | None = None
+    brackets: str = ""
+    name_starts: Pattern | None = None
+    header_words: tuple[str, ...] = ()
+    listed: Pattern | None = None
+    start: Pattern | None = None
+    units: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    time_unit: str = ""
+    variable_rate: bool = False
+    words: tuple[str, ...] = ()
+    missing: tuple[float, ...] = ()
+    last_zeros: tuple[str, ...] = ()
+    last_code: Mapping[str, float] = field(default_factory=lambda: MappingProxyType({}))
+    stated_rows: str = ""
+    stated_columns: str = ""
+    layout: str = "one"
+    source: str = ""
+
+
+def parse_card(text: str, *, name: str, source: object) -> Card:
+    """Read the text of a card.
+
+    Parameters
+    ----------
+    text : TOML
+    name : of the dialect: small letters, digits and hyphens
+    source : file of the card, for messages
+
+    Returns
+    -------
+    The card.
+
+    Raises
+    ------
+    ReadError
+        If the text is no TOML, a key is unknown, missing or of the wrong kind, or keys contradict.
+    """
+    if not _NAME.fullmatch(name):
+        expected = "a name of small letters, digits and hyphens"
+        raise _fault(source, "", expected, f"'{name}'", "Rename the file of the card.")
+    try:
+        keys = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # TOMLDecodeError, and numbers without end
+        remedy = "Look at the line it names."
+        raise _fault(
+            source, "", "a card in TOML", f"text that is none ({error})", remedy
+        ) from error
+    _refuse_unknown(keys, source)
+    values = {key: _CHECKS[key](value, key, source) for key, value in keys.items()}
+    card = Card(name=name, source=str(source), **values)  # type: ignore[arg-type]
+    _refuse_contradictions(card, source)
+    return card
+
+
+def _refuse_unknown(keys: Mapping[str, object], source: object) -> None:
+    for key in keys:
+        if key not in _CHECKS:
+            close = ", ".join(nearest(key, list(_CHECKS), most=3))
+            raise _fault(source, key, "a key of a card", "none", f"Nearest: {close}.")
+    for needed in fields(Card):
+        must = needed.default is MISSING and needed.default_factory is MISSING
+        if must and needed.name not in keys and needed.name != "name":
+            raise _fault(source, needed.name, "this key", "none", "Add it to the card.")
+
+
+def _refuse_contradictions(card: Card, source: object) -> None:
+    needs = {
+        "alone": ("header_words", bool(card.header_words)),
+        "listed": ("listed", card.listed is not None and card.start is not None),
+        "with units": ("brackets", bool(card.brackets)),
+    }
+    key, has = needs.get(card.names, ("", True))
+    if not has:
+        expected = (
+            f"this key (and `start`), as names = '{card.names}'"
+            if key == "listed"
+            else (f"this key, as names = '{card.names}'")
+        )
+        raise _fault(source, key, expected, "none", "Add it to the card.")
+    if not card.recognise and not card.blank:
+        remedy = "Give words that stand in every export of the program."
+        raise _fault(source, "recognise", "a pattern at least", "none", remedy)
+
+
+def _fault(source: object, key: str, expected: str, found: str, remedy: str) -> ReadError:
+    place = f"key {key}" if key else ""
+    return unreadable(source, place, expected, found, remedy)
+
+
+_SHOW = 60
+_HUGE = 10**300
+_FIX = "Correct the card."
+
+
+def _shown(value: object) -> str:
+    return repr(value)[:_SHOW]
+
+
+def _text(value: object, key: str, source: object) -> str:
+    if isinstance(value, str) and value.strip():
+        return value
+    raise _fault(source, key, "text", _shown(value), _FIX)
+
+
+def _flag(value: object, key: str, source: object) -> bool:
+    if isinstance(value, bool):
+        return value
+    raise _fault(source, key, "true or false", _shown(value), _FIX)
+
+
+def _number(value: object, key: str, source: object) -> float:
+    if isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < _HUGE:
+        return float(value)
+    raise _fault(source, key, "a number", _shown(value), _FIX)
+
+
+def _pattern(value: object, key: str, source: object) -> Pattern:
+    try:
+        return re.compile(_text(value, key, source), re.MULTILINE)
+    except (re.error, OverflowError, RecursionError) as error:
+        raise _fault(source, key, "a pattern", f"{_shown(value)} ({error})", _FIX) from error
+
+
+def _group(value: object, key: str, source: object) -> Pattern:
+    pattern = _pattern(value, key, source)
+    if pattern.groups == 1:
+        return pattern
+    found = f"{pattern.groups} in {_shown(value)}"
+    raise _fault(source, key, "a pattern with one group in round brackets", found, _FIX)
+
+
+def _name_pattern(value: object, key: str, source: object) -> Pattern:
+    return re.compile(_pattern(value, key, source).pattern, re.IGNORECASE)
+
+
+def _encoding(value: object, key: str, source: object) -> str:
+    name = _text(value, key, source)
+    try:
+        codecs.lookup("ascii" if name == "detect" else name)
+    except LookupError as error:
+        raise _fault(source, key, "the name of an encoding", _shown(value), _FIX) from error
+    return name
+
+
+def _separator(value: object, key: str, source: object) -> str:
+    if value == "blanks" or (isinstance(value, str) and len(value) == 1 and value.isascii()):
+        return " " if value == "blanks" else value
+    raise _fault(source, key, 'one sign, or "blanks"', _shown(value), _FIX)
+
+
+_Check = Callable[[object, str, object], object]
+
+
+def _one_of(words: tuple[str, ...]) -> _Check:
+    def check(value: object, key: str, source: object) -> object:
+        if value in words:
+            return value
+        expected = f"one of {', '.join(map(repr, words))}"
+        close = nearest(str(value), list(words), most=1)[0]
+        raise _fault(source, key, expected, _shown(value), f"Nearest: '{close}'.")
+
+    return check
+
+
+def _several(check: _Check) -> _Check:
+    def each(value: object, key: str, source: object) -> object:
+        if not isinstance(value, list):
+            raise _fault(source, key, "a list in square brackets", _shown(value), _FIX)
+        return tuple(check(item, key, source) for item in value)
+
+    return each
+
+
+def _by_name(check: _Check) -> _Check:
+    def each(value: object, key: str, source: object) -> object:
+        if not isinstance(value, dict):
+            raise _fault(source, key, "a table of names", _shown(value), _FIX)
+        checked = {str(name): check(item, f"{key}.{name}", source) for name, item in value.items()}
+        return MappingProxyType(checked)
+
+    return each
+
+
+_CHECKS: Final[dict[str, _Check]] = {
+    "program": _text,
+    "about": _text,
+    "kind": _one_of(KINDS),
+    "recognise": _several(_pattern),
+    "fallback": _flag,
+    "blank": _flag,
+    "version": _group,
+    "model": _group,
+    "encodings": _several(_encoding),
+    "separators": _several(_separator),
+    "decimal": _one_of(DECIMALS),
+    "decimal_pattern": _group,
+    "names": _one_of(NAMES),
+    "brackets": _one_of(BRACKETS),
+    "name_starts": _pattern,
+    "header_words": _several(_text),
+    "listed": _group,
+    "start": _pattern,
+    "units": _by_name(_text),
+    "time": _several(_name_pattern),
+    "time_unit": _text,
+    "variable_rate": _flag,
+    "words": _several(_text),
+    "missing": _several(_number),
+    "last_zeros": _several(_text),
+    "last_code": _by_name(_number),
+    "stated_rows": _text,
+    "stated_columns": _text,
+    "layout": _one_of(LAYOUTS),
+}
+"""Every key of a card, and what it must be."""
+
 
 LAB_FOLDER = "dialects"
 """Where a lab keeps its own cards, in the working folder beside ``protocols``."""

@@ -7,21 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from labpipe.errors import ReadError, complaint, nearest
-from labpipe.readers.content import (
+from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards, shipped_names
+from labpipe.readers.load_frame.column_titles import Header, find_header, header_of_rows
+from labpipe.readers.load_frame.frame_recording import time_column
+from labpipe.readers.load_frame.frame_workbook import sheet_head
+from labpipe.readers.raw_files import (
     HEAD,
     Content,
     decode,
     is_binary,
     is_blank,
     read_beginning,
+    unreadable,
 )
-from labpipe.readers.files import unreadable
-from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
-from labpipe.readers.load_frame.header import find_header, header_of_rows
-from labpipe.readers.load_frame.table import time_column
-from labpipe.readers.load_frame.titles import Header
-from labpipe.readers.load_frame.workbook import sheet_head
 from labpipe.readers.sheet_cells import as_text
 from labpipe.readers.workbooks import is_workbook, open_sheets
 

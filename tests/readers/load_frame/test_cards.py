@@ -9,8 +9,7 @@ import pytest
 
 from labpipe.errors import ReadError
 from labpipe.readers import load_frame, read_export
-from labpipe.readers.load_frame.card import Card
-from labpipe.readers.load_frame.cards import lab_cards, shipped_cards, shipped_names
+from labpipe.readers.load_frame.cards import Card, lab_cards, shipped_cards, shipped_names
 
 
 def test_cards_that_come_with_labpipe() -> None:

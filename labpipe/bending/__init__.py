@@ -1,0 +1,1 @@
+"""Moment against curvature, measured from the shapes of a bending test."""

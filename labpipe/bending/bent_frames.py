@@ -1,0 +1,495 @@
+"""Curvature and bending moment along the specimen, from its shape and the force at its tip.
+
+The other way round (PHYSICS 5): markers give the shape, the force gives the moment, and nothing is
+said of the stiffness. The frame is that of the specimen: x along its undeformed axis from the
+clamped end, y in the plane of bending towards the pull.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from labpipe.markers.curve_fits import (
+    EndConditions,
+    FrameFits,
+    coupled_design,
+    curve_basis,
+    fit_frames,
+    power_slopes,
+    powers,
+)
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.curve import PointFlag, Shape
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TipPull:
+    """What pulls at the tip.
+
+    Parameters
+    ----------
+    string : m, length of the string from the load cell to the tip; None where the force acts normal
+        to the clamped axis
+    weight : N, hanging at the tip
+    tension_at_rest : N, in the string before the loading, which the zero of the force hides
+    anchor : m, place of the load cell along x
+    """
+
+    string: float | None
+    weight: float
+    tension_at_rest: float
+    anchor: float
+
+    def force(self, reading: Floats, tip: Floats) -> Floats:
+        """Force at the tip, N.
+
+        Parameters
+        ----------
+        reading : shape (n,), N, the tension less that at rest; NaN gives NaN
+        tip : shape (n,), m, place of the tip along x
+
+        Returns
+        -------
+        shape (n, 2), N, along x and y; NaN where the tip is farther than the string is long.
+
+        Notes
+        -----
+        The load cell hangs above the tip at rest, so the string leans towards the anchor as the
+        tip moves inward: sin(beta) = (anchor - x) / string.
+        """
+        tension = reading + self.tension_at_rest
+        lean = np.zeros_like(tip) if self.string is None else (self.anchor - tip) / self.string
+        across = tension * np.sqrt(np.where(np.abs(lean) <= 1.0, 1.0 - lean**2, np.nan))
+        across -= self.weight
+        return np.stack([tension * lean, across], axis=-1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeanFrames:
+    """Means over consecutive frames of one branch each.
+
+    Parameters
+    ----------
+    time, force : shape (n,), s, N
+    branch : shape (n,)
+    markers : shape (n, markers, 3), m, from the clamped end; NaN where a marker was not measured in
+        every frame of the mean
+    per_mean : frames
+    """
+
+    time: Floats
+    force: Floats
+    branch: Ints
+    markers: Floats
+    per_mean: int
+
+    def part(self, chosen: Flags) -> MeanFrames:
+        """Some of the means, by a mask of shape (n,)."""
+        return MeanFrames(
+            self.time[chosen],
+            self.force[chosen],
+            self.branch[chosen],
+            self.markers[chosen],
+            self.per_mean,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where the markers are along the specimen, and the ends of its curve.
+
+    Parameters
+    ----------
+    arc_length : shape (markers,), m, from the clamped end
+    centre_offset : m, axis to marker centre, positive towards the pull
+    ends : conditions of the curve at its ends
+    terms : coefficients per coordinate
+    """
+
+    arc_length: Floats
+    centre_offset: float
+    ends: EndConditions
+    terms: int
+
+    @property
+    def length(self) -> float:
+        """Arc length of the tip, m."""
+        return self.ends.length
+
+    def fit(self, markers: Floats, *, more: int = 0) -> FrameFits:
+        """Fit the curve through markers of shape (n, markers, 3), with some coefficients more."""
+        return fit_frames(
+            markers, self.arc_length, self.centre_offset, self.ends, terms=self.terms + more
+        )
+
+
+def layout_of(shape: Shape, *, centre_offset: float, free_tip: bool) -> Layout:
+    """Say how a shape was fitted.
+
+    Parameters
+    ----------
+    shape : with a clamped end and fitted curves
+    centre_offset : m, that it was fitted with
+    free_tip : whether its curve has no moment at the last point
+
+    Returns
+    -------
+    The layout.
+
+    Raises
+    ------
+    ValueError
+        If no frame has a curve.
+    """
+    seen = np.flatnonzero(np.isfinite(shape.coefficients).all(axis=(1, 2)))
+    if not len(seen):
+        message = "shape: expected a frame with a fitted curve, found none"
+        raise ValueError(message)
+    direction = shape.coefficients[seen[0], :, 1] / shape.length
+    ends = EndConditions(length=shape.length, direction=direction, free_tip=free_tip)
+    places = shape.arc_length[_markers_of(shape)]
+    return Layout(places, centre_offset, ends, int(shape.coefficients.shape[2]))
+
+
+def mean_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> MeanFrames:
+    """Average consecutive frames of a branch.
+
+    Parameters
+    ----------
+    shape : its marker positions are averaged where they were measured in every frame of a mean
+    force : shape (frames,), N; a mean with NaN is NaN
+    branch : shape (frames,); frames of a negative branch are left out
+    per_mean : frames; what is left over at the end of a branch is left out
+
+    Returns
+    -------
+    The means, in order of time.
+    """
+    starts = _starts(branch, per_mean)
+    rows = starts[:, None] + np.arange(per_mean)
+    points = rows[..., None], np.flatnonzero(_markers_of(shape))
+    measured = np.isin(shape.flags[points], (PointFlag.MEASURED, PointFlag.RELABELLED))
+    positions = np.where(measured[..., None], shape.positions[points], np.nan)
+    return MeanFrames(
+        time=shape.time[rows].mean(axis=1),
+        force=force[rows].mean(axis=1),
+        branch=branch[starts],
+        markers=positions.mean(axis=1),
+        per_mean=per_mean,
+    )
+
+
+def _starts(branch: Ints, per_mean: int) -> Ints:
+    """First frames of whole groups of frames that lie within one branch each."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(branch)) + 1, [len(branch)]])
+    groups = [
+        np.arange(first, last - per_mean + 1, per_mean)
+        for first, last in pairwise(edges)
+        if branch[first] >= 0
+    ]
+    return np.concatenate(groups) if groups else np.zeros(0, dtype=np.int64)
+
+
+def _markers_of(shape: Shape) -> Flags:
+    """Points of a shape that are markers, not constructed: shape (points,)."""
+    return np.asarray(~(shape.flags == PointFlag.CONSTRUCTED).any(axis=0), dtype=np.bool_)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bent:
+    """Curves at some stations; arrays of shape (n, stations).
+
+    Parameters
+    ----------
+    x, y : m
+    angle : rad, of the tangent from x
+    curvature : 1/m
+    """
+
+    x: Floats
+    y: Floats
+    angle: Floats
+    curvature: Floats
+
+
+def bent(coefficients: Floats, length: float, arc_length: Floats) -> Bent:
+    """Look up fitted curves in the plane of bending.
+
+    Parameters
+    ----------
+    coefficients : shape (n, 3, terms), m, power series in s / length; NaN gives NaN
+    length : m
+    arc_length : shape (stations,), m
+
+    Returns
+    -------
+    Place, direction and curvature.
+
+    Notes
+    -----
+    kappa = (x' y'' - y' x'') / (x'^2 + y'^2)^(3/2): the parameter of a fitted curve is only nearly
+    its arc length.
+    """
+    terms, u = coefficients.shape[2], arc_length / length
+    plane = coefficients[:, :2]
+    place = plane @ powers(u, terms).T
+    rate = plane @ power_slopes(u, terms).T / length
+    bend = plane @ _second(u, terms).T / length**2
+    speed = np.hypot(rate[:, 0], rate[:, 1])
+    turned = rate[:, 0] * bend[:, 1] - rate[:, 1] * bend[:, 0]
+    angle = np.arctan2(rate[:, 1], rate[:, 0])
+    return Bent(place[:, 0], place[:, 1], angle, turned / speed**3)
+
+
+def _second(u: Floats, terms: int) -> Floats:
+    """Second derivatives of the powers of u; shape (n, terms)."""
+    rates = np.zeros((len(u), terms))
+    rates[:, 2:] = np.arange(2, terms) * np.arange(1, terms - 1) * powers(u, terms)[:, :-2]
+    return rates
+
+
+def curvature_gain(layout: Layout, markers: Floats, shape: Bent, arc_length: Floats) -> Floats:
+    """Standard error of curvature per standard deviation of one coordinate of one marker.
+
+    Parameters
+    ----------
+    layout : of the markers
+    markers : shape (n, markers, 3), that the curves were fitted to; NaN where not in sight
+    shape : the curves at the stations
+    arc_length : shape (stations,), m
+
+    Returns
+    -------
+    shape (n, stations), 1/m^2; NaN where markers are too few.
+
+    Notes
+    -----
+    With n = (-sin, cos) and t = (cos, sin): d kappa = n . d r'' - 2 kappa t . d r', where r'' and
+    r' are linear in the markers by the least-squares operator of the fit.
+    """
+    seen = np.isfinite(markers).all(axis=2)
+    gain = np.full(shape.angle.shape, np.nan)
+    for pattern in np.unique(seen, axis=0):
+        chosen = (seen == pattern).all(axis=1)
+        operators = _operators(layout, layout.arc_length[pattern], arc_length)
+        if operators is None:
+            continue
+        gram = np.einsum("isk,jsk->sij", operators, operators)
+        angle, twice = shape.angle[chosen], 2.0 * shape.curvature[chosen]
+        sine, cosine = np.sin(angle), np.cos(angle)
+        weights = np.stack([-sine, cosine, -twice * cosine, -twice * sine], axis=-1)
+        gain[chosen] = np.sqrt(np.einsum("nsi,sij,nsj->ns", weights, gram, weights))
+    return gain
+
+
+def _operators(layout: Layout, places: Floats, arc_length: Floats) -> Floats | None:
+    """x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
+    ends, terms = layout.ends, layout.terms
+    basis = curve_basis(
+        terms=terms,
+        length=ends.length,
+        clamped=ends.direction is not None,
+        free_tip=ends.free_tip,
+    )
+    if len(places) < basis.unknowns:
+        return None
+    solve = np.linalg.pinv(coupled_design(basis, places, layout.centre_offset))
+    u, unknowns = arc_length / ends.length, basis.unknowns
+    bend = _second(u, terms) @ basis.matrix / ends.length**2
+    slope = basis.slope(arc_length)
+    x, y = solve[:unknowns], solve[unknowns:]
+    return np.stack([bend @ x, bend @ y, slope @ x, slope @ y])
+
+
+def moments(at: Bent, tip: Bent, pull: Floats) -> Floats:
+    """Bending moment at stations under a force at the tip.
+
+    Parameters
+    ----------
+    at : the curves at the stations, shape (n, stations)
+    tip : the curves at the tip, shape (n, 1)
+    pull : shape (n, 2), N, along x and y
+
+    Returns
+    -------
+    shape (n, stations), N m: M(s) = Py (x_L - x) - Px (y_L - y), positive where it bends towards
+    the pull.
+    """
+    return np.asarray(pull[:, 1:] * (tip.x - at.x) - pull[:, :1] * (tip.y - at.y), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class BendingErrors:
+    """What is uncertain of force and places, as standard errors.
+
+    Parameters
+    ----------
+    force_noise : N, of the curve's force in one frame
+    force_zero : N
+    force_scale : a share
+    offset : m, of the clamped end and of the pull point along the specimen
+    other_tension_at_rest : N, a tension at rest as likely as the one assumed; None where there is
+        none
+    """
+
+    force_noise: float
+    force_zero: float
+    force_scale: float
+    offset: float
+    other_tension_at_rest: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class BendingTest:
+    """A test as the shape and the curve tell it; arrays of shape (frames,).
+
+    Parameters
+    ----------
+    shape : with clamped end and pull point, fitted in every frame
+    force : N, of the curve at the frames; NaN where there is none
+    branch, cycle : of the curve at the frames
+    first : branch that is the first loading
+    rest : frames before the loading
+    centre_offset : m, axis to marker centre
+    free_tip : whether the shapes were fitted without a moment at the tip
+    pull : at the tip
+    errors : of all this
+    """
+
+    shape: Shape
+    force: Floats
+    branch: Ints
+    cycle: Ints
+    first: int
+    rest: Flags
+    centre_offset: float
+    free_tip: bool
+    pull: TipPull
+    errors: BendingErrors
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Where the markers are."""
+        return layout_of(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
+
+    @cached_property
+    def standing(self) -> Standing:
+        """The specimen at rest.
+
+        Raises
+        ------
+        ValueError
+            If fewer than two frames at rest show all markers.
+        """
+        branch = np.where(self.rest, 0, -1)
+        each = mean_frames(self.shape, np.zeros(len(branch)), branch, per_mean=1)
+        whole = np.isfinite(each.markers).all(axis=(1, 2))
+        if whole.sum() < 2:
+            found = int(whole.sum())
+            message = f"rest: expected frames at rest that show all markers, found {found}"
+            raise ValueError(message)
+        fit = self.layout.fit(each.markers[whole])
+        markers = each.markers[whole].mean(axis=0)
+        return Standing(
+            markers=markers,
+            coefficients=fit.coefficients.mean(axis=0)[None],
+            finer=self.layout.fit(markers[None], more=min(fit.spare, 1)).coefficients,
+            frames=int(whole.sum()),
+            noise=fit.noise(slice(None)),
+        )
+
+    def frames(self, branch: Ints, *, per_mean: int) -> FittedFrames:
+        """Curves through means over consecutive frames.
+
+        Parameters
+        ----------
+        branch : shape (frames,); frames of a negative branch are left out
+        per_mean : frames
+
+        Raises
+        ------
+        ValueError
+            If no mean has both a shape and a force.
+        """
+        means = mean_frames(self.shape, self.force, branch, per_mean=per_mean)
+        fit = self.layout.fit(means.markers)
+        usable = np.isfinite(fit.coefficients).all(axis=(1, 2)) & np.isfinite(means.force)
+        if not usable.any():
+            message = "force: expected means with a shape and a force, found none"
+            raise ValueError(message)
+        finer = self.layout.fit(means.markers, more=1) if fit.spare > 0 else None
+        return FittedFrames(
+            means=means.part(usable),
+            coefficients=fit.coefficients[usable],
+            finer=None if finer is None else finer.coefficients[usable],
+            tip_gain=fit.gain[usable, :2].max(axis=1),
+        )
+
+    def moments(
+        self,
+        coefficients: Floats,
+        reading: Floats,
+        places: Floats,
+        *,
+        pull: TipPull | None = None,
+    ) -> Floats:
+        """Bending moments along fitted curves.
+
+        Parameters
+        ----------
+        coefficients : shape (n, 3, terms), m
+        reading : shape (n,), N, tension less that at rest
+        places : shape (stations,), m
+        pull : another than that of the test
+
+        Returns
+        -------
+        shape (n, stations), N m.
+        """
+        length = self.layout.length
+        tip = bent(coefficients, length, np.array([length]))
+        force = (self.pull if pull is None else pull).force(reading, tip.x[:, 0])
+        return moments(bent(coefficients, length, places), tip, force)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Standing:
+    """The specimen at rest.
+
+    Parameters
+    ----------
+    markers : shape (markers, 3), m, mean places
+    coefficients : shape (1, 3, terms), m, of the mean curve
+    finer : the same with one coefficient more where the markers carry it
+    frames : that show all markers
+    noise : m, standard deviation of one coordinate of one marker; NaN where the markers leave no
+        residual
+    """
+
+    markers: Floats
+    coefficients: Floats
+    finer: Floats
+    frames: int
+    noise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedFrames:
+    """Means of frames that have a shape and a force, and the curves through them.
+
+    Parameters
+    ----------
+    means : the means
+    coefficients : shape (n, 3, terms), m
+    finer : shape (n, 3, terms + 1), m; None where the markers do not carry one coefficient more
+    tip_gain : shape (n,), standard error of the tip per standard deviation of a marker coordinate
+    """
+
+    means: MeanFrames
+    coefficients: Floats
+    finer: Floats | None
+    tip_gain: Floats

@@ -1,0 +1,421 @@
+"""The moment-curvature law whose shapes explain where the markers of a first loading are.
+
+Shapes that a law makes are compared with the markers; nothing is differentiated, so that curvatures
+are known far better than from any one frame.
+
+The wire keeps its length and its direction at the clamp. Its angle in frame f is
+
+    theta_f(s) = theta_rest(s) + integral from 0 to s of [kappa(M_f) - kappa(M_rest)] ds'
+
+with one law kappa(M) for all places and frames; x = integral cos theta, y = integral sin theta, and
+markers stand off along the normal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from labpipe.records.arrays import Flags, Floats, Ints
+
+_ROUNDS = 12
+_SETTLED = 1e-7
+_SINGULAR = 1e12
+_LEVELS = (7, 13, 25)
+"""Numbers of knots, each level with all the knots of the one before."""
+_RECTANGLE = 1.0 / np.sqrt(3.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawFit:
+    """A law, and how it hangs on the markers.
+
+    Parameters
+    ----------
+    basis : of the law
+    compliance : shape (knots,), 1/(N m^2), none negative
+    covariance : shape (knots, knots), from what the markers scatter about the law
+    sensitivity : shape (knots, n, 2 markers), what the compliances gain per metre that a marker
+        coordinate is moved
+    residual : m, root mean square misfit per coordinate
+    n : marker coordinates seen in all frames together
+    variance : m^2, of independent noise that would scatter the compliances as much on the whole
+    """
+
+    basis: LawBasis
+    compliance: Floats
+    covariance: Floats
+    sensitivity: Floats
+    residual: float
+    n: int
+    variance: float
+
+    def shift(self, movement: Floats) -> Floats:
+        """Change of the compliances if the law moved the markers otherwise.
+
+        Parameters
+        ----------
+        movement : shape (n, 2 markers), m, by how much more with the same law
+
+        Returns
+        -------
+        shape (knots,), to first order.
+        """
+        return np.asarray(-np.tensordot(self.sensitivity, movement, axes=2), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A law with as many knots as the markers can tell of.
+
+    Parameters
+    ----------
+    fit : the law
+    change : shape (knots,), standard error of the compliances for want of more knots, all of them
+        together
+    """
+
+    fit: LawFit
+    change: Floats
+
+
+def refine_law(loaded: Loaded) -> Refined:
+    """Find a law with enough knots for its bends.
+
+    Parameters
+    ----------
+    loaded : moments, markers and rest
+
+    Returns
+    -------
+    The law and what half as many knots change in it.
+
+    Raises
+    ------
+    ValueError
+        As `fit_law`.
+
+    Notes
+    -----
+    Thirteen knots follow a smooth law to 0.1 % of its moment. A wire whose strands all slip at once
+    has a law with a kink: the number is doubled if that lowers the sum of squares by more than log
+    n times the variance of the noise for each knot on top (Schwarz, Ann. Stat. 6 (1978) 461).
+    """
+    largest = float(loaded.moment.max())
+    coarse, fit, fine = (fit_law(loaded, law_knots(largest, count)) for count in _LEVELS)
+    better = fine.n * (fit.residual**2 - fine.residual**2)
+    if better > fine.variance * np.log(fine.n) * (_LEVELS[2] - _LEVELS[1]):
+        coarse, fit = fit, fine
+    return Refined(fit, _RECTANGLE * (_at_knots_of(fit, coarse) - fit.compliance))
+
+
+def _at_knots_of(fine: LawFit, coarse: LawFit) -> Floats:
+    """Compliances of a law at the knots of another, which hold its own."""
+    return np.asarray(coarse.basis.slopes(fine.basis.knots) @ coarse.compliance, dtype=np.float64)
+
+
+def fit_law(loaded: Loaded, basis: LawBasis) -> LawFit:
+    """Find the law that explains where the markers are, by least squares.
+
+    Parameters
+    ----------
+    loaded : moments, markers and rest
+    basis : knots of the law
+
+    Returns
+    -------
+    The law.
+
+    Raises
+    ------
+    ValueError
+        If the markers do not fix all compliances: too few frames, or moments too small.
+
+    Notes
+    -----
+    Gauss-Newton; the inner step is non-negative least squares (Lawson and Hanson, Solving Least
+    Squares Problems, 1974, chapter 23) where the plain one goes below zero. Every marker coordinate
+    may have an offset of its own, known from the frames at rest: so the noise of the mean at rest,
+    which all frames share, is in the covariance. That is a sandwich with the residuals' long-run
+    covariance between coordinates in the middle (Newey and West, Econometrica 55 (1987) 703): the
+    clamp's pivot and the force move all of them, and a smoothed force for several frames.
+    """
+    seen = np.isfinite(loaded.moved)
+    found = np.where(seen, loaded.moved, 0.0)
+    shapes = LawShapes.of(loaded, basis)
+    compliance = _straight(shapes, found)
+    for _ in range(_ROUNDS):
+        moved, design = shapes.predict(compliance)
+        left = _centred(np.where(seen, found - moved, 0.0)[..., None], seen, loaded.rest_weight)
+        design = _centred(np.where(seen[..., None], design, 0.0), seen, loaded.rest_weight)
+        flat, residual = design.reshape(-1, design.shape[2]), left.ravel()
+        normal = flat.T @ flat
+        better = _solve(normal, flat.T @ residual + normal @ compliance)
+        change = float(np.abs(better - compliance).max() / np.abs(better).max())
+        compliance = better
+        if change < _SETTLED:
+            break
+    spread = _inverse(normal)
+    pushes = np.einsum("kj,nmj->knm", spread, design)
+    covariance = _covariance(pushes[:, :-1], left[:-1, :, 0], seen)
+    return LawFit(
+        basis=basis,
+        compliance=compliance,
+        covariance=covariance,
+        sensitivity=pushes[:, :-1],
+        residual=float(np.sqrt((left[:-1] ** 2).sum() / max(int(seen.sum()), 1))),
+        n=int(seen.sum()),
+        variance=float(np.trace(covariance @ normal)) / len(compliance),
+    )
+
+
+def _straight(shapes: LawShapes, found: Floats) -> Floats:
+    """One compliance for all knots that moves the markers about as far as they moved."""
+    one = np.ones(shapes.turns.shape[2])
+    moved = shapes.predict(0.0 * one)[1] @ one
+    scale = float((moved**2).sum())
+    if not scale > 0.0:
+        message = "moment: expected moments other than those at rest, found none"
+        raise ValueError(message)
+    return np.asarray(one * abs(float((moved * found).sum())) / scale, dtype=np.float64)
+
+
+def _centred(values: Floats, seen: Flags, rest_weight: float) -> Floats:
+    """Take out the offset of each marker coordinate; one more row at the end stands for the rest.
+
+    Values and result of shape (n, 2 markers, k) and (n + 1, 2 markers, k).
+    """
+    offset = values.sum(axis=0) / (seen.sum(axis=0) + rest_weight)[:, None]
+    centred = np.where(seen[..., None], values - offset, 0.0)
+    return np.concatenate([centred, -np.sqrt(rest_weight) * offset[None]])
+
+
+def _solve(normal: Floats, right: Floats) -> Floats:
+    """Solve for compliances, none of them negative."""
+    scale = np.sqrt(np.diag(normal))
+    inverse = _inverse(normal)
+    plain: Floats = inverse @ right
+    if (plain >= 0.0).all():
+        return plain
+    triangle = np.linalg.cholesky(normal / np.outer(scale, scale))
+    return nnls(triangle.T, np.linalg.solve(triangle, right / scale))[0] / scale
+
+
+def _inverse(normal: Floats) -> Floats:
+    scale = np.sqrt(np.diag(normal))
+    if not (scale > 0.0).all() or np.linalg.cond(normal / np.outer(scale, scale)) > _SINGULAR:
+        message = (
+            f"knots={len(scale)}: expected markers that fix the law at every knot, found too few "
+            "frames or movements"
+        )
+        raise ValueError(message)
+    inverse = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    return np.asarray(inverse, dtype=np.float64)
+
+
+def _covariance(pushes: Floats, left: Floats, seen: Flags) -> Floats:
+    """Covariance of the compliances from residuals of shape (n, 2 markers)."""
+    freedom = max(float(seen.sum()) - len(pushes) - seen.shape[1], 1.0)
+    between = _long_run(left, seen) * float(seen.sum()) / freedom
+    middle = np.einsum("knm,ml,jnl->kj", pushes, between, pushes, optimize=True)
+    return np.asarray(middle, dtype=np.float64)
+
+
+def _long_run(left: Floats, seen: Flags) -> Floats:
+    """Long-run covariance between the columns of residuals along axis 0, Bartlett's weights."""
+    count = len(left)
+    lags = min(round(4.0 * (count / 100.0) ** (2.0 / 9.0)) + 1, count // 4)
+    weights = seen.astype(np.float64)
+    total = left.T @ left / np.maximum(weights.T @ weights, 1.0)
+    for lag in range(1, lags + 1):
+        together = np.maximum(weights[lag:].T @ weights[:-lag], 1.0)
+        later = left[lag:].T @ left[:-lag] / together
+        total += (1.0 - lag / (lags + 1.0)) * (later + later.T)
+    return np.asarray(total, dtype=np.float64)
+
+
+_STEP = 0.0015  # m, of the integrals along the wire
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """Points along the wire that its shape is integrated over.
+
+    Parameters
+    ----------
+    arc_length : shape (points,), m, from the clamped end to the tip
+    markers : shape (markers,), which of them are markers
+    """
+
+    arc_length: Floats
+    markers: Ints
+
+    @classmethod
+    def through(cls, places: Floats, length: float) -> Line:
+        """Divide a wire finely, with points at the markers and at the tip."""
+        ends = np.concatenate([[0.0], places, [length]])
+        ends = ends[np.concatenate([[True], np.diff(ends) > 1e-9])]
+        counts = np.maximum(np.ceil(np.diff(ends) / _STEP).astype(np.int64), 1)
+        parts = [
+            np.linspace(first, last, count, endpoint=False)
+            for first, last, count in zip(ends[:-1], ends[1:], counts, strict=True)
+        ]
+        points = np.concatenate([*parts, ends[-1:]])
+        return cls(points, np.searchsorted(points, places - 1e-10).astype(np.int64))
+
+    def integral(self, values: Floats) -> Floats:
+        """Integral from the clamped end, trapezoids; values of shape (n, points, ...)."""
+        steps = np.diff(self.arc_length).reshape(-1, *([1] * (values.ndim - 2)))
+        parts = 0.5 * steps * (values[:, 1:] + values[:, :-1])
+        out = np.zeros_like(values)
+        np.cumsum(parts, axis=1, out=out[:, 1:])
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded:
+    """What a law is found from.
+
+    Parameters
+    ----------
+    line : points along the wire
+    moment : shape (n, points), N m, of the loaded frames
+    moment_at_rest : shape (points,), N m
+    angle_at_rest : shape (points,), rad
+    markers : shape (n, markers, 2), m, in the plane of bending, from the clamped end; NaN is left
+        out
+    markers_at_rest : shape (markers, 2), m
+    rest_weight : frames of the rest over frames of a mean
+    centre_offset : m, axis to marker centre
+    """
+
+    line: Line
+    moment: Floats
+    moment_at_rest: Floats
+    angle_at_rest: Floats
+    markers: Floats
+    markers_at_rest: Floats
+    rest_weight: float
+    centre_offset: float
+
+    @property
+    def moved(self) -> Floats:
+        """How far the markers have moved from rest, shape (n, 2 markers), m: x of all, then y."""
+        moved = self.markers - self.markers_at_rest
+        return np.concatenate([moved[..., 0], moved[..., 1]], axis=1)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawShapes:
+    """The shapes that laws of one basis make, with all that their compliances do not change.
+
+    Parameters
+    ----------
+    loaded : moments and rest
+    turns : shape (n, points, knots), rad, of the wire from rest, per unit of compliance
+    still : shape (1, 2 markers), m, where the markers' centres are at rest: x of all, then y
+    """
+
+    loaded: Loaded
+    turns: Floats
+    still: Floats
+
+    @classmethod
+    def of(cls, loaded: Loaded, basis: LawBasis) -> LawShapes:
+        """Prepare the laws of a basis."""
+        at_rest = basis.values(loaded.moment_at_rest)
+        turns = loaded.line.integral(basis.values(loaded.moment) - at_rest)
+        begin = loaded.angle_at_rest[None]
+        return cls(loaded, turns, _centres(loaded, np.sin(begin), np.cos(begin)))
+
+    def movement(self, compliance: Floats) -> Floats:
+        """How far the markers move from rest under a law, shape (n, 2 markers), m."""
+        return _centres(self.loaded, *self._directions(compliance)) - self.still
+
+    def predict(self, compliance: Floats) -> tuple[Floats, Floats]:
+        """How far the markers move from rest under a law, and how that changes with the law.
+
+        Parameters
+        ----------
+        compliance : shape (knots,), 1/(N m^2)
+
+        Returns
+        -------
+        Movement, shape (n, 2 markers), m, and its derivatives, shape (n, 2 markers, knots).
+        """
+        line, height, turns = self.loaded.line, self.loaded.centre_offset, self.turns
+        sine, cosine = self._directions(compliance)
+        moved = _centres(self.loaded, sine, cosine) - self.still
+        along = -line.integral(sine[..., None] * turns)
+        across = line.integral(cosine[..., None] * turns)
+        at = line.markers
+        along = along[:, at] - height * cosine[:, at, None] * turns[:, at]
+        across = across[:, at] - height * sine[:, at, None] * turns[:, at]
+        return moved, np.concatenate([along, across], axis=1)
+
+    def _directions(self, compliance: Floats) -> tuple[Floats, Floats]:
+        """Sine and cosine of the wire's angle, shape (n, points) each."""
+        angle = self.loaded.angle_at_rest + self.turns @ compliance
+        return np.sin(angle), np.cos(angle)
+
+
+def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
+    """Places of the markers' centres, shape (n, 2 markers): x of all, then y."""
+    line, height = loaded.line, loaded.centre_offset
+    at = line.markers
+    x = line.integral(cosine)[:, at] - height * sine[:, at]
+    y = line.integral(sine)[:, at] + height * cosine[:, at]
+    return np.concatenate([x, y], axis=1)
+
+
+_CROWDING = 1.6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawBasis:
+    """Laws whose slope d kappa / d M is linear between knots, and constant beyond the last.
+
+    Parameters
+    ----------
+    knots : shape (knots,), N m, from 0 up
+    """
+
+    knots: Floats
+
+    def slopes(self, moment: Floats) -> Floats:
+        """Slope of the law per unit of compliance at each knot; shape (*moment, knots)."""
+        size = np.clip(np.abs(moment), 0.0, self.knots[-1])
+        place = np.clip(np.searchsorted(self.knots, size, side="right") - 1, 0, self._last)
+        share = (size - self.knots[place]) / np.diff(self.knots)[place]
+        slopes = np.zeros((*np.shape(size), len(self.knots)))
+        np.put_along_axis(slopes, place[..., None], (1.0 - share)[..., None], axis=-1)
+        np.put_along_axis(slopes, place[..., None] + 1, share[..., None], axis=-1)
+        return slopes
+
+    def values(self, moment: Floats) -> Floats:
+        """Curvature per unit of compliance at each knot, odd in the moment; (*moment, knots)."""
+        widths, size = np.diff(self.knots), np.abs(moment)
+        inside = np.clip(np.clip(size, 0.0, self.knots[-1])[..., None] - self.knots[:-1], 0, widths)
+        rising = inside**2 / (2.0 * widths)
+        values = np.zeros((*np.shape(size), len(self.knots)))
+        values[..., :-1] += inside - rising
+        values[..., 1:] += rising
+        values[..., -1] += np.maximum(size - self.knots[-1], 0.0)
+        return np.asarray(np.sign(moment)[..., None] * values, dtype=np.float64)
+
+    @property
+    def _last(self) -> int:
+        return len(self.knots) - 2
+
+
+def law_knots(largest: float, count: int) -> LawBasis:
+    """Choose knots: closer towards zero, where every frame has some of its wire.
+
+    Parameters
+    ----------
+    largest : N m, the largest moment
+    count : of knots, at least 2
+    """
+    return LawBasis(largest * (np.arange(count) / (count - 1)) ** _CROWDING)

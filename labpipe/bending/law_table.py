@@ -1,0 +1,420 @@
+"""The measured moment-curvature law as a table with intervals, and the points of all branches."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.bending.bent_frames import (
+    BendingTest,
+    Bent,
+    FittedFrames,
+    TipPull,
+    bent,
+    curvature_gain,
+)
+from labpipe.bending.fitted_law import LawBasis, LawFit, LawShapes, Line, Loaded, refine_law
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.quality import Reason
+
+MEANS = 80
+"""Means of consecutive frames that the first loading is fitted by."""
+_FEWEST = 24
+_RECTANGLE = 1.0 / np.sqrt(3.0)
+
+
+def measure_bending(test: BendingTest) -> Bending:
+    """Measure moment against curvature: the cloud, and the law through the first loading.
+
+    Parameters
+    ----------
+    test : shapes and force
+
+    Returns
+    -------
+    Both, or the cloud and why there is no law.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two frames at rest show all markers, or no mean has shape and force.
+    """
+    cloud = bending_cloud(test)
+    try:
+        law = loading_law(test, cloud)
+    except ValueError as error:
+        return Bending(cloud, None, Reason("no_law", str(error)))
+    return Bending(cloud, law)
+
+
+def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
+    """Find the law that all frames of the first loading obey together.
+
+    Parameters
+    ----------
+    test : shapes and force
+    cloud : of the test; its noise says from which curvature on the law is known
+
+    Returns
+    -------
+    The law, from about `MEANS` means over consecutive frames.
+
+    Raises
+    ------
+    ValueError
+        If the first loading has too few means, or they do not fix the law.
+
+    Notes
+    -----
+    Moments are those of the fitted shapes. Changes of the compliances from what all frames share
+    (zero of the force, a tension at rest that the zero hides, ends of the specimen, moments of
+    shapes with one coefficient more) are found to first order and added as independent errors; an
+    alternative as good as the one taken counts as a rectangle, 1 / sqrt(3) of the change. So does
+    a law with half as many knots.
+    """
+    count = int((test.branch == test.first).sum())
+    branch = np.where(test.branch == test.first, test.branch, -1)
+    frames = test.frames(branch, per_mean=max(1, count // MEANS))
+    n_means = len(frames.means.force)
+    if n_means < _FEWEST:
+        message = f"frames of the first loading={n_means}: expected at least {_FEWEST}"
+        raise ValueError(message)
+    loaded = _loaded(test, frames)
+    if not loaded.moment.max() > np.abs(loaded.moment_at_rest).max():
+        message = (
+            f"moment={loaded.moment.max():.3g} N m at most: expected more towards the pull than at "
+            f"rest, {np.abs(loaded.moment_at_rest).max():.3g} N m"
+        )
+        raise ValueError(message)
+    refined = refine_law(loaded)
+    return tabulate(
+        refined.fit,
+        [refined.change, *_Shared(test, frames, loaded, refined.fit).changes()],
+        scale_error=test.errors.force_scale,
+        noise=test.standing.noise / np.sqrt(frames.means.per_mean),
+        curvature_noise=float(np.nanmedian(cloud.noise[cloud.branch == test.first])),
+        n_frames=n_means * frames.means.per_mean,
+    )
+
+
+def _loaded(test: BendingTest, frames: FittedFrames) -> Loaded:
+    layout, rest = test.layout, test.standing
+    line = Line.through(layout.arc_length, layout.length)
+    still = bent(rest.coefficients, layout.length, line.arc_length)
+    return Loaded(
+        line=line,
+        moment=test.moments(frames.coefficients, frames.means.force, line.arc_length),
+        moment_at_rest=test.moments(rest.coefficients, np.zeros(1), line.arc_length)[0],
+        angle_at_rest=still.angle[0],
+        markers=frames.means.markers[..., :2],
+        markers_at_rest=rest.markers[:, :2],
+        rest_weight=rest.frames / frames.means.per_mean,
+        centre_offset=layout.centre_offset,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Shared:
+    """A law, and what all the frames that it was found from share."""
+
+    test: BendingTest
+    frames: FittedFrames
+    loaded: Loaded
+    fit: LawFit
+
+    def changes(self) -> Iterator[Floats]:
+        """One standard error each, as changes of the compliances."""
+        errors, frames = self.test.errors, self.frames
+        before = self.movement(self.loaded)
+
+        def change(other: Loaded, share: float = 1.0) -> Floats:
+            return share * self.fit.shift(self.movement(other) - before)
+
+        yield change(self.with_reading(frames.means.force + errors.force_zero))
+        if errors.other_tension_at_rest is not None:
+            pull = replace(self.test.pull, tension_at_rest=errors.other_tension_at_rest)
+            yield change(self.with_moments(pull=pull), _RECTANGLE)
+        if frames.finer is not None:
+            yield change(self.with_moments(finer=True), _RECTANGLE)
+        if errors.offset > 0.0:
+            yield change(self.longer_at_the_clamp(errors.offset))
+            yield change(self.longer_at_the_tip(errors.offset))
+
+    def movement(self, loaded: Loaded) -> Floats:
+        """How far the law moves the markers."""
+        return LawShapes.of(loaded, self.fit.basis).movement(self.fit.compliance)
+
+    def with_reading(self, reading: Floats) -> Loaded:
+        """With another force."""
+        places = self.loaded.line.arc_length
+        moment = self.test.moments(self.frames.coefficients, reading, places)
+        return replace(self.loaded, moment=moment)
+
+    def with_moments(self, *, pull: TipPull | None = None, finer: bool = False) -> Loaded:
+        """With another pull at the tip, or with curves of one coefficient more."""
+        test, frames, rest = self.test, self.frames, self.test.standing
+        places, no_load = self.loaded.line.arc_length, np.zeros(1)
+        if finer and frames.finer is not None:
+            curves, still = frames.finer, rest.finer
+        else:
+            curves, still = frames.coefficients, rest.coefficients
+        return replace(
+            self.loaded,
+            moment=test.moments(curves, frames.means.force, places, pull=pull),
+            moment_at_rest=test.moments(still, no_load, places, pull=pull)[0],
+        )
+
+    def longer_at_the_clamp(self, more: float) -> Loaded:
+        """With the clamped end farther back."""
+        line, frames = self.loaded.line, self.frames
+        places = line.arc_length
+        first = places[line.markers[0]]
+        longer = np.where(places < first, places * (first + more) / first, places + more)
+        moment = self.test.moments(frames.coefficients, frames.means.force, longer - more)
+        return replace(self.loaded, line=replace(line, arc_length=longer), moment=moment)
+
+    def longer_at_the_tip(self, more: float) -> Loaded:
+        """With the pull point farther along the tangent."""
+        length = self.test.layout.length
+        tip = bent(self.frames.coefficients, length, np.array([length]))
+        force = self.test.pull.force(self.frames.means.force, tip.x[:, 0])
+        extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
+        return replace(self.loaded, moment=self.loaded.moment + extra)
+
+
+_NORMAL_95 = 1.959963984540054
+_ROWS = 41
+_FINE = 4000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawPoints:
+    """A law at some curvatures; arrays of shape (n,).
+
+    Parameters
+    ----------
+    moment, secant, tangent : N m, N m^2, N m^2; NaN beyond the largest curvature measured
+    moment_error, secant_error, tangent_error : standard errors
+    """
+
+    moment: Floats
+    secant: Floats
+    tangent: Floats
+    moment_error: Floats
+    secant_error: Floats
+    tangent_error: Floats
+
+
+def law_points(
+    knots: Floats,
+    compliance: Floats,
+    covariance: Floats,
+    curvature: Floats,
+    *,
+    scale_error: float,
+) -> LawPoints:
+    """Look up a law at curvatures.
+
+    Parameters
+    ----------
+    knots, compliance, covariance : of a `MeasuredLaw`
+    curvature : shape (n,), 1/m, none negative
+    scale_error : standard uncertainty of the scale of the force, as a share
+
+    Returns
+    -------
+    Moments and stiffnesses, never extrapolated. Where the law is flat (no compliance) errors are
+    infinite.
+
+    Notes
+    -----
+    At a given curvature kappa = k(M) an error dk of the law moves the moment by -dk / k'(M); the
+    scale of the force stretches all moments alike.
+    """
+    basis = LawBasis(knots)
+    fine = np.linspace(0.0, knots[-1], _FINE)
+    reached = basis.values(fine) @ compliance
+    inside = (curvature >= 0.0) & (curvature <= reached[-1] * (1.0 + 1e-12))
+    moment = np.where(inside, np.interp(curvature, reached, fine), np.nan)
+    at = np.nan_to_num(moment)
+    slopes = basis.slopes(at)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        softness = slopes @ compliance
+        by_law = -basis.values(at) / softness[:, None]
+        bend = _slope_of_slope(knots, compliance, at)
+        by_slope = -(slopes + bend[:, None] * by_law) / softness[:, None] ** 2
+        secant, tangent = moment / curvature, 1.0 / softness
+        moment_error = _error(by_law, covariance, scale_error * moment)
+        return LawPoints(
+            moment=moment,
+            secant=secant,
+            tangent=np.where(inside, tangent, np.nan),
+            moment_error=moment_error,
+            secant_error=moment_error / curvature,
+            tangent_error=_error(by_slope, covariance, scale_error * tangent),
+        )
+
+
+def _slope_of_slope(knots: Floats, compliance: Floats, moment: Floats) -> Floats:
+    """Second derivative of curvature by moment, piecewise constant."""
+    place = np.clip(np.searchsorted(knots, moment, side="right") - 1, 0, len(knots) - 2)
+    return np.asarray((np.diff(compliance) / np.diff(knots))[place], dtype=np.float64)
+
+
+def _error(gradient: Floats, covariance: Floats, scale: Floats) -> Floats:
+    squares = np.einsum("nk,kj,nj->n", gradient, covariance, gradient)
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0) + scale**2), dtype=np.float64)
+
+
+def tabulate(
+    fit: LawFit,
+    common: Sequence[Floats],
+    *,
+    scale_error: float,
+    noise: float,
+    curvature_noise: float,
+    n_frames: int,
+) -> MeasuredLaw:
+    """Make the table of a law.
+
+    Parameters
+    ----------
+    fit : the law with its scatter
+    common : one standard error each of what all frames have in common, as changes of the
+        compliances, shape (knots,)
+    scale_error : standard uncertainty of the scale of the force, as a share
+    noise : m, of a marker coordinate, as a mean over as many frames as the law was found from
+    curvature_noise : 1/m, standard error of the cloud's curvatures
+    n_frames : that went in
+
+    Returns
+    -------
+    The law.
+
+    Notes
+    -----
+    A curvature is known where it is above 1.96 times the noise of the cloud's curvatures, and where
+    the law's own interval does not hold a moment of zero.
+    """
+    covariance = fit.covariance + sum(np.outer(change, change) for change in common)
+    largest = float(fit.basis.values(fit.basis.knots[-1:])[0] @ fit.compliance)
+    curvature = largest * (np.arange(_ROWS) / (_ROWS - 1)) ** 2
+    at = law_points(fit.basis.knots, fit.compliance, covariance, curvature, scale_error=scale_error)
+    floor = _NORMAL_95 * curvature_noise
+    is_known = np.asarray(
+        (curvature > floor) & (_NORMAL_95 * at.moment_error < at.moment), dtype=np.bool_
+    )
+    return MeasuredLaw(
+        curvature=curvature,
+        **_with_ends("moment", at.moment, at.moment_error, np.isfinite(at.moment_error)),
+        **_with_ends("secant", at.secant, at.secant_error, is_known),
+        **_with_ends("tangent", at.tangent, at.tangent_error, is_known),
+        is_known=is_known,
+        reason=_why_not(curvature, is_known, floor),
+        floor=floor,
+        scale_error=scale_error,
+        residual=fit.residual,
+        noise=noise,
+        n_frames=n_frames,
+        knots=fit.basis.knots,
+        compliance=fit.compliance,
+        compliance_covariance=covariance,
+    )
+
+
+def _with_ends(name: str, value: Floats, error: Floats, shown: Flags) -> dict[str, Floats]:
+    """A column with the ends of its interval; the moment itself stays where its ends do not."""
+    half = _NORMAL_95 * np.where(shown, error, np.nan)
+    middle = value if name == "moment" else np.where(shown, value, np.nan)
+    return {name: middle, f"{name}_lower": middle - half, f"{name}_upper": middle + half}
+
+
+def _why_not(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
+    unknown = int((~is_known[1:]).sum())
+    if not unknown:
+        return None
+    last = float(curvature[1:][~is_known[1:]].max())
+    return Reason(
+        "below_noise",
+        f"{unknown} of {len(curvature) - 1} curvatures, up to {last:.3g} 1/m, are not "
+        f"above their noise (1.96 standard errors of the cloud are {floor:.3g} 1/m)",
+    )
+
+
+ROWS = 50
+"""Rows of the cloud in the first loading."""
+STATIONS = 17
+"""Places along the specimen."""
+
+
+def bending_cloud(test: BendingTest) -> BendingCloud:
+    """Tell curvature and moment, less those at rest.
+
+    Parameters
+    ----------
+    test : shapes and force
+
+    Returns
+    -------
+    One row per mean over consecutive frames of a branch: about `ROWS` in the first loading, over as
+    many frames in the other branches. A mean without shape or force is left out.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two frames at rest show all markers, or no mean has shape and force.
+
+    Notes
+    -----
+    M(s) = Py (x_L - x(s)) - Px (y_L - y(s)), the force of `TipPull` at the tip (x_L, y_L). Errors
+    of the curvature from the noise of the markers take it to be independent from frame to frame.
+    """
+    count = int((test.branch == test.first).sum())
+    frames = test.frames(test.branch, per_mean=max(1, count // ROWS))
+    length, rest, means = test.layout.length, test.standing, frames.means
+    places = np.linspace(0.0, length, STATIONS)
+    now = bent(frames.coefficients, length, places)
+    curvature = now.curvature - bent(rest.coefficients, length, places).curvature
+    moment = test.moments(frames.coefficients, means.force, places)
+    at_rest = test.moments(rest.coefficients, np.zeros(1), places)[0]
+    share = np.sqrt(1.0 / means.per_mean + 1.0 / rest.frames)
+    gain = curvature_gain(test.layout, means.markers, now, places)
+    return BendingCloud(
+        time=means.time,
+        branch=means.branch,
+        cycle=test.cycle[np.searchsorted(test.shape.time, means.time)],
+        force=means.force,
+        arc_length=places,
+        curvature=curvature,
+        curvature_error=rest.noise * share * gain,
+        curvature_systematic=_systematic(test, frames, places, curvature),
+        moment=moment - at_rest,
+        moment_error=_moment_errors(test, frames, now, moment - at_rest),
+        moment_at_rest=at_rest,
+        frames_per_mean=means.per_mean,
+    )
+
+
+def _systematic(
+    test: BendingTest, frames: FittedFrames, places: Floats, curvature: Floats
+) -> Floats:
+    """What one coefficient more makes of the curvatures, in absolute value."""
+    if frames.finer is None:
+        return np.full(curvature.shape, np.nan)
+    finer = bent(frames.finer, test.layout.length, places).curvature
+    still = bent(test.standing.finer, test.layout.length, places).curvature
+    return np.asarray(np.abs(finer - still - curvature), dtype=np.float64)
+
+
+def _moment_errors(test: BendingTest, frames: FittedFrames, now: Bent, moment: Floats) -> Floats:
+    """Standard errors of moments, shape (n, stations), N m: force, zero, scale, places."""
+    errors, means = test.errors, frames.means
+    lever = now.x[:, -1:] - now.x
+    push = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(means.per_mean))
+    noise = test.standing.noise * frames.tip_gain / np.sqrt(means.per_mean)
+    place = np.hypot(errors.offset, noise) * means.force
+    squares = (push * lever) ** 2 + (errors.force_scale * moment) ** 2 + place[:, None] ** 2
+    return np.asarray(np.sqrt(squares), dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Many tests: which there are, running them, grouping and reporting them."""

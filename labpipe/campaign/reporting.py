@@ -1,0 +1,315 @@
+"""From processed tests to the report of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.campaign.grouping import (
+    Key,
+    Settings,
+    check_fields,
+    find_differences,
+    group_names,
+    in_turn,
+    key_of,
+    setting_notes,
+    settings_by_test,
+    settings_of,
+    with_own_spools,
+    without,
+)
+from labpipe.errors import LabpipeError, UsageError
+from labpipe.process.targets import (
+    find_copies,
+    find_results,
+    recording_of,
+    refuse_repeated,
+    shared_folder,
+)
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.schema import Groups
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Direction
+from labpipe.records.group import Campaign, Group, Sample, SampleCurve
+from labpipe.records.result import TestResult
+from labpipe.report.lab_report import write_report
+from labpipe.report.wording import is_main
+from labpipe.statistics.group_fields import TYPE
+from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
+from labpipe.statistics.groups import PoolingLimits, build_group
+from labpipe.statistics.mean_curves import block_means
+from labpipe.store.read import read_outcome
+from labpipe.store.replace import locked, replacing_together
+from labpipe.studies.bundle_bounds import find_places
+from labpipe.studies.wire_specs import read_wire_sheet
+
+_POINTS = 2000
+"""Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
+corner is smeared over less than a line is thick."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What a report is wanted to show.
+
+    Parameters
+    ----------
+    by : fields of the test sheets that groups are made by
+    alone : show only pairs of groups that differ in this field and no other; empty for all
+    wires : wire sheet, for the bounds of harness bundles; None for none
+    """
+
+    by: tuple[str, ...] = (TYPE,)
+    alone: str = ""
+    wires: Path | None = None
+
+
+BY_TYPE = Wanted()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reported:
+    """A report and where it was written.
+
+    Parameters
+    ----------
+    folder : holds report.html, tables.xlsx and figures
+    campaign : what it shows
+    files : all of them, the page first
+    """
+
+    folder: Path
+    campaign: Campaign
+    files: tuple[Path, ...]
+
+
+def report_tests(
+    targets: Sequence[Path],
+    *,
+    out: Path | None = None,
+    title: str = "",
+    say: Callable[[str], None] = lambda _: None,
+    wanted: Wanted = BY_TYPE,
+) -> Reported:
+    """Put processed tests together into one report.
+
+    Parameters
+    ----------
+    targets : result.h5 files, or folders that hold some
+    out : folder of the report; None for ``report`` in the folder that all tests share
+    title : of the report; the name of that folder if empty
+    say : told the name of each test as it is read
+    wanted : groups and comparisons
+
+    Returns
+    -------
+    The report and its files.
+
+    Raises
+    ------
+    LabpipeError
+        If there is no processed test, none can be read, two have one name, no test sheet has a
+        field that is wanted, the wire sheet has faults, or the report cannot be written; an earlier
+        report is then as it was.
+    """
+    files = find_results(targets)
+    shared = shared_folder(files)
+    campaign = make_campaign(files, title or shared.resolve().name, say, wanted)
+    folder = shared / "report" if out is None else out
+    with locked(folder), replacing_together(folder) as stage:
+        say("report")
+        written = write_report(campaign, stage)
+    return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
+
+
+def make_campaign(
+    files: Sequence[Path],
+    title: str,
+    say: Callable[[str], None] = lambda _: None,
+    wanted: Wanted = BY_TYPE,
+) -> Campaign:
+    """Read processed tests one after the other and put them into groups.
+
+    Parameters
+    ----------
+    files : result.h5 files; one that cannot be read, or is made of the same recording as another,
+        is left out, with the reason
+    title : of the report
+    say : told the name of each test as it is read
+    wanted : groups and comparisons
+
+    Returns
+    -------
+    Groups that have the wanted fields and the protocol alike, and how they differ.
+
+    Raises
+    ------
+    LabpipeError
+        If no file can be read, two tests have one name, no test sheet has a field that is wanted,
+        or the wire sheet has faults.
+    """
+    wires = None if wanted.wires is None else read_wire_sheet(wanted.wires)
+    read = _read(files, say)
+    check_fields(wanted.by, read.samples, "--by")
+    check_fields(list(filter(None, [wanted.alone])), read.samples, "--compare")
+    groups = _groups(read, wanted.by)
+    differences = find_differences(
+        groups, read.wishes, read.settings, by=wanted.by, alone=wanted.alone
+    )
+    return Campaign(
+        title=title,
+        groups=tuple(groups),
+        differences=differences.shown,
+        left_out=read.left_out,
+        labpipe_version=__version__,
+        by=wanted.by,
+        compared=wanted.alone,
+        pairs_not_shown=differences.pairs_not_shown,
+        places=() if wires is None else tuple(find_places(groups, wires)),
+        wire_sheet="" if wanted.wires is None else wanted.wires.name,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """What was read: samples, what protocols say of groups, settings by file, what is left out."""
+
+    samples: list[Sample]
+    wishes: dict[str, Groups]
+    settings: dict[str, Settings]
+    left_out: dict[str, str]
+
+
+def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
+    read = _Read([], {}, {}, {})
+    recordings: list[tuple[Path, Hashable]] = []
+    for file in files:
+        say(file.parent.name)
+        try:
+            result = read_outcome(file)
+            # What concerns a group is said by its protocol, as each result stored it.
+            protocol = parse_protocol(result.protocol_yaml, str(file))
+        except LabpipeError as error:
+            read.left_out[str(file)] = str(error)
+            continue
+        read.wishes[result.protocol] = protocol.groups
+        read.settings[str(file)] = settings_of(protocol)
+        recordings.append((file, recording_of(result, protocol)))
+        read.samples.append(sample_of(result, str(file)))
+    if not read.samples:
+        raise UsageError("\n".join(read.left_out.values()))
+    refuse_repeated([(each.test, Path(each.source)) for each in read.samples], "name")
+    copies = find_copies(recordings)
+    samples = [each for each in read.samples if each.source not in copies]
+    return replace(read, samples=samples, left_out=read.left_out | copies)
+
+
+def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
+    members: dict[Key, list[Sample]] = {}
+    for sample in read.samples:
+        members.setdefault(key_of(sample, by), []).append(sample)
+    names = group_names(in_turn(members, by), by)
+    return [
+        _noted(
+            _group(name, members[key], read.wishes[key.protocol], without(key, by)), read.settings
+        )
+        for key, name in names.items()
+    ]
+
+
+def sample_of(result: TestResult, source: str) -> Sample:
+    """Keep of a processed test what a report needs.
+
+    Parameters
+    ----------
+    result : with or without recordings
+    source : file it was read from
+    """
+    return Sample(
+        test=result.test,
+        specimen=result.specimen,
+        protocol=result.protocol,
+        loading=_branches(result, Direction.LOADING),
+        unloading=_branches(result, Direction.UNLOADING),
+        results=result.results,
+        slips=result.slips,
+        lines=result.lines,
+        quality=result.quality,
+        display=dict(result.display),
+        source=source,
+    )
+
+
+def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
+    branches = result.curve.branches if result.curve is not None else ()
+    return tuple(_thin(result, branch) for branch in branches if branch.direction is direction)
+
+
+def _thin(result: TestResult, branch: Branch) -> SampleCurve:
+    """A branch as means over equal numbers of samples, up to the failure."""
+    curve = result.curve
+    if curve is None:
+        message = "a branch without a curve"
+        raise ValueError(message)
+    part = slice(branch.start, _stop_before_failure(result, branch, curve.displacement))
+    force = curve.force[part]
+    measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
+    order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
+    return SampleCurve(
+        displacement=block_means(curve.displacement[part][order], _POINTS),
+        force=block_means(force[order], _POINTS),
+        as_measured=block_means(measured[order], _POINTS),
+        cycle=branch.cycle,
+    )
+
+
+def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
+    """Where a branch ends: at its last sample, or at the last one before the specimen broke."""
+    at = next((each.value for each in result.results if each.name == "failure_displacement"), None)
+    if at is None or branch.direction is not Direction.LOADING:
+        return branch.stop
+    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
+    return branch.start + int(beyond[0]) if len(beyond) else branch.stop
+
+
+def _group(
+    name: str, members: Sequence[Sample], settings: Groups, not_said: Sequence[str]
+) -> Group:
+    samples, renamed = with_own_spools(members)
+    group = build_group(
+        name,
+        members[0].protocol,
+        [_of_specimen(sample) for sample in samples],
+        limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
+        scaled=settings.scaled,
+    )
+    numbers = {number.name: number for number in group.numbers}
+    first = [numbers.pop(name) for name in settings.main if name in numbers]
+    whole = {sample.source: sample for sample in samples}
+    return replace(
+        group,
+        samples=tuple(whole[sample.source] for sample in group.samples),
+        numbers=(*first, *numbers.values()),
+        notes=(*grouping_notes(not_said, renamed), *group.notes),
+    )
+
+
+def _of_specimen(sample: Sample) -> Sample:
+    """The sample with those results alone that say something about the specimen.
+
+    A group has numbers of these only, so that no table or figure has to leave any out.
+    """
+    kept = [each for each in sample.results if is_main(each.name)]
+    return replace(sample, results=tuple(kept))
+
+
+def _noted(group: Group, settings: dict[str, Settings]) -> Group:
+    """The group with a warning, before all others, for what was not set alike in its tests."""
+    told = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
+    unlike = setting_notes(settings_by_test(group.samples, settings), told)
+    return replace(group, notes=(*unlike, *group.notes))

@@ -1,0 +1,180 @@
+"""Slack: the travel before a specimen is taut, by toe compensation or from a loading branch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
+from labpipe.uncertainty.noise import fast_noise, long_run_variance
+
+_LEAST = 8
+
+
+def fit_slack(
+    displacement: Floats, force: Floats, *, start_share: float, stop_share: float
+) -> Estimate | Failure:
+    """Displacement at which the line through the linear region meets zero force.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; the loading branch in order of time, force zeroed;
+        NaN in either are left out
+    start_share, stop_share : of the largest force; the line goes through the samples between the
+        first rise to one and the first rise to the other
+
+    Returns
+    -------
+    m, with an interval that may be lopsided, or a failure: ``too_few_samples`` (fewer than 8 in
+    the region), ``not_rising`` when the force does not rise there, ``not_reached`` when the branch
+    begins above the lower share.
+
+    Notes
+    -----
+    Toe compensation of ASTM D638, annex A1 (also D882): the tangent to the linear region is carried
+    to zero force, and its foot is the corrected zero of displacement. The interval is Fieller's
+    (J. R. Stat. Soc. B 16 (1954) 175) with the covariance of the line for correlated noise. A rise
+    is where the force crosses a share: halfway between the first sample above and the last one
+    below before the peak, so that single noisy samples do not choose the region.
+    """
+    known = ~np.isnan(displacement) & ~np.isnan(force)
+    d, f = displacement[known], force[known]
+    if len(d) < _LEAST:
+        return Failure("too_few_samples", f"{len(d)} samples, {_LEAST} are needed")
+    top = int(np.argmax(f))
+    first, last = (
+        _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
+    )
+    if first == 0:
+        found = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
+        return Failure("not_reached", found)
+    if last - first < _LEAST:
+        found = f"{max(last - first, 0)} samples in the linear region, {_LEAST} are needed"
+        return Failure("too_few_samples", found)
+    return _foot(d[first:last], f[first:last])
+
+
+def _rise(force: Floats, height: float) -> int:
+    """Sample at which a rising force crosses a height."""
+    above = np.flatnonzero(force >= height)
+    below = np.flatnonzero(force < height)
+    if len(above) == 0 or len(below) == 0:
+        return 0
+    return (int(above[0]) + int(below[-1]) + 1) // 2
+
+
+def _foot(d: Floats, f: Floats) -> Estimate | Failure:
+    middle = float(d.mean())
+    fit = fit_linear(np.column_stack([np.ones_like(d), d - middle]), f)
+    level, slope = (float(value) for value in fit.coefficients)
+    if slope - float(fit.half_widths[1]) <= 0.0:
+        found = f"slope {slope:.4g} -+ {fit.half_widths[1]:.2g} N/m in the linear region"
+        return Failure("not_rising", found)
+    lower, upper = _fieller(fit)
+    at = -level / slope
+    gradient = np.array([-1.0 / slope, level / slope**2])
+    error = float(np.sqrt(gradient @ fit.covariance @ gradient))
+    return Estimate(middle + at, error, fit.n, Interval(middle + lower, middle + upper))
+
+
+def _fieller(fit: LinearFit) -> tuple[float, float]:
+    """Roots of (level + slope x)^2 = q^2 var(level + slope x); slope is known to be positive."""
+    level, slope = fit.coefficients
+    spread = fit.quantile**2 * fit.covariance
+    a, b, c = slope**2 - spread[1, 1], level * slope - spread[0, 1], level**2 - spread[0, 0]
+    root = float(np.sqrt(max(b * b - a * c, 0.0)))
+    return float((-b - root) / a), float((-b + root) / a)
+
+
+_CLEAR = 4.0
+"""Standard deviations of the force that are told from zero."""
+_FOOT = 5.0
+"""Limits up to which the foot of the force is taken for straight."""
+_LEAST_AT_FOOT = 8
+_BACK = 0.02
+"""Share of the branch that a line through its foot may be followed back beyond its beginning."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeUp:
+    """Where the force begins.
+
+    Parameters
+    ----------
+    displacement : m, at zero force
+    sample : first one of the branch whose force is told from zero
+    """
+
+    displacement: Estimate
+    sample: int
+
+
+def find_take_up(
+    displacement: Floats, force: Floats, *, zero_error: float = 0.0
+) -> TakeUp | Failure:
+    """Displacement at which a loading branch takes up force.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
+        in either are passed over
+    zero_error : N, standard error of the force's zero
+
+    Returns
+    -------
+    The place, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` when the branch
+    begins under a force that it cannot be followed back from, ``no_force`` when its force is
+    nowhere told from zero.
+
+    Notes
+    -----
+    Zero is what is not told from it: four standard deviations of the fast noise of the force. The
+    foot of the force begins behind the last sample within that limit before the largest force, and
+    ends at five limits; a straight line through it (eight samples at least) is followed back to
+    zero force. Where the force comes from below zero, as after bending to the other side, the
+    place is where it passes zero. The error is that of the line, and of the force's zero.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.01, 400)
+    >>> found = find_take_up(d, 500.0 * np.maximum(d - 0.002, 0.0))
+    >>> round(1e3 * found.displacement.value, 6)
+    2.0
+    """
+    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    if len(known) < 2 * _LEAST_AT_FOOT:
+        return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST_AT_FOOT} are needed")
+    d, f = displacement[known], force[known]
+    limit = _CLEAR * fast_noise(f)
+    top = int(np.argmax(f))
+    if f[top] <= limit:
+        found = f"the force reaches {f[top]:.4g} N, zero is told to {limit:.4g} N"
+        return Failure("no_force", found)
+    within = np.flatnonzero(f[:top] <= limit)
+    first = int(within[-1]) + 1 if len(within) else 0
+    at, rises = _followed_back(d[first:], f[first:], limit, zero_error)
+    if not len(within) and not (rises and at.value >= d[0] - _BACK * float(np.ptp(d))):
+        found = f"the branch begins at {f[0]:.4g} N, zero is told to {limit:.4g} N"
+        return Failure("not_unloaded", found)
+    return TakeUp(at, int(known[first]))
+
+
+def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> tuple[Estimate, bool]:
+    """Where a line through the foot of a force is zero; if none rises, its first sample."""
+    beyond = np.flatnonzero(f > _FOOT * limit)
+    foot = slice(0, max(_LEAST_AT_FOOT, int(beyond[0]) if len(beyond) else len(f)))
+    d, f = d[foot], f[foot]
+    lever = d - d.mean()
+    travel = float(lever @ lever)
+    slope = float(lever @ f) / travel if travel > 0.0 else 0.0
+    if slope <= 0.0:
+        return Estimate(float(d[0]), float(np.ptp(d)), len(d)), False
+    back = -float(f.mean()) / slope
+    variance = long_run_variance(f - f.mean() - slope * lever, parameters=2)
+    at_zero = float(np.sqrt(variance * (1.0 / len(d) + back**2 / travel)))
+    return Estimate(float(d.mean()) + back, hypot(at_zero, zero_error) / slope, len(d)), True

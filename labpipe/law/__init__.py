@@ -1,0 +1,1 @@
+"""Moment-curvature laws as data and functions, below wire and rod."""

@@ -1,0 +1,175 @@
+"""A solid round bar that bends as a wire does: the stress-strain curve that its material must have.
+
+Programs without beams that take a moment-curvature law take a material. Plane sections of a round
+bar of radius R bent by kappa are strained by y kappa (Euler-Bernoulli), and so
+
+    M(kappa) = 4 integral from 0 to R of sigma(y kappa) y sqrt(R^2 - y^2) dy
+
+is an integral equation of Abel's kind for sigma. It is solved for a curve of straight lines.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from labpipe.law.plays import require_positive
+from labpipe.records.arrays import Floats, frozen
+
+N_KNOTS = 24
+"""Points of the stress-strain curve."""
+ELASTIC_SHARE = 0.002
+"""End of the elastic range, as a share of the largest curvature."""
+_STEEPEST = 0.999  # of the modulus: a curve as steep as it would have no plastic strain
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EquivalentMaterial:
+    """Stress against strain on first loading, of a material that hardens isotropically.
+
+    Parameters
+    ----------
+    diameter : of the bar, m
+    modulus : Pa, up to the first strain
+    strain : shape (n,), total, increasing; the last belongs to the largest curvature
+    stress : shape (n,), Pa, never falling
+    curvature : shape (m,), 1/m, where the law was held against the wire's
+    error : shape (m,), distance of the bar's moment from the wire's, as a share of the wire's
+    """
+
+    diameter: float
+    modulus: float
+    strain: Floats
+    stress: Floats
+    curvature: Floats
+    error: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "strain", frozen(self.strain, shape=(None,)))
+        object.__setattr__(self, "stress", frozen(self.stress, shape=self.strain.shape))
+        object.__setattr__(self, "curvature", frozen(self.curvature, shape=(None,)))
+        object.__setattr__(self, "error", frozen(self.error, shape=self.curvature.shape))
+
+    @property
+    def elastic_curvature(self) -> float:
+        """Where the bar leaves its first slope, 1/m."""
+        return float(2.0 * self.strain[0] / self.diameter)
+
+    @property
+    def plastic_strain(self) -> Floats:
+        """Strain less stress over modulus, shape (n,); the first is zero."""
+        plastic = self.strain - self.stress / self.modulus
+        return np.asarray(plastic - plastic[0])
+
+    def holds_from(self, tolerance: float) -> float | None:
+        """Curvature from which the bar's law is within a share of the wire's, to the end.
+
+        Parameters
+        ----------
+        tolerance : share of the wire's moment
+
+        Returns
+        -------
+        1/m, one of `curvature`; None if the law is farther off at the last of them.
+        """
+        outside = np.flatnonzero(np.abs(self.error) > tolerance)
+        first = int(outside[-1]) + 1 if len(outside) else 0
+        return float(self.curvature[first]) if first < len(self.curvature) else None
+
+
+def equivalent_material(
+    curvature: Floats,
+    moment: Floats,
+    diameter: float,
+    *,
+    elastic_share: float = ELASTIC_SHARE,
+    n_knots: int = N_KNOTS,
+) -> EquivalentMaterial:
+    """Find the material of a round bar whose moment-curvature law is that of a wire.
+
+    Parameters
+    ----------
+    curvature : shape (m,), 1/m, positive and increasing; the end is that of the range
+    moment : shape (m,), N m, of the wire on first loading, positive
+    diameter : of the bar, m
+    elastic_share : of the largest curvature: up to there the bar is elastic, with the wire's
+        secant stiffness at that curvature
+    n_knots : points of the stress-strain curve, spread evenly in the logarithm
+
+    Returns
+    -------
+    The material, with the distance of its law from the wire's at every given curvature, those
+    within the elastic range included: below it a wire that sticks is stiffer.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, fewer than two points are given, or a value is NaN.
+
+    Notes
+    -----
+    Least squares of the relative error at the points above the elastic range, by bounded slopes
+    (Stark and Parker, Computational Statistics 10 (1995) 129): none below zero, since a stress that
+    falls has no stable bar, and none above the modulus. A kink of a law that is sharper than the
+    circle lets one be (slip that begins at once) is rounded; what that costs is in `error`.
+
+    Strains are those of a straight line of slope kappa over the section. At strains of a few per
+    cent the difference of nominal and true strain is opposite on the two sides of the bar and
+    cancels to first order.
+    """
+    _require(curvature, moment, elastic_share, n_knots)
+    require_positive("diameter", diameter)
+    radius = 0.5 * diameter
+    elastic = elastic_share * float(curvature[-1])
+    strain = np.geomspace(elastic, float(curvature[-1]), n_knots) * radius
+    secant = _moment_at(elastic, curvature, moment) / elastic
+    modulus = secant / (0.25 * np.pi * radius**4)
+    parts = modulus * _segments(curvature, strain, radius) / moment[:, np.newaxis]
+    above = curvature > elastic
+    rest = 1.0 - parts[above, 0]
+    slopes = lsq_linear(parts[above, 1:], rest, bounds=(0.0, _STEEPEST), method="bvls").x
+    shares = np.append(1.0, slopes)
+    stress = modulus * np.cumsum(shares * np.diff(strain, prepend=0.0))
+    return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
+
+
+def _moment_at(at: float, curvature: Floats, moment: Floats) -> float:
+    return float(np.interp(at, np.append(0.0, curvature), np.append(0.0, moment)))
+
+
+def _segments(curvature: Floats, strain: Floats, radius: float) -> Floats:
+    """Moments of bars whose stress rises by unit slope in one segment of strain only, (m, n)."""
+    return np.diff(_cut_off(curvature[:, np.newaxis], strain, radius), axis=1, prepend=0.0)
+
+
+def _cut_off(curvature: Floats, strain: Floats, radius: float) -> Floats:
+    """Moment of a bar of unit modulus, perfectly plastic from a strain on.
+
+    With c = strain / (kappa R) the half-height of the elastic core, as a share of the radius:
+    M = kappa R^4 / 2 (asin c - c sqrt(1 - c^2) (1 - 2 c^2)) + 4/3 strain R^3 (1 - c^2)^(3/2).
+    """
+    core = np.minimum(strain / (curvature * radius), 1.0)
+    outside = 1.0 - core**2
+    inner = np.arcsin(core) - core * np.sqrt(outside) * (1.0 - 2.0 * core**2)
+    return 0.5 * curvature * radius**4 * inner + 4.0 / 3.0 * strain * radius**3 * outside**1.5
+
+
+def _require(curvature: Floats, moment: Floats, elastic_share: float, n_knots: int) -> None:
+    if len(curvature) < 2 or len(moment) != len(curvature):
+        message = (
+            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are as many of both, "
+            f"at least 2"
+        )
+        raise ValueError(message)
+    finite = np.all(np.isfinite(curvature)) and np.all(np.isfinite(moment))
+    if not finite or np.any(np.diff(curvature, prepend=0.0) <= 0.0) or np.any(moment <= 0.0):
+        message = "allowed are finite, increasing, positive curvatures and positive moments"
+        raise ValueError(message)
+    if not 0.0 < elastic_share < 1.0 or n_knots < 2:
+        message = (
+            f"elastic_share={elastic_share!r}, n_knots={n_knots}: allowed are shares between 0 and "
+            f"1, and 2 points or more"
+        )
+        raise ValueError(message)

@@ -1,0 +1,370 @@
+"""Moment-curvature laws, explicit in curvature as a function of moment and of its history.
+
+Every law here is a spring in series with play operators (PHYSICS 4: strands that stick, slip and
+yield do so one after the other):
+
+    kappa = M / EI0 + sum_j c_j p_j        p_j <- min(max(p_j, M - r_j), M + r_j)
+
+On first loading p_j = max(0, M - r_j), so the law is a polygon that gives way at each half-width
+r_j; after a reversal nothing moves until the moment has changed by twice the smallest r_j, so
+unloading starts with EI0, loops follow Masing's rule and close, and curvature stays behind when the
+moment is gone. It does not depend on rate. Moments are in N m, curvatures in 1/m.
+
+A law may end at a moment. Nothing here stops there, so that a search may pass it on its way; what
+it ends at is held against `require_within`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, frozen
+
+_ROUNDING = 1e-6  # of the last moment: that at which a search for it ends
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Response:
+    """What a law answers to a moment at each station.
+
+    Parameters
+    ----------
+    curvature : shape (stations,), 1/m
+    compliance : shape (stations,), 1/(N m^2), slope of curvature against moment in the direction
+        of the step just made
+    plays : shape (stations, plays), N m, the history after the step
+    """
+
+    curvature: Floats
+    compliance: Floats
+    plays: Floats
+
+
+class MomentLaw(Protocol):
+    """A moment-curvature law with memory; one law serves all stations along a wire."""
+
+    @property
+    def stiffness(self) -> float:
+        """Bending stiffness EI0 of the first, elastic response, N m^2."""
+
+    @property
+    def half_widths(self) -> Floats:
+        """Half-widths r_j of the plays, N m, shape (plays,), increasing."""
+
+    @property
+    def compliances(self) -> Floats:
+        """Compliances c_j that the plays add once they move, 1/(N m^2), shape (plays,)."""
+
+    @property
+    def largest_moment(self) -> float:
+        """Where the law ends, N m, either sign; infinite where it does not."""
+
+
+@dataclass(frozen=True, slots=True)
+class LinearLaw:
+    """Constant bending stiffness: kappa = M / EI, no memory.
+
+    Parameters
+    ----------
+    stiffness : EI, N m^2
+    """
+
+    stiffness: float
+
+    def __post_init__(self) -> None:
+        require_positive("stiffness", self.stiffness)
+
+    @property
+    def largest_moment(self) -> float:
+        """No end."""
+        return np.inf
+
+    @property
+    def half_widths(self) -> Floats:
+        """No plays: shape (0,)."""
+        return np.zeros(0)
+
+    @property
+    def compliances(self) -> Floats:
+        """No plays: shape (0,)."""
+        return np.zeros(0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlayLaw:
+    """Many plays: any concave first-loading law, with Masing loops and residual curvature.
+
+    Parameters
+    ----------
+    stiffness : EI0, N m^2
+    half_widths : shape (plays,), N m, positive and increasing
+    compliances : shape (plays,), 1/(N m^2), none negative
+    largest_moment : N m, where the law ends
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the law would soften.
+    """
+
+    stiffness: float
+    half_widths: Floats = field(repr=False)
+    compliances: Floats = field(repr=False)
+    largest_moment: float = np.inf
+
+    def __post_init__(self) -> None:
+        require_positive("stiffness", self.stiffness)
+        if not self.largest_moment > 0.0:
+            message = f"largest_moment={self.largest_moment!r}: allowed are numbers > 0"
+            raise ValueError(message)
+        widths = frozen(self.half_widths, shape=(None,))
+        compliances = frozen(self.compliances, shape=widths.shape)
+        if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
+            message = f"half_widths={widths}: allowed are positive, increasing numbers"
+            raise ValueError(message)
+        if not (np.all(np.isfinite(compliances)) and np.all(compliances >= 0.0)):
+            message = f"compliances={compliances}: allowed are finite numbers >= 0"
+            raise ValueError(message)
+        object.__setattr__(self, "half_widths", widths)
+        object.__setattr__(self, "compliances", compliances)
+
+
+def virgin_plays(law: MomentLaw, n_stations: int) -> Floats:
+    """History of a wire that was never bent, shape (n_stations, plays), N m."""
+    return np.zeros((n_stations, len(law.half_widths)))
+
+
+def respond(law: MomentLaw, moment: Floats, plays: Floats) -> Response:
+    """Curvature under new moments, from the history left by the moments before.
+
+    Parameters
+    ----------
+    law : the law of every station
+    moment : shape (stations,), N m; each station's moment is taken to go there monotonically
+    plays : shape (stations, plays), N m, history before the step
+
+    Returns
+    -------
+    Curvature, compliance and the new history. NaN in gives NaN out.
+
+    Notes
+    -----
+    A step that would need two turns is two steps. The compliance at a corner of the polygon is
+    that of the play at rest.
+    """
+    column = moment[:, None]
+    moved = np.minimum(np.maximum(plays, column - law.half_widths), column + law.half_widths)
+    flowing = moved != plays
+    curvature = moment / law.stiffness + moved @ law.compliances
+    compliance = 1.0 / law.stiffness + flowing @ law.compliances
+    return Response(curvature, compliance, moved)
+
+
+def corners_of(law: MomentLaw) -> tuple[Floats, Floats, Floats]:
+    """Where a law bends on first loading, zero first, each of shape (plays + 1,).
+
+    Parameters
+    ----------
+    law : the law
+
+    Returns
+    -------
+    Moments, N m; curvatures, 1/m; d(curvature) / d(moment) behind each, 1/(N m^2).
+    """
+    moment = np.append(0.0, law.half_widths)
+    slopes = 1.0 / law.stiffness + np.append(0.0, np.cumsum(law.compliances))
+    return moment, np.append(0.0, np.cumsum(slopes[:-1] * np.diff(moment))), slopes
+
+
+def first_curvature(law: MomentLaw, moment: Floats) -> Floats:
+    """Curvature of first loading at moments, 1/m.
+
+    Parameters
+    ----------
+    law : the law; beyond its end the last slope is taken
+    moment : shape (n,), N m, not negative
+    """
+    corner, reached, slopes = corners_of(law)
+    last = np.searchsorted(corner, moment, side="right") - 1
+    return np.asarray(reached[last] + slopes[last] * (moment - corner[last]))
+
+
+def is_within(law: MomentLaw, moment: float) -> bool:
+    """Whether a law goes as far as a moment, N m, either sign, but for rounding."""
+    return bool(abs(moment) <= law.largest_moment * (1.0 + _ROUNDING))
+
+
+def require_within(law: MomentLaw, moment: Floats, what: str) -> None:
+    """Refuse moments beyond the end of a law.
+
+    Parameters
+    ----------
+    law : the law
+    moment : shape (n,), N m
+    what : it takes them for, for the message
+
+    Raises
+    ------
+    ValueError
+        With the curvatures of the wire and of the end of the law.
+    """
+    largest = float(np.max(np.abs(moment), initial=0.0))
+    if is_within(law, largest):
+        return
+    bent, last = first_curvature(law, np.array([largest, law.largest_moment]))
+    message = (
+        f"{what}: the wire would be bent to {bent:.4g} 1/m, and its law ends at {last:.4g} 1/m"
+    )
+    raise ValueError(message)
+
+
+def complementary_energy(law: MomentLaw, moment: Floats) -> Floats:
+    """Complementary energy W*(M) = integral of kappa dM on first loading, per length, N.
+
+    Parameters
+    ----------
+    law : the law
+    moment : any shape, N m
+
+    Returns
+    -------
+    W* of the same shape, N (J/m).
+    """
+    beyond = np.maximum(np.abs(moment)[..., None] - law.half_widths, 0.0)
+    slipped: Floats = 0.5 * beyond**2 @ law.compliances
+    return 0.5 * moment**2 / law.stiffness + slipped
+
+
+def require_positive(name: str, value: float) -> None:
+    """Refuse a number that is not finite and positive.
+
+    Raises
+    ------
+    ValueError
+        With the name, the value and what is allowed.
+    """
+    if not (np.isfinite(value) and value > 0.0):
+        message = f"{name}={value!r}: allowed are finite numbers > 0"
+        raise ValueError(message)
+
+
+def require_finite(name: str, values: Floats | float) -> None:
+    """Refuse numbers that are NaN or infinite.
+
+    Raises
+    ------
+    ValueError
+        With the name, the values and what is allowed.
+    """
+    if not np.all(np.isfinite(values)):
+        message = f"{name}={np.asarray(values).tolist()}: allowed are finite numbers"
+        raise ValueError(message)
+
+
+def fit_plays(
+    curvature: Callable[[Floats], Floats],
+    *,
+    stiffness: float,
+    first_moment: float,
+    last_moment: float,
+    n_plays: int,
+) -> PlayLaw:
+    """Fit plays to a smooth law so that the polygon meets it at every corner.
+
+    Parameters
+    ----------
+    curvature : first-loading curvature, 1/m, as a function of moments, N m
+    stiffness : EI0 of the elastic start and of unloading, N m^2
+    first_moment, last_moment : N m, where the first play gives way and where the fit ends; the
+        corners lie between them, closer near the first; beyond the last the law goes on straight
+    n_plays : number of plays, 30 to 60 for a law without visible corners
+
+    Returns
+    -------
+    The law. Up to `first_moment` it has `stiffness`, whatever `curvature` says there.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or `curvature` softens (stops growing with the moment) or
+        stiffens (its slope falls), which plays cannot do.
+    """
+    require_positive("first_moment", first_moment)
+    if not (last_moment > first_moment and n_plays >= 1):
+        message = (
+            f"last_moment={last_moment!r}, n_plays={n_plays!r}: allowed are numbers > "
+            f"first_moment={first_moment!r} and >= 1"
+        )
+        raise ValueError(message)
+    share = np.linspace(0.0, 1.0, n_plays + 1) ** 2
+    knots = first_moment + share * (last_moment - first_moment)
+    values = np.concatenate([[first_moment / stiffness], curvature(knots[1:])])
+    slopes = np.diff(values) / np.diff(knots)
+    steps = np.diff(np.concatenate([[1.0 / stiffness], slopes]))
+    if not np.all(np.isfinite(slopes)) or np.any(slopes <= 0.0):
+        message = "curvature softens: allowed is a law whose curvature grows with the moment"
+        raise ValueError(message)
+    if np.any(steps < -1e-9 * slopes):
+        message = (
+            f"curvature stiffens at moment={knots[int(np.argmin(steps))]:.4g}: allowed is a law "
+            f"whose slope d(curvature)/d(moment) never falls, from 1/stiffness on"
+        )
+        raise ValueError(message)
+    return PlayLaw(stiffness, knots[:-1], np.maximum(steps, 0.0))
+
+
+def stick_slip_law(
+    *,
+    stick_stiffness: float,
+    stick_moment: float,
+    slip_stiffness: float,
+    reference_moment: float,
+    hardening: float,
+    last_moment: float,
+    n_plays: int = 40,
+) -> PlayLaw:
+    """Stick, then a power law of slip and yield (Ramberg-Osgood beyond the stick moment).
+
+    kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), cut into plays.
+
+    Parameters
+    ----------
+    stick_stiffness : EI0, N m^2
+    stick_moment : Ms, N m, up to which everything sticks
+    slip_stiffness : EI1, N m^2: secant stiffness of the power law alone at Ms + `reference_moment`
+    reference_moment : M0, N m
+    hardening : n between 0 (perfectly plastic) and 1 (two straight lines)
+    last_moment : N m, up to which the law is followed
+    n_plays : number of plays
+
+    Returns
+    -------
+    The law.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+    for name, value in (("slip_stiffness", slip_stiffness), ("reference_moment", reference_moment)):
+        require_positive(name, value)
+    if not 0.0 < hardening < 1.0:
+        message = f"hardening={hardening!r}: allowed are numbers between 0 and 1"
+        raise ValueError(message)
+
+    def curvature(moment: Floats) -> Floats:
+        beyond = np.maximum(moment - stick_moment, 0.0) / reference_moment
+        flow: Floats = reference_moment / slip_stiffness * beyond ** (1.0 / hardening)
+        return moment / stick_stiffness + flow
+
+    return fit_plays(
+        curvature,
+        stiffness=stick_stiffness,
+        first_moment=stick_moment,
+        last_moment=last_moment,
+        n_plays=n_plays,
+    )

@@ -1,0 +1,361 @@
+"""Smooth curves in arc length through the markers of many frames, and the curve at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.markers.specimen_frame import Selection
+from labpipe.markers.tracklets import in_sight
+from labpipe.records.arrays import Flags, Floats, Ints
+
+REST_TERMS = 4
+"""Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic."""
+_ROUNDS = 30
+_SETTLED = 1e-10  # m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CurveBasis:
+    """Power series in u = s / length, free only where the ends leave them free.
+
+    Parameters
+    ----------
+    length : m, arc length at u = 1
+    matrix : shape (terms, unknowns), turns the unknowns of one coordinate into its coefficients
+    """
+
+    length: float
+    matrix: Floats
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns per coordinate."""
+        return int(self.matrix.shape[1])
+
+    def value(self, arc_length: Floats) -> Floats:
+        """Values of the basis at arc lengths of shape (n,); shape (n, unknowns)."""
+        return powers(arc_length / self.length, len(self.matrix)) @ self.matrix
+
+    def slope(self, arc_length: Floats) -> Floats:
+        """Derivatives in arc length, 1/m; shape (n, unknowns)."""
+        rates = power_slopes(arc_length / self.length, len(self.matrix)) / self.length
+        return rates @ self.matrix
+
+
+def powers(u: Floats, terms: int) -> Floats:
+    """Powers 0 to terms - 1 of u; shape (n, terms)."""
+    return np.asarray(np.vander(u, terms, increasing=True), dtype=np.float64)
+
+
+def power_slopes(u: Floats, terms: int) -> Floats:
+    """Derivatives of the powers of u; shape (n, terms)."""
+    rates = np.zeros((len(u), terms))
+    rates[:, 1:] = np.arange(1, terms) * powers(u, terms)[:, :-1]
+    return rates
+
+
+def curve_basis(*, terms: int, length: float, clamped: bool, free_tip: bool) -> CurveBasis:
+    """Build the basis of curves that obey the conditions at the ends.
+
+    Parameters
+    ----------
+    terms : coefficients per coordinate
+    length : m
+    clamped : position and direction at s = 0 are given, so the series starts with u^2
+    free_tip : no moment at s = length: the second derivative is zero there
+
+    Returns
+    -------
+    The basis, orthonormal over the length for the sake of conditioning.
+
+    Raises
+    ------
+    ValueError
+        If the conditions leave nothing to fit.
+    """
+    power = np.arange(2 if clamped else 0, terms)
+    if len(power) < 1 + free_tip:
+        message = f"terms={terms}: expected at least {(2 if clamped else 0) + 1 + free_tip}"
+        raise ValueError(message)
+    select = np.eye(terms)[:, power]
+    if free_tip:
+        bend = (power * (power - 1.0))[:, None]
+        select = select @ np.linalg.qr(bend, mode="complete")[0][:, 1:]
+    _, triangle = np.linalg.qr(powers(np.linspace(0, 1, 10 * terms), terms) @ select)
+    return CurveBasis(length, np.asarray(select @ np.linalg.inv(triangle), dtype=np.float64))
+
+
+def coupled_design(basis: CurveBasis, arc_length: Floats, centre_offset: float) -> Floats:
+    """Positions of marker centres per unknown of x and y.
+
+    Parameters
+    ----------
+    basis : of each coordinate
+    arc_length : shape (markers,), m
+    centre_offset : m, from the axis to the marker's centre along n = (-y', x')
+
+    Returns
+    -------
+    shape (2 markers, 2 unknowns): rows x then y of the markers, columns unknowns of x then of y.
+    """
+    value, tilt = basis.value(arc_length), centre_offset * basis.slope(arc_length)
+    return np.block([[value, -tilt], [tilt, value]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestCurve:
+    """The specimen at rest, relative to the pivot of the clamp.
+
+    Parameters
+    ----------
+    clamped_end : shape (3,), m
+    tangent : shape (3,), unit vector along the specimen at the clamped end
+    arc_length : shape (markers,), m, of the markers from the clamped end
+    """
+
+    clamped_end: Floats
+    tangent: Floats
+    arc_length: Floats
+
+
+def curve_at_rest(
+    markers: Floats,
+    *,
+    grip_offset: float | None,
+    pull_offset: float,
+    centre_offset: float,
+    free_tip: bool,
+) -> RestCurve:
+    """Find clamped end, direction there and arc lengths of the markers from the shape at rest.
+
+    Parameters
+    ----------
+    markers : shape (markers, 3), m, relative to the pivot, x along the specimen, in order
+    grip_offset : m, from the pivot to the clamped end along the specimen; None for a specimen
+        without a clamp, whose first marker is its beginning
+    pull_offset, centre_offset : m
+    free_tip : no moment at the pull point
+
+    Returns
+    -------
+    The curve at rest.
+
+    Notes
+    -----
+    A cubic in arc length is fitted with free height and slope at its beginning. Its arc lengths
+    start from the chords between the markers and are measured along the fitted curve, again until
+    they settle; the beginning is moved along the curve until it lies `grip_offset` from the pivot.
+    The pivot may lie beside the axis.
+    """
+    steps = np.linalg.norm(np.diff(markers, axis=0), axis=1)
+    arc_length = np.r_[0.0, np.cumsum(steps)]
+    if grip_offset is not None:
+        arc_length += markers[0, 0] - grip_offset
+    for _ in range(_ROUNDS):
+        length = float(arc_length[-1]) + pull_offset
+        coefficients = _rest_coefficients(markers, arc_length, length, centre_offset, free_tip)
+        fitted = _along(coefficients, arc_length, length)
+        tangent = coefficients[:, 1] / np.linalg.norm(coefficients[:, 1])
+        shift = 0.0 if grip_offset is None else coefficients[:, 0] @ tangent - grip_offset
+        fitted += shift - (fitted[0] if grip_offset is None else 0.0)
+        change = np.abs(fitted - arc_length).max()
+        arc_length = fitted
+        if change < _SETTLED:
+            break
+    return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length)
+
+
+def _rest_coefficients(
+    markers: Floats, arc_length: Floats, length: float, centre_offset: float, free_tip: bool
+) -> Floats:
+    terms = min(REST_TERMS, len(markers) - 1 + free_tip)
+    basis = curve_basis(terms=terms, length=length, clamped=False, free_tip=free_tip)
+    design = coupled_design(basis, arc_length, centre_offset)
+    in_plane = np.linalg.lstsq(design, markers[:, :2].T.ravel(), rcond=None)[0].reshape(2, -1)
+    across = np.linalg.lstsq(basis.value(arc_length), markers[:, 2], rcond=None)[0]
+    return np.asarray(np.vstack([in_plane, across]) @ basis.matrix.T, dtype=np.float64)
+
+
+def _along(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
+    """Length of the curve from its beginning to each of the parameters (Gauss-Legendre)."""
+    nodes, weights = np.polynomial.legendre.leggauss(8)
+    half = arc_length[:, None] / 2
+    u = half * (1 + nodes) / length
+    rates = power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
+    speed = np.linalg.norm(rates, axis=1).reshape(u.shape)
+    return np.asarray((half * speed * weights).sum(axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EndConditions:
+    """What is known of the ends of the curve.
+
+    Parameters
+    ----------
+    length : m, arc length of the last point
+    direction : shape (3,), unit tangent at the clamped end, which is the origin; None where the
+        beginning is as free as the rest
+    free_tip : no moment at the last point
+    """
+
+    length: float
+    direction: Floats | None
+    free_tip: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameFits:
+    """Fitted curves of all frames; NaN where markers are too few.
+
+    Parameters
+    ----------
+    coefficients : shape (frames, 3, terms), m, power series in s / length
+    misfit : shape (frames, 2, markers), m, marker minus curve in x and y
+    gain : shape (frames, 3), standard error of the last point per standard deviation of one
+        coordinate of one marker
+    freedom : shape (frames,), degrees of freedom per coordinate
+    needed : markers that a frame must show
+    """
+
+    coefficients: Floats
+    misfit: Floats
+    gain: Floats
+    freedom: Ints
+    needed: int
+
+    @property
+    def last_point(self) -> Floats:
+        """Position at s = length, shape (frames, 3), m."""
+        return np.asarray(self.coefficients.sum(axis=2), dtype=np.float64)
+
+    @property
+    def spare(self) -> int:
+        """Coefficients that could be had on top with all markers in sight."""
+        return int(self.misfit.shape[2]) - self.needed
+
+    @property
+    def residual(self) -> Floats:
+        """Root mean square misfit per coordinate, shape (frames,), m."""
+        seen = np.isfinite(self.misfit)
+        squares = np.where(seen, self.misfit, 0.0) ** 2
+        count = seen.sum(axis=(1, 2))
+        mean = squares.sum(axis=(1, 2)) / np.maximum(count, 1)
+        return np.asarray(np.where(count > 0, np.sqrt(mean), np.nan), dtype=np.float64)
+
+    def noise(self, rest: Selection) -> float:
+        """Standard deviation of a marker coordinate, m, from the scatter of the misfit at rest.
+
+        What the curve cannot follow stays the same at rest and drops out with the mean.
+        """
+        misfit, freedom = self.misfit[rest], self.freedom[rest]
+        whole = np.isfinite(misfit).all(axis=(1, 2))
+        if whole.sum() < 2 or freedom[whole][0] < 1:
+            return float("nan")
+        scatter = np.var(misfit[whole], axis=0, ddof=1).mean()
+        return float(np.sqrt(scatter * misfit.shape[2] / freedom[whole][0]))
+
+
+def fit_frames(
+    markers: Floats,
+    arc_length: Floats,
+    centre_offset: float,
+    conditions: EndConditions,
+    *,
+    terms: int,
+) -> FrameFits:
+    """Fit one curve per frame, all frames that show the same markers together.
+
+    Parameters
+    ----------
+    markers : shape (frames, markers, 3), m; NaN where missing
+    arc_length : shape (markers,), m, of the markers
+    centre_offset : m, from the axis to the marker centre
+    conditions : at the ends
+    terms : coefficients per coordinate
+
+    Returns
+    -------
+    The fits.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer markers than free coefficients per coordinate.
+
+    Notes
+    -----
+    The design matrix depends on arc length alone, so its pseudo-inverse serves every frame with the
+    same markers in sight.
+    """
+    free = conditions.direction is None
+    basis = curve_basis(
+        terms=terms,
+        length=conditions.length,
+        clamped=not free,
+        free_tip=conditions.free_tip,
+    )
+    frames, count = markers.shape[:2]
+    if basis.unknowns > count:
+        most = terms - basis.unknowns + count
+        message = f"terms={terms}: expected at most {most} for {count} markers"
+        raise ValueError(message)
+    fixed = np.zeros((3, terms))
+    fixed[:, 1] = 0.0 if conditions.direction is None else conditions.direction * conditions.length
+    data = markers - _known_part(conditions.direction, arc_length, centre_offset)
+    fits = FrameFits(
+        coefficients=np.full((frames, 3, terms), np.nan),
+        misfit=np.full((frames, 2, count), np.nan),
+        gain=np.full((frames, 3), np.nan),
+        freedom=np.zeros(frames, dtype=np.int64),
+        needed=basis.unknowns,
+    )
+    for pattern, chosen in _patterns(in_sight(markers)):
+        if pattern.sum() >= basis.unknowns:
+            places = np.flatnonzero(pattern)
+            unknowns, misfit, gain = _solve(
+                data[np.ix_(chosen, places)], basis, arc_length[pattern], centre_offset
+            )
+            series = unknowns.reshape(-1, basis.unknowns) @ np.ascontiguousarray(basis.matrix.T)
+            fits.coefficients[chosen] = fixed + series.reshape(-1, 3, terms)
+            fits.misfit[np.ix_(chosen, np.arange(2), places)] = misfit
+            fits.gain[chosen] = gain
+            fits.freedom[chosen] = len(places) - basis.unknowns
+    return fits
+
+
+def _solve(
+    data: Floats, basis: CurveBasis, arc_length: Floats, centre_offset: float
+) -> tuple[Floats, Floats, Floats]:
+    """Fit frames that show the same markers.
+
+    Gives unknowns (frames, 3, unknowns), misfit (frames, 2, markers) and gain of the end (3,).
+    """
+    count = basis.unknowns
+    design, value = coupled_design(basis, arc_length, centre_offset), basis.value(arc_length)
+    solve, solve_across = np.linalg.pinv(design), np.linalg.pinv(value)
+    flat = np.concatenate([data[..., 0], data[..., 1]], axis=1)
+    plane = flat @ solve.T
+    across = np.ascontiguousarray(data[..., 2]) @ solve_across.T
+    unknowns = np.stack([plane[:, :count], plane[:, count:], across], axis=1)
+    misfit = (flat - plane @ design.T).reshape(len(data), 2, -1)
+    end = basis.value(np.array([basis.length]))[0]
+    parts = (solve[:count], solve[count:], solve_across)
+    gain = np.array([np.linalg.norm(end @ part) for part in parts])
+    return unknowns, misfit, gain
+
+
+def _known_part(direction: Floats | None, arc_length: Floats, centre_offset: float) -> Floats:
+    """Where the given beginning alone would put the markers, shape (markers, 3), m."""
+    if direction is None:
+        return np.zeros((len(arc_length), 3))
+    normal = np.array([-direction[1], direction[0], 0.0])
+    return np.asarray(arc_length[:, None] * direction + centre_offset * normal, dtype=np.float64)
+
+
+def _patterns(seen: Flags) -> list[tuple[Flags, Ints]]:
+    """Sets of markers in sight, and the frames that show just these."""
+    codes = seen @ (1 << np.arange(seen.shape[1]))  # sorting rows themselves is far slower
+    first, which = np.unique(codes, return_index=True, return_inverse=True)[1:]
+    return [(seen[row], np.flatnonzero(which == number)) for number, row in enumerate(first)]

@@ -1,0 +1,223 @@
+"""Say in words what the repair of marker tracks did."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.markers.marker_names import Chain, Naming, is_unlabelled
+from labpipe.markers.tracklets import Links, Tracklets, in_sight
+from labpipe.records.arrays import Flags, Floats, stretches_of
+from labpipe.records.curve import PointFlag
+from labpipe.records.quality import QualityNote, Severity
+
+_MOST = 10
+"""Stretches of one marker that get a note each; more are told in one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Take:
+    """What the notes need to name places: column names, frame numbers, times, tracklets."""
+
+    names: tuple[str, ...]
+    frames: Floats
+    time: Floats
+    pieces: Tracklets
+
+    def span(self, start: int, stop: int) -> str:
+        """Word a stretch of frames, `stop` left out."""
+        first, last = f"{self.frames[start]:.0f}", f"{self.frames[stop - 1]:.0f}"
+        frames = f"frame {first}" if stop - start == 1 else f"frames {first} to {last}"
+        return f"{frames} ({self.time[start]:.3f} s to {self.time[stop - 1]:.3f} s)"
+
+
+def describe(
+    take: Take,
+    links: Links,
+    naming: Naming,
+    *,
+    stale: Flags,
+    flags: NDArray[np.uint8],
+    measured: Floats,
+) -> tuple[QualityNote, ...]:
+    """List every repair and every thing left alone.
+
+    Parameters
+    ----------
+    take : names, frame numbers, times and tracklets
+    links, naming : how the tracklets were joined and named
+    stale : shape (frames, columns), samples removed as frozen
+    flags : shape (frames, markers), after filling
+    measured : shape (frames, columns, 3), m, for the extent of what is dropped
+
+    Returns
+    -------
+    The notes, by kind, then in order of time.
+    """
+    markers = [take.names[label] for label in naming.markers]
+    return (
+        *_absent(take, naming, measured),
+        *_by_column(take, stale, list(take.names), _FROZEN),
+        *_relabelled(take, naming, measured),
+        *_eliminated(take, naming),
+        *_jumps(take, links, naming),
+        *_by_column(take, np.equal(flags, PointFlag.FILLED), markers, _FILLED),
+        *_by_column(take, np.equal(flags, PointFlag.MISSING), markers, _LEFT),
+        *_ambiguous(take, links, naming),
+        *_dropped(take, naming, measured),
+    )
+
+
+_FROZEN = ("pose_frozen", Severity.WARNING, "stale pose removed")
+_FILLED = ("gap_filled", Severity.INFO, "gap filled between its ends, relative to the clamp")
+_LEFT = ("gap_left", Severity.WARNING, "no position, gap too long or open to fill")
+
+
+def _absent(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+    if all(is_unlabelled(name) for name in take.names):
+        return
+    seen = np.flatnonzero(in_sight(measured).any(axis=0)).tolist()
+    for column, name in enumerate(take.names):
+        if column not in naming.markers and not is_unlabelled(name):
+            how = (
+                "is seen only as another marker" if column in seen else "is missing in every frame"
+            )
+            message = f"{name} {how} and was left out"
+            yield QualityNote("marker_missing", Severity.WARNING, name, message)
+
+
+def _by_column(
+    take: Take, mask: Flags, names: list[str], kind: tuple[str, Severity, str]
+) -> Iterator[QualityNote]:
+    code, severity, words = kind
+    for column, name in enumerate(names):
+        stretches = stretches_of(mask[:, column])
+        if len(stretches) <= _MOST:
+            for start, stop in stretches:
+                span = take.span(start, stop)
+                message = f"{name}: {words}, {stop - start} frames, {span}"
+                yield QualityNote(code, severity, f"{name}, {span}", message)
+        else:
+            longest = max(stretches, key=lambda stretch: stretch[1] - stretch[0])
+            message = (
+                f"{name}: {words}, {len(stretches)} times, {int(mask[:, column].sum())} frames, "
+                f"longest {take.span(*longest)}"
+            )
+            where = f"{name}, {take.span(stretches[0][0], stretches[-1][1])}"
+            yield QualityNote(code, severity, where, message)
+
+
+def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+    """One note per exchange of labels, and per stretch that had no label."""
+    exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
+    for label, chains in naming.markers.items():
+        for column, start, stop in _foreign(take.pieces, label, chains):
+            words = f"{take.names[label]} stood under {take.names[column]}"
+            if is_unlabelled(take.names[column]):
+                span = take.span(start, stop)
+                apart = _apart(measured[:, label], measured[start:stop, column], start, stop)
+                message = f"{words}, {span}; merged{apart}"
+                where = f"{take.names[label]}, {span}"
+                yield QualityNote("unlabelled_merged", Severity.WARNING, where, message)
+            else:
+                exchanges.setdefault((start, stop), []).append((take.names[label], words))
+    for (start, stop), who in sorted(exchanges.items()):
+        span = take.span(start, stop)
+        message = f"{', '.join(words for _, words in who)}, {span}; label switch undone"
+        names = ", ".join(name for name, _ in who)
+        yield QualityNote("label_switch", Severity.WARNING, f"{names}, {span}", message)
+
+
+def _apart(own: Floats, other: Floats, start: int, stop: int) -> str:
+    """Say how far two tracks lie apart where one takes over from the other, if both are there."""
+    seams = [
+        float(np.linalg.norm(own[frame] - end))
+        for frame, end in ((start - 1, other[0]), (stop, other[-1]))
+        if 0 <= frame < len(own)
+    ]
+    known = [seam for seam in seams if np.isfinite(seam)]
+    return f", {1e3 * max(known):.2f} mm apart where they meet" if known else ""
+
+
+def _foreign(
+    pieces: Tracklets, label: int, chains: tuple[Chain, ...]
+) -> Iterator[tuple[int, int, int]]:
+    """Column, start and stop of the stretches that a marker spent under another label."""
+    run: tuple[int, int, int] | None = None
+    for piece in (piece for chain in chains for piece in chain.tracklets):
+        column, stop = int(pieces.column[piece]), int(pieces.stop[piece])
+        if run is not None and run[0] == column:
+            run = (column, run[1], stop)
+            continue
+        if run is not None:
+            yield run
+        run = None if column == label else (column, int(pieces.start[piece]), stop)
+    if run is not None:
+        yield run
+
+
+def _eliminated(take: Take, naming: Naming) -> Iterator[QualityNote]:
+    for label, chain in naming.eliminated:
+        name, span = take.names[label], take.span(chain.start, chain.stop)
+        message = f"{name}: given a track under another label, {span}, as the only marker missing"
+        yield QualityNote("label_by_elimination", Severity.WARNING, f"{name}, {span}", message)
+
+
+def _jumps(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
+    """Tracklets under one label, frame after frame, that do not join."""
+    for label, chains in naming.markers.items():
+        for before, after in pairwise(chains):
+            if after.start == before.stop and links.successor[before.tracklets[-1]] < 0:
+                span = take.span(after.start, after.start + 1)
+                name = take.names[label]
+                message = f"{name}: jumps at {span}; its label was believed"
+                yield QualityNote("marker_jump", Severity.WARNING, f"{name}, {span}", message)
+
+
+def _ambiguous(take: Take, links: Links, naming: Naming) -> Iterator[QualityNote]:
+    pieces = take.pieces
+    for one, two in links.ambiguous[:_MOST]:
+        span = take.span(int(pieces.stop[one]) - 1, int(pieces.start[two]) + 1)
+        names = f"{take.names[pieces.column[one]]}, {take.names[pieces.column[two]]}"
+        message = f"{names}: may have exchanged labels, {span}; too near to tell, left as labelled"
+        # from there on the two may be each other
+        after = ((float(take.time[pieces.stop[one] - 1]), float(take.time[-1])),)
+        yield QualityNote("label_ambiguous", Severity.WARNING, f"{names}, {span}", message, after)
+    for chain in naming.doubtful:
+        name, span = take.names[chain.label], take.span(chain.start, chain.stop)
+        message = f"{name}: a second track under this label, {span}, could not be given to a marker"
+        when = ((float(take.time[chain.start]), float(take.time[chain.stop - 1])),)
+        yield QualityNote("label_ambiguous", Severity.WARNING, f"{name}, {span}", message, when)
+
+
+def _dropped(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:
+    chains = sorted(naming.leftover, key=lambda chain: (chain.start, chain.stop))
+    for chain in chains[:_MOST]:
+        names = ", ".join(_columns(take, chain))
+        span, extent = take.span(chain.start, chain.stop), _extent(take.pieces, chain, measured)
+        message = f"{names}: track of no marker dropped, {span}, within {extent * 1e3:.1f} mm"
+        yield QualityNote("track_dropped", Severity.WARNING, f"{names}, {span}", message)
+    if len(chains) > _MOST:
+        rest = chains[_MOST:]
+        frames = sum(chain.frames for chain in rest)
+        message = f"{len(rest)} more tracks of no marker dropped, {frames} samples in all"
+        yield QualityNote("track_dropped", Severity.WARNING, "markers", message)
+
+
+def _columns(take: Take, chain: Chain) -> Iterable[str]:
+    return dict.fromkeys(take.names[take.pieces.column[piece]] for piece in chain.tracklets)
+
+
+def _extent(pieces: Tracklets, chain: Chain, measured: Floats) -> float:
+    """Diagonal of the box around a track, m."""
+    points = np.concatenate(
+        [
+            measured[pieces.start[piece] : pieces.stop[piece], pieces.column[piece]]
+            for piece in chain.tracklets
+        ]
+    )
+    return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -1,0 +1,381 @@
+"""Several markers around one section: they stand for a point on the axis between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.markers.track_repair import RepairedTracks
+from labpipe.markers.tracklets import in_sight
+from labpipe.records.arrays import Flags, Floats, Ints, frozen
+from labpipe.records.curve import PointFlag
+from labpipe.records.quality import QualityNote, Severity
+
+
+def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Group markers by the part of their name before the colon.
+
+    Parameters
+    ----------
+    names : of markers, such as ``SA-low:Marker1``
+
+    Returns
+    -------
+    Names of the markers of each ring; a marker without a colon is a ring of its own.
+
+    Examples
+    --------
+    >>> rings_by_body(["low:1", "low:2", "tip"])
+    {'low': ('low:1', 'low:2'), 'tip': ('tip',)}
+    """
+    rings: dict[str, tuple[str, ...]] = {}
+    for name in names:
+        ring = name.rpartition(":")[0] or name
+        rings[ring] = (*rings.get(ring, ()), name)
+    return rings
+
+
+def ring_centres(repaired: RepairedTracks, groups: Mapping[str, Sequence[str]]) -> RepairedTracks:
+    """Put one point in the middle of every ring of markers.
+
+    Parameters
+    ----------
+    repaired : tracks of the single markers
+    groups : names of the markers of each ring, as `rings_by_body` gives them
+
+    Returns
+    -------
+    One track per ring: the mean of its markers. Where some are missing the centre is built from the
+    others and flagged filled; where all are missing it is NaN. A ring takes the flag of its least
+    certain marker.
+
+    Raises
+    ------
+    ValueError
+        If a group names a marker that is not there, or holds none.
+
+    Notes
+    -----
+    The ring is rigid: with three or more markers in sight their best rigid fit (Kabsch) to the ring
+    as it stood in the nearest complete frame carries the centre; with fewer, the vector from their
+    mean to the centre is interpolated between the nearest complete frames. A ring that is never
+    complete has the mean of the markers it shows.
+    """
+    known = set(repaired.names)
+    tracks, flags, notes = [], [], list(repaired.notes)
+    for ring, members in groups.items():
+        if not members or not known.issuperset(members):
+            message = f"ring {ring}={list(members)}: expected markers out of {repaired.names}"
+            raise ValueError(message)
+        columns = [repaired.names.index(name) for name in members]
+        centre, origin = _centre(repaired.positions[:, columns], repaired.flags[:, columns])
+        tracks.append(centre)
+        flags.append(origin)
+        notes.extend(_notes(ring, members, repaired.flags[:, columns]))
+    return RepairedTracks(
+        tuple(groups), np.stack(tracks, axis=1), np.stack(flags, axis=1), tuple(notes)
+    )
+
+
+def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArray[np.uint8]]:
+    seen = in_sight(positions)
+    whole = seen.all(axis=1)
+    centre: Floats = np.full((len(positions), 3), np.nan)
+    origin = _least_certain(flags)
+    centre[whole] = positions[whole].mean(axis=1)
+    for pattern in np.unique(seen[~whole], axis=0):
+        frames = np.flatnonzero((seen == pattern).all(axis=1))
+        if pattern.any():
+            centre[frames] = _carried(positions, pattern, frames, np.flatnonzero(whole))
+        origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
+    return centre, origin
+
+
+def _least_certain(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Flag of every frame: filled if any marker is, else relabelled if any is."""
+    return np.asarray(flags.max(axis=1), dtype=np.uint8)  # values rise from measured to filled
+
+
+def _carried(positions: Floats, pattern: Flags, frames: Ints, whole: Ints) -> Floats:
+    """Centres in `frames`, where only the markers of `pattern` are seen."""
+    visible = positions[:, pattern]
+    middle = visible[frames].mean(axis=1)
+    if not len(whole):
+        return np.asarray(middle, dtype=np.float64)
+    if pattern.sum() >= 3:
+        nearest = _nearest(whole, frames)
+        template = visible[nearest] - visible[nearest].mean(axis=1, keepdims=True)
+        turn = _rotations(template, visible[frames] - middle[:, None])
+        offset = positions[nearest].mean(axis=1) - visible[nearest].mean(axis=1)
+        return np.asarray(middle + np.einsum("fij,fj->fi", turn, offset), dtype=np.float64)
+    offset = positions[whole].mean(axis=1) - visible[whole].mean(axis=1)
+    carried = np.column_stack([np.interp(frames, whole, axis) for axis in offset.T])
+    return np.asarray(middle + carried, dtype=np.float64)
+
+
+def _nearest(whole: Ints, frames: Ints) -> Ints:
+    """The frame out of `whole` next to each of `frames`."""
+    after = np.clip(np.searchsorted(whole, frames), 0, len(whole) - 1)
+    before = np.maximum(after - 1, 0)
+    late = np.abs(whole[after] - frames) < np.abs(frames - whole[before])
+    return np.asarray(np.where(late, whole[after], whole[before]), dtype=np.int64)
+
+
+def _rotations(before: Floats, after: Floats) -> Floats:
+    """Rotations that best take one set of centred points to another, for every frame (Kabsch)."""
+    left, _, right = np.linalg.svd(np.einsum("fmi,fmj->fij", after, before))
+    mirror = np.ones((len(before), 3))
+    mirror[:, 2] = np.sign(np.linalg.det(left @ right))
+    return np.asarray((left * mirror[:, None]) @ right, dtype=np.float64)
+
+
+def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Iterator[QualityNote]:
+    missing = flags == PointFlag.MISSING
+    built = missing.any(axis=1) & ~missing.all(axis=1)
+    if built.any():
+        who = [name for name, gone in zip(members, missing[built].any(axis=0), strict=True) if gone]
+        message = f"{ring}: centre built without {', '.join(who)} in {int(built.sum())} frames"
+        yield QualityNote("ring_incomplete", Severity.WARNING, ring, message)
+    if not missing.any(axis=1).all():
+        return
+    message = f"{ring}: never seen whole; its centre is the mean of the markers in sight"
+    yield QualityNote("ring_never_whole", Severity.WARNING, ring, message)
+
+
+SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
+"""Directions (y, z) in which the markers may lie off the axis, by where they face."""
+_STEPS = 20
+_FEWEST_FRAMES = 3
+_MOVES = 1e-6
+"""m; no camera sees less."""
+_APART = 0.3
+"""Distance of two markers in a section, in radii, below which they say nothing on its turning."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sections:
+    """Markers in the frame of the specimen, and which of them share a section.
+
+    The frame: x along the specimen at rest, y where mid-span moves, z out of the plane of bending.
+
+    Parameters
+    ----------
+    markers : shape (frames, markers, 3), m; NaN where missing
+    at_rest : shape (markers, 3), m, means over the rest
+    section : shape (markers,), number of the section, counted along x from 0
+    columns : shape (markers,), where each of them was among the markers that were given
+    rotation_lab_to_specimen : shape (3, 3)
+    """
+
+    markers: Floats
+    at_rest: Floats
+    section: Ints
+    columns: Ints
+    rotation_lab_to_specimen: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "markers", frozen(self.markers, shape=(None, None, 3)))
+        object.__setattr__(self, "at_rest", frozen(self.at_rest, shape=(None, 3)))
+        object.__setattr__(self, "section", np.asarray(self.section, dtype=np.int64))
+
+    @property
+    def count(self) -> int:
+        """Number of sections."""
+        return int(self.section.max()) + 1 if len(self.section) else 0
+
+    @property
+    def x(self) -> Floats:
+        """Place of each section at rest, shape (sections,), m."""
+        return np.array([self.at_rest[self.section == k, 0].mean() for k in range(self.count)])
+
+
+def find_sections(markers_lab: Floats, *, rest: Flags, apart: float) -> Sections:
+    """Find frame and sections of a specimen on two supports.
+
+    Parameters
+    ----------
+    markers_lab : shape (frames, markers, 3), m; NaN where missing
+    rest : shape (frames,), frames in which the specimen is straight and still
+    apart : m, along the axis; markers nearer to each other share a section
+
+    Returns
+    -------
+    The sections. Markers that are not seen at rest are left out of them.
+
+    Raises
+    ------
+    ValueError
+        If fewer than three markers are seen at rest, or nothing moves.
+
+    Notes
+    -----
+    x is the direction in which the markers spread most at rest. y is across x, along the path of
+    the markers of the section that moves farthest (their mean, so that a turning about the axis,
+    which moves them along circles, does not tilt it).
+    """
+    seen = np.isfinite(markers_lab[rest]).all(axis=2).sum(axis=0) >= _FEWEST_FRAMES
+    markers = markers_lab[:, seen]
+    if markers.shape[1] < 3:
+        message = f"{markers.shape[1]} markers seen at rest: expected at least 3"
+        raise ValueError(message)
+    at_rest = np.nanmean(markers[rest], axis=0)
+    centre = at_rest.mean(axis=0)
+    x = np.linalg.svd(at_rest - centre, full_matrices=False)[2][0]
+    section = _numbered((at_rest - centre) @ x, apart)
+    y = _direction_of_motion(markers - at_rest, section, x)
+    rotation = np.stack([x, y, np.cross(x, y)])
+    return Sections(
+        markers=(markers - centre) @ rotation.T,
+        at_rest=(at_rest - centre) @ rotation.T,
+        section=section,
+        columns=np.flatnonzero(seen),
+        rotation_lab_to_specimen=rotation,
+    )
+
+
+def _numbered(along: Floats, apart: float) -> Ints:
+    order = np.argsort(along)
+    number: Ints = np.empty(len(along), dtype=np.int64)
+    number[order] = np.concatenate([[0], np.cumsum(np.diff(along[order]) > apart)])
+    return number
+
+
+def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
+    across = moved - (moved @ x)[..., None] * x
+    paths = np.stack([across[:, section == k].mean(axis=1) for k in range(section.max() + 1)])
+    far = np.nanmax(np.nan_to_num(np.linalg.norm(paths, axis=2)), axis=1)
+    path = paths[int(np.argmax(far))]
+    path = path[np.isfinite(path).all(axis=1)]
+    if not far.max() > _MOVES or not len(path):
+        message = "the markers do not move: expected a specimen that is bent"
+        raise ValueError(message)
+    main = np.linalg.svd(path, full_matrices=False)[2][0]
+    main = main - (main @ x) * x
+    sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
+    return np.asarray(sign * main / np.linalg.norm(main), dtype=np.float64)
+
+
+def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:
+    """Where the axis of the cylinder passes, seen along it.
+
+    Parameters
+    ----------
+    sections : of the specimen
+    radius : m, from the axis to the centre of a marker
+    towards : direction (y, z) in which the markers lie off the axis, by and large
+
+    Returns
+    -------
+    shape (2,), m, y and z of the axis.
+
+    Notes
+    -----
+    Least squares of the distances from the axis minus `radius`, by Gauss-Newton with steps of least
+    length from the mean of the markers: what markers in one row leave open stays as `towards` says.
+    """
+    points, out = sections.at_rest[:, 1:], np.asarray(towards)
+    axis = points.mean(axis=0) - radius * out
+    for _ in range(_STEPS if radius > 0.0 else 0):
+        away = points - axis
+        far = np.linalg.norm(away, axis=1)
+        step = np.linalg.lstsq(-away / far[:, None], radius - far, rcond=0.05)[0]
+        axis = axis + step
+    return np.asarray(axis, dtype=np.float64)
+
+
+def section_twist(sections: Sections, slope: Floats, *, radius: float) -> tuple[Floats, Floats]:
+    """How far every section has turned about the axis against rest.
+
+    Parameters
+    ----------
+    sections : of the specimen
+    slope : shape (frames, sections), rad, angle of the axis in the plane of bending
+    radius : m, from the axis to the centre of a marker
+
+    Returns
+    -------
+    twist : shape (frames, sections), rad, from y towards z; NaN where fewer than two markers of the
+        section are in sight
+    lever : shape (sections,), m; the twist of white noise of standard deviation s is s / lever.
+        0 for a section whose markers cannot show a twist
+
+    Notes
+    -----
+    The turn that best takes the markers of a section at rest to where they are, seen along the
+    present axis, about their mean: no centre is needed, so that neither the radius nor the place of
+    the axis enters. Angle of sum(conj(a) b) with a, b the positions as complex numbers (Kabsch in
+    two dimensions).
+    """
+    frames = len(sections.markers)
+    twist = np.full((frames, sections.count), np.nan)
+    lever = np.zeros(sections.count)
+    for number in range(sections.count):
+        own = sections.section == number
+        rest = sections.at_rest[own, 1] + 1j * sections.at_rest[own, 2]
+        rest = rest - rest.mean()
+        spread = float(np.sqrt(np.sum(np.abs(rest) ** 2)))
+        if own.sum() < 2 or spread < _APART * max(radius, 1e-9):
+            continue
+        lever[number] = spread
+        angle = slope[:, number, None]
+        seen = sections.markers[:, own]
+        across = -np.sin(angle) * seen[..., 0] + np.cos(angle) * seen[..., 1]
+        now = across + 1j * seen[..., 2]
+        now = now - now.mean(axis=1, keepdims=True)
+        twist[:, number] = np.angle(np.sum(np.conj(rest) * now, axis=1))
+    return twist, lever
+
+
+def section_centres(sections: Sections, axis: Floats, slope: Floats, twist: Floats) -> Floats:
+    """Put a point on the axis of every section.
+
+    Parameters
+    ----------
+    sections : of the specimen
+    axis : shape (2,), m, where the axis passes at rest
+    slope : shape (frames, sections), rad, angle of the axis in the plane of bending
+    twist : shape (frames, sections), rad; NaN is taken for what the neighbours have, or for none
+
+    Returns
+    -------
+    shape (frames, sections, 3), m; NaN where no marker of a section is in sight.
+
+    Notes
+    -----
+    A marker is rigidly joined to its section, which turns by `twist` about the axis and by `slope`
+    with it; what it then lies off the axis is taken off, and the markers of a section are averaged.
+    """
+    frames, x = len(sections.markers), sections.x
+    turned = _filled(twist)
+    centres = np.full((frames, sections.count, 3), np.nan)
+    for number in range(sections.count):
+        own = sections.section == number
+        off = sections.at_rest[own] - np.array([x[number], *axis])
+        phi, angle = turned[:, number, None], slope[:, number, None]
+        across = np.cos(phi) * off[:, 1] - np.sin(phi) * off[:, 2]
+        out = np.sin(phi) * off[:, 1] + np.cos(phi) * off[:, 2]
+        turned_x = np.cos(angle) * off[:, 0] - np.sin(angle) * across
+        turned_y = np.sin(angle) * off[:, 0] + np.cos(angle) * across
+        points = sections.markers[:, own] - np.stack([turned_x, turned_y, out], axis=2)
+        seen = np.isfinite(points).all(axis=2)
+        total = np.where(seen[..., None], points, 0.0).sum(axis=1)
+        some = seen.any(axis=1)
+        centres[some, number] = total[some] / seen[some].sum(axis=1)[:, None]
+    return centres
+
+
+def _filled(twist: Floats) -> Floats:
+    """Twist of every section, of those without one by a line between their neighbours."""
+    places = np.arange(twist.shape[1])
+    known = np.isfinite(twist)
+    filled = np.zeros_like(twist)
+    for pattern in np.unique(known, axis=0):
+        frames = (known == pattern).all(axis=1)
+        if pattern.any():
+            rows = twist[frames][:, pattern]
+            near = np.array([np.interp(places, places[pattern], row) for row in rows])
+            filled[frames] = near
+    return filled

@@ -1,0 +1,228 @@
+"""Repair marker tracks by rule: labels that switch, points that lose their name, gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from labpipe.markers.marker_names import Chain, Naming, name_chains
+from labpipe.markers.repair_notes import Take, describe
+from labpipe.markers.tracklets import (
+    Links,
+    Tracklets,
+    cut_tracklets,
+    frozen_samples,
+    link_tracklets,
+)
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.arrays import frozen as read_only
+from labpipe.records.curve import PointFlag
+from labpipe.records.quality import QualityNote
+from labpipe.records.recording import MarkerTracks
+
+LEAST_MARKERS = 3
+_DOUBLE = 0.25
+"""A track that begins this near to another, in max_jump, is a second image of the same marker."""
+_SPEED_FRAMES = 5
+"""Frames over which the speed at the ends of a gap is taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RepairedTracks:
+    """Tracks of the markers along the specimen, every sample with its origin.
+
+    Parameters
+    ----------
+    names : one per marker
+    positions : shape (frames, markers, 3), m, as given to the repair; NaN where there is none
+    flags : shape (frames, markers), values of `PointFlag`
+    notes : one per repair
+    """
+
+    names: tuple[str, ...]
+    positions: Floats
+    flags: NDArray[np.uint8]
+    notes: tuple[QualityNote, ...]
+
+    def __post_init__(self) -> None:
+        positions = read_only(self.positions, shape=(None, len(self.names), 3))
+        object.__setattr__(self, "positions", positions)
+        flags: NDArray[np.uint8] = np.asarray(self.flags, dtype=np.uint8).view()
+        if flags.shape != positions.shape[:2]:
+            message = f"expected flags of shape {positions.shape[:2]}, found {flags.shape}"
+            raise ValueError(message)
+        flags.flags.writeable = False
+        object.__setattr__(self, "flags", flags)
+
+
+def repair_tracks(
+    tracks: MarkerTracks,
+    *,
+    along: Sequence[str],
+    max_gap: float,
+    max_jump: float,
+    frozen: float,
+    reference: Floats | None,
+) -> RepairedTracks:
+    """Undo label switches, merge unlabelled tracks into their markers, fill short gaps.
+
+    Parameters
+    ----------
+    tracks : the take
+    along : names of the tracks to look at, named markers and unlabelled ones; not the clamp's own
+    max_gap : s, longest time without a sample that is bridged and filled
+    max_jump : m, longest step from one frame to the next that is motion
+    frozen : s, shortest run of identical positions that is taken for a stale pose and removed
+    reference : shape (frames, 3), m, position of the clamp: continuity and filling are relative to
+        it; its own blanks are bridged linearly. None for a take without a clamp.
+
+    Returns
+    -------
+    The markers in the order of `along`. Measured positions are handed on untouched; longer gaps
+    stay NaN and are flagged missing.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of range, a name is not in the take, or fewer than three markers
+        are left.
+
+    Notes
+    -----
+    Tracks are cut into tracklets (`cut_tracklets`), joined across blanks and jumps by expected
+    position (`link_tracklets`) and named (`name_chains`). Gaps inside a joined chain are filled
+    by cubics (Hermite) in the positions relative to `reference`, with the speed of the frames
+    around the gap at its ends.
+    """
+    _check(max_gap=max_gap, max_jump=max_jump, frozen=frozen)
+    measured, names = _selected(tracks, along), tuple(along)
+    base = np.zeros((len(measured), 3)) if reference is None else _bridged(reference, tracks.time)
+    stale = frozen_samples(measured, tracks.time, frozen=frozen, reference=reference)
+    measured[stale] = np.nan
+    relative = measured - base[:, None]
+    pieces = cut_tracklets(measured, relative, tracks.time, max_jump=max_jump)
+    links = link_tracklets(pieces, relative, tracks.time, max_gap=max_gap, max_jump=max_jump)
+    naming = name_chains(
+        names,
+        pieces,
+        links,
+        relative=relative,
+        time=tracks.time,
+        settled=max_gap,
+        apart=_DOUBLE * max_jump,
+    )
+    _require_markers(names, naming)
+    take = Take(names, tracks.frames, tracks.time, pieces)
+    positions, flags = _assemble(measured, pieces, naming)
+    holes = _holes(pieces, links, naming, len(measured))
+    _fill(positions, flags, base, tracks.time, holes)
+    notes = describe(take, links, naming, stale=stale, flags=flags, measured=measured)
+    return RepairedTracks(tuple(names[label] for label in naming.markers), positions, flags, notes)
+
+
+def _check(**limits: float) -> None:
+    for name, value in limits.items():
+        if not value > 0:
+            message = f"{name}={value}: expected a value above 0"
+            raise ValueError(message)
+
+
+def _selected(tracks: MarkerTracks, along: Sequence[str]) -> Floats:
+    """Copy the tracks asked for; a sample with one blank coordinate is blank."""
+    unknown = [name for name in along if name not in tracks.names]
+    if unknown or len(set(along)) < len(along):
+        message = f"along={list(along)}: expected different names out of {list(tracks.names)}"
+        raise ValueError(message)
+    columns = [tracks.names.index(name) for name in along]
+    measured: Floats = np.array(tracks.positions[:, columns])
+    measured[~np.isfinite(measured).all(axis=2)] = np.nan
+    return measured
+
+
+def _bridged(reference: Floats, time: Floats) -> Floats:
+    """Fill blanks of the clamp's path linearly, ends held."""
+    known = np.isfinite(reference).all(axis=1)
+    if not known.any():
+        message = "reference: expected positions of the clamp, found none in any frame"
+        raise ValueError(message)
+    if known.all():
+        return reference
+    return np.column_stack([np.interp(time, time[known], axis[known]) for axis in reference.T])
+
+
+def _require_markers(names: tuple[str, ...], naming: Naming) -> None:
+    if len(naming.markers) < LEAST_MARKERS:
+        found = ", ".join(names[label] for label in naming.markers) or "none"
+        message = (
+            f"markers={len(naming.markers)}: expected at least {LEAST_MARKERS} markers along the "
+            f"specimen, found {found}"
+        )
+        raise ValueError(message)
+
+
+def _assemble(
+    measured: Floats, pieces: Tracklets, naming: Naming
+) -> tuple[Floats, NDArray[np.uint8]]:
+    shape = (len(measured), len(naming.markers))
+    positions = np.full((*shape, 3), np.nan)
+    flags = np.full(shape, PointFlag.MISSING, dtype=np.uint8)
+    for marker, (label, chains) in enumerate(naming.markers.items()):
+        for piece in _pieces(chains):
+            column, stretch = pieces.column[piece], slice(pieces.start[piece], pieces.stop[piece])
+            positions[stretch, marker] = measured[stretch, column]
+            own = column == label
+            flags[stretch, marker] = PointFlag.MEASURED if own else PointFlag.RELABELLED
+    return positions, flags
+
+
+def _pieces(chains: tuple[Chain, ...]) -> list[int]:
+    return [piece for chain in chains for piece in chain.tracklets]
+
+
+def _holes(pieces: Tracklets, links: Links, naming: Naming, frames: int) -> Flags:
+    """Frames of each marker that lie between two joined tracklets."""
+    holes = np.zeros((frames, len(naming.markers)), dtype=np.bool_)
+    for marker, chains in enumerate(naming.markers.values()):
+        for piece in _pieces(chains):
+            after = links.successor[piece]
+            if after >= 0:
+                holes[pieces.stop[piece] : pieces.start[after], marker] = True
+    return holes
+
+
+def _fill(
+    positions: Floats, flags: NDArray[np.uint8], base: Floats, time: Floats, holes: Flags
+) -> None:
+    for marker in np.flatnonzero(holes.any(axis=0)):
+        known = np.flatnonzero(flags[:, marker] != PointFlag.MISSING)
+        path = positions[known, marker] - base[known]
+        hole = np.flatnonzero(holes[:, marker])
+        positions[hole, marker] = base[hole] + _bridged_path(time[known], path, time[hole])
+        flags[hole, marker] = PointFlag.FILLED
+
+
+def _bridged_path(time: Floats, path: Floats, at: Floats) -> Floats:
+    """Cubics across the gaps of a path that leave and arrive at its speed of a few frames."""
+    after = np.searchsorted(time, at)
+    before = after - 1
+    span = (time[after] - time[before])[:, None]
+    part = (at - time[before])[:, None] / span
+    leaving = _speed(time, path, np.maximum(before - _SPEED_FRAMES, 0), before) * span
+    arriving = _speed(time, path, after, np.minimum(after + _SPEED_FRAMES, len(time) - 1)) * span
+    start, stop = path[before], path[after]
+    rest = 1.0 - part
+    bridge: Floats = (
+        start * rest**2 * (1.0 + 2.0 * part)
+        + stop * part**2 * (1.0 + 2.0 * rest)
+        + part * rest * (leaving * rest - arriving * part)
+    )
+    return bridge
+
+
+def _speed(time: Floats, path: Floats, first: Ints, last: Ints) -> Floats:
+    pause = np.where(last > first, time[last] - time[first], 1.0)
+    speed: Floats = (path[last] - path[first]) / pause[:, None]
+    return speed

@@ -1,0 +1,345 @@
+"""Marker tracks cut into tracklets that certainly show one marker, and joined into chains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, Ints
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracklets:
+    """Unbroken stretches of tracks, sorted by their first frame.
+
+    Parameters
+    ----------
+    column : shape (n,), the track that holds it
+    start, stop : shape (n,), frames, `stop` left out
+    """
+
+    column: Ints
+    start: Ints
+    stop: Ints
+
+    def __len__(self) -> int:
+        return len(self.column)
+
+
+def in_sight(positions: Floats) -> Flags:
+    """Which points have a position; shape (..., 3) of floats to shape (...) of flags."""
+    x, y, z = (np.isfinite(positions[..., axis]) for axis in range(3))  # .all() is 15 x slower
+    return np.asarray(x & y & z, dtype=np.bool_)
+
+
+def frame_period(time: Floats) -> float:
+    """Time from one frame to the next, s: the median, so that holes in a cut take do not count."""
+    return float(np.median(np.diff(time))) if len(time) > 1 else 1.0
+
+
+def frozen_samples(
+    positions: Floats, time: Floats, *, frozen: float, reference: Floats | None = None
+) -> Flags:
+    """Mark samples that repeat the last pose while other points move.
+
+    Some exports hold the last position of a lost point instead of leaving it blank.
+
+    Parameters
+    ----------
+    positions : shape (frames, points, 3), m, as exported
+    time : shape (frames,), s
+    frozen : s, shortest run of identical positions that counts
+    reference : shape (frames, 3), m, one more point that shows movement, such as the clamp
+
+    Returns
+    -------
+    shape (frames, points); True where the sample is stale. The first sample of a run was measured
+    and is not marked.
+
+    Notes
+    -----
+    A run counts if another point changed in at least half of its steps. NaN is never equal, so a
+    blank ends a run.
+    """
+    stale = np.zeros(positions.shape[:2], dtype=np.bool_)
+    if len(positions) < 2:
+        return stale
+    everything = (
+        positions if reference is None else np.concatenate([positions, reference[:, None]], axis=1)
+    )
+    steps = np.diff(everything, axis=0)
+    same = np.asarray((steps == 0).all(axis=2), dtype=np.bool_)
+    movers = (np.abs(steps) > 0).any(axis=2).sum(axis=1)
+    edges = np.diff(np.pad(same[:, : positions.shape[1]].T.astype(np.int8), ((0, 0), (1, 1))))
+    points, first = np.nonzero(edges == 1)
+    last = np.nonzero(edges == -1)[1]
+    busy = np.r_[0, np.cumsum(movers > 0)]
+    counts = (time[last] - time[first] >= frozen * (1 - 1e-9)) & (
+        2 * (busy[last] - busy[first]) >= last - first
+    )
+    for point, begin, end in zip(points[counts], first[counts], last[counts], strict=True):
+        stale[begin + 1 : end + 1, point] = True
+    return stale
+
+
+def cut_tracklets(
+    positions: Floats, relative: Floats, time: Floats, *, max_jump: float
+) -> Tracklets:
+    """Cut every track at blanks, at jumps, and where two tracks exchange their points.
+
+    Parameters
+    ----------
+    positions : shape (frames, tracks, 3), m, as measured; NaN where not seen
+    relative : shape (frames, tracks, 3), m, the same relative to the clamp
+    time : shape (frames,), s
+    max_jump : m, longest step from one frame to the next that is motion. A step is a jump only if
+        it is too long both as measured and relative to the clamp, so neither fast travel of the
+        whole rig nor a slip of the clamp's own pose cuts anything.
+
+    Returns
+    -------
+    The tracklets.
+    """
+    seen = in_sight(positions)
+    joined = seen[1:] & seen[:-1]
+    joined &= ~_jumps(positions, relative, time, max_jump)
+    before = np.pad(joined, ((1, 0), (0, 0)))
+    after = np.pad(joined, ((0, 1), (0, 0)))
+    column, start = np.nonzero((seen & ~before).T)
+    stop = np.nonzero((seen & ~after).T)[1] + 1
+    order = np.lexsort((column, start))
+    return Tracklets(
+        column[order].astype(np.int64), start[order].astype(np.int64), stop[order].astype(np.int64)
+    )
+
+
+def _jumps(positions: Floats, relative: Floats, time: Floats, max_jump: float) -> Flags:
+    steps = np.maximum(1.0, np.diff(time) / frame_period(time))
+    moved = np.minimum(_squared_steps(positions), _squared_steps(relative))
+    jumps: Flags = np.asarray(moved > (max_jump * steps[:, None]) ** 2, dtype=np.bool_)
+    # Two neighbours closer than max_jump can exchange labels without a jump.
+    suspects = np.flatnonzero((moved > (max_jump / 4) ** 2).sum(axis=1) > 1)
+    jumps[suspects] |= _exchanges(relative[suspects], relative[suspects + 1])
+    return jumps
+
+
+def _squared_steps(positions: Floats) -> Floats:
+    steps = np.diff(positions, axis=0)
+    return np.asarray(np.einsum("fmi,fmi->fm", steps, steps), dtype=np.float64)
+
+
+def _exchanges(earlier: Floats, later: Floats) -> Flags:
+    """Tracks that change places with another one from `earlier` to `later`."""
+    apart = np.linalg.norm(later[:, :, None] - earlier[:, None], axis=3)
+    own = np.einsum("fii->fi", apart)
+    nearer = apart < own[:, :, None]
+    return np.asarray((nearer & nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
+
+
+_VELOCITY_FRAMES = 5
+"""Frames over which the velocity at the end of a tracklet is taken."""
+_SAME_LABEL = 0.25
+"""How much further away, in max_jump, a point of the same label may be and still win."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Links:
+    """Which tracklet goes on as which.
+
+    Parameters
+    ----------
+    chain : shape (tracklets,), number of the chain that each tracklet belongs to
+    successor : shape (tracklets,), the next tracklet of the chain, -1 at its end
+    ambiguous : pairs of tracklets that position alone would join differently, left to the labels
+    """
+
+    chain: Ints
+    successor: Ints
+    ambiguous: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pairs:
+    """Candidate links: end of tracklet `end`, start of tracklet `start`, distance, cost."""
+
+    end: Ints
+    start: Ints
+    distance: Floats
+    cost: Floats
+
+
+def link_tracklets(
+    tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
+) -> Links:
+    """Join the end of one tracklet to the start of another that goes on where it would be.
+
+    Parameters
+    ----------
+    tracklets : sorted by their first frame
+    relative : shape (frames, tracks, 3), m, positions relative to the clamp
+    time : shape (frames,), s
+    max_gap : s, longest time without a sample that is bridged
+    max_jump : m, furthest that the start may lie from where the point is expected; under the same
+        label this much times the root of the frames of the gap, but then any nearer partner is
+        preferred
+
+    Returns
+    -------
+    The links.
+
+    Notes
+    -----
+    Expected is either where the point stood or where the mean of both velocities takes it,
+    whichever is nearer. Within each group of competing ends and starts the assignment of least
+    total distance is taken; crossing to another label costs a quarter of `max_jump` on top.
+    A crossing whose rival (a simultaneous tracklet) lies as near within that margin is not made.
+    """
+    pairs = _candidates(tracklets, relative, time, max_gap=max_gap, max_jump=max_jump)
+    successor = np.full(len(tracklets), -1, dtype=np.int64)
+    chosen = _assign(pairs, unlinked=max_jump * (1 + _SAME_LABEL))
+    margin = _SAME_LABEL * max_jump
+    doubts = dict(_rivals(pairs, chosen, tracklets, margin))
+    crossing = tracklets.column[pairs.end] != tracklets.column[pairs.start]
+    for index in chosen:
+        if not (crossing[index] and index in doubts):
+            successor[pairs.end[index]] = pairs.start[index]
+    ambiguous = tuple(
+        (int(pairs.end[index]), int(pairs.start[index] if crossing[index] else pairs.start[rival]))
+        for index, rival in doubts.items()
+    )
+    return Links(_chains(successor), successor, ambiguous)
+
+
+def _candidates(
+    tracklets: Tracklets, relative: Floats, time: Floats, *, max_gap: float, max_jump: float
+) -> _Pairs:
+    period = frame_period(time)
+    starts, ends = time[tracklets.start], time[tracklets.stop - 1]
+    first = np.searchsorted(starts, ends, side="right")
+    last = np.searchsorted(starts, ends + max_gap + 1.1 * period, side="right")
+    many = np.maximum(last - first, 0)
+    end = np.repeat(np.arange(len(tracklets)), many)
+    start = np.arange(many.sum()) - np.repeat(np.cumsum(many) - many, many) + first[end]
+    pause = starts[start] - ends[end]
+    distance = _distances(tracklets, relative, time, end, start)
+    crossing = tracklets.column[end] != tracklets.column[start]
+    gate = np.where(crossing, max_jump, max_jump * np.sqrt(np.maximum(1.0, pause / period)))
+    cost = np.minimum(distance, 0.999 * max_jump) + _SAME_LABEL * max_jump * crossing
+    keep = distance <= gate
+    return _Pairs(end[keep], start[keep], distance[keep], cost[keep])
+
+
+def _distances(
+    tracklets: Tracklets, relative: Floats, time: Floats, end: Ints, start: Ints
+) -> Floats:
+    """How far each start lies from where the end would be."""
+    column, begin, final = tracklets.column, tracklets.start, tracklets.stop - 1
+    inside_end = np.maximum(begin, final - _VELOCITY_FRAMES)
+    inside_start = np.minimum(final, begin + _VELOCITY_FRAMES)
+
+    def velocity(a: Ints, b: Ints) -> Floats:
+        pause = np.where(b > a, time[b] - time[a], 1.0)
+        return np.asarray((relative[b, column] - relative[a, column]) / pause[:, None])
+
+    leaving, arriving = velocity(inside_end, final), velocity(begin, inside_start)
+    gap = relative[begin[start], column[start]] - relative[final[end], column[end]]
+    pause = (time[begin[start]] - time[final[end]])[:, None]
+    heading = gap - pause * (leaving[end] + arriving[start]) / 2
+    nearest = np.minimum(np.linalg.norm(gap, axis=1), np.linalg.norm(heading, axis=1))
+    return np.asarray(nearest, dtype=np.float64)
+
+
+def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
+    """Indices of the pairs that make the cheapest assignment."""
+    chosen: list[int] = []
+    for group in _groups(pairs):
+        if len(group) == 1:
+            chosen.append(group[0])
+            continue
+        ends, row = np.unique(pairs.end[group], return_inverse=True)
+        starts, column = np.unique(pairs.start[group], return_inverse=True)
+        saving = np.zeros((len(ends), len(starts)))
+        saving[row, column] = unlinked - pairs.cost[group]
+        index = np.full(saving.shape, -1)
+        index[row, column] = group
+        best = index[_best_matching(saving)]
+        chosen.extend(int(pair) for pair in best if pair >= 0)
+    return chosen
+
+
+def _best_matching(saving: Floats) -> tuple[Ints, Ints]:
+    """Rows and columns, each used once, of the largest sum."""
+    if saving.shape == (2, 2):  # two labels that switch: the one case that nearly every take has
+        straight = saving[0, 0] + saving[1, 1] >= saving[0, 1] + saving[1, 0]
+        return np.array([0, 1]), np.array([0, 1] if straight else [1, 0])
+    from scipy.optimize import linear_sum_assignment
+
+    rows, columns = linear_sum_assignment(saving, maximize=True)
+    return np.asarray(rows), np.asarray(columns)
+
+
+def _groups(pairs: _Pairs) -> list[list[int]]:
+    """Pairs that compete with each other, directly or through others."""
+    leader: dict[tuple[str, int], tuple[str, int]] = {}
+
+    def find(key: tuple[str, int]) -> tuple[str, int]:
+        while leader.setdefault(key, key) != key:
+            key = leader[key]
+        return key
+
+    ends = [("end", end) for end in pairs.end.tolist()]
+    starts = [("start", start) for start in pairs.start.tolist()]
+    for end, start in zip(ends, starts, strict=True):
+        leader[find(start)] = find(end)
+    groups: dict[tuple[str, int], list[int]] = {}
+    for number, end in enumerate(ends):
+        groups.setdefault(find(end), []).append(number)
+    return list(groups.values())
+
+
+def _rivals(
+    pairs: _Pairs, chosen: list[int], tracklets: Tracklets, margin: float
+) -> Iterable[tuple[int, int]]:
+    """Chosen pairs with a rival too near to tell, and the rival."""
+    column = tracklets.column
+    by_end, by_start = _index(pairs.end), _index(pairs.start)
+    for index in chosen:
+        end, start = int(pairs.end[index]), int(pairs.start[index])
+        crossing = column[end] != column[start]
+        allowed = pairs.distance[index] + (margin if crossing else 0.0)
+        for other in by_end[end] + by_start[start]:
+            rival_end, rival_start = int(pairs.end[other]), int(pairs.start[other])
+            competes = _overlap(tracklets, start, rival_start) or _overlap(
+                tracklets, end, rival_end
+            )
+            tempting = crossing or column[rival_end] != column[rival_start]
+            if other != index and competes and tempting and pairs.distance[other] < allowed:
+                yield index, other
+                break
+
+
+def _index(keys: Ints) -> dict[int, list[int]]:
+    table: dict[int, list[int]] = {}
+    for place, key in enumerate(keys.tolist()):
+        table.setdefault(key, []).append(place)
+    return table
+
+
+def _overlap(tracklets: Tracklets, one: int, two: int) -> bool:
+    """Whether two different tracklets share a frame, so that they are different points."""
+    begin = max(tracklets.start[one], tracklets.start[two])
+    return one != two and bool(begin < min(tracklets.stop[one], tracklets.stop[two]))
+
+
+def _chains(successor: Ints) -> Ints:
+    chain = np.full(len(successor), -1, dtype=np.int64)
+    fresh = 0
+    for tracklet, after in enumerate(successor.tolist()):
+        if chain[tracklet] < 0:
+            chain[tracklet] = fresh
+            fresh += 1
+        if after >= 0:
+            chain[after] = chain[tracklet]
+    return chain

@@ -1,0 +1,272 @@
+"""Checking protocols and tests against each other and against the exports, without processing."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from labpipe.errors import ProcessingError, ProtocolError, ReadError, complaint, nearest
+from labpipe.pipeline.layout import lay_out
+from labpipe.pipeline.steps import step_or_refuse
+from labpipe.process.reading import is_empty, joined, name_channels, unit_fault, where_to_name
+from labpipe.process.targets import files_below
+from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
+from labpipe.protocol.results import BendingStiffness, MidSpan, Twist
+from labpipe.protocol.schema import Markers, Protocol
+from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
+from labpipe.protocol.source import ChannelSource, Source
+from labpipe.readers import read_export, recognise_export
+from labpipe.readers.channels import NoChannelError, select_channel
+from labpipe.records.recording import MarkerTracks, Recording
+from labpipe.records.step_settings import Decimate, LowPass, Smooth, Zero
+
+_YAML = (".yaml", ".yml")
+_INSPECT = "`labpipe inspect` shows what the file holds."
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong.
+
+    Parameters
+    ----------
+    file : protocol or test sheet in which it was found
+    message : file, place, what was expected, what was found, what to do
+    """
+
+    file: Path
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """What was looked at and what was found.
+
+    Parameters
+    ----------
+    protocols, tests : files looked at
+    findings : everything that is wrong, each once
+    """
+
+    protocols: tuple[Path, ...]
+    tests: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+
+
+def check_paths(
+    paths: Sequence[Path] = (), *, protocols: Path | None = None, follow_links: bool = False
+) -> Checked:
+    """Check protocols and tests.
+
+    Parameters
+    ----------
+    paths : protocols, test sheets, or folders that are searched for them; ``protocols`` and
+        ``raw`` in the working folder if there are none
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+    follow_links : whether exports may be links out of the folder of their test
+
+    Returns
+    -------
+    What was looked at and what was found; nothing is raised for what is wrong with a file.
+    """
+    wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
+    files = list(dict.fromkeys(file for path in wanted for file in _yaml_files(path)))
+    tests = tuple(file for file in files if file.name == SHEET_NAME)
+    plans = tuple(file for file in files if file.name != SHEET_NAME)
+    found = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
+    for plan in plans:
+        found += [Finding(plan, message) for message in _protocol_faults(plan)]
+    for test in tests:
+        found += [Finding(test, message) for message in _test_faults(test, protocols, follow_links)]
+    found += _shared_names(tests)
+    once = {finding.message: finding for finding in reversed(found)}
+    return Checked(plans, tests, tuple(reversed(once.values())))
+
+
+def _yaml_files(path: Path) -> list[Path]:
+    if path.is_dir():
+        return [file for file in files_below(path) if file.suffix in _YAML and file.is_file()]
+    return [path] if path.suffix in _YAML and path.is_file() else []
+
+
+def _unusable(path: Path) -> Iterator[Finding]:
+    """Find a path with nothing to check."""
+    if _yaml_files(path):
+        return
+    found = "nothing of that name"
+    if path.exists():
+        found = "a folder without any" if path.is_dir() else "another file"
+    expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
+    remedy = f"`labpipe new` writes a {SHEET_NAME}."
+    yield Finding(path, complaint(path, "", expected=expected, found=found, remedy=remedy))
+
+
+def _protocol_faults(path: Path) -> Iterator[str]:
+    try:
+        protocol = load_protocol(path)
+    except ProtocolError as error:
+        yield from str(error).splitlines()
+        return
+    if protocol.name != path.stem:
+        expected, remedy = f"the name of the file, {path.stem!r}", "Change one of them."
+        yield complaint(path, "(name)", expected=expected, found=repr(protocol.name), remedy=remedy)
+
+
+def _test_faults(path: Path, protocols: Path | None, follow_links: bool) -> Iterator[str]:
+    try:
+        sheet = load_test_sheet(path)
+    except ProtocolError as error:
+        yield from str(error).splitlines()
+        return
+    try:
+        protocol = resolve(sheet, path, protocols, follow_links=follow_links)
+    except ProtocolError as error:
+        yield from str(error).splitlines()
+        protocol = None
+    if protocol is not None:
+        yield from _span_faults(path, protocol)
+    read: dict[str, list[Recording]] = {role: [] for role in sheet.files}
+    faults = 0
+    for role, names in sheet.files.items():
+        source = protocol.sources[role] if protocol else None
+        for name in names:
+            for fault in _export_faults(path.parent / name, source, protocol, read[role]):
+                faults += 1
+                yield fault
+    if protocol is not None and not faults:
+        yield from _refusals(path, sheet, protocol, read)
+
+
+def _refusals(
+    path: Path, sheet: TestSheet, protocol: Protocol, read: Mapping[str, list[Recording]]
+) -> Iterator[str]:
+    """Find what `labpipe process` would refuse although each export is as it should be."""
+    try:
+        recordings: dict[str, Recording] = {
+            role: joined(read[role], sheet.files[role], path.parent) for role in protocol.sources
+        }
+        bench, markers = lay_out(recordings, protocol)
+    except ReadError as error:
+        yield str(error)
+        return
+    except ProcessingError as error:
+        yield f"{path}, {error}"
+        return
+    for step in protocol.steps:
+        if isinstance(step, Zero | Smooth | LowPass | Decimate) and step.channel in bench.signals:
+            try:
+                step_or_refuse(bench, markers, step, protocol)
+            except ProcessingError as error:
+                yield f"{path}, {error}"
+
+
+def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
+    """Find a test on two supports whose distance nobody says."""
+    asked = [
+        entry.result
+        for entry in protocol.results
+        if isinstance(entry, MidSpan | Twist)
+        or (isinstance(entry, BendingStiffness) and entry.support == "three-point")
+    ]
+    if asked and protocol.specimen.span is None:
+        yield complaint(
+            path,
+            "specimen.span",
+            expected=f"the distance of the supports (for {', '.join(asked)})",
+            found="nothing",
+            remedy="Write it into the specimen, such as 'span: 152.4 mm'.",
+        )
+
+
+def _export_faults(
+    path: Path, source: Source | None, protocol: Protocol | None, read: list[Recording]
+) -> Iterator[str]:
+    """Find what is wrong with one export; only that it can be read, where the protocol failed.
+
+    What is right goes into `read`, with the channels of the protocol.
+    """
+    try:
+        if source is None or protocol is None:
+            recognise_export(path)
+            return
+        recording = read_export(path, source.reader, dialect=source.dialect, part=source.part)
+    except ReadError as error:
+        yield str(error)
+        return
+    if is_empty(recording):
+        read.append(recording)  # one of several parts, or all that there is
+        return
+    faults = [
+        *(
+            fault
+            for channel in source.all_channels.values()
+            for fault in _channel_faults(recording, channel, source, path)
+        ),
+        *_marker_faults(recording.markers, protocol.markers, path),
+    ]
+    yield from faults
+    if not faults:
+        read.append(name_channels(recording, source, path))
+
+
+def _channel_faults(
+    recording: Recording, wanted: ChannelSource, source: Source, path: Path
+) -> Iterator[str]:
+    try:
+        channel = select_channel(recording, wanted.channel, path)
+    except NoChannelError as error:
+        yield where_to_name(error, source, path)
+        return
+    if fault := unit_fault(channel, wanted, path):
+        yield fault
+
+
+def _marker_faults(
+    tracks: MarkerTracks | None, markers: Markers | None, path: Path
+) -> Iterator[str]:
+    """Find a clamp or markers that the take does not have."""
+    if tracks is None or markers is None:
+        return
+    bodies = [body.name for body in tracks.bodies]
+    if markers.clamp is not None and markers.clamp not in bodies:
+        near = nearest(markers.clamp, bodies)
+        remedy = f"The take has {', '.join(map(repr, near))}." if near else _INSPECT
+        yield complaint(
+            path,
+            f"rigid body {markers.clamp!r}",
+            expected="the rigid body that 'markers.clamp' names",
+            found="no such body" if bodies else "no rigid bodies at all",
+            remedy=remedy,
+        )
+    for wanted in () if markers.along == "all" else markers.along:
+        if not fnmatch.filter(tracks.names, wanted):
+            near = nearest(wanted, list(tracks.names))
+            remedy = f"Nearest: {', '.join(map(repr, near))}." if near else _INSPECT
+            expected = "markers that 'markers.along' names"
+            place = f"markers {wanted!r}"
+            yield complaint(path, place, expected=expected, found="none", remedy=remedy)
+
+
+def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
+    """Find two tests of one campaign with one name: their results would overwrite each other."""
+    seen: dict[tuple[Path, str], Path] = {}
+    for path in tests:
+        sheet = _sheet_or_none(path)
+        if sheet is None:
+            continue
+        key = (path.resolve().parent.parent, sheet.test.casefold())
+        if key in seen:
+            expected, found = "a name that no other test of the campaign has", repr(sheet.test)
+            remedy = f"{seen[key]} has it too: rename one of them."
+            text = complaint(path, "(test)", expected=expected, found=found, remedy=remedy)
+            yield Finding(path, text)
+        seen.setdefault(key, path)
+
+
+def _sheet_or_none(path: Path) -> TestSheet | None:
+    try:
+        return load_test_sheet(path)
+    except ProtocolError:
+        return None  # told already

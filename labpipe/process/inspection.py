@@ -1,0 +1,291 @@
+"""What an export is: program, channels, rates, gaps, oddities; nothing processed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.readers import recognise_export
+from labpipe.readers.time_axes import SAMPLED_ON_EVENT, VARIABLE, find_holes
+from labpipe.readers.tracking import Run, blank, longest, runs, unchanged
+from labpipe.records.arrays import Floats, median
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
+from labpipe.units import si_factor
+
+_SI = ("s", "m", "N", "Pa", "V", "1", "N m", "m/s", "Hz", "K", "kg")
+"""Units that a channel's own unit is turned into when the export states one."""
+
+_ANGLES = frozenset({"rad", "mrad", "deg", "degree", "degrees", "°"})
+"""Units of pure numbers that mean an angle."""
+
+_IN_TABLE = frozenset({"marker_gaps", "body_gaps"})
+"""Notes that only repeat, in words, the table of objects."""
+
+_MOST_RANGES = 100
+"""Gaps listed with their rows, per object; the count is of all."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """An export and what its reader made of it.
+
+    Parameters
+    ----------
+    file : the export
+    recording : everything it holds
+    """
+
+    file: Path
+    recording: Recording
+
+
+def inspect_export(path: Path) -> Inspection:
+    """Recognise an export by its content and read it whole.
+
+    Parameters
+    ----------
+    path : the export
+
+    Returns
+    -------
+    The inspection. A time axis that cannot be processed is a note of severity error here.
+
+    Raises
+    ------
+    ReadError
+        If the file is of no known format, or too damaged to be read at all.
+    """
+    return Inspection(path, recognise_export(path).read(path))
+
+
+def as_json(inspection: Inspection) -> dict[str, object]:
+    """Facts of an inspection as `labpipe inspect --json` prints them.
+
+    Parameters
+    ----------
+    inspection : from `inspect_export`
+
+    Returns
+    -------
+    Only what JSON can hold. Numbers are in SI where the export says the unit, else as in the file
+    with ``unit`` None; a number that does not exist is None; rows are counted from 0.
+    """
+    recording = inspection.recording
+    return {
+        "file": str(inspection.file),
+        "reader": recording.reader,
+        "program": recording.program,
+        "version": recording.program_version,
+        "streams": [_stream(clock, recording) for clock in recording.clocks],
+        "markers": None if recording.markers is None else _markers(recording.markers),
+        "notes": [
+            {
+                "code": note.code,
+                "severity": note.severity.value,
+                "where": note.where,
+                "message": note.message,
+            }
+            for note in recording.notes
+        ],
+        "metadata": dict(recording.metadata),
+    }
+
+
+def _stream(clock: Clock, recording: Recording) -> dict[str, object]:
+    return {
+        "clock": clock.name,
+        "unit": clock.unit,
+        **_timing(clock.time, on_event=_is_uneven(clock, recording)),
+        "channels": [_channel(each) for each in recording.channels if each.clock == clock.name],
+    }
+
+
+def _is_uneven(clock: Clock, recording: Recording) -> bool:
+    """Whether long steps of a time axis are how its program samples, not losses."""
+    notes = {note.code for note in recording.notes if note.where == f"clock {clock.name}"}
+    return clock.name in SAMPLED_ON_EVENT or VARIABLE in notes
+
+
+def _timing(time: Floats, *, on_event: bool) -> dict[str, object]:
+    steps = np.diff(time)
+    holes = () if on_event else find_holes(time)
+    return {
+        "samples": len(time),
+        "start": _end(time, 0),
+        "end": _end(time, -1),
+        "step_median": _number(median(steps)) if len(steps) else None,
+        "step_min": _number(steps.min()) if len(steps) else None,
+        "step_max": _number(steps.max()) if len(steps) else None,
+        "holes": [{"at": hole.at, "length": hole.length} for hole in holes],
+    }
+
+
+def _channel(channel: Channel) -> dict[str, object]:
+    unit, factor = _si(channel)
+    known = channel.values[~np.isnan(channel.values)] * factor
+    return {
+        "name": channel.name,
+        "path": channel.path,
+        "unit": unit,
+        "unit_in_file": channel.unit_in_file,
+        "first": _end(channel.values * factor, 0),
+        "last": _end(channel.values * factor, -1),
+        "min": _number(known.min()) if len(known) else None,
+        "max": _number(known.max()) if len(known) else None,
+        "missing": len(channel.values) - len(known),
+    }
+
+
+def _si(channel: Channel) -> tuple[str | None, float]:
+    """SI unit of a channel and the factor to it; None and 1 when the export states no unit."""
+    if channel.unit is not None or not channel.unit_in_file:
+        return channel.unit, 1.0
+    for unit in ("rad",) if channel.unit_in_file in _ANGLES else _SI:
+        try:
+            return unit, si_factor(channel.unit_in_file, unit)
+        except ValueError:
+            continue
+    return None, 1.0
+
+
+def _end(values: Floats, place: int) -> float | None:
+    return _number(values[place]) if len(values) else None
+
+
+def _number(value: float | np.floating) -> float | None:
+    """Give back a plain number, None for NaN."""
+    return float(value) if np.isfinite(value) else None
+
+
+def _markers(tracks: MarkerTracks) -> dict[str, object]:
+    timing = _timing(tracks.time, on_event=False)
+    columns = {name: tracks.positions[:, i] for i, name in enumerate(tracks.names)}
+    return {
+        "frames": timing.pop("samples"),
+        "rate": _number(tracks.rate),
+        **timing,
+        "first_frame": _end(tracks.frames, 0),
+        "last_frame": _end(tracks.frames, -1),
+        "unit_in_file": tracks.unit_in_file,
+        "names": list(tracks.names),
+        "missing": tracks.missing,
+        "gaps": {name: _gaps(track) for name, track in columns.items()},
+        "frozen": {name: _frozen(track) for name, track in columns.items()},
+        "rigid_bodies": [_body(body) for body in tracks.bodies],
+    }
+
+
+def _gaps(track: Floats) -> dict[str, object]:
+    stretches = runs(blank(track))
+    return {
+        "count": len(stretches),
+        "longest": longest(stretches),
+        "ranges": [_range(run) for run in stretches[:_MOST_RANGES]],
+    }
+
+
+def _range(run: Run) -> list[int]:
+    return [run.first, run.last]
+
+
+def _frozen(track: Floats) -> dict[str, int]:
+    still = unchanged(track)
+    return {"steps": int(still.sum()), "longest": longest(runs(still))}
+
+
+def _body(body: RigidBody) -> dict[str, object]:
+    frozen = _frozen(body.position)
+    return {
+        "name": body.name,
+        "missing": int(blank(body.position).sum()),
+        "gaps": _gaps(body.position),
+        "frozen_steps": frozen["steps"],
+        "longest_frozen_run": frozen["longest"],
+        "has_rotation": bool(np.isfinite(body.rotation).any()),
+        "has_error": bool(np.isfinite(body.error).any()),
+    }
+
+
+def as_text(inspection: Inspection) -> str:
+    """Facts of an inspection as a page for people.
+
+    Parameters
+    ----------
+    inspection : from `inspect_export`
+
+    Returns
+    -------
+    Lines without the last line end.
+    """
+    recording = inspection.recording
+    program = f"{recording.program} {recording.program_version}".strip() or "unknown program"
+    lines = [str(inspection.file), f"  {program}, read by {recording.reader}"]
+    for clock in recording.clocks:
+        lines += ["", *_stream_lines(clock, recording)]
+    if recording.markers is not None:
+        lines += ["", *_marker_lines(recording.markers)]
+    notes = [note for note in recording.notes if note.code not in _IN_TABLE]
+    if notes:
+        lines += ["", "Notes"]
+        lines += [f"  {n.severity.value:7}  {n.where}: {n.message}" for n in notes]
+    return "\n".join(lines)
+
+
+def _stream_lines(clock: Clock, recording: Recording) -> list[str]:
+    timing = _timing_text(_timing(clock.time, on_event=_is_uneven(clock, recording)), "samples")
+    head = f"Clock {clock.name}: {timing}"
+    if clock.unit != "s":
+        head = f"Rows, no clock: {len(clock.time)} samples"
+    channels = [_channel(each) for each in recording.channels if each.clock == clock.name]
+    rows = [["channel", "unit", "first", "last", "min", "max", "missing"]]
+    for channel in channels:
+        unit = channel["unit"] or channel["unit_in_file"] or "-"
+        numbers = [_short(channel[key]) for key in ("first", "last", "min", "max")]
+        rows.append([str(channel["path"]), str(unit), *numbers, str(channel["missing"])])
+    return [head, *_table(rows)]
+
+
+def _marker_lines(tracks: MarkerTracks) -> list[str]:
+    facts = _markers(tracks)
+    timing = _timing_text({**facts, "samples": facts["frames"]}, "frames")
+    head = f"Markers: {timing}; lengths in {tracks.unit_in_file or 'metres (assumed)'}"
+    rows = [["object", "kind", "missing", "gaps", "longest", "unchanged"]]
+    named = [(body.name, "rigid body", body.position) for body in tracks.bodies]
+    named += [(name, "marker", tracks.positions[:, i]) for i, name in enumerate(tracks.names)]
+    for name, kind, track in named:
+        gaps, frozen = _gaps(track), _frozen(track)
+        numbers = [int(blank(track).sum()), gaps["count"], gaps["longest"], frozen["steps"]]
+        rows.append([name, kind, *(str(number) for number in numbers)])
+    return [head, *(_table(rows) if named else ["  no rigid body and no marker"])]
+
+
+def _timing_text(timing: Mapping[str, object], what: str) -> str:
+    """One line on a time axis: count, start, end, rate, holes."""
+    text = f"{timing['samples']} {what}"
+    if timing["start"] is not None:
+        text += f", {_short(timing['start'])} to {_short(timing['end'])} s"
+    step = timing["step_median"]
+    if isinstance(step, float) and step > 0.0:
+        text += f", step {1e3 * step:.6g} ms ({1.0 / step:.5g} per second)"
+    holes = timing["holes"]
+    return f"{text}, holes: {len(holes)}" if isinstance(holes, list) and holes else text
+
+
+def _short(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else "-"
+
+
+def _table(rows: list[list[str]]) -> list[str]:
+    """Lines of a table: text to the left, numbers to the right."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return [
+        "  "
+        + "  ".join(
+            cell.ljust(width) if i < 2 else cell.rjust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]

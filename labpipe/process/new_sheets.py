@@ -1,0 +1,290 @@
+"""Writing test sheets: one from options, or one per row of a campaign's table."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from labpipe.errors import Fault, ReadError, UsageError, complaint, nearest
+from labpipe.protocol.load import find_protocol
+from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
+from labpipe.protocol.source import ROLES
+from labpipe.readers.sheet_cells import Cell, Table, read_campaign_sheet
+from labpipe.store.replace import replacing, storing
+
+DIMENSIONS = ("length", "span", "width", "thickness", "diameter")
+"""Dimensions of a specimen that have a column of their own."""
+BUNDLE = {
+    "bundle_wires": "wires",
+    "bundle_number": "number",
+    "arrangement": "arrangement",
+    "tape": "tape",
+    "taping": "taping",
+    "conduit": "conduit",
+    "conduit_bore": "conduit_bore",
+}
+"""Columns of a harness bundle, and the keys of its block that they fill."""
+LABELS = "labels."
+"""With this before its name, a column is a label of the specimen."""
+_PLAIN = ("test", "protocol", "date", "operator")
+_SPECIMEN = ("type", "spool", "sample")
+COLUMNS = (*_PLAIN, *_SPECIMEN, *DIMENSIONS, *BUNDLE, *ROLES, "because")
+"""The columns of a campaign's table; besides them, every dotted key of a protocol is one, and every
+label."""
+_NEEDED = ("test", "protocol", *_SPECIMEN)
+_UNIT_IN_HEADING = re.compile(r"(.+?)\s*[(\[](.+)[)\]]")
+
+
+@dataclass(frozen=True, slots=True)
+class NewTest:
+    """What a test sheet says, as a person wrote it.
+
+    Parameters
+    ----------
+    values : text by column: those of `COLUMNS`, labels, and dotted keys of the protocol
+    places : where each of them was written, for messages; by column
+    """
+
+    values: Mapping[str, str]
+    places: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class NewTests:
+    """What became of the rows of a campaign's table.
+
+    Parameters
+    ----------
+    written : the test sheets written
+    kept : those that were there already and were left as they are
+    """
+
+    written: tuple[Path, ...]
+    kept: tuple[Path, ...]
+
+
+def new_test(
+    folder: Path,
+    values: Mapping[str, str],
+    *,
+    overwrite: bool = False,
+    protocols: Path | None = None,
+) -> Path:
+    """Write the test sheet of one test.
+
+    Parameters
+    ----------
+    folder : of the test; made if it is not there
+    values : text by column of `COLUMNS` (``test`` is the folder's name if left out), by label
+        (``labels.cured``), or by dotted key of the protocol; several parts of one recording are
+        parted by ``;``
+    overwrite : whether a test sheet that is there already may go
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+
+    Returns
+    -------
+    The file.
+
+    Raises
+    ------
+    UsageError
+        If values are missing or wrong (all of them in one message), or the file is there already.
+    StoreError
+        If the file cannot be written.
+    """
+    path = folder / SHEET_NAME
+    test = NewTest({"test": folder.name} | dict(values))
+    faults = [_unknown(column, path, column) for column in values if not _is_column(column)]
+    faults += _faults(test, path, folder, protocols)
+    if faults:
+        raise UsageError("\n".join(faults))
+    if path.exists() and not overwrite:
+        remedy = "Edit it, or ask to overwrite it."
+        found = "one that is there already"
+        text = complaint(path, "", expected="no such file yet", found=found, remedy=remedy)
+        raise UsageError(text)
+    _write(path, write_test_sheet(_sheet_data(test.values)))
+    return path
+
+
+def new_from_sheet(
+    sheet: Path, folder: Path, *, overwrite: bool = False, protocols: Path | None = None
+) -> NewTests:
+    """Write one test sheet per row of a campaign's table.
+
+    Parameters
+    ----------
+    sheet : xlsx or csv with the columns `COLUMNS`, in any order; ``length (mm)`` states a unit for
+        the whole column; a column may also be a label, or a dotted key of the protocol
+    folder : of the campaign; each test gets a folder of its name in it
+    overwrite : whether test sheets that are there already may go; else they are kept
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+
+    Returns
+    -------
+    What was written and what was kept.
+
+    Raises
+    ------
+    ReadError
+        If the table cannot be read, or anything in it is wrong: all faults are in one message, each
+        with its cell, and nothing is written.
+    StoreError
+        If a file cannot be written.
+    """
+    table = read_campaign_sheet(sheet)
+    faults = list(_heading_faults(table.heading, sheet))
+    if faults:
+        raise ReadError("\n".join(faults))
+    tests = [_from_row(table, row) for row in table.rows]
+    for test in tests:
+        faults += _faults(test, sheet, folder / test.values.get("test", ""), protocols)
+    faults += _repeated(tests, sheet)
+    if faults:
+        raise ReadError("\n".join(faults))
+    return _write_all(tests, folder, overwrite=overwrite)
+
+
+def _write_all(tests: Sequence[NewTest], folder: Path, *, overwrite: bool) -> NewTests:
+    written, kept = [], []
+    for test in tests:
+        path = folder / test.values["test"] / SHEET_NAME
+        if path.exists() and not overwrite:
+            kept.append(path)
+        else:
+            _write(path, write_test_sheet(_sheet_data(test.values)))
+            written.append(path)
+    return NewTests(tuple(written), tuple(kept))
+
+
+def _column(cell: Cell) -> tuple[str, str]:
+    """Part a heading into the name of the column and the unit of its numbers."""
+    match = _UNIT_IN_HEADING.fullmatch(cell.text)
+    name, unit = (match[1], match[2]) if match else (cell.text, "")
+    return (name if "." in name else name.casefold()), unit
+
+
+def _is_column(name: str) -> bool:
+    return name in COLUMNS or "." in name
+
+
+def _heading_faults(heading: Sequence[Cell], sheet: Path) -> Iterator[str]:
+    names = [_column(cell)[0] for cell in heading]
+    for number, (name, cell) in enumerate(zip(names, heading, strict=True)):
+        if not name or not _is_column(name):
+            yield _unknown(cell.text, sheet, cell.place)
+        elif name in names[:number]:
+            found, remedy = f"{name!r} again", "Remove or rename one of them."
+            yield complaint(
+                sheet, cell.place, expected="each column once", found=found, remedy=remedy
+            )
+    for name in _NEEDED:
+        if name not in names:
+            expected, remedy = f"a column {name!r}", "Add it."
+            yield complaint(sheet, heading[0].place, expected=expected, found="none", remedy=remedy)
+
+
+def _unknown(name: str, file: Path, place: str) -> str:
+    near = nearest(name, list(COLUMNS))
+    expected = f"one of {', '.join(repr(word) for word in near)}, ..., or a dotted key"
+    remedy = f"Did you mean {near[0]!r}?"
+    return complaint(file, place, expected=expected, found=repr(name), remedy=remedy)
+
+
+def _from_row(table: Table, row: Sequence[Cell]) -> NewTest:
+    values, places = {}, {}
+    for heading, cell in zip(table.heading, row, strict=True):
+        name, unit = _column(heading)
+        places[name] = cell.place
+        if cell.text:
+            has_unit = re.fullmatch(r"[-+0-9.eE]+", cell.text) is None
+            values[name] = cell.text if has_unit or not unit else f"{cell.text} {unit}"
+    return NewTest(values, places)
+
+
+def _faults(test: NewTest, file: Path, folder: Path, protocols: Path | None) -> list[str]:
+    """Word what is wrong with one test."""
+    faults = test_sheet_faults(_sheet_data(test.values))
+    wanted = test.values.get("protocol")
+    found = find_protocol(wanted, beside=folder, protocols=protocols) if wanted else None
+    if isinstance(found, Fault):
+        faults.append(found)
+    return [_worded(fault, test, file) for fault in faults]
+
+
+def _worded(fault: Fault, test: NewTest, file: Path) -> str:
+    """Word a fault at the cell, or the option, that it comes from."""
+    column = _column_of(fault)
+    place = test.places.get(column) or test.places.get("test")
+    place = f"{place} ({column})" if place else column
+    if fault.missing:
+        expected, remedy = f"a value for {column!r}", "Fill it in."
+        return complaint(file, place, expected=expected, found="none", remedy=remedy)
+    said = (fault.expected, fault.found)
+    return complaint(file, place, expected=said[0], found=said[1], remedy=fault.remedy).rstrip()
+
+
+def _column_of(fault: Fault) -> str:
+    path = [str(part) for part in fault.path]
+    if path[:2] == ["specimen", "bundle"]:
+        key = fault.missing or path[2]
+        return next(column for column, filled in BUNDLE.items() if filled == key)
+    if fault.missing:
+        return fault.missing
+    if path[:2] == ["specimen", "labels"]:
+        return f"{LABELS}{path[2]}"
+    return path[1] if path[0] in ("specimen", "files", "overrides") and len(path) > 1 else path[0]
+
+
+def _sheet_data(values: Mapping[str, str]) -> dict[str, object]:
+    """Arrange text by column into the blocks of a test sheet."""
+    files = {role: _parts(values[role]) for role in ROLES if role in values}
+    dotted = {key: value for key, value in values.items() if "." in key and not _is_label(key)}
+    because = {"because": values["because"]} if "because" in values else {}
+    data: dict[str, object] = {key: values[key] for key in ("test", "protocol") if key in values}
+    data["specimen"] = _specimen_data(values)
+    data |= {key: values[key] for key in ("date", "operator") if key in values}
+    data["files"] = files
+    if dotted:
+        data["overrides"] = {key: {"value": value} | because for key, value in dotted.items()}
+    return data
+
+
+def _specimen_data(values: Mapping[str, str]) -> dict[str, object]:
+    plain = (*_SPECIMEN, *DIMENSIONS)
+    specimen: dict[str, object] = {key: values[key] for key in plain if key in values}
+    bundle = {key: values[column] for column, key in BUNDLE.items() if column in values}
+    labels = {key.removeprefix(LABELS): word for key, word in values.items() if _is_label(key)}
+    blocks = {"bundle": bundle, "labels": labels}
+    return specimen | {key: block for key, block in blocks.items() if block}
+
+
+def _is_label(column: str) -> bool:
+    return column.startswith(LABELS)
+
+
+def _parts(text: str) -> str | list[str]:
+    parts = [part.strip() for part in text.split(";")]
+    return parts[0] if len(parts) == 1 else parts
+
+
+def _repeated(tests: Sequence[NewTest], sheet: Path) -> Iterator[str]:
+    seen: set[str] = set()
+    for test in tests:
+        name = test.values.get("test", "")
+        if name and name.casefold() in seen:  # some file systems take A1 and a1 for one folder
+            place, remedy = test.places["test"], "Give each test a name of its own."
+            yield complaint(
+                sheet, place, expected="each test once", found=f"{name!r} again", remedy=remedy
+            )
+        seen.add(name.casefold())
+
+
+def _write(path: Path, text: str) -> None:
+    """Write a file whole or not at all."""
+    with storing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")

@@ -1,0 +1,295 @@
+"""The per-test command: export -> result.h5, summary.json, figures."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.errors import ProcessingError, StoreError, complaint
+from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.reading import read_inputs
+from labpipe.process.targets import RESULT_FILE
+from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.schema import FigureName, Protocol
+from labpipe.protocol.values import is_name_of_a_test
+from labpipe.records.arrays import Floats
+from labpipe.records.measured_bending import Bending
+from labpipe.records.recording import Recording
+from labpipe.records.result import Status, TestResult
+from labpipe.store.read import RawTest, read_name, read_raw, read_run
+from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
+from labpipe.store.summary import write_summary
+from labpipe.store.write import write_result
+
+SUMMARY_FILE, FIGURES = "summary.json", "figures"
+PROCESSING_VERSION = 1
+"""Raised whenever the same exports, sheet and protocol give other numbers than before."""
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Processed:
+    """One processed test and where its files are.
+
+    Parameters
+    ----------
+    folder : holds result.h5, summary.json and figures
+    result : what was found
+    figures : the files that were drawn
+    finished : whether a killed process had left something half done, which was finished first
+    """
+
+    folder: Path
+    result: TestResult
+    figures: tuple[Path, ...]
+    finished: bool = False
+
+    @property
+    def n_failed(self) -> int:
+        """Number of results that could not be had."""
+        return sum(result.status is Status.FAILED for result in self.result.results)
+
+
+def process_test(
+    source: Path,
+    *,
+    out: Path | None = None,
+    figures: bool = True,
+    png: bool = False,
+    follow_links: bool = False,
+    say: Say = lambda _: None,
+) -> Processed:
+    """Process one test.
+
+    Parameters
+    ----------
+    source : its test.yaml, or a result.h5 whose raw group is processed again
+    out : folder that gets a folder per test; None for `processed` beside `raw`
+    figures : whether to draw, as SVG
+    png : whether figures are drawn as PNG, too
+    follow_links : whether exports may be links out of the folder of the test
+    say : told the name of each stage as it begins
+
+    Returns
+    -------
+    The result and where it was written.
+
+    Raises
+    ------
+    LabpipeError
+        If an input is bad; earlier results are then as they were.
+    """
+    say("read")
+    again = source.suffix == ".h5"
+    finished = again and out is None and _finished(source.parent)
+    raw, protocol = _stored(source) if again else _exported(source, follow_links)
+    say("process")
+    result = reduce_test(raw, protocol)
+    folder = goal_of(source, out, lambda: result.test)
+    owned = _figures_to_go(folder, result.run, is_drawn=figures)
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
+        say("write")
+        with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
+            writing = beside.submit(write_result, result, stage / RESULT_FILE)
+            write_summary(result, stage / SUMMARY_FILE)
+            drawn = _draw(result, stage / FIGURES, say, png=png) if figures else ()
+            writing.result()
+    files = tuple(folder / path.relative_to(stage) for path in drawn)
+    return Processed(folder, result, files, finished)
+
+
+def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
+    """Reduce one test in memory.
+
+    Parameters
+    ----------
+    raw : its recordings and what is known about it
+    protocol : resolved
+
+    Returns
+    -------
+    Everything that `labpipe process` would store.
+
+    Raises
+    ------
+    ProcessingError
+        If a recording lacks what a step cannot do without.
+    """
+    try:
+        bench, results = reduce_recordings(raw.recordings, protocol)
+    except ProcessingError as error:
+        message = f"{raw.test}, {error}"
+        raise ProcessingError(message) from error
+    return TestResult(
+        test=raw.test,
+        specimen=raw.specimen,
+        protocol=protocol.name,
+        protocol_yaml=raw.protocol_yaml,
+        test_yaml=raw.test_yaml,
+        labpipe_version=__version__,
+        inputs=raw.inputs,
+        recordings=raw.recordings,
+        aligned=bench.aligned,
+        curve=bench.curve,
+        shape=bench.shape,
+        bending=bench.bending if isinstance(bench.bending, Bending) else None,
+        results=results,
+        quality=tuple(bench.notes),
+        display=dict(protocol.report.display),
+        figures=protocol.report.figures,
+        slips=bench.slips,
+        lines=tuple(bench.lines),
+        run=run_key(raw),
+    )
+
+
+def name_of(source: Path) -> str:
+    """Read the name of a test alone.
+
+    Parameters
+    ----------
+    source : its test.yaml or result.h5
+
+    Raises
+    ------
+    LabpipeError
+        If it cannot be read.
+    """
+    return read_name(source) if source.suffix == ".h5" else load_test_sheet(source).test
+
+
+def run_key(raw: RawTest) -> str:
+    """Name what a result is made of: the same key, the same numbers.
+
+    Parameters
+    ----------
+    raw : fingerprints of the exports, test sheet and protocol
+
+    Returns
+    -------
+    SHA-256, hexadecimal, of these and of `PROCESSING_VERSION`; no time, no machine is in it.
+    """
+    exports = [[each.role, each.sha256] for each in raw.inputs]
+    parts = [PROCESSING_VERSION, exports, raw.test_yaml, raw.protocol_yaml]
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
+
+
+def _finished(folder: Path) -> bool:
+    """Finish what a killed process left half done in a folder; whether there was anything."""
+    if not is_cut_off(folder):
+        return False
+    with locked(folder), storing(folder):
+        return finish_cut_off(folder)
+
+
+def _figures_to_go(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
+    """Figures of labpipe in a folder that would show other numbers than this run's result."""
+    if not is_drawn:
+        with suppress(StoreError):
+            if read_run(folder / RESULT_FILE) == run:
+                return []
+    names = get_args(FigureName)
+    return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
+
+
+def _exported(sheet_path: Path, follow_links: bool) -> tuple[RawTest, Protocol]:
+    """A test from its sheet and exports."""
+    sheet = load_test_sheet(sheet_path)
+    protocol = resolve(sheet, sheet_path, follow_links=follow_links)
+    recordings, inputs = read_inputs(sheet_path.parent, sheet, protocol)
+    raw = RawTest(
+        test=sheet.test,
+        specimen=sheet.specimen.record,
+        protocol=protocol.name,
+        protocol_yaml=dump_protocol(protocol),
+        test_yaml=sheet_path.read_text(encoding="utf-8"),
+        labpipe_version=__version__,
+        inputs=inputs,
+        recordings=recordings,
+    )
+    return raw, protocol
+
+
+def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
+    """A test from the raw group of an earlier result."""
+    raw = read_raw(result_path)
+    if not is_name_of_a_test(raw.test):
+        message = complaint(
+            result_path,
+            "test",
+            expected="the name of a test, such as A2-085-1",
+            found=repr(raw.test),
+            remedy="Process the test again from its exports.",
+        )
+        raise StoreError(message)
+    protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
+    _require_fitting(raw, protocol, result_path)
+    return raw, protocol
+
+
+def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> None:
+    """Refuse a raw group that is not that of its protocol, or whose times no reader would take."""
+    for role, source in protocol.sources.items():
+        recording = raw.recordings.get(role, Recording(""))
+        names = [channel.name for channel in recording.channels]
+        missing = sorted(set(source.all_channels) - set(names))
+        if missing or role not in raw.recordings:
+            expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
+            found = ", ".join(map(repr, names)) or "none"
+        elif not all(map(_goes_on, _times(recording))):
+            expected, found = "times that go on", "some that go back, or are no numbers"
+        else:
+            continue
+        remedy = "Process the test again from its exports."
+        place = f"raw/{role}"
+        text = complaint(result_path, place, expected=expected, found=found, remedy=remedy)
+        raise StoreError(text)
+
+
+def _times(recording: Recording) -> list[Floats]:
+    tracks = [] if recording.markers is None else [recording.markers.time]
+    return [*(clock.time for clock in recording.clocks), *tracks]
+
+
+def _goes_on(time: Floats) -> bool:
+    return bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all())
+
+
+def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
+    """Find where the results of a test go.
+
+    Parameters
+    ----------
+    source, out : see `process_test`
+    name : gives the name of the test, where it matters
+
+    Returns
+    -------
+    ``out/<test>``; else the folder of the result.h5 itself, or beside ``raw`` in ``processed`` at
+    the same depth, or ``processed/<test>`` in the working folder.
+    """
+    if out is not None:
+        return out / name()
+    if source.suffix == ".h5":
+        return source.parent
+    folder = source.resolve().parent
+    above = [parent for parent in folder.parents if parent.name == "raw"]
+    if not above:
+        return Path("processed") / name()
+    return above[0].parent / "processed" / folder.relative_to(above[0])
+
+
+def _draw(result: TestResult, folder: Path, say: Say, *, png: bool) -> tuple[Path, ...]:
+    say("draw")
+    from labpipe.report.figures import save_figures
+
+    return tuple(save_figures(result, folder, png=png))

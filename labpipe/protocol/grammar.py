@@ -1,0 +1,265 @@
+"""Blocks of keys in protocols and test sheets, and how settings declared as plain data become them.
+
+Types with the markers of `labpipe.records.declarations` mean the same in a `Block` and in a plain
+frozen dataclass: here, and only here, they turn into what pydantic validates, writes and describes.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import cache, partial
+from types import UnionType
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    Self,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ModelWrapValidatorHandler,
+    PlainSerializer,
+    PlainValidator,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+    create_model,
+    model_serializer,
+    model_validator,
+)
+from pydantic_core import CoreSchema, core_schema
+
+from labpipe.errors import Fault
+from labpipe.protocol.faults import error_of, faults_of, raised
+from labpipe.protocol.values import (
+    SPAN_SCHEMA,
+    QuantityText,
+    parse_span,
+    parse_whole,
+    parse_word,
+    written_span,
+)
+from labpipe.records.declarations import Above, Key, Quantity, Span, Tagged, Whole, Word
+
+
+class Block(BaseModel):
+    """A block of keys: frozen, closed to unknown keys, its faults in our words."""
+
+    # Built when first used: a test uses a protocol and a sheet, not each block on its own.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Turn the markers into validators before pydantic looks at the types."""
+        super().__init_subclass__(**options)
+        hints = inspect.get_annotations(cls, eval_str=True)
+        keys = {name: _key(hint, name) for name, hint in hints.items()}
+        cls.__annotations__ = {name: validated(hint, keys) for name, hint in hints.items()}
+
+    @classmethod
+    def keys(cls) -> list[str]:
+        """List the keys as YAML writes them."""
+        return [field.alias or name for name, field in cls.model_fields.items()]
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:  # noqa: ARG003 - blocks that check use it
+        """Check one part of the block against another, whether or not each part is valid.
+
+        Parameters
+        ----------
+        data : the block as written
+
+        Returns
+        -------
+        The faults, with their paths in `data`.
+        """
+        return []
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _in_our_words(cls, data: object, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        """Collect the faults within the parts and between them; the first at a place counts.
+
+        A key that should not be there at all is reported as such, not by its wrong value.
+        """
+        between = cls.between(data)
+        within: list[Fault] = []
+        try:
+            block = handler(data)
+        except ValidationError as error:
+            within = faults_of(error, data=data, keys=cls.keys())
+        else:
+            if not between:
+                return block
+        misspelt = {fault.path for fault in between if fault.at == "key"}
+        within = [fault for fault in within if fault.path not in misspelt]
+        told = {fault.path for fault in within}
+        raise raised([*within, *(fault for fault in between if fault.path not in told)], data)
+
+    @model_serializer(mode="wrap")
+    def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is None because it was left out."""
+        fields = type(self).model_fields
+        unset = {field.alias or name for name, field in fields.items() if field.default is None}
+        return {
+            key: value
+            for key, value in handler(self).items()
+            if value is not None or key not in unset
+        }
+
+
+def validated(hint: Any, keys: Mapping[str, str] | None = None) -> Any:
+    """Replace the markers in a type by what pydantic validates with.
+
+    Parameters
+    ----------
+    hint : type of a field; a plain dataclass in it is read as a block of its settings
+    keys : what YAML calls the fields of the block, by name
+
+    Returns
+    -------
+    The type for pydantic, whose values are those of `hint`.
+    """
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return _annotated(parts[0], parts[1:], keys or {})
+    if origin in (Union, UnionType):
+        return Union[tuple(validated(part) for part in parts)]  # noqa: UP007 - of a list
+    if origin in (tuple, list, dict):
+        return origin[tuple(validated(part) for part in parts)]
+    if hint is Span:
+        write = PlainSerializer(written_span)
+        return Annotated[Span, PlainValidator(parse_span), write, WithJsonSchema(SPAN_SCHEMA)]
+    return Annotated[hint, _Settings(hint)] if is_dataclass(hint) else hint
+
+
+def _annotated(inner: Any, markers: tuple[Any, ...], keys: Mapping[str, str]) -> Any:
+    """Type with validators in place of its markers; a text among them is the description."""
+    made: list[Any] = []
+    for marker in markers:
+        match marker:
+            case Quantity() | Whole() | Word():
+                made += _reading(marker)
+            case Tagged():
+                kinds = (Annotated[each, _Settings(each, marker.key)] for each in get_args(inner))
+                return Annotated[Union[tuple(kinds)], Field(discriminator=marker.key)]  # noqa: UP007
+            case Above():
+                of = next(each for each in markers if isinstance(each, Quantity))
+                made.append(_above(marker.field, keys[marker.field], QuantityText(of)))
+            case Key():
+                made.append(Field(alias=marker.name))
+            case str():
+                made.append(Field(description=marker))
+            case _:
+                made.append(marker)
+    return Annotated[(validated(inner), *made)]
+
+
+def _reading(marker: Quantity | Whole | Word) -> list[Any]:
+    """What reads, writes and describes a value with a marker."""
+    match marker:
+        case Quantity():
+            text = QuantityText(marker)
+            written = PlainSerializer(text.written)
+            return [PlainValidator(text.parse), written, WithJsonSchema(text.schema)]
+        case Whole():
+            schema = {"type": "integer", "minimum": marker.least, "maximum": marker.most}
+            return [PlainValidator(partial(parse_whole, marker)), WithJsonSchema(schema)]
+        case Word():
+            form = {"type": "string", "pattern": f"^{marker.pattern}$"}
+            return [PlainValidator(partial(parse_word, marker)), WithJsonSchema(form)]
+
+
+def _key(hint: Any, name: str) -> str:
+    """What YAML calls a field."""
+    markers = get_args(hint)[1:] if get_origin(hint) is Annotated else ()
+    return next((each.name for each in markers if isinstance(each, Key)), name)
+
+
+def _above(field: str, key: str, text: QuantityText) -> AfterValidator:
+    """Refuse a value that is not above that of a field before it."""
+
+    def checked(value: float, info: ValidationInfo) -> float:
+        least = info.data.get(field)
+        if least is not None and value <= least:
+            expected = f"more than {key!r} ({text.written(least)})"
+            raise error_of(expected=expected, found=text.written(value))
+        return value
+
+    return AfterValidator(checked)
+
+
+class _SettingsBlock(Block):
+    """A block that is made of plain settings."""
+
+    settings_kind: ClassVar[Any]
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Check one setting against another, where the settings have such a check."""
+        check = getattr(cls.settings_kind, "between", None)
+        return list(check(data)) if check is not None and isinstance(data, Mapping) else []
+
+
+@cache
+def block_of(kind: Any, tag: str = "") -> type[Block]:
+    """Make the block that reads a plain dataclass.
+
+    Parameters
+    ----------
+    kind : frozen dataclass; its fields are the keys, but for those that do not compare, which are
+        no settings. A static method ``between`` finds faults between them in the block as written.
+    tag : key that tells the kind from others of its list, and class variable with its value
+
+    Returns
+    -------
+    The block, of the same name and docstring.
+    """
+    hints = get_type_hints(kind, include_extras=True)
+    keys: dict[str, Any] = {tag: (Literal[getattr(kind, tag)], ...)} if tag else {}
+    for each in fields(kind):
+        if each.compare:
+            default = ... if each.default is MISSING else each.default
+            keys[each.name] = (hints[each.name], default)
+    block = create_model(kind.__name__, __base__=_SettingsBlock, __doc__=kind.__doc__, **keys)
+    block.settings_kind = kind
+    return block
+
+
+@dataclass(frozen=True, slots=True)
+class _Settings:
+    """Annotation of a plain dataclass that YAML writes as a block."""
+
+    kind: Any
+    tag: str = ""
+
+    def __get_pydantic_core_schema__(
+        self, _source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        block = block_of(self.kind, self.tag)
+        names = list(block.model_fields)
+
+        def plain(found: Block) -> object:
+            return self.kind(**{name: getattr(found, name) for name in names if name != self.tag})
+
+        def written(settings: object, write: SerializerFunctionWrapHandler) -> object:
+            said = {name: getattr(settings, name) for name in names}
+            return write(block.model_construct(**said))
+
+        return core_schema.no_info_after_validator_function(
+            plain,
+            handler.generate_schema(block),
+            serialization=core_schema.wrap_serializer_function_ser_schema(written),
+        )

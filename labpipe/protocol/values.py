@@ -1,0 +1,327 @@
+"""Values in YAML: quantities with their unit, whole numbers, spans, texts and names of files."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import PurePosixPath, PureWindowsPath
+from types import MappingProxyType
+from typing import Annotated, Any, Final
+
+from pydantic import BeforeValidator, WithJsonSchema
+from pydantic.json_schema import JsonSchemaValue
+
+from labpipe.protocol.faults import error_of
+from labpipe.records.declarations import Quantity, Span, Whole, Word
+from labpipe.units import NotFiniteError, parse_quantity, si_factor
+
+SI_UNITS: Final = MappingProxyType(
+    {
+        "angle": "rad",
+        "bending_stiffness": "N*m^2",
+        "compliance": "m/N",
+        "curvature": "1/m",
+        "deflection": "m",
+        "displacement": "m",
+        "energy": "J",
+        "force": "N",
+        "frequency": "Hz",
+        "length": "m",
+        "mass": "kg",
+        "moment": "N*m",
+        "pressure": "Pa",
+        "speed": "m/s",
+        "stiffness": "N/m",
+        "strain": "1",
+        "temperature": "K",
+        "time": "s",
+        "travel": "m",
+        "voltage": "V",
+    }
+)
+"""The quantities that protocols speak of, and the SI unit of each."""
+
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_PURE = re.compile(rf"\s*{_NUMBER}\s*(1|%|percent|ppm)?\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class QuantityText:
+    """How YAML reads and writes a float with its unit.
+
+    Parameters
+    ----------
+    of : unit and range
+    """
+
+    of: Quantity
+
+    def parse(self, text: object) -> float:
+        """Read a value written with its unit into SI.
+
+        Parameters
+        ----------
+        text : such as ``53 mm``
+
+        Raises
+        ------
+        PydanticCustomError
+            If the unit is missing or wrong, or the value is out of range.
+        """
+        try:
+            value = parse_quantity(text, self.of.unit)
+        except NotFiniteError as error:
+            raise error_of(expected=f"a {self._meaning} {self._range}", found=text) from error
+        except ValueError as error:
+            remedy = f"Write it with its unit, such as {self.of.example!r}."
+            raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy) from error
+        if self.of.unit == "1" and _PURE.fullmatch(str(text)) is None:  # an angle is no ratio
+            remedy = f"Write it such as {self.of.example!r}."
+            raise error_of(expected=f"a {self._meaning}", found=text, remedy=remedy)
+        above = -math.inf if self.of.above is None else self.of.above
+        if not (above < value and self.of.least <= value <= self.of.most):
+            raise error_of(expected=f"a {self._meaning} {self._range}", found=text)
+        return value
+
+    def written(self, value: float) -> str:
+        """Write a value with its unit so that reading it gives the same float.
+
+        Parameters
+        ----------
+        value : in SI
+        """
+        if math.isfinite(shown := value / si_factor(self.of.shown, self.of.unit)):
+            return _with_unit(shown, self.of.shown)
+        return _with_unit(value, self.of.unit)
+
+    @property
+    def _meaning(self) -> str:
+        if self.of.unit == "1":
+            return "pure number (also in % or ppm)"
+        return f"quantity with a unit such as {self.of.shown}"
+
+    @property
+    def _range(self) -> str:
+        low = "that is finite"
+        if self.of.above is not None:
+            low = f"above {self.written(self.of.above)}"
+        elif math.isfinite(self.of.least):
+            low = f"from {self.written(self.of.least)} up"
+        high = f", at most {self.written(self.of.most)}" if math.isfinite(self.of.most) else ""
+        return f"{low}{high}"
+
+    @property
+    def schema(self) -> JsonSchemaValue:
+        """JSON Schema of the text."""
+        texts: JsonSchemaValue = {
+            "type": "string",
+            "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
+            "description": f"A {self._meaning}, {self._range}",
+            "examples": [self.of.example],
+        }
+        if self.of.unit != "1":
+            return texts
+        return texts | {"type": ["string", "number"], "pattern": rf"^\s*{_NUMBER}\s*(%|ppm)?\s*$"}
+
+
+def _with_unit(value: float, unit: str) -> str:
+    number = f"{value:.12g}"
+    return number if unit == "1" else f"{number} {unit}"
+
+
+def parse_whole(of: Whole, text: object) -> int:
+    """Read a whole number.
+
+    Parameters
+    ----------
+    of : its range
+    text : such as ``3``
+
+    Raises
+    ------
+    PydanticCustomError
+        If it is no whole number, or out of range.
+    """
+    is_whole = not isinstance(text, bool) and re.fullmatch(r"[+-]?[0-9]{1,9}", str(text))
+    if not is_whole or not of.least <= int(str(text)) <= of.most:
+        expected = f"a whole number from {of.least} to {of.most}"
+        raise error_of(expected=expected, found=text)
+    return int(str(text))
+
+
+_SPANS: Final = MappingProxyType(
+    {
+        "time": QuantityText(Quantity("s", "s", "0.1 s", above=0.0)),
+        "travel": QuantityText(Quantity("m", "mm", "2 mm", above=0.0)),
+        "branch": QuantityText(Quantity("1", "%", "5 %", least=1e-6, most=1.0)),
+    }
+)
+_SPAN_WORDS = "a span such as '0.1 s', '2 mm' (of travel), '5 %' (of a branch) or '51 samples'"
+
+
+def parse_span(text: object) -> Span:
+    """Read the length of a stretch that a filter looks at.
+
+    Parameters
+    ----------
+    text : such as ``0.1 s``, ``2 mm``, ``5 %`` or ``51 samples``
+
+    Raises
+    ------
+    PydanticCustomError
+        If it is none of these, or out of range.
+    """
+    if isinstance(text, Span):
+        return text
+    words = str(text)
+    if count := re.fullmatch(r"\s*([0-9]{1,9})\s*samples\s*", words):
+        if int(count[1]) < 1:
+            raise error_of(expected="a span of at least 1 sample", found=text)
+        return Span("samples", float(count[1]))
+    if words.strip().endswith("%"):
+        return Span("branch", _SPANS["branch"].parse(text))
+    for kind in ("time", "travel"):
+        try:
+            parse_quantity(words, _SPANS[kind].of.unit)
+        except ValueError:
+            continue
+        return Span("time" if kind == "time" else "travel", _SPANS[kind].parse(text))
+    raise error_of(expected=_SPAN_WORDS, found=text, remedy="Write it with its unit.")
+
+
+def written_span(span: Span) -> str:
+    """Write a span so that reading it gives the same."""
+    if span.kind == "samples":
+        return f"{span.value:.0f} samples"
+    return _SPANS[span.kind].written(span.value)
+
+
+SPAN_SCHEMA: Final[JsonSchemaValue] = {
+    "type": "string",
+    "pattern": rf"^\s*{_NUMBER}\s*\S.*$",
+    "description": f"{_SPAN_WORDS[0].upper()}{_SPAN_WORDS[1:]}",
+    "examples": ["0.1 s", "2 mm", "5 %", "51 samples"],
+}
+"""JSON Schema of a span."""
+
+
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff\ufffe\uffff]")
+"""Ends of lines, and characters that no page, workbook or drawing can hold."""
+_NAME = re.compile(r"\w[\w.+-]*")
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
+_LONGEST_NAME = 120
+"""Bytes; file systems take 255, and an ending follows."""
+
+
+def _text(value: object) -> str:
+    """Take text, and the numbers that other YAML readers make of unquoted text such as 1."""
+    if isinstance(value, bool) or not isinstance(value, str | int | float) or not str(value):
+        raise error_of(expected="text", found=value)
+    return str(value)
+
+
+def _line(value: object) -> str:
+    text = _text(value)
+    if _CONTROL.search(text) is not None:
+        raise error_of(expected="text on one line, without control characters", found=value)
+    return text
+
+
+def is_name_of_a_test(text: str) -> bool:
+    """Whether a text can be the name of a test, whose files go to a folder of that name.
+
+    Parameters
+    ----------
+    text : any
+
+    Returns
+    -------
+    False for what leads elsewhere (``../x``), and for what some file system does not take.
+    """
+    fits = _NAME.fullmatch(text) is not None and len(text.encode()) <= _LONGEST_NAME
+    return fits and _DEVICE.fullmatch(text) is None and not text.endswith(".")
+
+
+def _file_stem(value: object) -> str:
+    text = _text(value)
+    if _NAME.fullmatch(text) is None:
+        expected = "a name of letters, digits, '-', '_', '.' and '+'"
+        raise error_of(expected=expected, found=value)
+    if not is_name_of_a_test(text):
+        expected = f"a name that every system takes, of {_LONGEST_NAME} letters at the most"
+        raise error_of(expected=expected, found=value)
+    return text
+
+
+def parse_word(of: Word, value: object) -> str:
+    """Take a text that has a form.
+
+    Parameters
+    ----------
+    of : the form
+    value : the text
+
+    Raises
+    ------
+    PydanticCustomError
+        If it has another form.
+    """
+    if re.fullmatch(of.pattern, _text(value)) is None:
+        raise error_of(expected=of.meaning, found=value)
+    return str(value)
+
+
+def file_inside(folder: str, remedy: str) -> BeforeValidator:
+    """Take the name of a file that is in a folder or below it.
+
+    Parameters
+    ----------
+    folder : in words, such as ``the folder of the test``
+    remedy : what to do about a file elsewhere
+
+    Returns
+    -------
+    Validator that refuses what is no text or has control signs, a path from the root (of POSIX or
+    of Windows, on either system), and one with ``..``.
+    """
+
+    def check(value: object) -> str:
+        if not isinstance(value, str) or not value.strip() or _CONTROL.search(value) is not None:
+            raise error_of(expected="the name of a file", found=value)
+        roots = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
+        if roots or ".." in PureWindowsPath(value).parts:
+            raise error_of(expected=f"a file inside {folder}", found=value, remedy=remedy)
+        return value
+
+    return BeforeValidator(check)
+
+
+def one_or_several(item: dict[str, Any]) -> WithJsonSchema:
+    """Describe, for editors, one value or a list of at least one.
+
+    Parameters
+    ----------
+    item : JSON Schema of one
+    """
+    return WithJsonSchema({"anyOf": [item, {"type": "array", "minItems": 1, "items": item}]})
+
+
+Text = Annotated[
+    str, BeforeValidator(_text), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
+]
+Line = Annotated[
+    str, BeforeValidator(_line), WithJsonSchema({"type": ["string", "number"], "minLength": 1})
+]
+"""Text that stands in headings, tables and drawings."""
+Remark = Annotated[
+    str,
+    BeforeValidator(lambda value: "" if value is None else value),
+    WithJsonSchema({"type": ["string", "null"]}),
+]
+"""Text that may be empty or left out."""
+FileStem = Annotated[
+    str,
+    BeforeValidator(_file_stem),
+    WithJsonSchema({"type": ["string", "number"], "pattern": r"^\w[\w.+-]*$"}),
+]

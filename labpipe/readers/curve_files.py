@@ -1,0 +1,490 @@
+"""Reads a force-displacement curve from elsewhere: two columns of a text file or of a workbook.
+
+Writes these files: a finite-element program, a program that digitises figures, another lab.
+
+Units: in the heading (``deflection / mm``, ``force [N]``, ``deflection_mm``), in a row of units
+below it, or told by whoever asks. Two that differ are refused.
+
+Missing data: a row in which both cells are blank is passed over, as in files that hold curves of
+different lengths side by side. One blank cell is refused.
+
+File structure: cells parted by tabulator, semicolon, comma or blanks, whichever parts the first
+rows into numbers; decimal point or comma, one of them in a file. Rows above the names are passed
+over. A file without names is read where its columns are numbered. Of a workbook, the first sheet.
+A file that CalculiX printed is read as it is, see `readers.calculix_dat`.
+
+The columns of a curve from elsewhere: found by name or number, their units told or stated.
+
+Reads what CalculiX prints of a tip that is pushed: deflection and force at each increment.
+
+Writes this file: CalculiX CrunchiX (``ccx``), ending ``.dat``, asked for ``*NODE PRINT`` of ``U``
+and, with ``TOTALS=ONLY``, of ``RF`` (User's Manual, ``*NODE PRINT``). The deck that `labpipe model`
+writes asks for both.
+
+Units: those of the deck, which the file does not say; decks of labpipe are in m and N.
+
+File structure: blocks, each under a heading with the quantity, the set of nodes and the time, such
+as ``displacements (vx,vy,vz) for set TIPHALF and time  0.1250000E-01``. Of displacements a line per
+node, its number first; of the total force one line. The deflection is the mean of the second
+component, along y; the force is the second component too. Of a set whose name ends in HALF the
+force counts twice: it is of a half model.
+
+Known versions: 2.20.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, nearest
+from labpipe.readers.number_rows import PLAIN
+from labpipe.readers.raw_files import decode, is_binary, lines_of, read_content, unreadable
+from labpipe.readers.sheet_cells import Cell, Row, workbook_cells
+from labpipe.readers.text_cells import (
+    are_units,
+    is_grouped,
+    is_number,
+    is_unit,
+    name_and_unit,
+    split_line,
+    without_brackets,
+)
+from labpipe.readers.workbooks import is_workbook
+from labpipe.records.arrays import Floats
+from labpipe.units import si_factor, whole_number
+
+__all__ = ["FEWEST", "CurveColumn", "read_curve"]
+
+FEWEST = 3
+"""Points that make a curve."""
+_SEPARATORS = ("\t", ";", ",", " ")
+_HEAD = 400
+"""Lines in which the first row of numbers is looked for."""
+_ENCODINGS = ("utf-8", "latin-1")
+_NOT_FINITE = frozenset({"nan", "inf", "infinity"})
+
+
+def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple[Floats, Floats]:
+    """Read a loading curve.
+
+    Parameters
+    ----------
+    path : text or xlsx
+    deflection, force : where they stand
+
+    Returns
+    -------
+    Deflection (m), rising from row to row, and force (N), shape (n,) both.
+
+    Raises
+    ------
+    ReadError
+        If the file, a column or a unit is missing, a cell holds no finite number, a deflection is
+        not above the one before, the largest force is negative, or there are fewer than 3 points.
+    """
+    table = _table(path)
+    asked = (deflection, force)
+    columns = [find_column(table, each) for each in asked]
+    if columns[0] == columns[1]:
+        found = f"column {columns[0] + 1} for both"
+        raise unreadable(
+            path, head_of(table), "two columns", found, "Name another one for the force."
+        )
+    factors = [unit_factor(table, at, each) for at, each in zip(columns, asked, strict=True)]
+    points = _points(table, columns)
+    across, up = (
+        each.sign * factor * np.array([_number(point[i], path) for point in points])
+        for i, (each, factor) in enumerate(zip(asked, factors, strict=True))
+    )
+    _check_order(path, points, across)
+    _check_sign(path, points, up)
+    return across, up
+
+
+def _table(path: Path) -> CurveTable:
+    cells = workbook_cells(path) if is_workbook(path) else _text_cells(path)
+    unread = next((cell for row in cells for cell in row if cell.unread), None)
+    if unread is not None:
+        remedy = "Correct the cell, and save the workbook in the spreadsheet program."
+        raise unreadable(path, unread.place, "a value", unread.unread, remedy)
+    filled = [row for row in cells if any(cell.text for cell in row)]
+    first = next((i for i, row in enumerate(filled) if _is_sample(row)), None)
+    if first is None:
+        remedy = "Give deflection and force in two columns, one row per point."
+        raise unreadable(path, "", "rows of numbers", "none", remedy)
+    above = filled[:first]
+    units: tuple[str, ...] = ()
+    if len(above) > 1 and are_units([cell.text for cell in above[-1]]):
+        units = tuple(without_brackets(cell.text) for cell in above.pop())
+    names = _without_mark(above[-1]) if above else ()
+    width = max(len(row) for row in filled[first:])
+    return CurveTable(path, names, (*units, *[""] * max(width, len(names))), filled[first:])
+
+
+def _without_mark(row: Sequence[Cell]) -> Row:
+    """A heading without the mark of a comment before it."""
+    bare = Cell(row[0].text.lstrip("# "), row[0].place)
+    return (bare, *row[1:]) if bare.text else tuple(row[1:])
+
+
+def _text_cells(path: Path) -> list[list[Cell]]:
+    content = read_content(path)
+    if is_binary(content):
+        remedy = "Save the curve as csv or xlsx."
+        raise unreadable(path, "", "a table as text, or an xlsx workbook", "other bytes", remedy)
+    lines = lines_of(decode(content.data, content, _ENCODINGS, path))
+    if is_calculix(lines):
+        return tip_rows(lines, path)
+    for separator in _SEPARATORS:
+        rows = (_placed(split_line(line, separator), i) for i, line in enumerate(lines, start=1))
+        head = list(islice(rows, _HEAD))
+        if any(_is_sample(row) for row in head):
+            return [*head, *rows]
+    return []
+
+
+def _placed(cells: Sequence[str], line: int) -> list[Cell]:
+    return [Cell(text.strip(), f"line {line}, column {i}") for i, text in enumerate(cells, start=1)]
+
+
+def _is_sample(row: Sequence[Cell]) -> bool:
+    filled = [cell.text for cell in row if cell.text]
+    return len(filled) > 1 and all(is_number(text) or _is_not_finite(text) for text in filled)
+
+
+def _is_not_finite(text: str) -> bool:
+    return text.lstrip("+-").casefold() in _NOT_FINITE
+
+
+def _points(table: CurveTable, columns: Sequence[int]) -> list[list[Cell]]:
+    """Two cells for each row that has some, numbers of one decimal sign."""
+    points = []
+    for row in table.rows:
+        blank = Cell("", row[0].place.partition(",")[0])
+        point = [row[at] if at < len(row) else blank for at in columns]
+        if any(cell.text for cell in point):
+            points.append(point)
+    if len(points) < FEWEST:
+        expected, remedy = f"{FEWEST} points at least", "Give more points of the curve."
+        raise unreadable(table.path, "", expected, f"{len(points)}", remedy)
+    texts = [cell for point in points for cell in point]
+    if any("." in cell.text for cell in texts):
+        for cell in texts:
+            if "," in cell.text:
+                remedy = "Write the file anew with one decimal sign and no sign for thousands."
+                expected, found = "a decimal point, as elsewhere in the file", repr(cell.text)
+                raise unreadable(table.path, cell.place, expected, found, remedy)
+    return points
+
+
+def _number(cell: Cell, path: Path) -> float:
+    sign = "," if "," in cell.text else "."
+    if PLAIN[sign].fullmatch(cell.text) and math.isfinite(float(cell.text.replace(",", "."))):
+        return float(cell.text.replace(",", "."))
+    found = repr(cell.text) if cell.text else "a blank cell"
+    remedy = "Correct the row, or take it out."
+    if is_grouped(cell.text):
+        remedy = "Write the file anew without signs between thousands."
+    raise unreadable(path, cell.place, "a finite number", found, remedy)
+
+
+def _check_order(path: Path, points: Sequence[Sequence[Cell]], deflection: Floats) -> None:
+    """Refuse a curve that turns back or has two forces at one deflection."""
+    for number, (before, here) in enumerate(pairwise(deflection.tolist()), start=1):
+        if here <= before:
+            remedy = "Keep the first loading alone, its points in order, each deflection once."
+            if deflection[-1] < deflection[0]:
+                remedy = "If the file counts downwards, write 'sign: -1' for the deflection."
+            expected = f"a deflection above the one before ({1e3 * before:.6g} mm)"
+            found = f"{1e3 * here:.6g} mm"
+            raise unreadable(path, points[number][0].place, expected, found, remedy)
+
+
+def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> None:
+    """Refuse a curve whose largest force pushes back."""
+    at = int(np.argmax(np.abs(force)))
+    if force[at] <= 0.0:
+        expected, found = "a largest force above zero", f"{force[at]:.6g} N"
+        remedy = "If the file counts downwards, write 'sign: -1' for the force."
+        raise unreadable(path, points[at][1].place, expected, found, remedy)
+
+
+_USUAL = {
+    "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
+    "force": ("force", "tip force"),
+}
+"""What a column is called that nobody has to name."""
+
+
+@dataclass(frozen=True, slots=True)
+class CurveColumn:
+    """A column that is asked for.
+
+    Parameters
+    ----------
+    what : ``deflection`` or ``force``
+    si_unit : of the answer
+    column : its name, or its number counted from 1; None for one that is called by its usual name
+    unit : in the file; None for what the heading says
+    sign : -1 where the file counts against the direction of bending
+    """
+
+    what: str
+    si_unit: str
+    column: str | None = None
+    unit: str | None = None
+    sign: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class CurveTable:
+    """Cells below their headings.
+
+    Parameters
+    ----------
+    path : of the file
+    names : of the columns, units taken off by those who look for them; empty without any
+    units : of the row of units; empty texts without one
+    rows : of numbers, and what is among them
+    """
+
+    path: Path
+    names: Row
+    units: tuple[str, ...]
+    rows: Sequence[Sequence[Cell]]
+
+
+def head_of(table: CurveTable) -> str:
+    """Place of the names, or of the first row."""
+    row = table.names or table.rows[0]
+    return row[0].place.partition(",")[0]
+
+
+def find_column(table: CurveTable, asked: CurveColumn) -> int:
+    """Find a column by its name, or by its number where none has that name.
+
+    Parameters
+    ----------
+    table : cells of the file
+    asked : what is wanted
+
+    Returns
+    -------
+    Its number, counted from 0.
+
+    Raises
+    ------
+    ReadError
+        If there is none, or several have the name.
+    """
+    words = _USUAL[asked.what] if asked.column is None else (asked.column,)
+    wanted = {word.strip().casefold() for word in words}
+    found = [
+        i
+        for i, cell in enumerate(table.names)
+        if wanted & {cell.text.casefold(), _parted(cell.text, asked.si_unit)[0].casefold()}
+    ]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        said = f"{len(found)}: columns {', '.join(str(i + 1) for i in found)}"
+        remedy = "Give the number of the one that is meant."
+        raise unreadable(table.path, head_of(table), f"one column {words[0]!r}", said, remedy)
+    width = len(table.units)
+    number = whole_number(asked.column or "")
+    if number is not None and 1 <= number <= width:
+        return number - 1
+    raise _no_column(table, asked, words[0])
+
+
+def _no_column(table: CurveTable, asked: CurveColumn, word: str) -> ReadError:
+    place = head_of(table)
+    remedy = f"Name it in the plan, such as {asked.what}: {{column: U2, unit: {_example(asked)}}}."
+    if not table.names:
+        remedy = f"Number it in the plan, such as {asked.what}: {{column: 1, unit: mm}}."
+        expected = f"a row of names above the numbers, with a column {word!r}"
+        return unreadable(table.path, place, expected, "numbers alone", remedy)
+    known = [cell.text for cell in table.names if cell.text]
+    found = ", ".join(repr(name) for name in nearest(word, known))
+    return unreadable(table.path, place, f"a column {word!r}", found, remedy)
+
+
+def _example(asked: CurveColumn) -> str:
+    return "mm" if asked.si_unit == "m" else "N"
+
+
+def _parted(text: str, si_unit: str) -> tuple[str, str]:
+    """Name and unit of a heading; the unit is empty where there is none.
+
+    Behind an underscore only a unit of the dimension wanted is one: ``deflection_mm``, but not
+    ``force_m``.
+    """
+    pair = name_and_unit(text)
+    if pair is not None and is_unit(pair[1]):
+        return pair
+    name, _, tail = text.rpartition("_")
+    return (name, tail) if name and _converts(tail, si_unit) else (text, "")
+
+
+def _converts(unit: str, si_unit: str) -> bool:
+    try:
+        si_factor(unit, si_unit)
+    except ValueError:
+        return False
+    return bool(unit)
+
+
+def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
+    """Factor from the unit of a column to SI.
+
+    Parameters
+    ----------
+    table : cells of the file
+    at : number of the column, counted from 0
+    asked : what is wanted, with its unit where the plan says it
+
+    Raises
+    ------
+    ReadError
+        If nobody says the unit, it is of another dimension, or plan and heading differ.
+    """
+    head = table.names[at].text if at < len(table.names) else ""
+    said = _parted(head, asked.si_unit)[1] or table.units[at]
+    place = f"{head_of(table)}, column {at + 1}"
+    unit = asked.unit or said
+    if not unit:
+        expected = f"a unit of the {asked.what}"
+        remedy = f"Write it in the heading ({asked.what} / {_example(asked)}) or in the plan."
+        raise unreadable(table.path, place, expected, f"none in {head!r}", remedy)
+    for each in {unit, said or unit}:
+        if not _converts(each, asked.si_unit):
+            expected = f"a unit of the {asked.what}, such as {_example(asked)}"
+            raise unreadable(table.path, place, expected, f"{each!r}", "Correct the heading.")
+    factor = si_factor(unit, asked.si_unit)
+    if said and not math.isclose(si_factor(said, asked.si_unit), factor):
+        remedy = "Correct the one that is wrong."
+        raise unreadable(table.path, place, f"{unit!r}, as in the plan", f"{said!r}", remedy)
+    return factor
+
+
+HALF = "HALF"
+"""What the name of a set ends with whose force is of a half model."""
+
+_HEADING = re.compile(r"\s*(\S.*?)\s*\((\w+,\w+,\w+)\) for set (\S+) and time\s+(\S+)\s*")
+_DEFLECTION, _FORCE = "displacements", "total force"
+_AGAIN = "Run ccx again; the file may have been cut off."
+_NEEDED = "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
+
+
+@dataclass(frozen=True, slots=True)
+class _Block:
+    """What is printed below one heading; values are of the second component."""
+
+    quantity: str
+    set_name: str
+    time: str
+    line: int
+    values: tuple[float, ...]
+
+
+def is_calculix(lines: Sequence[str]) -> bool:
+    """Tell whether the first line that is not blank is a heading of CalculiX.
+
+    Parameters
+    ----------
+    lines : of the file
+    """
+    return _HEADING.fullmatch(next((line for line in lines if line.strip()), "")) is not None
+
+
+def tip_rows(lines: Sequence[str], path: Path) -> list[list[Cell]]:
+    """Find deflection and force of the tip.
+
+    Parameters
+    ----------
+    lines : of the file
+    path : named in errors
+
+    Returns
+    -------
+    A row of headings with their units, and one row per increment.
+
+    Raises
+    ------
+    ReadError
+        If one of the two is not printed, they are not printed at the same times, more than one set
+        of nodes is, or a line under a heading is not of numbers.
+    """
+    blocks = list(_blocks(lines, path))
+    names = sorted({block.set_name for block in blocks})
+    if len(names) > 1:
+        raise unreadable(path, "", "one set of nodes", ", ".join(names), _NEEDED)
+    deflections, forces = (
+        [block for block in blocks if block.quantity == quantity]
+        for quantity in (_DEFLECTION, _FORCE)
+    )
+    for quantity, found in ((_DEFLECTION, deflections), (_FORCE, forces)):
+        if not found:
+            others = ", ".join(sorted({block.quantity for block in blocks}))
+            raise unreadable(path, "", f"blocks '{quantity}'", f"only {others}", _NEEDED)
+    _require_pairs(path, deflections, forces)
+    times = 2.0 if names[0].upper().endswith(HALF) else 1.0
+    heading = [Cell(name, "line 1") for name in ("deflection / m", "force / N")]
+    rows = [
+        [_cell(sum(u.values) / len(u.values), u), _cell(times * f.values[0], f)]
+        for u, f in zip(deflections, forces, strict=True)
+    ]
+    return [heading, *rows]
+
+
+def _cell(value: float, block: _Block) -> Cell:
+    return Cell(f"{value:.9g}", f"line {block.line}")
+
+
+def _blocks(lines: Sequence[str], path: Path) -> Iterator[_Block]:
+    """Blocks with at least one line of numbers each."""
+    headings = [(i, match) for i, line in enumerate(lines) if (match := _HEADING.fullmatch(line))]
+    ends = [*(i for i, _ in headings[1:]), len(lines)]
+    for (start, match), end in zip(headings, ends, strict=True):
+        quantity, _, set_name, time = match.groups()
+        at_second = 2 if quantity != _FORCE else 1
+        filled = [i for i in range(start + 1, end) if lines[i].strip()]
+        values = tuple(
+            _second_component(lines[i], at_second, f"line {i + 1}", path) for i in filled
+        )
+        if not values:
+            expected = f"numbers under '{quantity}'"
+            raise unreadable(path, f"line {start + 1}", expected, "none", _AGAIN)
+        yield _Block(quantity, set_name, time, filled[0] + 1, values)
+
+
+def _second_component(line: str, at: int, place: str, path: Path) -> float:
+    """The second component. Others may be so small that their exponents lack the letter."""
+    words = line.split()
+    try:
+        if len(words) == at + 2:
+            return float(words[at])
+    except ValueError:
+        pass
+    expected = f"{at + 2} numbers"
+    raise unreadable(path, place, expected, repr(line.strip()[:60]), _AGAIN)
+
+
+def _require_pairs(path: Path, deflections: Sequence[_Block], forces: Sequence[_Block]) -> None:
+    """Refuse deflections without forces, and the other way round."""
+    at, of = [block.time for block in deflections], [block.time for block in forces]
+    alone = next((block for block in deflections if block.time not in of), None)
+    alone = alone or next((block for block in forces if block.time not in at), None)
+    if alone is not None:
+        expected = f"displacements and total force at time {alone.time}"
+        raise unreadable(path, f"line {alone.line}", expected, f"only {alone.quantity}", _AGAIN)
+    if at != of:
+        found = f"{len(at)} and {len(of)} in another order"
+        raise unreadable(path, "", "displacements and total force in turn", found, _AGAIN)

@@ -1,0 +1,310 @@
+"""Where the samples of an export begin, and what the columns above them are called."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from labpipe.errors import ReadError
+from labpipe.readers.load_frame.cards import Card
+from labpipe.readers.raw_files import unreadable
+from labpipe.readers.text_cells import (
+    are_units,
+    bare_unit,
+    hold_units,
+    is_number,
+    name_and_unit,
+    quoted,
+    split_line,
+    without_brackets,
+)
+
+MOST_LINES = 400
+"""The header is looked for in this many lines; the longest real one has 56."""
+
+_AGAIN = "Export the test again with names and units, or name another dialect."
+_CARD = "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
+
+
+def find_header(lines: Sequence[str], card: Card, path: object, first_line: int = 1) -> Header:
+    """Find names and units in the lines of a text export.
+
+    Parameters
+    ----------
+    lines : its head, without line ends
+    card : how the header is found
+    path : named in errors
+    first_line : line number of the first of the lines
+
+    Returns
+    -------
+    The header; the separator is the first one of the card with which numbers are found.
+
+    Raises
+    ------
+    ReadError
+        If there is no row of names, no row of units where there must be one, or no numbers.
+    """
+    head = lines[:MOST_LINES]
+    if card.names == "listed":
+        return _listed(head, card, path)
+    for separator in card.separators:
+        rows = _rows_of(head, separator, card)
+        if _first(rows, card) is not None:
+            return header_of_rows(rows, card, path, first_line, separator=separator)
+    place = f"lines {first_line} to {first_line + len(head) - 1}"
+    raise unreadable(path, place, "a row of names and rows of numbers below it", "none", _AGAIN)
+
+
+def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]]:
+    """Cells of the lines up to the first one with samples."""
+    rows: list[list[str]] = []
+    for line in lines:
+        is_plain = separator not in line and '"' not in line  # quickly told of hundreds of lines
+        rows.append([line] if is_plain else split_line(line, separator))
+        if card.names != "alone" and _is_sample(rows[-1]):
+            break
+    return rows
+
+
+def header_of_rows(
+    rows: Rows,
+    card: Card,
+    path: object,
+    first_line: int = 1,
+    *,
+    place: str = "line",
+    separator: str = "",
+) -> Header:
+    """Find names and units in rows of cells; parameters as in `find_header`.
+
+    Parameters
+    ----------
+    place : word for a row in messages: ``line``, or a sheet and ``row``
+    separator : that the rows were cut at
+    """
+    first = _first(rows, card)
+    if first is None:
+        where = f"{place} {first_line}"
+        raise unreadable(path, where, "a row of names and rows of numbers below it", "none", _AGAIN)
+
+    filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
+
+    def telling(remedy: str) -> Fault:
+        def fault(row: int, expected: str, found: str) -> ReadError:
+            at = filled[max(row, 0)] if filled else 0
+            return unreadable(path, f"{place} {first_line + at}", expected, found, remedy)
+
+        return fault
+
+    # A blank row between title, names, units and numbers says nothing.
+    rows = [*(rows[i] for i in filled), *rows[first:]]
+    if separator == " ":
+        rows = put_names_together(rows, len(filled), card, telling(_CARD))
+    header = find_titles(rows, len(filled), card, telling(_AGAIN))
+    return replace(header, separator=separator, first=first)
+
+
+def _first(rows: Rows, card: Card) -> int | None:
+    """Row with the first samples, None if there is none."""
+    if card.names == "alone":
+        for i, row in enumerate(rows):
+            if tuple(cell.strip() for cell in row[: len(card.header_words)]) == card.header_words:
+                return i + 1
+        return None
+    return next((i for i, row in enumerate(rows) if _is_sample(row)), None)
+
+
+def _is_sample(row: Sequence[str]) -> bool:
+    filled = [cell for cell in row if cell.strip()]
+    return len(row) > 1 and bool(filled) and all(is_number(cell) for cell in filled)
+
+
+def _listed(lines: Sequence[str], card: Card, path: object) -> Header:
+    """Names in lines of their own, samples after a line that says so."""
+    if card.listed is None or card.start is None:  # a card without them is refused earlier
+        raise unreadable(path, "", "a card with `listed` and `start`", card.name, _AGAIN)
+    start = next((i for i, line in enumerate(lines) if card.start.search(line)), None)
+    if start is None:
+        found = f"none in {len(lines)} lines"
+        raise unreadable(
+            path, "", f"a line '{card.start.pattern}' before the numbers", found, _AGAIN
+        )
+    named = [match[1].strip() for line in lines[:start] if (match := card.listed.search(line))]
+    if not named:
+        expected = f"names in lines '{card.listed.pattern}'"
+        raise unreadable(path, f"lines 1 to {start}", expected, "none", _AGAIN)
+    above = [split_line(line, "\t") for line in lines[:start]]
+    names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in named), strict=True)
+    return Header(names, units, start + 1, above, card.separators[0])
+
+
+Rows = Sequence[Sequence[str]]
+Fault = Callable[[int, str, str], ReadError]
+"""Of the number of a row, what was expected there and what was found."""
+
+
+@dataclass(frozen=True, slots=True)
+class Header:
+    """What stands above the samples.
+
+    Parameters
+    ----------
+    names : of the columns, as in the file but for blanks around them
+    units : of the columns, without brackets; empty where none is stated
+    first : number of the first row of samples, counted from 0
+    above : the rows above the names
+    separator : between cells
+    specimens : the row above the names where it holds specimens, else empty
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    first: int
+    above: Rows
+    separator: str = ""
+    specimens: tuple[str, ...] = ()
+
+
+def find_titles(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
+    """Find names and units where the card says they stand.
+
+    Parameters
+    ----------
+    rows : cells of the first rows of the export
+    first : number of the first row of samples, counted from 0
+    card : how the header is found
+    fault : words the error
+
+    Raises
+    ------
+    ReadError
+        If there is no row of names, or no units where there must be some.
+    """
+    if card.names == "alone":
+        return _alone(rows, first, card)
+    if card.names == "any":
+        return _anyhow(rows, first, fault)
+    if card.names == "with units":
+        return _with_units(rows, first, card.brackets, fault)
+    return _above_units(rows, first, card, fault)
+
+
+def put_names_together(rows: Rows, first: int, card: Card, fault: Fault) -> Rows:
+    """Put names together that blanks part and that hold blanks, by how names begin.
+
+    Parameters
+    ----------
+    rows, first, card, fault : as in `find_titles`
+
+    Raises
+    ------
+    ReadError
+        If there are more or fewer names than columns: one that the card does not know.
+    """
+    at = first - 2
+    if card.name_starts is None or at < 0:
+        return rows
+    text = " ".join(rows[at])
+    starts = [match.start() for match in card.name_starts.finditer(text)]
+    cuts = [0, *(start for start in starts if start), len(text)] if text else []
+    names = [text[a:b].strip() for a, b in pairwise(cuts)]
+    width = len(rows[first])
+    if len(names) != width:
+        found = f"{len(names)} in {quoted([text])}" if text else "none"
+        raise fault(at, f"{width} names, as there are columns", found)
+    return [*rows[:at], names, *rows[at + 1 :]]
+
+
+def _stripped(row: Sequence[str]) -> tuple[str, ...]:
+    """Cells without blanks around them, and without blank cells at the end."""
+    cells = [cell.strip() for cell in row]
+    while cells and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
+
+
+def _padded(cells: tuple[str, ...], width: int) -> tuple[str, ...]:
+    return cells + ("",) * (width - len(cells))
+
+
+def _alone(rows: Rows, first: int, card: Card) -> Header:
+    names = _stripped(rows[first - 1])
+    units = tuple(card.units.get(name, "") for name in names)
+    return Header(names, units, first, rows[: first - 1])
+
+
+def _with_units(rows: Rows, first: int, brackets: str, fault: Fault) -> Header:
+    cells = _stripped(rows[first - 1]) if first else ()
+    pairs = [name_and_unit(cell, brackets) for cell in cells]
+    if not any(pairs):
+        expected = f"names with their units in {brackets} above the numbers"
+        raise fault(first - 1, expected, quoted(cells))
+    names = [pair[0] if pair else cell for pair, cell in zip(pairs, cells, strict=True)]
+    units = [pair[1] if pair else "" for pair in pairs]
+    return Header(tuple(names), tuple(units), first, rows[: first - 1])
+
+
+def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
+    units = _stripped(rows[first - 1]) if first else ()
+    kind = f"a row of units{f' in {card.brackets}' if card.brackets else ''} above the numbers"
+    names = _stripped(rows[first - 2]) if first > 1 else ()
+    bare = [bare_unit(cell, card.brackets) for cell in units if cell]
+    are_known = bool(card.brackets) or hold_units(_without_names(units, names))
+    if not bare or None in bare or not are_known or any(is_number(cell) for cell in units):
+        raise fault(first - 1, kind, quoted(units))
+    if _lacks_names(names, units):
+        expected = "a row of names, then a row of units, above the numbers"
+        raise fault(first - 1, expected, f"{quoted(names)} above {quoted(units)}")
+    width = max(len(names), len(units))
+    told = tuple(
+        bare_unit(cell, card.brackets) or ""
+        for cell in _without_names(_padded(units, width), names)
+    )
+    specimens, above = _specimens(rows, first - 2, card)
+    return Header(_padded(names, width), told, first, above, specimens=specimens)
+
+
+def _without_names(units: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
+    """Units without those that repeat the name above, as programs write for a counter."""
+    above = _padded(names, max(len(names), len(units)))
+    return tuple("" if unit == name else unit for unit, name in zip(units, above, strict=False))
+
+
+def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
+    """Tell whether some unit has no name, or one word stands in the place of all names."""
+    beside = zip(_padded(names, len(units)), units, strict=False)
+    unnamed = any(unit and not name for name, unit in beside)
+    same = len(names) > 1 and len(set(names)) == 1
+    return unnamed or same or any(is_number(name) for name in names[:1])
+
+
+def _specimens(rows: Rows, names: int, card: Card) -> tuple[tuple[str, ...], Rows]:
+    """The row of specimens above the names, where the card says there is one, and what is above."""
+    if card.layout not in {"side by side", "specimen above"} or names < 1:
+        return (), rows[:names]
+    return tuple(cell.strip() for cell in rows[names - 1]), rows[: names - 1]
+
+
+def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
+    """Names with units in their cells, or above units, or without any."""
+    cells = _stripped(rows[first - 1]) if first else ()
+    if not any(cells) or any(is_number(cell) for cell in cells):
+        raise fault(first - 1, "a row of names above the numbers", quoted(cells))
+    has_both = any(_is_name_with_unit(cell) for cell in cells)
+    above = _stripped(rows[first - 2]) if first > 1 else ()
+    told = _without_names(cells, above)
+    if not has_both and are_units(told) and not _lacks_names(above, cells):
+        width = max(len(above), len(cells))
+        units = tuple(without_brackets(cell) for cell in _padded(told, width))
+        return Header(_padded(above, width), units, first, rows[: first - 2])
+    pairs = [name_and_unit(cell) or (cell, "") for cell in cells]
+    names, told = zip(*pairs, strict=True)
+    return Header(names, told, first, rows[: first - 1])
+
+
+def _is_name_with_unit(cell: str) -> bool:
+    """Tell whether a cell holds a name and behind it a unit in brackets."""
+    pairs = (name_and_unit(cell, brackets) for brackets in ("()", "[]"))
+    return any(pair is not None and pair[0] for pair in pairs)

@@ -1,0 +1,387 @@
+"""From the tables of one export, sheet or specimen to a recording."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from labpipe.errors import nearest
+from labpipe.readers.channels import (
+    Wanted,
+    channel_notes,
+    find_channel,
+    find_in_parts,
+    plain_name,
+    unique_names,
+)
+from labpipe.readers.load_frame.cards import Card
+from labpipe.readers.load_frame.column_titles import Header, Rows
+from labpipe.readers.raw_files import unreadable
+from labpipe.readers.text_cells import is_like
+from labpipe.readers.time_axes import clock_notes
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Channel, Clock, Recording
+from labpipe.units import si_factor
+
+_SAY_UNIT = (
+    "Write it in a row below the names, or in brackets as in 'Time (s)', or say it in a card of"
+    " your own (time_unit); see docs/how-to/new-dialect.md."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Part:
+    clock: Clock
+    channels: list[Channel]
+    about: dict[str, object]
+    notes: list[QualityNote]
+
+
+def assemble(
+    export: Export, card: Card, path: object, channels: Sequence[Wanted] | None = None
+) -> Recording:
+    """Make a recording of the tables of an export.
+
+    Parameters
+    ----------
+    export : its tables, already without rows that are no samples
+    card : that it was read by
+    path : named in errors
+    channels : names or paths asked for, None for all
+
+    Returns
+    -------
+    The recording: one clock per table; values in the units of the file, time in seconds.
+
+    Raises
+    ------
+    ReadError
+        If a channel does not exist, or the unit of time is missing or is none of time.
+    """
+    several = len(export.tables) > 1
+    parts = [_part(table, card, path, several=several) for table in export.tables]
+    made = [channel for part in parts for channel in part.channels]
+    chosen = made if channels is None else _chosen(made, channels, path)
+    clocks = {channel.clock for channel in chosen} if channels is not None else None
+    kept = [part for part in parts if clocks is None or part.clock.name in clocks]
+    notes = [note for part in kept for note in part.notes]
+    return Recording(
+        reader="load-frame",
+        program=" ".join((card.program, _said(card.model, export.head))).strip(),
+        program_version=_said(card.version, export.head),
+        clocks=tuple(part.clock for part in kept),
+        channels=tuple(chosen),
+        metadata=_metadata(export, card, kept),
+        notes=(*export.notes, *notes, *_channel_notes(chosen, card)),
+    )
+
+
+def _said(pattern: object, head: str) -> str:
+    import re
+
+    match = pattern.search(head) if isinstance(pattern, re.Pattern) else None
+    return match[1].strip() if match else ""
+
+
+def _metadata(export: Export, card: Card, parts: Sequence[_Part]) -> dict[str, object]:
+    times = {part.clock.name: part.about for part in parts}
+    return {"dialect": card.name, **export.about, "clocks": times}
+
+
+def _chosen(made: list[Channel], wanted: Sequence[Wanted], path: object) -> list[Channel]:
+    if not made:
+        return []
+    return [made[i] for i in sorted(set(find_in_parts(wanted, made, path)))]
+
+
+def _part(table: Table, card: Card, path: object, *, several: bool) -> _Part:
+    column = time_column(table.names, table.units, card)
+    clock_name = table.part if several else "time"
+    clock, about, notes = _clock(table, column, clock_name, card, path)
+    prefix = f"{table.part}/" if several else ""
+    paths = unique_names(table.names)
+    channels = [
+        Channel(
+            name=table.names[i] or paths[i],
+            path=prefix + paths[i],
+            values=values,
+            clock=clock_name,
+            unit_in_file=table.units[i],
+        )
+        for i, values in table.columns.items()
+        if i != column
+    ]
+    if table.part or table.also:
+        about |= {"part": table.part or table.also}
+    return _Part(clock, channels, about, [*table.notes, *notes])
+
+
+def _clock(
+    table: Table, column: int | None, name: str, card: Card, path: object
+) -> tuple[Clock, dict[str, object], list[QualityNote]]:
+    rows = max((len(values) for values in table.columns.values()), default=0)
+    if column is None:
+        message = f"the export has no time: its {rows} rows are counted from 0"
+        note = QualityNote("no_time", Severity.INFO, f"clock {name}", message)
+        few = _few_note(rows, name)
+        return Clock(name, np.arange(rows, dtype=np.float64), unit="1"), {}, [note, *few]
+    unit = table.units[column] or card.time_unit
+    factor = _seconds(unit, table.names[column], path)
+    time: Floats = table.columns[column]
+    clock = Clock(name, time if factor == 1.0 else factor * time)
+    about: dict[str, object] = {"time": table.names[column], "unit_in_file": unit}
+    return (
+        clock,
+        about,
+        [*clock_notes(clock, is_variable=card.variable_rate), *_few_note(rows, name)],
+    )
+
+
+def _seconds(unit: str, name: str, path: object) -> float:
+    try:
+        return si_factor(unit or "none", "s")
+    except ValueError:
+        pass
+    try:
+        return si_factor(unit.casefold() or "none", "s")
+    except ValueError as error:
+        raise unreadable(
+            path,
+            f"column '{name}'",
+            "a unit of time such as s",
+            f"'{unit}'" if unit else "none",
+            "Look at the row of units." if unit else _SAY_UNIT,
+        ) from error
+
+
+def _few_note(rows: int, name: str) -> list[QualityNote]:
+    if rows >= FEW or not rows:
+        return []
+    message = f"only {rows} samples: the test was not carried through, or not exported whole"
+    return [QualityNote("few_samples", Severity.WARNING, f"clock {name}", message)]
+
+
+def _channel_notes(channels: Sequence[Channel], card: Card) -> list[QualityNote]:
+    blank = [(channel, int(np.isnan(channel.values).sum())) for channel in channels]
+    missing = [_missing_note(channel, count, card) for channel, count in blank if count]
+    return [*missing, *channel_notes(channels)]
+
+
+def _missing_note(channel: Channel, count: int, card: Card) -> QualityNote:
+    codes = "".join(f" or {code:.0f}" for code in card.missing)
+    first = int(np.flatnonzero(np.isnan(channel.values))[0]) + 1
+    message = f"{count} of {len(channel.values)} values are missing (blank{codes}),"
+    message += f" the first in row {first}"
+    return QualityNote("missing_values", Severity.WARNING, channel.path, message)
+
+
+FEW = 10
+"""Fewer samples than this are no test that was carried through."""
+
+_OF_TIME = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
+_SEPARATOR = re.compile(r"sep=.?")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """Columns of numbers on one clock.
+
+    Parameters
+    ----------
+    part : specimen or sheet, empty where the export holds one
+    names, units : of the columns
+    columns : by number of the column, all of shape (rows,); what nobody asked for is absent
+    also : another name of the part, such as that of the sheet
+    notes : what reading them brought up
+    """
+
+    part: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: Mapping[int, Floats]
+    also: str = ""
+    notes: tuple[QualityNote, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Export:
+    """All tables of one export.
+
+    Parameters
+    ----------
+    tables : in the order of the file
+    about : what the export says of itself
+    notes : on the export as a whole
+    head : its beginning as text, for the patterns of the card
+    """
+
+    tables: tuple[Table, ...]
+    about: Mapping[str, object] = field(default_factory=dict)
+    notes: tuple[QualityNote, ...] = ()
+    head: str = ""
+
+
+def time_column(names: Sequence[str], units: Sequence[str], card: Card) -> int | None:
+    """Find the column of time.
+
+    Parameters
+    ----------
+    names, units : of the columns
+    card : has patterns of the name, most wanted first
+
+    Returns
+    -------
+    Its number: the first pattern that is the whole name of a column, or of what is left of one
+    without the number of a channel or an underscore before it (``_Time``); else the one column in
+    a unit of time whose name speaks of time. None where there is no such column, or several.
+    """
+    for called in (list(names), [plain_name(name) for name in names]):
+        for pattern in card.time:
+            for i, name in enumerate(called):
+                if pattern.fullmatch(name):
+                    return i
+    timed = [
+        i
+        for i, (name, unit) in enumerate(zip(names, units, strict=False))
+        if _OF_TIME.search(name) and is_like(unit, "s")
+    ]
+    return timed[0] if len(timed) == 1 else None
+
+
+def word_columns(names: Sequence[str], card: Card) -> list[int]:
+    """Find the columns that hold words by the card."""
+    return [i for i, name in enumerate(names) if name in card.words]
+
+
+def wanted_columns(
+    header: Header, card: Card, channels: Sequence[Wanted] | None, path: object
+) -> list[int]:
+    """Choose the columns to read: those asked for, and time.
+
+    Parameters
+    ----------
+    header : names and units of all columns
+    card : says which one is time and which hold words
+    channels : asked for, None for all; a name may carry its specimen before a slash
+    path : named in errors
+
+    Returns
+    -------
+    Numbers of the columns, ascending.
+
+    Raises
+    ------
+    ReadError
+        If a channel that is asked for does not exist.
+    """
+    names = header.names
+    time = time_column(names, header.units, card)
+    words = word_columns(names, card)
+    numbers = [i for i in range(len(names)) if i not in words]
+    if channels is None:
+        return numbers
+    paths = unique_names(names)
+    offered = [i for i in numbers if i != time]
+    pairs = [(names[i], paths[i]) for i in offered]
+    chosen = {offered[find_channel(wanted, pairs, path)] for wanted in channels}
+    always = {i for i, name in enumerate(names) if name in (*card.last_zeros, *card.last_code)}
+    return sorted(chosen | always | ({time} if time is not None else set()))
+
+
+def preamble(rows: Rows) -> dict[str, object]:
+    """Keys and values of the rows above the names.
+
+    Parameters
+    ----------
+    rows : cells; ``key, value, unit`` or ``key: value`` in one cell
+
+    Returns
+    -------
+    Values by key, a list where a key stands several times; rows without a key under ``lines``. A
+    line ``sep=;``, by which a spreadsheet is told the separator, says nothing and is left out.
+    """
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        cells = [cell.strip() for cell in row if cell.strip()]
+        if cells and not _SEPARATOR.fullmatch(cells[0]):
+            key, value = _pair(cells)
+            found.setdefault(key, []).append(value)
+    return {
+        key: values[0] if len(values) == 1 and key != "lines" else values
+        for key, values in found.items()
+    }
+
+
+def _pair(cells: Sequence[str]) -> tuple[str, str]:
+    if len(cells) > 1:
+        return cells[0].rstrip(" :"), " ".join(cells[1:])
+    key, colon, value = cells[0].partition(": ")
+    if colon and 0 < len(key) < 60:
+        return key.strip(), value.strip()
+    return ("lines", cells[0]) if not cells[0].endswith(":") else (cells[0].rstrip(" :"), "")
+
+
+def without_last_row(table: Table, card: Card) -> Table:
+    """Leave out a last row of zeros that the card says is no sample."""
+    by_name = {table.names[i]: values for i, values in table.columns.items()}
+    rows = max((len(values) for values in table.columns.values()), default=0)
+    if not card.last_zeros or not rows:
+        return table
+    expected = {**dict.fromkeys(card.last_zeros, 0.0), **card.last_code}
+    if any(name not in by_name or by_name[name][-1] != value for name, value in expected.items()):
+        return table
+    said = ", ".join(f"{name} {value:g}" for name, value in expected.items())
+    message = f"the last row ({rows}) is a mark and no sample ({said}): left out"
+    note = QualityNote("last_row_left_out", Severity.INFO, "file", message)
+    columns = {i: values[:-1] for i, values in table.columns.items()}
+    return _replaced(table, columns, note)
+
+
+def without_codes(table: Table, card: Card) -> Table:
+    """Make the numbers that stand for missing values NaN."""
+    if not card.missing:
+        return table
+    columns: dict[int, Floats] = {}
+    for i, values in table.columns.items():
+        gone = np.isin(values, card.missing)
+        columns[i] = np.where(gone, np.nan, values) if gone.any() else values
+    return _replaced(table, columns)
+
+
+def _replaced(table: Table, columns: Mapping[int, Floats], *notes: QualityNote) -> Table:
+    return Table(table.part, table.names, table.units, columns, table.also, (*table.notes, *notes))
+
+
+def choose_part(tables: Sequence[Table], part: str | None, path: object) -> tuple[Table, ...]:
+    """Choose one part of an export.
+
+    Parameters
+    ----------
+    tables : all of them
+    part : specimen or sheet wanted, None for all
+    path : named in errors
+
+    Raises
+    ------
+    ReadError
+        If there is no such part; the nearest ones are listed.
+    """
+    if part is None or not tables:
+        return tuple(tables)
+    chosen = tuple(table for table in tables if part in {table.part, table.also} - {""})
+    if chosen:
+        return chosen
+    known = [table.part or table.also for table in tables if table.part or table.also]
+    close = ", ".join(f"'{name}'" for name in nearest(part, known))
+    remedy = f"Nearest: {close}." if close else "Leave `part` out: the export does not name parts."
+    raise unreadable(
+        path,
+        f"part '{part}'",
+        f"one of the {len(tables)} specimens or sheets of the file",
+        "no such part",
+        remedy,
+    )

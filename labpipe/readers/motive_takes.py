@@ -1,0 +1,191 @@
+"""Reader of OptiTrack Motive takes exported as CSV, or saved as xlsx by a spreadsheet.
+
+**Writes this file**: Motive (and Tracking Tools before it), "export tracking data".
+
+**Recording**: measured markers and rigid bodies; fitted Rigid Body Markers are left out.
+
+**Units**: from the key Length Units; row style states none and is taken as metres.
+
+**Missing data**: blank cells (table), NAN or a counter above 0 (row style) become NaN.
+
+**Clock and frame**: frame / export rate where the column of times agrees within 0.6 ms, else the
+column; positions stay in the frame of the motion-capture system.
+
+**File structure**: table style (line 1 keys and values, rows of labels, ``Frame``, data), or row
+style (every line begins with its type). Everything is found by words, nothing by line number.
+
+**Known versions**: table style 1.21, 1.23, 1.24, 1.25; row style 1.0, 1.1.
+"""
+
+from __future__ import annotations
+
+import csv
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.readers.channels import Wanted
+from labpipe.readers.motive_rows import parse_rows
+from labpipe.readers.motive_table import (
+    Columns,
+    Header,
+    header_notes,
+    marker_tracks,
+    needed_columns,
+    parse_header,
+)
+from labpipe.readers.number_rows import Body, read_columns, rows_note
+from labpipe.readers.raw_files import BROKEN, read_head, reading, unreadable
+from labpipe.readers.sheet_cells import as_text, sheet_columns
+from labpipe.readers.time_axes import clock_notes
+from labpipe.readers.tracking import track_notes
+from labpipe.readers.workbooks import is_workbook, opened_workbook
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.recording import Clock, MarkerTracks, Recording
+
+_BOM = b"\xef\xbb\xbf"
+_TABLE = (b"Format Version", b'"Format Version')
+_ROWS = (b"comment,", b'"comment",')
+_SHEET_HEAD = 200_000
+_SHEETS = ("xl/sharedStrings.xml", "xl/worksheets/sheet1.xml")
+_HEADER_LINES = 40
+"""Header rows are looked for in this many lines; the longest real header has 8."""
+
+
+def recognise(path: Path) -> bool:
+    """Tell whether a file is a Motive export of either style, or a workbook that holds one."""
+    if is_workbook(path):
+        return _is_saved_take(path)
+    return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE + _ROWS)
+
+
+def _is_saved_take(path: Path) -> bool:
+    """Tell at little cost whether a workbook holds a take, by its first cell."""
+    try:
+        with zipfile.ZipFile(path) as parts:
+            inside = [name for name in _SHEETS if name in parts.namelist()]
+            return any(b"Format Version" in _part_head(parts, name) for name in inside)
+    except BROKEN:
+        return False
+
+
+def _part_head(parts: zipfile.ZipFile, name: str) -> bytes:
+    with parts.open(name) as part:
+        return part.read(_SHEET_HEAD)
+
+
+def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
+    """Read a Motive export.
+
+    Parameters
+    ----------
+    path : the export, as Motive wrote it, or as a spreadsheet saved it; of a workbook the first
+        sheet with a Motive header is read
+    channels : has no meaning here; takes are read whole
+
+    Returns
+    -------
+    The recording: marker tracks, no channels.
+
+    Raises
+    ------
+    ReadError
+        If the workbook, the header or a cell is damaged, or the version is not known.
+    """
+    if is_workbook(path):
+        return _read_workbook(path)
+    with reading(path, "a readable file"):
+        content = path.read_bytes().removeprefix(_BOM)
+    if content.startswith(_ROWS):
+        return _read_row_style(content.decode("utf-8", errors="replace"), path)
+    lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
+    with reading(path, "header rows of cells parted by commas"):
+        text = b"\n".join(lines).decode("utf-8", errors="replace")
+        rows = [next(csv.reader([line]), []) for line in text.split("\n")]
+    header = parse_header(rows, path)
+    offset = sum(len(line) + 1 for line in lines[: header.rows])
+    body = Body(
+        data=content,
+        names=header.names,
+        columns=needed_columns(header),
+        first_line=header.rows + 1,
+        separator=",",
+        decimal=".",
+        start=offset,
+        stated_rows=header.stated_rows,
+        as_exported=True,
+    )
+    columns, notes = read_columns(body, path)
+    return _recording("motive-csv", header, columns, notes, path)
+
+
+def _read_workbook(path: Path) -> Recording:
+    name, rows = _sheet(path)
+    header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
+    wanted = {column: header.names[column] for column in needed_columns(header)}
+    columns = sheet_columns(rows, header.rows, wanted, (path, f"sheet '{name}'"))
+    notes = rows_note(header.stated_rows, len(columns[0]))
+    return _recording("motive-xlsx", header, columns, notes, path)
+
+
+def _recording(
+    reader: str, header: Header, columns: Columns, notes: list[QualityNote], path: Path
+) -> Recording:
+    values, infinite = _without_infinities(columns)
+    tracks, timing = marker_tracks(header, values, path)
+    objects = [{"type": g.type, "name": g.name, "id": g.id} for g in header.groups]
+    return Recording(
+        reader=reader,
+        program="Motive",
+        program_version=header.version,
+        markers=tracks,
+        metadata={**header.about, "objects": objects},
+        notes=(
+            *header_notes(header, path),
+            *notes,
+            *infinite,
+            *timing,
+            *_take_notes(tracks),
+        ),
+    )
+
+
+def _read_row_style(text: str, path: Path) -> Recording:
+    with reading(path, "lines of a row-style export"):
+        export = parse_rows(text, path)
+    return Recording(
+        reader="motive-csv",
+        program="Motive",
+        program_version=export.version,
+        markers=export.tracks,
+        metadata=export.about,
+        notes=(*export.notes, *_take_notes(export.tracks)),
+    )
+
+
+def _take_notes(tracks: MarkerTracks) -> list[QualityNote]:
+    return clock_notes(Clock("frames", tracks.time)) + track_notes(tracks)
+
+
+def _without_infinities(columns: Columns) -> tuple[Columns, list[QualityNote]]:
+    infinite = np.array([np.isinf(values) for values in columns.values()])
+    if not infinite.any():
+        return columns, []
+    row = int(np.flatnonzero(infinite.any(axis=0))[0]) + 1
+    message = f"{int(infinite.sum())} infinite numbers count as blank, the first in data row {row}"
+    note = QualityNote("not_finite", Severity.WARNING, "take", message)
+    return {i: np.where(np.isinf(each), np.nan, each) for i, each in columns.items()}, [note]
+
+
+def _sheet(path: Path) -> tuple[str, list[list[object]]]:
+    """Name and cells of the first sheet that begins with a Motive header."""
+    with opened_workbook(path, "a whole xlsx workbook") as book:
+        for name in book.sheet_names:
+            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=False)
+            if rows and rows[0] and rows[0][0] == "Format Version":
+                return name, [list[object](row) for row in rows]
+    remedy = "Save the sheet of the take alone as xlsx."
+    expected = "a sheet whose first cell is Format Version"
+    raise unreadable(path, "", expected, "none", remedy)

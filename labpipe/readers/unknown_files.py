@@ -1,0 +1,110 @@
+"""What a file that no reader takes appears to be, and what to do with it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from labpipe.readers.raw_files import as_content, lines_of, read_head
+from labpipe.readers.text_cells import is_number, split_line
+
+_ANOTHER = "Export the recording in one of these formats."
+_UNPACK = "Unpack it, and name the export in it."
+_CARD = (
+    "If a testing machine's program wrote it, a card of a dozen lines makes labpipe read it: see"
+    " docs/how-to/new-dialect.md."
+)
+_KNOWN_BY = "A table is known by its names and units: time, and force or travel."
+_BY_FIRST_BYTES = (
+    (b"\x89HDF\r\n\x1a\n", "an HDF5 file that is no ControlDesk export", _ANOTHER),
+    (b"PK\x03\x04", "a workbook without a table of time and force or travel", _CARD),
+    (
+        b"\xd0\xcf\x11\xe0",
+        "an old workbook (xls) without a table of time and force",
+        _CARD,
+    ),
+    (b"MDF     ", "an MDF file of a version other than 4", _ANOTHER),
+    (b"TDSm", "a TDMS file (LabVIEW)", "Export it as text or as a workbook, with names and units."),
+    (b"LabVIEW Measurement", "an LVM file (LabVIEW)", _CARD),
+    (b"NO_OF_FRAMES", "a TSV file of Qualisys (motion capture)", _ANOTHER),
+    (b"PathFileType", "a TRC file (motion capture)", "Export the take as csv."),
+    (b"\x1f\x8b", "a packed file (gzip)", _UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a packed file (7z)", _UNPACK),
+    (b"Rar!", "a packed file (rar)", _UNPACK),
+    (b"%PDF", "a PDF document", _ANOTHER),
+    (b"\x89PNG", "a picture", _ANOTHER),
+    (b"\xff\xd8\xff", "a picture", _ANOTHER),
+    (b"\x93NUMPY", "an array of numpy", "Save it as csv with names and units."),
+    (b"PAR1", "a Parquet file", "Save it as csv with names and units."),
+    (b"<?xml", "XML", _ANOTHER),
+    (b"{", "JSON", _ANOTHER),
+)
+_PARTED = {"\t": "tabs", ";": "semicolons", ",": "commas", " ": "blanks"}
+_SHOWN, _COLUMNS = 40, 4
+_ROWS = 2
+"""Rows of numbers, one below the other, that make a table."""
+
+
+class Stranger(NamedTuple):
+    """A file that no reader takes.
+
+    Parameters
+    ----------
+    what : it appears to be, such as ``a C3D file (motion capture)``
+    remedy : what to do about it
+    """
+
+    what: str
+    remedy: str
+
+
+def recognise_stranger(path: Path) -> Stranger:
+    """Say in words what a file that no reader takes appears to be.
+
+    Parameters
+    ----------
+    path : the file
+    """
+    head = read_head(path)
+    if len(head) >= 512 and head[1] == 0x50 and 0 < head[0] < 64:
+        return Stranger("a C3D file (motion capture), which is recognised but not read", _ANOTHER)
+    for first, what, remedy in _BY_FIRST_BYTES:
+        if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(first):
+            return Stranger(what, remedy)
+    content = as_content(head)
+    if b"\0" in content.data:
+        return Stranger("binary data of an unknown kind", _ANOTHER)
+    lines = lines_of(content.data.decode("utf-8", errors="replace"))
+    return _table(lines) or _text(lines)
+
+
+def _text(lines: Sequence[str]) -> Stranger:
+    first = next((line.strip() for line in lines if line.strip()), "")
+    what = f"text that begins with '{first[:_SHOWN]}'" if first else "nothing but blanks"
+    return Stranger(what, _ANOTHER)
+
+
+def _table(lines: Sequence[str]) -> Stranger | None:
+    """Describe a table of numbers in a text; None where there is none."""
+    for separator, parted in _PARTED.items():
+        rows = [[cell.strip() for cell in split_line(line, separator)] for line in lines]
+        first = next((i for i in range(len(rows)) if _are_samples(rows[i : i + _ROWS])), None)
+        if first is not None:
+            above = next((row for row in reversed(rows[:first]) if any(row)), [])
+            what = f"a table of {len(rows[first])} columns parted by {parted}, {_called(above)}"
+            return Stranger(what, f"{_KNOWN_BY} {_CARD}")
+    return None
+
+
+def _are_samples(rows: Sequence[Sequence[str]]) -> bool:
+    numbers = [[cell for cell in row if cell] for row in rows]
+    filled = len(rows) == _ROWS and all(len(row) > 1 for row in numbers)
+    return filled and all(is_number(cell) for row in numbers for cell in row)
+
+
+def _called(names: Sequence[str]) -> str:
+    if not any(names) or any(is_number(name) for name in names):
+        return "without names"
+    shown = ", ".join(f"'{name[:_SHOWN]}'" for name in names[:_COLUMNS])
+    return f"called {shown}" + (" ..." if len(names) > _COLUMNS else "")

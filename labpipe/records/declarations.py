@@ -1,0 +1,235 @@
+"""How steps and results are declared: settings with units and ranges, what they give and need.
+
+A setting is a field of a frozen dataclass whose type says by `typing.Annotated` how YAML writes it:
+``over: Annotated[Length, "Stretch that a tangent is read from"]``. A bare text in the annotation is
+the description that people read in an editor. Nothing here reads YAML: `labpipe.protocol.grammar`
+makes the validator, the JSON schema and the error messages of these types.
+
+**Units**: coherent SI inside; the marker of a type says in which unit people write it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from functools import cache
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A float that YAML writes with its unit.
+
+    Parameters
+    ----------
+    unit : SI unit of the float, ``1`` for a pure number
+    shown : unit in which a resolved protocol writes it
+    example : how a person writes it
+    above : in `unit`, the value must be larger; None for no such bound
+    least, most : in `unit`, smallest and largest valid value
+    """
+
+    unit: str
+    shown: str
+    example: str
+    above: float | None = None
+    least: float = -math.inf
+    most: float = math.inf
+
+
+@dataclass(frozen=True, slots=True)
+class Whole:
+    """A whole number within a range.
+
+    Parameters
+    ----------
+    least, most : smallest and largest valid value
+    """
+
+    least: int
+    most: int
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """A text of one form.
+
+    Parameters
+    ----------
+    pattern : regular expression of the whole text
+    meaning : the same in words, for messages
+    """
+
+    pattern: str
+    meaning: str
+
+
+@dataclass(frozen=True, slots=True)
+class Key:
+    """How YAML calls a field whose name Python does not take, such as ``from``.
+
+    Parameters
+    ----------
+    name : the key
+    """
+
+    name: str
+
+
+@dataclass(frozen=True, slots=True)
+class Above:
+    """A quantity that must be larger than another one of the same block and type.
+
+    Parameters
+    ----------
+    field : name of the other field, which is declared before
+    """
+
+    field: str
+
+
+@dataclass(frozen=True, slots=True)
+class Existing:
+    """A word that must name something that exists where it is written.
+
+    Parameters
+    ----------
+    kind : a channel that a source or an earlier step gives, or a stiffness above in the list
+    """
+
+    kind: Literal["channel", "stiffness"]
+
+
+@dataclass(frozen=True, slots=True)
+class Tagged:
+    """One of several kinds of settings, told apart by a key.
+
+    Parameters
+    ----------
+    key : in YAML; every kind has its value as a class variable of that name
+    """
+
+    key: str
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Length of a stretch of a channel that a filter looks at.
+
+    Parameters
+    ----------
+    kind : what the length is measured in
+    value : s for ``time``, m for ``travel``, a ratio for ``branch``, a count for ``samples``
+    """
+
+    kind: Literal["time", "travel", "branch", "samples"]
+    value: float
+
+
+Length: TypeAlias = Annotated[float, Quantity("m", "mm", "53 mm", above=0.0)]
+Offset: TypeAlias = Annotated[float, Quantity("m", "mm", "0.8 mm")]
+"""A length that may also be zero or negative."""
+Distance: TypeAlias = Annotated[float, Quantity("m", "mm", "4 mm", least=0.0)]
+Area: TypeAlias = Annotated[float, Quantity("m^2", "mm^2", "5.26 mm^2", above=0.0)]
+Moment: TypeAlias = Annotated[float, Quantity("s", "s", "1.234 s")]
+"""A time that may also be zero or negative."""
+Drift: TypeAlias = Annotated[float, Quantity("1", "ppm", "40 ppm", least=-0.01, most=0.01)]
+"""By how much one clock runs faster than another."""
+Duration: TypeAlias = Annotated[float, Quantity("s", "s", "0.5 s", above=0.0)]
+Force: TypeAlias = Annotated[float, Quantity("N", "N", "5 mN", least=0.0)]
+Compliance: TypeAlias = Annotated[float, Quantity("m/N", "um/N", "0.2 um/N", above=0.0)]
+Mass: TypeAlias = Annotated[float, Quantity("kg", "g", "2.7 g", least=0.0)]
+Speed: TypeAlias = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", above=0.0)]
+Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", above=0.0)]
+Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
+Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0)]
+Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
+"""A part of a whole."""
+Snake: TypeAlias = Annotated[
+    str, Word(r"[a-z][a-z0-9_]*", "a name of small letters, digits and '_', a letter first")
+]
+ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
+StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """A number that a kind of result puts into the summary.
+
+    Parameters
+    ----------
+    name : in the summary; ``{name}`` and ``{of}`` stand for the settings that are called so
+    unit : SI
+    first : number of the first of several, one per cycle or slip; None where there is one alone
+    """
+
+    name: str
+    unit: str
+    first: int | None = None
+
+    def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
+        """Name in the summary, of several the first.
+
+        Parameters
+        ----------
+        kind : the kind of result, with the defaults of its settings
+        entry : the settings as written, whether or not they are valid
+        """
+        stem = self.name.format_map({"of": None, **defaults_of(kind), **entry})
+        return stem if self.first is None else f"{stem}.{self.first}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Needs:
+    """What of a test a kind of result is read from.
+
+    Parameters
+    ----------
+    branches : a curve that is cut into loading and unloading
+    correction : block of ``curve`` that finds what the result tells; empty for none
+    clocks : two clocks that are joined
+    shape : step that makes the shape of the specimen; empty for none
+    clamp : a clamped end, and a curve on the clock of the markers
+    """
+
+    branches: bool = False
+    correction: str = ""
+    clocks: bool = False
+    shape: str = ""
+    clamp: bool = False
+
+
+def kinds_of(union: Any) -> dict[str, Any]:
+    """List the kinds of a union of settings by their tag.
+
+    Parameters
+    ----------
+    union : dataclasses, annotated with `Tagged`
+    """
+    kinds, tagged = get_args(union)
+    return {getattr(kind, tagged.key): kind for kind in get_args(kinds)}
+
+
+@cache
+def defaults_of(kind: Any) -> dict[str, Any]:
+    """Settings that a block may leave out, by name.
+
+    Parameters
+    ----------
+    kind : dataclass of settings
+    """
+    return {each.name: each.default for each in fields(kind) if each.default is not MISSING}
+
+
+@cache
+def existing_in(kind: Any, what: Literal["channel", "stiffness"]) -> tuple[str, ...]:
+    """Names of the settings that must name something that exists.
+
+    Parameters
+    ----------
+    kind : dataclass of settings
+    what : that they name
+    """
+    hints = get_type_hints(kind, include_extras=True).items()
+    return tuple(name for name, hint in hints if Existing(what) in get_args(hint))

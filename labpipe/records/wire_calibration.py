@@ -1,0 +1,331 @@
+"""Calibrations of the wire model: what was asked for, what the tests say, what they do not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+from labpipe.records.arrays import Floats, frozen
+from labpipe.records.curve import Interval
+from labpipe.records.curve_comparison import CurveAgreement
+from labpipe.records.quality import QualityNote
+
+RADIAL_FRICTION = "radial_friction"
+"""phi = F_rad (mu_s + mu_p), N: all that a loading curve knows of friction."""
+INSULATION_MODULUS = "insulation_modulus"
+"""E_ins, Pa."""
+COPPER_SCALE = "copper_scale"
+"""Factor on the strength of the copper's stress-strain curve."""
+
+PARAMETERS = (RADIAL_FRICTION, INSULATION_MODULUS, COPPER_SCALE)
+"""What is calibrated, in the order of every array over parameters."""
+UNITS = {RADIAL_FRICTION: "N", INSULATION_MODULUS: "Pa", COPPER_SCALE: "1"}
+DISPLAYED = {
+    RADIAL_FRICTION: (1e3, "mN"),
+    INSULATION_MODULUS: (1e-6, "MPa"),
+    COPPER_SCALE: (1.0, ""),
+}
+"""Factor and unit in which people see a value."""
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChoice:
+    """How one parameter enters a calibration.
+
+    Parameters
+    ----------
+    value : where the search starts; of a fixed one its value, of one with a prior its centre. None
+        for the value that the wire came with
+    is_fixed : not fitted
+    factor : of a log-normal prior: with 95 % probability the parameter lies between value / factor
+        and value x factor. None without a prior
+    lower, upper : bounds of the search
+    source : where a prior or a fixed value comes from, for the report
+    """
+
+    value: float | None = None
+    is_fixed: bool = False
+    factor: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    source: str = ""
+
+
+class Identified(StrEnum):
+    """What the tests say of a parameter."""
+
+    WELL = "identified"
+    """The 95 % interval spans less than a factor of two."""
+    WEAKLY = "weakly identified"
+    """It has both ends, and spans more."""
+    NOT = "not identified"
+    """It is open on a side, or spans more than a factor of a hundred."""
+    BY_PRIOR = "known from its prior"
+    """The tests add next to nothing to what the prior says."""
+    AGAINST_PRIOR = "contradicts its prior"
+    """Prior and tests ask for different values; the one found lies between them."""
+    AT_BOUND = "at its bound"
+    """The search wanted to go beyond what it was allowed."""
+    FIXED = "fixed"
+    """It was not fitted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Profile:
+    """How much worse the fit becomes as one parameter is held; arrays of shape (n,).
+
+    Parameters
+    ----------
+    value : of the parameter, increasing
+    deviance : rise of the objective over its least, all others fitted anew
+    threshold_below, threshold_above : of the deviance, at the lower and the upper end of the 95 %
+        interval: the square of a quantile of t, averaged over what the scatter of samples may be
+    """
+
+    value: Floats
+    deviance: Floats
+    threshold_below: float
+    threshold_above: float
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "value", frozen(self.value, shape=(None,)))
+        object.__setattr__(self, "deviance", frozen(self.deviance, shape=(len(self.value),)))
+
+
+@dataclass(frozen=True, slots=True)
+class PriorConflict:
+    """A prior against the tests without it.
+
+    Parameters
+    ----------
+    centre, factor : of the prior
+    alone : value that the tests give without this prior
+    size : distance of the two in standard deviations of both together
+    freedom : degrees of freedom of that standard deviation
+    contradicts : whether `size` exceeds the two-sided 95 % quantile of t
+    message : in words, with the numbers
+    """
+
+    centre: float
+    factor: float
+    alone: float
+    size: float
+    freedom: float
+    contradicts: bool
+    message: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibratedParameter:
+    """One parameter of the wire, and what the tests say of it.
+
+    Parameters
+    ----------
+    name, unit : one of `PARAMETERS`
+    value : at the least of the objective
+    interval : 95 %, by profile likelihood; its ends are those of the search where it is open. None
+        for a fixed parameter
+    log_error : standard error of its logarithm at the least of the objective; 0 if fixed
+    freedom : degrees of freedom of that error
+    is_open_below, is_open_above : the tests do not bound it on that side
+    at_bound : ``lower``, ``upper``, or empty
+    verdict : in one word or two
+    words : the verdict as a sentence
+    profile : None for a fixed parameter
+    conflict : None without a prior
+    """
+
+    name: str
+    unit: str
+    value: float
+    interval: Interval | None
+    log_error: float
+    freedom: float
+    is_open_below: bool
+    is_open_above: bool
+    at_bound: str
+    verdict: Identified
+    words: str
+    profile: Profile | None = None
+    conflict: PriorConflict | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Separability:
+    """Whether several numbers can be told apart by the tests.
+
+    Parameters
+    ----------
+    names : of the numbers
+    singular_values : shape (n,), of the derivatives of all forces by their logarithms over the
+        noise, falling: a combination with singular value s is known to 1 / s (in logarithms)
+    combinations : shape (n, n), a row for each singular value: weights of the logarithms
+    are_identified : by name
+    words : in a sentence or two
+    """
+
+    names: tuple[str, ...]
+    singular_values: Floats
+    combinations: Floats
+    are_identified: Mapping[str, bool]
+    words: str
+
+    def __post_init__(self) -> None:
+        count = len(self.names)
+        object.__setattr__(self, "singular_values", frozen(self.singular_values, shape=(count,)))
+        object.__setattr__(self, "combinations", frozen(self.combinations, shape=(count, count)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ScatterMixture:
+    """What is known of the parameters for each scatter of samples that the tests allow.
+
+    Parameters
+    ----------
+    chance : shape (scatters,), sum to 1
+    scatter : shape (scatters,), standard deviation of the samples' factors, in logarithms
+    shift : shape (scatters, 4), of the logarithms of the parameters and of the gain, from the fit
+    covariance : shape (scatters, 4, 4)
+    freedom : degrees of freedom of the noise
+    """
+
+    chance: Floats
+    scatter: Floats
+    shift: Floats
+    covariance: Floats
+    freedom: float
+
+    def __post_init__(self) -> None:
+        count = len(self.chance)
+        shapes = {"chance": (count,), "scatter": (count,), "shift": (count, 4)}
+        for name, shape in {**shapes, "covariance": (count, 4, 4)}.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseLevels:
+    """What scatters about the model.
+
+    Parameters
+    ----------
+    noise_factor : of the noise of every point, found over stated: 1 where it was stated well
+    correlation : of neighbouring points
+    scatter : standard deviation of the samples' factors on the force, in logarithms
+    gain : standard uncertainty of the load cell's gain, common to all curves, in logarithms
+    scatter_freedom : degrees of freedom of `scatter`; infinite where it was given, 0 where nothing
+        is known of it
+    noise_freedom : degrees of freedom of `noise_factor`
+    """
+
+    noise_factor: float
+    correlation: float
+    scatter: float
+    gain: float
+    scatter_freedom: float
+    noise_freedom: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What tests of one wire say of its parameters.
+
+    Parameters
+    ----------
+    wire : name
+    parameters : in the order of `PARAMETERS`
+    correlations : shape (3, 3), of the logarithms; NaN in rows of fixed parameters
+    covariance : shape (4, 4), of the logarithms and of the load cell's gain, last; 0 for what is
+        fixed
+    mixture : the same for each scatter of samples that the tests allow
+    levels : noise, scatter, gain
+    separability : of the three parameters, all taken as free
+    friction_separability : of mu_s, mu_p and F_rad; None where nothing rubs
+    curves : one by one
+    n_points, n_samples : what it rests on
+    sse, rmse, rmse_share : over all curves: N^2, N, and RMSE over the largest force
+    method : in words
+    notes : what a careful person would want to know
+    """
+
+    wire: str
+    parameters: tuple[CalibratedParameter, ...]
+    correlations: Floats
+    covariance: Floats
+    mixture: ScatterMixture
+    levels: NoiseLevels
+    separability: Separability
+    friction_separability: Separability | None
+    curves: tuple[CurveAgreement, ...]
+    n_points: int
+    n_samples: int
+    sse: float
+    rmse: float
+    rmse_share: float
+    method: str
+    notes: tuple[QualityNote, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        shapes: dict[str, tuple[int, ...]] = {
+            "correlations": (3, 3),
+            "covariance": (4, 4),
+        }
+        for name, shape in shapes.items():
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+
+    def parameter(self, name: str) -> CalibratedParameter:
+        """The parameter of a name."""
+        return self.parameters[PARAMETERS.index(name)]
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationFailure:
+    """Why there is no calibration.
+
+    Parameters
+    ----------
+    code : stable, snake case
+    message : one sentence with the numbers
+    """
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SourceCalibration:
+    """The source's procedure: three friction numbers and one stiffness for the whole wire.
+
+    Parameters
+    ----------
+    strand_friction, insulation_friction, radial_force : mu_s, mu_p, N, where the search ended
+    radial_friction : phi = F_rad (mu_s + mu_p), N: all that the tests could say
+    start : where the search began
+    converged : whether the search says that it did
+    iterations : of the search
+    singular_values : shape (3,), of the forces' derivatives by the logarithms, over the RMSE
+    sse, rmse, rmse_share : N^2, N, 1
+    deflection, force, model : shape (n,), m, N, N
+    """
+
+    strand_friction: float
+    insulation_friction: float
+    radial_force: float
+    radial_friction: float
+    start: tuple[float, float, float]
+    converged: bool
+    iterations: int
+    singular_values: Floats
+    sse: float
+    rmse: float
+    rmse_share: float
+    deflection: Floats
+    force: Floats
+    model: Floats
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "singular_values", frozen(self.singular_values, shape=(3,)))
+        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
+        for name in ("force", "model"):
+            values = frozen(getattr(self, name), shape=(len(self.deflection),))
+            object.__setattr__(self, name, values)

@@ -1,0 +1,217 @@
+"""Moment against curvature as measured, branch by branch, and the law of the first loading."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Direction
+from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.result import TestResult
+from labpipe.report.curve_figures import MOST_COLOURS, cycle_colours
+from labpipe.report.figure_page import (
+    DOUBLE_COLUMN,
+    GREY,
+    new_page,
+    panel_letter,
+    put_key,
+    say,
+    titled_page,
+)
+from labpipe.report.wording import Scale, footnote, scale, title, unit_words, why_missing
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+
+_MOST_POINTS = 4000
+"""Points of a cloud that a figure shows; more hide one another."""
+_LAW, _BAND, _NOISE = "black", "#999999", "#e6e6e6"
+_LEAST_SHOWN = 1e-3
+"""Of the largest curvature: where the axis of stiffnesses begins if nothing is noise."""
+
+
+def draw_moment_curvature(result: TestResult) -> Figure:
+    """Draw (a) the cloud of all branches with the law and (b) the law's stiffnesses."""
+    if result.bending is None:
+        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
+        say(page.subplots(), why_missing(result, "measured moment-curvature"))
+        return page
+    page = titled_page(
+        title(result), footnote(result), width_mm=DOUBLE_COLUMN, height_mm=92, key_rows=2
+    )
+    cloud, stiffness = page.subplots(1, 2)
+    plot_cloud(result, cloud)
+    plot_stiffness(result, stiffness)
+    panel_letter(cloud, "a", "Moment")
+    panel_letter(stiffness, "b", "Stiffness of the first loading")
+    put_key(page, _handles(result.bending), columns=5)
+    return page
+
+
+def plot_cloud(result: TestResult, axes: Axes) -> None:
+    """Draw the points of all branches and the law with its band.
+
+    Parameters
+    ----------
+    result : its measured bending is drawn: loading as dots, unloading as open circles, cycles told
+        apart by colour, beginning where the law says that the specimen was at rest; the band is the
+        law's 95 % interval, the grey stripe where curvature is not above its noise
+    axes : to draw on
+    """
+    bending = result.bending
+    if bending is None:
+        return
+    across, up = _curvature(result), _moment(result)
+    x, y = _points(bending)
+    every = -(-x.size // _MOST_POINTS)
+    for branch, look in _looks(result, bending.cloud).items():
+        rows = bending.cloud.branch == branch
+        points = (x[rows].ravel()[::every], y[rows].ravel()[::every])
+        axes.plot(points[0] * across.factor, points[1] * up.factor, **look)
+    if bending.law is not None:
+        _draw_law(axes, bending.law, across, up)
+    axes.set_xlabel(across.label("Curvature"))
+    axes.set_ylabel(up.label("Bending moment"))
+
+
+def _points(bending: Bending) -> tuple[Floats, Floats]:
+    """Curvatures and moments from the straight, unloaded specimen; without a law from its rest."""
+    cloud, law = bending.cloud, bending.law
+    if law is None:
+        return cloud.curvature, cloud.moment
+    size = np.interp(np.abs(cloud.moment_at_rest), law.moment, law.curvature)
+    begin = np.sign(cloud.moment_at_rest) * size
+    return cloud.curvature + begin, cloud.moment + cloud.moment_at_rest
+
+
+def _draw_law(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> None:
+    x = law.curvature * across.factor
+    axes.axvspan(-law.floor * across.factor, law.floor * across.factor, color=_NOISE, lw=0)
+    axes.fill_between(
+        x, law.moment_lower * up.factor, law.moment_upper * up.factor, color=_BAND, lw=0, zorder=3
+    )
+    axes.plot(x, law.moment * up.factor, color=_LAW, zorder=4)
+
+
+def plot_stiffness(result: TestResult, axes: Axes) -> None:
+    """Draw secant and tangent stiffness of the law against curvature.
+
+    Parameters
+    ----------
+    result : its law is drawn from where curvature is above its noise; the grey stripe is where it
+        is not
+    axes : to draw on, curvature on a logarithmic axis; a sentence if there is no law
+    """
+    law = result.bending.law if result.bending is not None else None
+    if law is None:
+        say(axes, str(result.bending.reason or "") if result.bending is not None else "")
+        return
+    from matplotlib.ticker import LogFormatter
+
+    across, up = _curvature(result), _stiffness(result)
+    x = law.curvature[1:] * across.factor
+    for name, look in _STIFFNESSES.items():
+        ends = [getattr(law, f"{name}_{end}")[1:] * up.factor for end in ("lower", "upper")]
+        axes.fill_between(x, ends[0], ends[1], color=_BAND, lw=0)
+        axes.plot(x, getattr(law, name)[1:] * up.factor, color=_LAW, **look)
+    start = max(0.5 * law.floor, _LEAST_SHOWN * law.curvature[-1]) * across.factor
+    axes.axvspan(start, max(law.floor * across.factor, start), color=_NOISE, lw=0)
+    axes.set_xscale("log")
+    axes.set_xlim(start, float(x[-1]))
+    axes.set_ylim(bottom=0.0)
+    axes.xaxis.set_major_formatter(_plain)
+    axes.xaxis.set_minor_formatter(LogFormatter(labelOnlyBase=False))
+    axes.set_xlabel(across.label("Curvature"))
+    axes.set_ylabel(up.label("Bending stiffness"))
+
+
+_STIFFNESSES: dict[str, dict[str, Any]] = {
+    "secant": {"linestyle": "-"},
+    "tangent": {"linestyle": (0, (4, 1.6))},
+}
+
+
+def _plain(value: float, _place: object) -> str:
+    return f"{value:g}"
+
+
+def _looks(result: TestResult, cloud: BendingCloud) -> dict[int, dict[str, Any]]:
+    """How the points of each branch look."""
+    colours = cycle_colours(int(cloud.cycle.max(initial=1)))
+    looks: dict[int, dict[str, Any]] = {}
+    for branch in np.unique(cloud.branch)[::-1].tolist():  # the first loading on top
+        colour = colours[int(cloud.cycle[cloud.branch == branch][0]) - 1]
+        filled = colour if _is_loading(result, branch) else "none"
+        looks[branch] = {
+            "linestyle": "",
+            "marker": "o",
+            "markersize": 1.8,
+            "markeredgewidth": 0.4,
+            "color": colour,
+            "markerfacecolor": filled,
+            "alpha": 0.6,
+        }
+    return looks
+
+
+def _is_loading(result: TestResult, branch: int) -> bool:
+    branches = result.curve.branches if result.curve is not None else ()
+    return branch < len(branches) and branches[branch].direction is Direction.LOADING
+
+
+def _handles(bending: Bending) -> list[Any]:
+    """Name cycles, directions, law and noise."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    last = int(bending.cloud.cycle.max(initial=1))
+    cycles = [
+        Line2D(
+            [], [], linestyle="", marker="o", markersize=3, color=colour, label=f"cycle {number}"
+        )
+        for number, colour in enumerate(cycle_colours(last) if last <= MOST_COLOURS else (), 1)
+    ]
+    ways = [
+        Line2D(
+            [],
+            [],
+            linestyle="",
+            marker="o",
+            markersize=3,
+            color=GREY,
+            markerfacecolor=face,
+            label=word,
+        )
+        for word, face in (("loading", GREY), ("unloading", "none"))
+    ]
+    if bending.law is None:
+        return [*cycles, *ways]
+    return [
+        *cycles,
+        *ways,
+        Line2D([], [], color=_LAW, label="law, secant"),
+        Line2D([], [], color=_LAW, label="tangent", linestyle=(0, (4, 1.6))),
+        Patch(color=_BAND, lw=0, label="95 %"),
+        Patch(color=_NOISE, lw=0, label="below noise"),
+    ]
+
+
+def _curvature(result: TestResult) -> Scale:
+    return _shown(scale(result, "curvature", "1/m"))
+
+
+def _moment(result: TestResult) -> Scale:
+    return _shown(scale(result, "moment", "N*m"))
+
+
+def _stiffness(result: TestResult) -> Scale:
+    return _shown(scale(result, "bending_stiffness", "N*m^2"))
+
+
+def _shown(unit: Scale) -> Scale:
+    """A unit with a dot for a product and raised powers."""
+    return Scale(unit.factor, unit_words(unit.unit))

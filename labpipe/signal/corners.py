@@ -1,0 +1,214 @@
+"""Corners: where and how high a signal turns, from smooth stretches fitted on both sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.uncertainty.noise import long_run_variance
+
+_BINS_PER_SIDE = 600
+_ROUNDS = 30
+_LEAST_OF_LINE, _LEAST_OF_LEVEL = 5, 3
+"""Samples of a line and of the level between two lines: two may be the sides of a corner."""
+
+
+@dataclass(frozen=True, slots=True)
+class Corner:
+    """A turning point of a signal.
+
+    Parameters
+    ----------
+    time : s
+    time_error : s, standard error; infinite where the two sides meet without a bend
+    value : in the unit of the signal
+    value_error : standard error of `value`
+    n : number of samples used
+    """
+
+    time: float
+    time_error: float
+    value: float
+    value_error: float
+    n: int
+
+
+def fit_corner(
+    time: Floats, values: Floats, *, near: float, window: float, degree: int
+) -> Corner | None:
+    """Fit two polynomials that meet at a corner of unknown time.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit; increasing time
+    near : s, first guess of the corner
+    window : s on each side of the guess; the corner is looked for in its inner half
+    degree : of the polynomial on each side: 1 for a motion at constant speed, 2 for a force
+
+    Returns
+    -------
+    The corner, or None when there are too few samples on one side.
+
+    Notes
+    -----
+    y = v + sum_k a_k min(t - c, 0)^k + b_k max(t - c, 0)^k; v, a, b by linear least squares for
+    every c on a grid, then all together by Gauss-Newton. Long records are averaged in 600 to 1200
+    bins per side first. Standard errors use the long-run variance of the residuals
+    (`long_run_variance`). NaN are left out.
+    """
+    chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
+    t, y = _binned(time[chosen] - near, values[chosen])
+    if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
+        return None
+    grid = np.linspace(-0.5 * window, 0.5 * window, 41)
+    coarse = block_means(t, y, len(t) // 200)
+    costs = [_joint_fit(*coarse, at, degree)[1] for at in grid]
+    at = float(grid[int(np.argmin(costs))])
+    parameters = np.append(_joint_fit(t, y, at, degree)[0], at)
+    for _ in range(6):
+        jacobian, misfit = _linearised(t, y, parameters, degree)
+        step = np.linalg.lstsq(jacobian, misfit, rcond=None)[0]
+        step[-1] = np.clip(step[-1], -0.05 * window, 0.05 * window)
+        parameters = parameters + step
+    if not abs(parameters[-1]) < 0.75 * window:
+        return None
+    jacobian, misfit = _linearised(t, y, parameters, degree)
+    return _corner(jacobian, misfit, parameters, near, int(chosen.sum()))
+
+
+def fit_stop(
+    time: Floats, values: Floats, *, near: tuple[float, float], window: float
+) -> tuple[Corner, Corner] | None:
+    """Fit a line, a level and a line: where a motion stops, and where it goes on.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and any unit; increasing time
+    near : s, first guesses of stop and start, in order
+    window : s before the stop and after the start
+
+    Returns
+    -------
+    Both corners, or None where no level is left between the lines, or where the lines do not meet
+    it.
+
+    Notes
+    -----
+    Every sample belongs to the line before, the level or the line after; each is fitted by least
+    squares, and the corners are where they meet. Then the samples are shared out again, until
+    nothing changes. A level that is too long at first loses about half of the excess each time.
+    Standard errors use the long-run variance of the residuals. NaN are left out.
+    """
+    chosen = (time >= near[0] - window) & (time <= near[1] + window) & ~np.isnan(values)
+    middle = 0.5 * (near[0] + near[1])
+    t, y = time[chosen] - middle, values[chosen]
+    ends: tuple[float, float] = (near[0] - middle, near[1] - middle)
+    shared: Ints = np.zeros(0, dtype=np.int64)
+    slopes, level = (0.0, 0.0), 0.0
+    for _ in range(_ROUNDS):
+        parts = np.searchsorted(ends, t)
+        if np.array_equal(parts, shared):
+            break
+        shared = parts
+        before, between, after = (parts == number for number in range(3))
+        if min(before.sum(), after.sum()) < _LEAST_OF_LINE or between.sum() < _LEAST_OF_LEVEL:
+            return None
+        first, second = (np.polyfit(t[part], y[part], 1) for part in (before, after))
+        slopes, level = (float(first[0]), float(second[0])), float(y[between].mean())
+        if 0.0 in slopes:
+            return None
+        ends = (level - float(first[1])) / slopes[0], (level - float(second[1])) / slopes[1]
+        if not -window < ends[0] < ends[1] < window:
+            return None
+    sides = np.minimum(t - ends[0], 0.0), np.maximum(t - ends[1], 0.0)
+    misfit = y - level - slopes[0] * sides[0] - slopes[1] * sides[1]
+    moves = [-slope * (side != 0.0) for slope, side in zip(slopes, sides, strict=True)]
+    columns = [np.ones_like(t), *sides]
+    return (
+        _corner(
+            np.column_stack([*columns, moves[1], moves[0]]),
+            misfit,
+            np.array([level, ends[0]]),
+            middle,
+            len(t),
+        ),
+        _corner(
+            np.column_stack([*columns, moves[0], moves[1]]),
+            misfit,
+            np.array([level, ends[1]]),
+            middle,
+            len(t),
+        ),
+    )
+
+
+def _corner(
+    jacobian: Floats, misfit: Floats, parameters: Floats, near: float, count: int
+) -> Corner:
+    variance = long_run_variance(misfit, parameters=jacobian.shape[1])
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0.0] = 1.0
+    information = (jacobian / scale).T @ (jacobian / scale)
+    bends = np.linalg.cond(information) < 1e12
+    inverse = np.linalg.pinv(information) / np.outer(scale, scale)
+    errors = np.sqrt(np.maximum(variance * np.diag(inverse), 0.0))
+    return Corner(
+        time=near + float(parameters[-1]),
+        time_error=float(errors[-1]) if bends else float("inf"),
+        value=float(parameters[0]),
+        value_error=float(errors[0]),
+        n=count,
+    )
+
+
+def _binned(time: Floats, values: Floats) -> tuple[Floats, Floats]:
+    """Averages of consecutive samples, 600 to 1200 bins on each side of zero."""
+    return block_means(time, values, len(time) // (2 * _BINS_PER_SIDE))
+
+
+def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:
+    """Averages of consecutive samples; averaged, not picked, so that hum does not fold.
+
+    Parameters
+    ----------
+    time, values : shape (n,)
+    size : samples per average; below 2 all samples are kept
+
+    Returns
+    -------
+    Means of both, shape (n // size,); NaN where a block holds one.
+    """
+    if size < 2:
+        return time, values
+    count = len(time) // size * size
+    time, values = time[:count].reshape(-1, size), values[:count].reshape(-1, size)
+    return time.mean(axis=1), values.mean(axis=1)
+
+
+def _design(time: Floats, at: float, degree: int) -> Floats:
+    left, right = np.minimum(time - at, 0.0), np.maximum(time - at, 0.0)
+    powers = [side**k for k in range(1, degree + 1) for side in (left, right)]
+    return np.column_stack([np.ones_like(time), *powers])
+
+
+def _joint_fit(time: Floats, values: Floats, at: float, degree: int) -> tuple[Floats, float]:
+    design = _design(time, at, degree)
+    coefficients = np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=np.float64)
+    misfit = values - design @ coefficients
+    return coefficients, float(misfit @ misfit)
+
+
+def _linearised(
+    time: Floats, values: Floats, parameters: Floats, degree: int
+) -> tuple[Floats, Floats]:
+    """Jacobian of the model and misfit at the present parameters; the last one is the time."""
+    coefficients, at = parameters[:-1], float(parameters[-1])
+    design = _design(time, at, degree)
+    slope = np.zeros_like(time)
+    for k in range(1, degree + 1):
+        left, right = coefficients[2 * k - 1], coefficients[2 * k]
+        side = np.where(time < at, left, right)
+        slope -= k * side * (time - at) ** (k - 1)
+    return np.column_stack([design, slope]), values - design @ coefficients

@@ -1,0 +1,347 @@
+"""Mean curves of groups at common displacements, with pointwise and simultaneous 95 % bands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize, special
+
+from labpipe.records.arrays import Floats
+from labpipe.records.group import Band, NestedMean, Sample
+from labpipe.records.quality import QualityNote, Reason, Severity
+from labpipe.statistics.group_notes import group_note, sample_keys
+from labpipe.statistics.means import LEVEL, USUAL, PoolingLimits, nested_mean, t_quantile
+
+_POINTS = 500
+"""Points of a curve before it is averaged with others, each the mean of its samples: noise that is
+faster says nothing about the sample and makes the band of the whole curve wide."""
+
+
+def loading_band(
+    samples: Sequence[Sample],
+    limits: PoolingLimits = USUAL,
+    *,
+    divisors: Mapping[str, float] | None = None,
+) -> tuple[Band, list[QualityNote]]:
+    """Mean curve of the first loading branch of each sample.
+
+    Parameters
+    ----------
+    samples : those without a loading branch are left out, with a note
+    limits : when spools may be pooled
+    divisors : N, by sample: what its force is divided by; samples without one are left out
+
+    Returns
+    -------
+    The band and notes. Over spool means unless the mean forces over the common range say that
+    spools may be pooled: one decision for the whole curve, since the width of a band that decides
+    at every displacement would jump.
+    """
+    drawn = [
+        (key, sample)
+        for key, sample in zip(sample_keys(samples), samples, strict=True)
+        if sample.loading and (divisors is None or key in divisors)
+    ]
+    curves = [
+        (
+            block_means(sample.loading[0].displacement, _POINTS),
+            block_means(sample.loading[0].force, _POINTS) / (divisors or {}).get(key, 1.0),
+        )
+        for key, sample in drawn
+    ]
+    shared = common_curves(curves, [key for key, _ in drawn])
+    notes = [*_curve_notes(samples, shared)]
+    if not len(shared.displacement):
+        return mean_band(shared), notes
+    spools = [sample.specimen.spool for _, sample in drawn]
+    decision = _curve_decision(shared, spools, limits)
+    if len(set(spools)) > 1:
+        by = "Mean curve, by the mean force of each sample over the common range."
+        notes.append(group_note("curve_pooling", f"{by} {decision.decision}"))
+    if decision.is_pooled:
+        return mean_band(shared), notes
+    return mean_band(_spool_curves(shared, spools), over="spool means"), notes
+
+
+def _curve_decision(
+    shared: CommonCurves, spools: Sequence[str], limits: PoolingLimits
+) -> NestedMean:
+    level = shared.force.mean(axis=1)
+    by_spool = {spool: level[np.array(spools) == spool] for spool in dict.fromkeys(spools)}
+    return nested_mean(by_spool, limits)
+
+
+def _spool_curves(shared: CommonCurves, spools: Sequence[str]) -> CommonCurves:
+    """Mean curve of each spool."""
+    labels = np.array(spools)
+    means = [shared.force[labels == spool].mean(axis=0) for spool in dict.fromkeys(spools)]
+    return CommonCurves(shared.displacement, np.array(means))
+
+
+def scaled_band(samples: Sequence[Sample], limits: PoolingLimits) -> tuple[Band, list[QualityNote]]:
+    """Mean curve of force over the peak force of the same sample.
+
+    Parameters
+    ----------
+    samples : those without a positive peak force are left out, with a note
+    limits : when spools may be pooled
+
+    Returns
+    -------
+    The band (force without a unit) and notes, as `loading_band` gives them; their codes end in
+    ``_scaled``.
+    """
+    peaks = dict(zip(sample_keys(samples), (_peak(sample) for sample in samples), strict=True))
+    usable = {key: peak for key, peak in peaks.items() if peak > 0}
+    band, notes = loading_band(samples, limits, divisors=usable)
+    without = [key for key in peaks if key not in usable]
+    told = [
+        group_note(f"{note.code}_scaled", f"Force / peak force: {note.message}")
+        for note in notes
+        if note.code != "no_curve"
+    ]
+    if without:
+        message = (
+            f"not in the mean of force / peak force, without a peak force: {', '.join(without)}"
+        )
+        told.append(group_note("no_peak_force", message, Severity.WARNING))
+    return band, told
+
+
+def _peak(sample: Sample) -> float:
+    """Peak force of the first cycle, N; its largest force where that is no result; NaN without."""
+    stated = [result for result in sample.results if result.name == "peak_force.1"]
+    if stated:
+        return float("nan") if stated[0].value is None else stated[0].value
+    forces: Floats = sample.loading[0].force if sample.loading else np.zeros(0)
+    known = forces[~np.isnan(forces)]
+    return float(known.max()) if len(known) else float("nan")
+
+
+def _curve_notes(samples: Sequence[Sample], shared: CommonCurves) -> list[QualityNote]:
+    without = [
+        key for key, sample in zip(sample_keys(samples), samples, strict=True) if not sample.loading
+    ]
+    notes = []
+    if without:
+        message = f"not in the mean curve, without a loading branch: {', '.join(without)}"
+        notes.append(group_note("no_curve", message, Severity.WARNING))
+    gaps = _gaps(shared.displacement)
+    if gaps:
+        message = f"the mean curve leaves out where a sample has a gap: {', '.join(gaps)}"
+        notes.append(group_note("gap_in_curves", message, Severity.WARNING))
+    return notes
+
+
+def _gaps(displacement: Floats) -> list[str]:
+    """Ranges, in words, where an evenly spaced grid has points missing."""
+    steps = np.diff(displacement)
+    if not len(steps):
+        return []
+    wide = np.flatnonzero(steps > 1.5 * steps.min())
+    ends = [(1e3 * displacement[at], 1e3 * displacement[at + 1]) for at in wide]
+    return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
+
+
+POINTS = 201
+"""Displacements of a mean curve: 0.25 mm apart over 50 mm."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonCurves:
+    """Curves at the displacements they share.
+
+    Parameters
+    ----------
+    displacement : shape (n,), m, increasing; empty where the curves share no range
+    force : shape (curves, n), N, without NaN
+    reason : ``empty_group``, ``no_data`` or ``no_overlap`` with the ranges; else None
+    """
+
+    displacement: Floats
+    force: Floats
+    reason: Reason | None = None
+
+
+def common_curves(
+    curves: Sequence[tuple[Floats, Floats]], names: Sequence[str] = (), points: int = POINTS
+) -> CommonCurves:
+    """Read curves at displacements where every one of them has data.
+
+    Parameters
+    ----------
+    curves : displacement (m) and force (any unit) of each, both of shape (its own n,)
+    names : one per curve, for messages
+    points : evenly spaced displacements from the last beginning to the first end
+
+    Returns
+    -------
+    Forces by linear interpolation between neighbours, never beyond the data of a curve. A NaN
+    opens a gap from the datum before it to the one after; displacements in a gap of any curve are
+    left out. A curve whose displacement steps back is put in order of displacement.
+    """
+    nothing = np.zeros(0), np.zeros((len(curves), 0))
+    if not curves:
+        return CommonCurves(*nothing, Reason("empty_group", "there is no curve to average"))
+    called = list(names) or [f"curve {number}" for number in range(1, len(curves) + 1)]
+    ordered = [_in_order(*curve) for curve in curves]
+    spans = [_span(*curve) for curve in ordered]
+    blank = [name for name, span in zip(called, spans, strict=True) if np.isnan(span[0])]
+    if blank:
+        message = f"no curve to average in {', '.join(blank)}"
+        return CommonCurves(*nothing, Reason("no_data", message))
+    start, stop = max(span[0] for span in spans), min(span[1] for span in spans)
+    if stop <= start:
+        return CommonCurves(*nothing, _no_overlap(called, spans))
+    grid = np.linspace(start, stop, points)
+    force = np.array([np.interp(grid, *curve) for curve in ordered])
+    shared = ~np.isnan(force).any(axis=0)
+    return CommonCurves(grid[shared], force[:, shared])
+
+
+def _in_order(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
+    """A curve in order of displacement; a point of unknown displacement is a gap in the force."""
+    known = ~np.isnan(displacement)
+    if not known.any():
+        return np.zeros(0), np.zeros(0)
+    number = np.arange(len(displacement), dtype=np.float64)
+    at = np.interp(number, number[known], displacement[known])
+    order = np.argsort(at, kind="stable")
+    return at[order], np.where(known, force, np.nan)[order]
+
+
+def _span(displacement: Floats, force: Floats) -> tuple[float, float]:
+    known = np.flatnonzero(~np.isnan(force))
+    if not len(known):
+        return float("nan"), float("nan")
+    return float(displacement[known[0]]), float(displacement[known[-1]])
+
+
+def _no_overlap(names: Sequence[str], spans: Sequence[tuple[float, float]]) -> Reason:
+    starts, stops = (np.array(ends) for ends in zip(*spans, strict=True))
+    late, early = int(np.argmax(starts)), int(np.argmin(stops))
+    return Reason(
+        "no_overlap",
+        f"no displacement that every curve has: {names[late]} begins at "
+        f"{1e3 * starts[late]:.4g} mm, {names[early]} ends at {1e3 * stops[early]:.4g} mm",
+    )
+
+
+def mean_band(curves: CommonCurves, over: str = "samples") -> Band:
+    """Mean of curves with a pointwise and a simultaneous 95 % band.
+
+    Parameters
+    ----------
+    curves : independent curves at common displacements
+    over : what one curve is: ``samples`` or ``spool means``
+
+    Returns
+    -------
+    The pointwise band holds the true mean at any one displacement chosen beforehand in 95 % of
+    groups; the simultaneous band holds the whole true mean curve in at least 95 %. One curve: no
+    band, reason ``one_curve``. Two curves: no simultaneous band, reason ``two_curves``.
+
+    Notes
+    -----
+    mean -+ c s / sqrt(n) at each displacement, s with n - 1. Pointwise c is the quantile of t.
+    Simultaneous c: `simultaneous_quantile`.
+    """
+    n = len(curves.force)
+    if curves.reason or not len(curves.displacement):
+        reason = curves.reason or Reason(
+            "no_overlap", "every displacement lies in a gap of some curve"
+        )
+        return _bare(np.zeros(0), np.zeros(0), n, over, reason)
+    mean = curves.force.mean(axis=0)
+    if n == 1:
+        reason = Reason("one_curve", "a band needs the scatter of two curves, there is one")
+        return _bare(curves.displacement, mean, n, over, reason)
+    error = curves.force.std(axis=0, ddof=1) / np.sqrt(n)
+    half, half_all = t_quantile(n - 1) * error, simultaneous_quantile(curves.force) * error
+    why = f"no simultaneous band over two {over}, which may cross and then show no scatter at all"
+    return Band(
+        curves.displacement,
+        mean,
+        mean - half,
+        mean + half,
+        mean - half_all,
+        mean + half_all,
+        n,
+        over,
+        None if n > 2 else Reason("two_curves", why),
+    )
+
+
+def _bare(displacement: Floats, mean: Floats, n: int, over: str, reason: Reason) -> Band:
+    nothing = np.full(len(displacement), np.nan)
+    return Band(displacement, mean, nothing, nothing, nothing, nothing, n, over, reason)
+
+
+def simultaneous_quantile(curves: Floats) -> float:
+    """Multiple of the standard error that holds a whole mean curve with 95 %.
+
+    Parameters
+    ----------
+    curves : shape (n, points), without NaN
+
+    Returns
+    -------
+    Dimensionless, at least the quantile of t. NaN for fewer than three curves: two that cross
+    have no scatter where they do, and no multiple of it holds anything.
+
+    Notes
+    -----
+    The chance that |t| exceeds c anywhere along the curve is at most the chance that it does so at
+    the first point and the expected number of times that it rises through c later:
+    2 [P(t > c) + L / (2 pi) (1 + c^2 / v)^(-(v - 1) / 2)], v = n - 1 (Telschow and Schwartzman,
+    J. Stat. Plan. Inference 216 (2022) 70, the Gaussian kinematic formula of t processes). L, how
+    far the scatter turns along the curve, is measured as the length of the path of the residuals
+    brought to unit norm (Taylor and Worsley, J. Am. Stat. Assoc. 102 (2007) 913), which is
+    unbiased. The union bound over the points (Bonferroni) is taken where it is smaller, as with
+    curves as rough as noise. Measured coverage: docs/explanations/statistics.md.
+    """
+    n, points = curves.shape
+    if n < 3:
+        return float("nan")
+    free, outside = n - 1, 1.0 - LEVEL
+    turning = _turning(curves - curves.mean(axis=0))
+
+    def exceeding(c: float) -> float:
+        rises: float = turning / (2.0 * np.pi) * (1.0 + c**2 / free) ** (-0.5 * (free - 1))
+        return 2.0 * (float(special.stdtr(free, -c)) + rises) - outside
+
+    bonferroni = t_quantile(free, outside / points)
+    if exceeding(bonferroni) >= 0.0:
+        return bonferroni
+    return float(optimize.brentq(exceeding, 0.0, bonferroni, full_output=False))
+
+
+def _turning(residuals: Floats) -> float:
+    """Length of the path of residuals on the unit sphere, past points without scatter."""
+    norm = np.linalg.norm(residuals, axis=0)
+    size = np.abs(residuals).max(initial=0.0)
+    unit = residuals[:, norm > 1e-12 * size] / norm[norm > 1e-12 * size]
+    cosine = np.clip(np.sum(unit[:, 1:] * unit[:, :-1], axis=0), -1.0, 1.0)
+    return float(np.sum(np.arccos(cosine)))
+
+
+def block_means(values: Floats, points: int) -> Floats:
+    """Means over consecutive samples, of equal number.
+
+    Parameters
+    ----------
+    values : shape (n,); a NaN makes its mean NaN
+    points : how many means there should be at least, where there are as many samples
+
+    Returns
+    -------
+    Between `points` and twice as many; what does not fill the last block joins it.
+    """
+    size = max(1, len(values) // points)
+    starts = np.arange(0, max(len(values) - size + 1, 1), size)
+    if not len(values):
+        return values
+    means: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
+    return means

@@ -1,0 +1,1 @@
+"""Many results in, one record out: models of wires and bundles, calibration, comparison."""

@@ -1,0 +1,385 @@
+"""From a bundle in words, or of a test sheet, to the bounds of its bending, and where tests lie."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from itertools import chain
+from pathlib import Path
+
+from labpipe import __version__
+from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.protocol.bundle_grammar import bundle_in_words
+from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.records.curve import Interval
+from labpipe.records.group import BundlePlace, Group, Sample
+from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel
+from labpipe.records.quality import Reason
+from labpipe.records.result import Result
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.report.bundle_figures import save_bundle_figure
+from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.bundle_model import bundle_model, share_of_bounds
+from labpipe.wire.bundle_packing import WANTED, bore_for, choose_bore, fits, packing_fraction
+from labpipe.wire.wire_table import wire_table
+
+STIFFNESS = "bending_stiffness"
+
+
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """Model of a bundle, or why there is none."""
+
+    model: BundleModel | None
+    reasons: tuple[Reason, ...] = ()
+
+
+def find_places(groups: Sequence[Group], wires: Sequence[WireSpec]) -> Iterator[BundlePlace]:
+    """Place the samples of each group with a bundle, and its mean, between slipping and sticking.
+
+    Parameters
+    ----------
+    groups : of the report; those without a bundle have no place
+    wires : of the wire sheet
+
+    Yields
+    ------
+    Group by group: its samples, then its mean. The mean has bounds where all its samples have the
+    same ones. What has no bounds, or no stiffness, says why.
+
+    Notes
+    -----
+    The share is 0 where every wire slips on its neighbours and its strands slip too, 1 where
+    nothing slips: see `share_of_bounds`.
+    """
+    with_bundles = [group for group in groups if _bundles(group)]
+    every = dict.fromkeys(chain.from_iterable(map(_bundles, with_bundles)))
+    bounds = _bounds(list(every), {wire.name: wire for wire in wires})
+    for group in with_bundles:
+        for sample in group.samples:
+            yield _of_sample(group, sample, bounds)
+        yield _of_mean(group, bounds)
+
+
+def _bundles(group: Group) -> list[Bundle]:
+    return [bundle for each in group.samples if (bundle := _bundle_of(each)) is not None]
+
+
+def _bundle_of(sample: Sample) -> Bundle | None:
+    """What bounds rest on: the wires and where they lie, whatever holds them together."""
+    own = sample.specimen.bundle
+    return None if own is None else Bundle(own.wires, own.arrangement, own.positions)
+
+
+def _bounds(bundles: Sequence[Bundle], wires: Mapping[str, WireSpec]) -> dict[Bundle, _Bounds]:
+    tables: dict[str, WireTable] = {}
+    refused: dict[str, Reason] = {}
+    for name in dict.fromkeys(wire.type for bundle in bundles for wire in bundle.wires):
+        if name not in wires:
+            refused[name] = Reason("not_in_sheet", f"no bounds: the sheet has no {name}")
+            continue
+        try:
+            tables[name] = wire_table(wires[name])
+        except ValueError as error:
+            message = f"no bounds: {name} of the sheet cannot be modelled: {error}"
+            refused[name] = Reason("no_law", message)
+    return {bundle: _model(bundle, tables, refused) for bundle in bundles}
+
+
+def _model(
+    bundle: Bundle, tables: Mapping[str, WireTable], refused: Mapping[str, Reason]
+) -> _Bounds:
+    reasons = tuple(refused[wire.type] for wire in bundle.wires if wire.type in refused)
+    if reasons:
+        return _Bounds(None, reasons)
+    try:
+        return _Bounds(bundle_model(bundle, tables))
+    except ValueError as error:
+        return _Bounds(None, (Reason("no_model", f"no bounds: {error}"),))
+
+
+def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+    result = next((each for each in sample.results if each.name == STIFFNESS), None)
+    value = None if result is None else result.value
+    interval = None if result is None else result.interval
+    place = BundlePlace(group.name, sample.test, value, interval, reasons=_why_no_value(result))
+    bundle = _bundle_of(sample)
+    if bundle is None:
+        return _without(place, "no_bundle", "no bounds: its test sheet says no bundle")
+    return _between(place, bounds[bundle])
+
+
+def _without(place: BundlePlace, code: str, message: str) -> BundlePlace:
+    return replace(place, reasons=(Reason(code, message),))
+
+
+def _why_no_value(result: Result | None) -> tuple[Reason, ...]:
+    if result is None:
+        return (Reason("no_result", f"the test has no {STIFFNESS}"),)
+    return result.reasons if result.value is None else ()
+
+
+def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
+    number = next((each for each in group.numbers if each.name == STIFFNESS), None)
+    mean = None if number is None or number.mean is None else number.mean.chosen
+    value = None if mean is None else mean.mean
+    place = BundlePlace(group.name, "", value, mean.interval if mean else None)
+    if mean is None:
+        place = _without(place, "no_result", f"no sample has a {STIFFNESS}")
+    shared = list(dict.fromkeys(map(_bundle_of, group.samples)))
+    if len(shared) > 1 or shared[0] is None:
+        return _without(place, "bundles_differ", "no bounds: its samples differ in them")
+    return _between(place, bounds[shared[0]])
+
+
+def _between(place: BundlePlace, bounds: _Bounds) -> BundlePlace:
+    model = bounds.model
+    if model is None:
+        return replace(place, reasons=bounds.reasons)
+    place = replace(
+        place, low=model.low, free=model.free, high=model.high, principal=model.principal
+    )
+    if place.value is None:
+        return place
+    if not model.high > model.low:
+        return _without(place, "one_bound", "no share: the two bounds are the same")
+    share = partial(share_of_bounds, low=model.low, high=model.high)
+    own = place.interval
+    ends = None if own is None else Interval(share(own.lower), share(own.upper), own.level)
+    return replace(place, share=share(place.value), share_interval=ends)
+
+
+BUNDLE_FILE = "bundle.json"
+FIGURES_FOLDER = "figures"
+SCHEMA = 1
+
+_NOT_IN_A_NAME = re.compile(r"[^\w.-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class Conduit:
+    """A conduit that was offered.
+
+    Parameters
+    ----------
+    bore : inner diameter, m
+    packing_fraction : of the wires in it
+    holds : whether they fit as they lie
+    """
+
+    bore: float
+    packing_fraction: float
+    holds: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelledBundle:
+    """What became of a bundle.
+
+    Parameters
+    ----------
+    name : words of the bundle, or name of its test
+    model : bounds of its bending
+    conduits : that were offered, in that order
+    wanted_bore : m, of a conduit that the wires would fill by 0.7
+    folder : of the results
+    files : that were written
+    """
+
+    name: str
+    model: BundleModel
+    conduits: tuple[Conduit, ...]
+    wanted_bore: float
+    folder: Path
+    files: tuple[Path, ...] = ()
+
+
+def model_bundle(
+    what: str,
+    *,
+    wires: Path,
+    arrangement: str | None = None,
+    bores: Sequence[float] = (),
+    out: Path | None = None,
+    figures: bool = True,
+) -> ModelledBundle:
+    """Model a bundle and write what was found.
+
+    Parameters
+    ----------
+    what : a test sheet, the folder of one, or words such as ``10 B1 + 9 B2``
+    wires : wire sheet that has the types of the bundle as its wires
+    arrangement : goes before that of the test sheet
+    bores : m, inner diameters of conduits to choose from; go before that of the test sheet
+    out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
+    figures : whether to draw
+
+    Returns
+    -------
+    The model, with the bore chosen among those that were offered.
+
+    Raises
+    ------
+    LabpipeError
+        If the words, the test sheet or the wire sheet have faults, a wire is not in the sheet, or
+        the bundle fits no conduit; earlier results are then as they were.
+    """
+    _check_arrangement(arrangement)
+    name, bundle = _bundle(what, arrangement)
+    tables = _tables(bundle, wires)
+    offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
+    try:
+        model = _in_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
+    except ValueError as error:
+        raise _cannot(what, str(error)) from error
+    folder = Path("processed/bundles") / _NOT_IN_A_NAME.sub("-", name) if out is None else out
+    diameters = model.layout.diameter
+    conduits = [
+        Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
+        for bore in offered
+    ]
+    modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
+    return _write(modelled, figures=figures)
+
+
+def _check_arrangement(arrangement: str | None) -> None:
+    if arrangement not in (None, *ARRANGEMENTS):
+        message = complaint(
+            "--arrangement",
+            "",
+            expected=f"one of {', '.join(ARRANGEMENTS)}",
+            found=repr(arrangement),
+            remedy="Choose one, or leave it out.",
+        )
+        raise UsageError(message)
+
+
+def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
+    """Name and composition, from a test sheet or from words."""
+    path = Path(what)
+    with suppress(OSError):  # words that are too long for a name
+        path = path / SHEET_NAME if path.is_dir() else path
+    if path.suffix not in (".yaml", ".yml"):
+        bundle = bundle_in_words(what, arrangement=arrangement or PACKED)
+        name = bundle.composition.replace(" + ", " ")
+        return (f"{name} {bundle.arrangement}" if len(bundle.wires) > 1 else name), bundle
+    sheet = load_test_sheet(path)
+    found = sheet.specimen.record.bundle
+    if found is None:
+        message = complaint(
+            path,
+            "specimen",
+            expected="a bundle",
+            found="none",
+            remedy="Write what the bundle is made of, such as 'bundle: {wires: {B1: 7}}'.",
+        )
+        raise UsageError(message)
+    return sheet.test, replace(found, arrangement=arrangement or found.arrangement)
+
+
+def _tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
+    """Laws of the wires of a bundle."""
+    specs = {spec.name: spec for spec in read_wire_sheet(wires)}
+    missing = [wire.type for wire in bundle.wires if wire.type not in specs]
+    if missing:
+        message = complaint(
+            wires,
+            "",
+            expected=f"a row for each wire of the bundle, {', '.join(missing)} too",
+            found=f"rows for {', '.join(specs)}",
+            remedy="Add the row, or name another wire sheet with --wire.",
+        )
+        raise UsageError(message)
+    return {wire.type: _table(wires, wire.type, specs) for wire in bundle.wires}
+
+
+def _table(wires: Path, name: str, specs: dict[str, WireSpec]) -> WireTable:
+    try:
+        return wire_table(specs[name])
+    except ValueError as error:
+        message = complaint(
+            wires,
+            specs[name].place,
+            expected=f"a wire {name!r} that can be modelled",
+            found=f"this: {error}",
+            remedy="Check its row against the wire.",
+        )
+        raise ProcessingError(message) from error
+
+
+def _in_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
+    """The model inside the conduit that suits it best of those that are offered."""
+    if not offered:
+        return model
+    diameters = model.layout.diameter
+    bore = choose_bore(diameters, offered, smallest=model.smallest_bore)
+    bundle = replace(model.bundle, conduit_bore=bore)
+    return replace(model, bundle=bundle, packing_fraction=packing_fraction(diameters, bore))
+
+
+def _cannot(what: str, found: str) -> ProcessingError:
+    message = complaint(
+        what,
+        "",
+        expected="a bundle whose wires lie beside each other, inside its conduit",
+        found=f"this: {found}",
+        remedy="Check the wires, their positions and the bore.",
+    )
+    return ProcessingError(message)
+
+
+def _write(modelled: ModelledBundle, *, figures: bool) -> ModelledBundle:
+    folder = modelled.folder
+    with locked(folder), replacing_together(folder) as stage:
+        with storing(folder):
+            (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
+        written = [stage / BUNDLE_FILE]
+        if figures:
+            written += save_bundle_figure(modelled.model, stage / FIGURES_FOLDER)
+        files = tuple(folder / path.relative_to(stage) for path in written)
+    return replace(modelled, files=files)
+
+
+_NUMBERS = (
+    *("low", "free", "high", "principal", "principal_angle", "neutral"),
+    *("axial_stiffness", "smallest_bore", "middle", "packing_fraction"),
+)
+
+
+def as_json(modelled: ModelledBundle) -> dict[str, object]:
+    """What ``labpipe bundle --json`` prints: lists and plain numbers in SI units.
+
+    Parameters
+    ----------
+    modelled : a bundle
+    """
+    model, layout = modelled.model, modelled.model.layout
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "name": modelled.name,
+        "bundle": asdict(model.bundle),
+        **{name: getattr(model, name) for name in _NUMBERS},
+        "tensor": model.tensor.tolist(),
+        "wanted_packing_fraction": WANTED,
+        "wanted_bore": modelled.wanted_bore,
+        "conduits": [asdict(conduit) for conduit in modelled.conduits],
+        "curvature": model.curvature.tolist(),
+        "moment_slip": model.moment_slip.tolist(),
+        "moment_stick": model.moment_stick.tolist(),
+        "layout": {
+            "arrangement": layout.arrangement,
+            "x": layout.x.tolist(),
+            "y": layout.y.tolist(),
+            "kind": layout.kind.tolist(),
+            "diameter": layout.diameter.tolist(),
+            "radius": layout.radius,
+        },
+        "notes": [asdict(note) for note in model.notes],
+    }

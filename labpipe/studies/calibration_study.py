@@ -1,0 +1,439 @@
+"""From processed cantilever tests to a calibrated wire model, and what it predicts of others."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe import __version__
+from labpipe.decks import write_decks
+from labpipe.errors import ProcessingError
+from labpipe.process.targets import find_results, refuse_repeated, shared_folder
+from labpipe.protocol.load import load_calibration_plan
+from labpipe.protocol.plans import CalibrationPlan
+from labpipe.records.arrays import Floats
+from labpipe.records.curve_comparison import CurveAgreement, CurveMatch, ThirdCurveComparison
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import (
+    COPPER_SCALE,
+    INSULATION_MODULUS,
+    PARAMETERS,
+    RADIAL_FRICTION,
+    CalibratedParameter,
+    Calibration,
+    CalibrationFailure,
+    ParameterChoice,
+    Separability,
+    SourceCalibration,
+)
+from labpipe.report.calibration_figures import save_calibration_figures
+from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
+from labpipe.report.calibration_workbook import save_calibration_workbook
+from labpipe.store.replace import locked, replacing_together
+from labpipe.studies.external_curves import hold_third_curves, read_third_curves
+from labpipe.studies.first_loadings import FirstLoading, read_first_loadings
+from labpipe.studies.validation import (
+    bent_shapes,
+    built_wire,
+    compare,
+    require_known,
+    usual_sheet,
+    wire_to_calibrate,
+    without_copies,
+)
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
+from labpipe.wire.calibration.source_method import calibrate_as_source
+from labpipe.wire.wire_table import wire_table
+
+
+def comparison_json(each: ThirdCurveComparison) -> dict[str, object]:
+    """Lay out a comparison in lists and plain SI numbers; None where there is no number.
+
+    Parameters
+    ----------
+    each : a third curve with what it was held against
+    """
+    curve = each.curve
+    return {
+        "name": curve.name,
+        "file": curve.file,
+        "source": curve.source,
+        "wire": curve.wire,
+        "length": curve.length,
+        "load": "normal" if curve.is_normal else "as tested",
+        "deflection": curve.deflection.tolist(),
+        "force": curve.force.tolist(),
+        "tests": None if each.tests is None else _match(each.tests),
+        "model": _match(each.model),
+        "quality": [asdict(note) for note in each.notes],
+    }
+
+
+def _match(found: CurveMatch) -> dict[str, object]:
+    errors = found.errors
+    return {
+        "n": 0 if errors is None else errors.n,
+        "left_out": found.left_out,
+        "rmse": None if errors is None else _number(errors.rmse),
+        "rmse_share": None if errors is None else _number(errors.rmse_share),
+        "inside_band": None if errors is None else _number(errors.inside),
+        "force": _numbers(found.reference),
+        "reason": found.words,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _numbers(values: Floats) -> list[float | None]:
+    return [_number(value) for value in values]
+
+
+SCHEMA = 1
+
+
+def calibration_json(
+    calibration: Calibration,
+    groups: Sequence[ValidationGroup],
+    source: SourceCalibration | CalibrationFailure | None,
+    left_out: Mapping[str, str],
+) -> dict[str, object]:
+    """Lay out a calibration in lists and plain SI numbers; None where there is no number.
+
+    Parameters
+    ----------
+    calibration : of one wire
+    groups : what it was held against
+    source : the source's procedure, if it was asked for
+    left_out : by file, why a test was not taken
+    """
+    friction = calibration.friction_separability
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "wire": calibration.wire,
+        "method": calibration.method,
+        "parameters": [_parameter(each) for each in calibration.parameters],
+        "correlations": {
+            "names": list(PARAMETERS),
+            "values": [_numbers(row) for row in calibration.correlations],
+        },
+        "separability": _separability(calibration.separability),
+        "friction_separability": None if friction is None else _separability(friction),
+        "levels": {key: _number(value) for key, value in asdict(calibration.levels).items()},
+        "n_points": calibration.n_points,
+        "n_samples": calibration.n_samples,
+        "sse": calibration.sse,
+        "rmse": calibration.rmse,
+        "rmse_share": calibration.rmse_share,
+        "curves": [_curve(each) for each in calibration.curves],
+        "groups": [_group(each) for each in groups],
+        "source_method": _source(source),
+        "left_out": dict(left_out),
+        "quality": [asdict(note) for note in calibration.notes],
+    }
+
+
+def _parameter(each: CalibratedParameter) -> dict[str, object]:
+    interval, profile = each.interval, each.profile
+    return {
+        "name": each.name,
+        "value": _number(each.value),
+        "unit": each.unit,
+        "lower": None if interval is None or each.is_open_below else _number(interval.lower),
+        "upper": None if interval is None or each.is_open_above else _number(interval.upper),
+        "level": None if interval is None else interval.level,
+        "verdict": str(each.verdict),
+        "words": each.words,
+        "profile": None
+        if profile is None
+        else {
+            "value": _numbers(profile.value),
+            "deviance": _numbers(profile.deviance),
+            "threshold_below": _number(profile.threshold_below),
+            "threshold_above": _number(profile.threshold_above),
+        },
+        "prior_conflict": None
+        if each.conflict is None
+        else {
+            "size": _number(each.conflict.size),
+            "contradicts": each.conflict.contradicts,
+            "message": each.conflict.message,
+        },
+    }
+
+
+def _separability(each: Separability) -> dict[str, object]:
+    return {
+        "names": list(each.names),
+        "singular_values": _numbers(each.singular_values),
+        "combinations": [_numbers(row) for row in each.combinations],
+        "identified": dict(each.are_identified),
+        "words": each.words,
+    }
+
+
+def _curve(each: CurveAgreement) -> dict[str, object]:
+    names = ("sample_factor", "sse", "rmse", "rmse_share", "lag_one", "runs_p")
+    return {
+        "test": each.test,
+        "sample": each.sample,
+        "length": each.length,
+        **{name: _number(getattr(each, name)) for name in names},
+    }
+
+
+def _group(each: ValidationGroup) -> dict[str, object]:
+    errors, prediction = each.errors, each.prediction
+    return {
+        "wire": each.wire,
+        "length": each.length,
+        "calibrating": each.is_calibrated,
+        "tests": list(each.samples),
+        "n": None if errors is None else errors.n,
+        "sse": None if errors is None else _number(errors.sse),
+        "rmse": None if errors is None else _number(errors.rmse),
+        "rmse_share": None if errors is None else _number(errors.rmse_share),
+        "inside_band": None if errors is None else _number(errors.inside),
+        "reasons": [] if each.reason is None else [asdict(each.reason)],
+        "prediction": None
+        if prediction is None
+        else {
+            name: _numbers(getattr(prediction, name))
+            for name in (
+                *("deflection", "force", "lower", "upper"),
+                *("lower_mean", "upper_mean"),
+            )
+        },
+    }
+
+
+def _source(source: SourceCalibration | CalibrationFailure | None) -> dict[str, object] | None:
+    if source is None:
+        return None
+    if isinstance(source, CalibrationFailure):
+        return {"failed": source.code, "reason": source.message}
+    names = (
+        *("strand_friction", "insulation_friction", "radial_force", "radial_friction"),
+        *("sse", "rmse", "rmse_share"),
+    )
+    return {
+        **{name: _number(getattr(source, name)) for name in names},
+        "start": list(source.start),
+        "converged": source.converged,
+        "singular_values": _numbers(source.singular_values),
+    }
+
+
+MODEL_FILE = "calibration.json"
+WORKBOOK_FILE = "calibration.xlsx"
+FIGURES_FOLDER = "figures"
+DEFAULT_FOLDER = "calibration"
+_REMEDY = (
+    "Check the values and units that the plan fixes or believes, and the wire's row in the sheet."
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """A calibration, and what it was held against.
+
+    Parameters
+    ----------
+    folder : of the results
+    calibration : of the wire that was calibrated
+    source : the source's procedure on the same tests, if the plan asks for it
+    groups : samples of one wire and length each, those of the calibrated wire first
+    left_out : by file, why a test was not taken
+    files : all that were written
+    comparisons : curves from elsewhere, held against tests and model
+    shapes : of one sample of the calibrated wire, and of the model, by what they are of
+    """
+
+    folder: Path
+    calibration: Calibration
+    source: SourceCalibration | CalibrationFailure | None
+    groups: tuple[ValidationGroup, ...]
+    left_out: Mapping[str, str]
+    files: tuple[Path, ...]
+    comparisons: tuple[ThirdCurveComparison, ...] = ()
+    shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
+
+
+def calibrate_tests(
+    targets: Sequence[Path],
+    *,
+    wires: Path | None = None,
+    plan: Path | None = None,
+    out: Path | None = None,
+    figures: bool = True,
+    say: Callable[[str], None] = lambda _: None,
+) -> Calibrated:
+    """Calibrate one wire by its tests, and predict the others among them.
+
+    Parameters
+    ----------
+    targets : result.h5 files, or folders that hold some
+    wires : the wire sheet that has the specimen types as its wires; None for ``wires.xlsx`` or
+        ``wires.csv`` in the working folder
+    plan : calibration YAML; None for all parameters free
+    out : folder of the results; None for ``calibration`` in the folder that all tests share
+    figures : whether to draw
+    say : told the name of each test as it is read, then each stage
+
+    Returns
+    -------
+    The calibration and its files.
+
+    Raises
+    ------
+    LabpipeError
+        If a file is wrong, no test can be used, two have one name, tests of several wires leave
+        open which to calibrate, or the calibration fails; earlier results are then as they were.
+    """
+    asked = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
+    wires = usual_sheet() if wires is None else wires
+    specs = {spec.name: spec for spec in read_wire_sheet(wires)}
+    curves = read_third_curves(asked, plan, specs, wires)
+    files = find_results(targets)
+    loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
+    if not loadings:
+        raise ProcessingError("\n".join(left_out.values()))
+    refuse_repeated([(each.curve.test, each.file) for each in loadings], "name")
+    loadings, copies = without_copies(loadings)
+    name = wire_to_calibrate(loadings, asked, plan)
+    require_known(loadings, specs, wires)
+    tested = {each.curve.wire for each in loadings}
+    asked_for = sorted(tested | {each.wire for each in curves})
+    built = {wire: built_wire(specs[wire], wires) for wire in asked_for}
+    own = [each for each in loadings if each.curve.wire == name]
+    say("calibration")
+    calibration = _calibration(built[name], own, asked)
+    groups = compare(calibration, built, loadings)
+    done = Calibrated(
+        folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
+        calibration=calibration,
+        source=_as_source(built[name], own, asked),
+        groups=groups,
+        left_out=left_out | copies,
+        files=(),
+        comparisons=hold_third_curves(curves, calibration, built, groups, own + loadings),
+    )
+    if figures:
+        wire = built_wire(calibrated_spec(specs[name], calibration), wires)
+        done = replace(done, shapes=_shapes(own[0], wire))
+    calibrated = [calibrated_spec(specs[each], calibration) for each in sorted(tested)]
+    return replace(done, files=_write(done, calibrated, say, figures=figures))
+
+
+def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
+    """A wire with the numbers of a calibration in place of those of its sheet.
+
+    Parameters
+    ----------
+    spec : of the calibrated wire, or of another of the same make
+    calibration : what was found; a parameter that does not act is left as it is
+
+    Returns
+    -------
+    The wire; the radial force is what goes with its friction coefficients.
+    """
+    values = {each.name: each.value for each in calibration.parameters if np.isfinite(each.value)}
+    friction = spec.friction_strand + spec.friction_insulation
+    radial = values.get(RADIAL_FRICTION, spec.radial_force * friction) / friction
+    return replace(
+        spec,
+        radial_force=radial,
+        insulation_modulus=values.get(INSULATION_MODULUS, spec.insulation_modulus),
+        copper_k=spec.copper_k * values.get(COPPER_SCALE, 1.0),
+    )
+
+
+def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan) -> Calibration:
+    settings = Settings(
+        choices=_choices(asked),
+        gain=max(each.gain for each in own),
+        scatter=asked.scatter,
+    )
+    found = calibrate(wire, [each.curve for each in own], settings)
+    if isinstance(found, CalibrationFailure):
+        message = (
+            f"the calibration of {own[0].curve.wire} failed ({found.code}): {found.message}. "
+            f"{_REMEDY}"
+        )
+        raise ProcessingError(message)
+    notes = (*found.notes, *(note for each in own for note in each.notes))
+    return replace(found, notes=notes)
+
+
+def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...]]:
+    """Shapes of the first test of the calibrated wire."""
+    curve = loading.curve
+    deepest = float(np.max(curve.deflection))
+    shapes = bent_shapes(loading.file, wire, curve.length, curve.rig, deepest)
+    return {curve.test: shapes} if shapes else {}
+
+
+def _as_source(
+    wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan
+) -> SourceCalibration | CalibrationFailure | None:
+    if asked.method != "source":
+        return None
+    return calibrate_as_source(wire, [each.curve for each in own])
+
+
+def _choices(asked: CalibrationPlan) -> dict[str, ParameterChoice]:
+    """What the plan says of parameters; one that it does not name is free if it acts."""
+    said = asked.parameters.model_fields_set
+    found = {}
+    for name in PARAMETERS:
+        plan = getattr(asked.parameters, name)
+        if name in said:
+            found[name] = ParameterChoice(
+                value=plan.value,
+                is_fixed=plan.enters == "fixed",
+                factor=plan.factor,
+                source=plan.because,
+            )
+    return found
+
+
+def _write(
+    done: Calibrated,
+    calibrated: Sequence[WireSpec],
+    say: Callable[[str], None],
+    *,
+    figures: bool,
+) -> tuple[Path, ...]:
+    """Write the files of a calibration together."""
+    folder = done.folder
+    source = None if isinstance(done.source, CalibrationFailure) else done.source
+    shown = CalibrationReport(done.calibration, done.groups, done.shapes, source, done.comparisons)
+    with locked(folder), replacing_together(folder) as stage:
+        say("tables and decks")
+        model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE
+        model.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
+        save_calibration_workbook(shown, workbook)
+        written = [model, workbook]
+        written += write_decks([wire_table(spec) for spec in calibrated], stage)
+        if figures:
+            written += save_calibration_figures(shown, stage / FIGURES_FOLDER, say=say)
+        return tuple(folder / path.relative_to(stage) for path in written)
+
+
+def as_json(done: Calibrated) -> dict[str, object]:
+    """What ``labpipe calibrate --json`` prints: lists and plain numbers in SI units.
+
+    Parameters
+    ----------
+    done : the calibration
+    """
+    found = calibration_json(done.calibration, done.groups, done.source, done.left_out)
+    return found | {"comparisons": [comparison_json(each) for each in done.comparisons]}

@@ -1,0 +1,212 @@
+"""Curves from elsewhere that a plan names: read, then held against tests and model."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ReadError, UsageError, complaint, nearest
+from labpipe.protocol.plans import COPY_IT, CalibrationPlan, Comparison
+from labpipe.readers.curve_files import CurveColumn, read_curve
+from labpipe.records.curve_comparison import (
+    CurveMatch,
+    Prediction,
+    ThirdCurve,
+    ThirdCurveComparison,
+)
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import Calibration
+from labpipe.report.calibration_shown import ValidationGroup
+from labpipe.studies.first_loadings import FirstLoading
+from labpipe.wire.calibration.calibrate_wire import Wire
+from labpipe.wire.calibration.measured_curves import DEEPEST, match
+from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.cantilever import StringRig
+
+_GRID = 200
+"""Deflections of the model."""
+_SAME_LENGTH = 1e-6
+"""m, that two lengths may differ by and still be one."""
+
+
+def read_third_curves(
+    asked: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
+) -> tuple[ThirdCurve, ...]:
+    """Read all curves that a plan names.
+
+    Parameters
+    ----------
+    asked : the plan
+    plan : its file, whose folder the curves are in
+    specs : wires of the sheet, by name
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    UsageError
+        If curves cannot be read, or are of a wire that the sheet does not have: all that is wrong,
+        in one message.
+    """
+    folder = Path() if plan is None else plan.parent
+    found, told = [], []
+    for each in asked.comparisons:
+        if each.wire not in specs:
+            told.append(_unknown_wire(each, specs, plan, wires))
+        try:
+            found.append(_read(each, folder))
+        except ReadError as error:
+            told.append(str(error))
+    if told:
+        raise UsageError("\n".join(told))
+    return tuple(found)
+
+
+def _unknown_wire(
+    each: Comparison, specs: Mapping[str, WireSpec], plan: Path | None, wires: Path
+) -> str:
+    return complaint(
+        plan or "plan",
+        f"comparison '{each.name}', wire",
+        expected=f"a wire of {wires} ({', '.join(nearest(each.wire, list(specs)))})",
+        found=f"'{each.wire}'",
+        remedy="Name the wire that the curve is of, or add it to the sheet.",
+    )
+
+
+def _read(each: Comparison, folder: Path) -> ThirdCurve:
+    path = folder / each.file
+    if not path.resolve().is_relative_to(folder.resolve()):
+        expected, found = "a file inside the folder of the plan", "a link out of it"
+        raise ReadError(complaint(path, "", expected=expected, found=found, remedy=COPY_IT))
+    across, up = each.deflection, each.force
+    deflection, force = read_curve(
+        path,
+        CurveColumn("deflection", "m", across.column, across.unit, across.sign),
+        CurveColumn("force", "N", up.column, up.unit, up.sign),
+    )
+    is_normal = each.load == "normal"
+    return ThirdCurve(
+        each.name, each.file, each.wire, each.length, deflection, force, is_normal, each.because
+    )
+
+
+def hold_third_curves(
+    curves: Sequence[ThirdCurve],
+    calibration: Calibration,
+    wires: Mapping[str, Wire],
+    groups: Sequence[ValidationGroup],
+    loadings: Sequence[FirstLoading],
+) -> tuple[ThirdCurveComparison, ...]:
+    """Hold curves from elsewhere against the mean of the tests and against the model.
+
+    Parameters
+    ----------
+    curves : from elsewhere
+    calibration : of the model
+    wires : by name, those of the curves among them
+    groups : tests by wire and length
+    loadings : all tests; the first is of the rig that is taken where none has the wire and length
+    """
+    return tuple(
+        _held(curve, calibration, wires[curve.wire], _group(curve, groups), loadings)
+        for curve in curves
+    )
+
+
+def _group(curve: ThirdCurve, groups: Sequence[ValidationGroup]) -> ValidationGroup | None:
+    return next((g for g in groups if _is_of(curve, g.wire, g.length)), None)
+
+
+def _is_of(curve: ThirdCurve, wire: str, length: float) -> bool:
+    return curve.wire == wire and abs(curve.length - length) < _SAME_LENGTH
+
+
+def _string(curve: ThirdCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+    """String of the tests of that wire and length, else that of the first test, over the tip."""
+    own = [each.curve for each in loadings if _is_of(curve, each.curve.wire, each.curve.length)]
+    if own:
+        return own[0].rig
+    rig = loadings[0].curve.rig
+    return None if rig is None else replace(rig, anchor_x=curve.length)
+
+
+def _held(
+    curve: ThirdCurve,
+    calibration: Calibration,
+    wire: Wire,
+    group: ValidationGroup | None,
+    loadings: Sequence[FirstLoading],
+) -> ThirdCurveComparison:
+    tests, prediction, reason = None, None, ""
+    string = _string(curve, loadings)
+    rig = None if curve.is_normal else string
+    if group is not None:
+        band = group.band
+        tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
+    try:
+        prediction = _prediction(curve, calibration, wire, group, rig)
+    except ValueError as error:
+        reason = f"the model has no such curve: {error}"
+    if prediction is None:
+        nothing = np.full(len(curve.deflection), np.nan)
+        model = CurveMatch(nothing, None, len(nothing), reason)
+    else:
+        ends = (prediction.lower_mean, prediction.upper_mean)
+        model = match(curve, prediction.deflection, prediction.force, ends, "the model")
+    notes = list(_notes(curve, tests, model))
+    if rig is not string:
+        notes += _load_notes(curve, group, prediction)
+    return ThirdCurveComparison(curve, tests, model, prediction, tuple(notes))
+
+
+def _prediction(
+    curve: ThirdCurve,
+    calibration: Calibration,
+    wire: Wire,
+    group: ValidationGroup | None,
+    rig: StringRig | None,
+) -> Prediction:
+    """The model as far as curve and tests go, and a first loading is followed."""
+    tested = 0.0 if group is None else float(np.max(group.band.displacement, initial=0.0))
+    goal = max(tested, float(curve.deflection[-1]))
+    deepest = min(goal, DEEPEST * curve.length)
+    return predict(calibration, wire, curve.length, np.linspace(0.0, deepest, _GRID), rig=rig)
+
+
+def _load_notes(
+    curve: ThirdCurve, group: ValidationGroup | None, prediction: Prediction | None
+) -> Iterator[QualityNote]:
+    """Say what a load that is not that of the tests makes, by the model."""
+    pulled = None if group is None else group.prediction
+    if pulled is None or prediction is None:
+        return
+    ends = (curve.deflection, pulled.deflection, prediction.deflection)
+    at = min(float(each[-1]) for each in ends)
+    one, other = (
+        float(np.interp(at, each.deflection, each.force)) for each in (pulled, prediction)
+    )
+    message = (
+        f"its load stays normal to the axis, the tests' does not: at {1e3 * at:.4g} mm the model's "
+        f"force is {1e3 * one:.4g} mN as tested and {1e3 * other:.4g} mN normal to the axis"
+    )
+    yield QualityNote("third_curve_load", Severity.INFO, curve.name, message)
+
+
+def _notes(curve: ThirdCurve, tests: CurveMatch | None, model: CurveMatch) -> Iterator[QualityNote]:
+    if tests is None:
+        message = (
+            f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: held against the model alone"
+        )
+        yield QualityNote("third_curve_untested", Severity.INFO, curve.name, message)
+    for found in (tests, model):
+        if found is None or not found.words:
+            continue
+        if found.errors is None:
+            words = found.words
+            yield QualityNote("third_curve_not_compared", Severity.WARNING, curve.name, words)
+        else:
+            yield QualityNote("third_curve_cut", Severity.INFO, curve.name, found.words)

@@ -1,0 +1,392 @@
+"""First loadings of processed cantilever tests, as a calibration takes them, with their errors.
+
+They do not average out over the points as noise does. The zero of the force moves a whole curve
+up; the zero of the deflection, and a clock that is off, move it sideways; the shape that is put
+through the markers is off in proportion to the deflection, and in all tests of a rig alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from labpipe.errors import LabpipeError
+from labpipe.fits.loops import largest_sample
+from labpipe.pipeline.string_at_rest import at_rest, notes_of
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.estimates import Failure
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import Status, TestResult
+from labpipe.records.step_settings import FitShape, SpecimenFrame, Zero
+from labpipe.signal.turning_points import noise_level
+from labpipe.statistics.mean_curves import block_means
+from labpipe.store.read import read_stages
+from labpipe.uncertainty.noise import long_run_variance
+from labpipe.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
+from labpipe.wire.cantilever import StringRig
+
+_CYCLE = 2
+"""Branches of a cycle."""
+
+
+def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
+    """Standard error of the zero of the force, N.
+
+    Parameters
+    ----------
+    protocol : of the test
+    curve, first : of the test, and its first loading branch
+
+    Returns
+    -------
+    By how the force scatters at rest; 0 where the test has no rest before its loading.
+    """
+    rest = slice(0, first.start)
+    return zero_error(curve.time[rest], curve.force[rest], _zeroed_over(protocol))
+
+
+def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Branch) -> float:
+    """Standard error of what all deflections are off by, m.
+
+    Parameters
+    ----------
+    result, protocol : of the test
+    curve, first : of the result, and its first loading branch
+
+    Returns
+    -------
+    Of the zero of the deflection, as `force_zero_error`, and of the force's clock times the speed
+    of the deflection; the clock's is 0 where there is but one.
+    """
+    rest = slice(0, first.start)
+    zero = zero_error(curve.time[rest], curve.displacement[rest], _straight_over(protocol))
+    return float(np.hypot(zero, _clock_error(result) * _speed(curve, first)))
+
+
+def scale_error(result: TestResult) -> float:
+    """Standard error of the deflection's scale, as a ratio.
+
+    Parameters
+    ----------
+    result : of the test
+
+    Returns
+    -------
+    That of the first peak, which holds what another shape through the markers would make of it,
+    less what is its own: noise of the largest sample, and how far a corner reaches beyond it. 0
+    where the peak has no interval.
+    """
+    curve = result.curve
+    peak = next((each for each in result.results if each.name == "peak_displacement.1"), None)
+    if curve is None or peak is None or peak.interval is None or not peak.value:
+        return 0.0
+    cycle = slice(curve.branches[0].start, curve.branches[:_CYCLE][-1].stop)
+    values = np.sign(peak.value) * curve.displacement[cycle]
+    own = largest_sample(values, noise=noise_level(values))
+    error = 0.0 if isinstance(own, Failure) else own.error
+    shared = peak.interval.standard_error**2 - error**2
+    return float(np.sqrt(max(shared, 0.0))) / abs(peak.value)
+
+
+def zero_error(time: Floats, values: Floats, over: float | None) -> float:
+    """Standard error of a zero that is the mean over part of a rest, in the unit of the values.
+
+    Parameters
+    ----------
+    time : shape (n,), s, evenly sampled
+    values : shape (n,), at rest; NaN count as absent
+    over : s, of the part; None for all of it
+
+    Returns
+    -------
+    0 for fewer than four values.
+
+    Notes
+    -----
+    Long-run variance of the whole rest (`fitting.noise`) over the number of values in the part.
+    """
+    known = values[~np.isnan(values)]
+    variance = long_run_variance(known, parameters=1)
+    if np.isnan(variance):
+        return 0.0
+    lasts = float(time[-1] - time[0])
+    share = 1.0 if over is None else min(over / lasts, 1.0)
+    return float(np.sqrt(variance / (share * len(known))))
+
+
+def _zeroed_over(protocol: Protocol) -> float | None:
+    """Stretch that the zero of the force is the mean of, s; None where it is not zeroed."""
+    force = None if protocol.curve is None else protocol.curve.force
+    zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
+    return next((step.over for step in zeroed), None)
+
+
+def _straight_over(protocol: Protocol) -> float | None:
+    """Stretch that deflections are counted from, s; None where no step says so."""
+    frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
+    return next((step.over for step in frames), None)
+
+
+def _clock_error(result: TestResult) -> float:
+    """Standard error of the force's clock where the motion begins, s."""
+    fit = None if result.aligned is None else result.aligned.clock_fit
+    error = 0.0 if fit is None else fit.offset_interval.standard_error
+    return error if np.isfinite(error) else 0.0
+
+
+def _speed(curve: Curve, first: Branch) -> float:
+    """Mean speed of the deflection over the branch, m/s."""
+    part = slice(first.start, first.stop)
+    known = np.flatnonzero(np.isfinite(curve.displacement[part]))
+    if len(known) < 2:
+        return 0.0
+    begin, end = known[0] + first.start, known[-1] + first.start
+    moved = curve.displacement[end] - curve.displacement[begin]
+    return float(moved / (curve.time[end] - curve.time[begin]))
+
+
+GRAVITY = 9.80665
+"""m/s^2, standard acceleration of free fall."""
+_FEWEST = 20
+"""Points of a curve with which something can be said."""
+_TERMS = 7
+"""Of the polynomial that the slope of a first loading is read from, for the noise alone."""
+_SECOND_DIFFERENCE = np.sqrt(6.0)
+"""Standard deviation of a second difference of white noise, over that of the noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstLoading:
+    """The first loading of a processed test.
+
+    Parameters
+    ----------
+    curve : as calibrations take it
+    gain : standard uncertainty of the load cell's gain, as a ratio
+    notes : what is doubtful about it, or was cut off
+    file : that it was read from
+    """
+
+    curve: MeasuredCurve
+    gain: float
+    notes: tuple[QualityNote, ...]
+    file: Path = Path()
+
+
+class NotUsableError(LabpipeError):
+    """A test has no first loading that a calibration could take; the message says why."""
+
+
+def read_first_loadings(
+    files: Sequence[Path],
+    *,
+    points: int,
+    up_to: float | None = None,
+    say: Callable[[str], None] = lambda _: None,
+) -> tuple[list[FirstLoading], dict[str, str]]:
+    """Read first loadings, test after test.
+
+    Parameters
+    ----------
+    files : result.h5 files
+    points : of each curve, about; each is the mean of consecutive samples
+    up_to : m, largest deflection that is taken; None for as far as a first loading is followed
+    say : told the name of each test as it is read
+
+    Returns
+    -------
+    The curves, and by file why a test was left out.
+    """
+    found: list[FirstLoading] = []
+    left_out: dict[str, str] = {}
+    for file in files:
+        say(file.parent.name)
+        try:
+            result = read_stages(file)
+            protocol = parse_protocol(result.protocol_yaml, str(file))
+            loading = first_loading(result, protocol, points=points, up_to=up_to)
+            found.append(replace(loading, file=file))
+        except LabpipeError as error:
+            said = str(error)
+            left_out[str(file)] = said if str(file) in said else f"{file}: {said}"
+    return found, left_out
+
+
+def first_loading(
+    result: TestResult, protocol: Protocol, *, points: int, up_to: float | None = None
+) -> FirstLoading:
+    """Take the first loading out of a processed test.
+
+    Parameters
+    ----------
+    result : of a cantilever test
+    protocol : that it was processed by
+    points, up_to : as for `read_first_loadings`
+
+    Returns
+    -------
+    The curve up to its largest deflection. The string held the wire straight at rest, so that the
+    load cell, zeroed then, reads what comes on top of the counterweight; a test that knows nothing
+    of this is taken to be such, with a note.
+
+    Raises
+    ------
+    NotUsableError
+        If it is no cantilever, or has no curve, no first loading, no free length, too few points,
+        or a wire that hung at rest.
+
+    Notes
+    -----
+    The noise of a point is that of the second differences of the block means: of the force, and of
+    the deflection times the slope of the curve. What all points are off by together is apart from
+    it (`pipeline.loading_errors`).
+    """
+    _require_cantilever(protocol)
+    curve, branch = _first_branch(result)
+    rest_notes = _rest_notes(result, curve, branch, protocol)
+    length = result.specimen.dimensions.get("length", protocol.specimen.length)
+    if length is None:
+        message = "the free length is not known: give it in the test sheet (specimen.length)"
+        raise NotUsableError(message)
+    limit = min(up_to or np.inf, DEEPEST * length)
+    part = slice(branch.start, branch.stop)
+    deflection = block_means(curve.displacement[part], points)
+    force = block_means(curve.force[part], points)
+    usable = np.isfinite(deflection) & np.isfinite(force)
+    taken = usable & (deflection > 0.0) & (deflection <= limit)
+    if taken.sum() < _FEWEST:
+        message = (
+            f"{int(taken.sum())} points of the first loading lie between 0 and "
+            f"{1e3 * limit:.3g} mm: {_FEWEST} at least are needed; ask for more points, or for "
+            "deeper ones"
+        )
+        raise NotUsableError(message)
+    sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
+    measured = MeasuredCurve(
+        wire=result.specimen.type,
+        test=result.test,
+        sample=sample,
+        length=length,
+        deflection=deflection[taken],
+        force=force[taken],
+        noise=_noise(deflection[usable], force[usable])[taken[usable]],
+        rig=_rig(protocol, length),
+        zero_error=force_zero_error(protocol, curve, branch),
+        place_error=place_error(result, protocol, curve, branch),
+        scale_error=scale_error(result),
+    )
+    notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
+    return FirstLoading(measured, _gain(protocol), notes)
+
+
+def noise_of(values: Floats) -> float:
+    """Standard deviation of the noise of consecutive values on a smooth curve, in their unit.
+
+    Parameters
+    ----------
+    values : shape (n,), without NaN
+    """
+    return float(np.std(np.diff(values, 2)) / _SECOND_DIFFERENCE)
+
+
+def _noise(deflection: Floats, force: Floats) -> Floats:
+    """Noise of the force at each point, that of the deflection in it, N.
+
+    The slope is that of a polynomial in the root of the deflection: strands that still stick make
+    the first points several times as steep as the next, and what they say of friction as doubtful.
+    """
+    first = float(np.ptp(deflection)) / len(deflection)
+    root = np.sqrt(np.maximum(deflection, 0.5 * first))
+    slope = Polynomial.fit(root, force, _TERMS).deriv()(root) / (2.0 * root)
+    return np.hypot(noise_of(force), slope * noise_of(deflection))
+
+
+def _rest_notes(
+    result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
+) -> tuple[QualityNote, ...]:
+    """Refuse a wire that hung under its counterweight at rest; say what is not known of it."""
+    string = protocol.rig.string
+    if string is None or string.counterweight == 0.0:
+        return ()
+    if string.at_rest == "taut":
+        return ()
+    rest = at_rest(result.aligned, result.shape, curve, branch, GRAVITY * string.counterweight)
+    if rest.why_not_straight:
+        raise NotUsableError(rest.why_not_straight)
+    return tuple(notes_of(result.test, rest))
+
+
+def _require_cantilever(protocol: Protocol) -> None:
+    has_shape = any(isinstance(step, FitShape) for step in protocol.steps)
+    if protocol.rig.string is None and not has_shape:
+        message = (
+            f"it is no cantilever test: its protocol, {protocol.name}, has neither a string "
+            "(rig.string) nor a shape (step fit-shape)"
+        )
+        raise NotUsableError(message)
+
+
+def _first_branch(result: TestResult) -> tuple[Curve, Branch]:
+    curve = result.curve
+    if curve is None:
+        message = "it has no curve: look at its summary"
+        raise NotUsableError(message)
+    first = [
+        branch
+        for branch in curve.branches
+        if branch.cycle == 1 and branch.direction is Direction.LOADING
+    ]
+    if not first:
+        message = "it has no first loading: no branch was found"
+        raise NotUsableError(message)
+    peak = next((each for each in result.results if each.name == "peak_force.1"), None)
+    if peak is not None and peak.status is Status.FAILED:
+        message = f"its first loading failed: {peak.why}"
+        raise NotUsableError(message)
+    return curve, first[0]
+
+
+def _rig(protocol: Protocol, length: float) -> StringRig | None:
+    """String and counterweight as the protocol says; none where it names no string."""
+    string = protocol.rig.string
+    if string is None:
+        return None
+    return StringRig(string.length, GRAVITY * string.counterweight, length, string.length)
+
+
+def _gain(protocol: Protocol) -> float:
+    curve = protocol.curve
+    channel = None if curve is None else protocol.channels.get(curve.force)
+    return 0.0 if channel is None else channel.gain_uncertainty
+
+
+def _doubts(result: TestResult) -> list[QualityNote]:
+    """Say what of the curve is doubtful: results of the first cycle that rest on all of it."""
+    reasons = {
+        each.why
+        for each in result.results
+        if each.status is Status.DOUBTFUL
+        and each.name in ("peak_force.1", "peak_displacement.1", "energy.1")
+    }
+    return [
+        QualityNote("test_doubtful", Severity.WARNING, result.test, f"taken as it is: {reason}")
+        for reason in sorted(reasons)
+    ]
+
+
+def _cut(test: str, deflection: Floats, limit: float) -> list[QualityNote]:
+    beyond = deflection > limit
+    if not beyond.any():
+        return []
+    message = (
+        f"the first loading goes to {1e3 * deflection.max():.4g} mm; what lies beyond "
+        f"{1e3 * limit:.4g} mm was left out"
+    )
+    return [QualityNote("loading_cut", Severity.INFO, test, message)]

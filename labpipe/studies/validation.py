@@ -1,0 +1,346 @@
+"""Tests by wire and length beside what a calibrated model predicts of them, shapes included."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, UsageError, complaint, nearest
+from labpipe.protocol.plans import CalibrationPlan
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import PointFlag, Shape
+from labpipe.records.curve_comparison import CurveErrors, Prediction
+from labpipe.records.group import Band, SampleCurve
+from labpipe.records.quality import Reason
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import Calibration
+from labpipe.report.calibration_shown import BentShape, ValidationGroup
+from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
+from labpipe.store.read import read_result
+from labpipe.studies.first_loadings import FirstLoading
+from labpipe.wire.bending_law import play_law
+from labpipe.wire.calibration.calibrate_wire import Wire
+from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
+from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
+from labpipe.wire.wire_table import build
+
+STEPS = 6
+"""Deflections that are shown."""
+_CLOSE = 1e-6  # m, between the tip of the model and that of the sample
+_MOST_TRIES = 8
+_POINTS = 60
+
+
+def bent_shapes(
+    file: Path, wire: Wire, length: float, rig: StringRig | None, deepest: float
+) -> tuple[BentShape, ...]:
+    """Take a sample's shapes at even steps of deflection, and bend the model as far.
+
+    Parameters
+    ----------
+    file : result.h5 of a test with a shape
+    wire : with the calibrated numbers
+    length : free length, m
+    rig : the string; None for an end load normal to the axis
+    deepest : m, deflection up to which the first loading was taken
+
+    Returns
+    -------
+    `STEPS` shapes in the frame of the clamp; none for a test without a fitted shape. Markers stand
+    where they were seen, on the surface; fit and model are the axis.
+
+    Raises
+    ------
+    ValueError
+        If the model has no equilibrium at one of the deflections.
+    """
+    shape = read_result(file).shape
+    if shape is None or not shape.coefficients.size:
+        return ()
+    lift = shape.positions[:, -1, 1] - shape.positions[:, 0, 1]
+    rise = lift - lift[np.flatnonzero(np.isfinite(lift))[0]]
+    found = []
+    for wanted in deepest * np.arange(1, STEPS + 1) / STEPS:
+        reached = np.flatnonzero(rise >= wanted)
+        if len(reached):
+            frame = int(reached[0])
+            model = _model_shape(wire, length, rig, float(rise[frame]))
+            found.append(
+                BentShape(float(rise[frame]), _markers(shape, frame), _fit(shape, frame), model)
+            )
+    return tuple(found)
+
+
+def _markers(shape: Shape, frame: int) -> Floats:
+    seen = np.isin(shape.flags[frame], (PointFlag.MEASURED, PointFlag.RELABELLED))
+    return shape.positions[frame, seen, :2]
+
+
+def _fit(shape: Shape, frame: int) -> Floats:
+    powers = np.vander(np.linspace(0.0, 1.0, _POINTS), shape.coefficients.shape[2], increasing=True)
+    return np.asarray(powers @ shape.coefficients[frame, :2].T, dtype=np.float64)
+
+
+def _model_shape(wire: Wire, length: float, rig: StringRig | None, deflection: float) -> Floats:
+    """Axis of the model with its tip at a deflection, from straight."""
+    share = min(deflection / length, 0.9)
+    law = play_law(
+        wire.section,
+        wire.contacts,
+        largest_curvature=8.0 * share / (1.0 - share**2) / length,
+        orientation=wire.orientation,
+    )
+    if rig is None:
+        bent = bend_to_deflection(law, straight(law), length, deflection)
+        return np.column_stack([bent.x, bent.y])
+    travel = deflection
+    for _ in range(_MOST_TRIES):  # the string leans, so that the tip follows the clamp not quite
+        bent = bend_to_travel(law, straight(law), length, rig, travel)
+        missing = deflection - float(bent.y[-1])
+        if abs(missing) < _CLOSE:
+            break
+        travel += missing
+    return np.column_stack([bent.x, bent.y])
+
+
+USUAL_SHEETS = ("wires.xlsx", "wires.csv")
+"""What is looked for where no sheet is named."""
+
+
+def usual_sheet() -> Path:
+    """The sheet of the working folder.
+
+    Raises
+    ------
+    UsageError
+        If there is none.
+    """
+    for name in USUAL_SHEETS:
+        if Path(name).is_file():
+            return Path(name)
+    message = complaint(
+        "--wire",
+        "",
+        expected=f"a wire sheet, or {' or '.join(USUAL_SHEETS)} in the working folder",
+        found="neither",
+        remedy="Name the sheet that has the dimensions of the tested wires.",
+    )
+    raise UsageError(message)
+
+
+def wire_to_calibrate(
+    loadings: Sequence[FirstLoading], asked: CalibrationPlan, plan: Path | None
+) -> str:
+    """The wire of the plan, or the only one there is.
+
+    Parameters
+    ----------
+    loadings : of all tests
+    asked : the plan
+    plan : its file, for messages
+
+    Raises
+    ------
+    UsageError
+        If the plan's wire has no tests, or it names none and there are several.
+    """
+    tested = sorted({each.curve.wire for each in loadings})
+    if asked.wire is None and len(tested) == 1:
+        return tested[0]
+    if asked.wire in tested:
+        return str(asked.wire)
+    if asked.wire is None:
+        found = f"tests of {len(tested)} wires: {', '.join(tested)}"
+        remedy = "Name the one to calibrate, in the plan ('wire: A2'); the others are predicted."
+        message = complaint(
+            plan or "tests", "", expected="tests of one wire", found=found, remedy=remedy
+        )
+    else:
+        remedy = "Name a specimen type of the tests, or give its tests, too."
+        found = f"usable tests of {', '.join(nearest(asked.wire, tested))} alone"
+        message = complaint(
+            plan or "plan", "wire", expected=f"tests of '{asked.wire}'", found=found, remedy=remedy
+        )
+    raise UsageError(message)
+
+
+def without_copies(
+    loadings: Sequence[FirstLoading],
+) -> tuple[list[FirstLoading], dict[str, str]]:
+    """Take each first loading once: a copy of a test would count as one more.
+
+    Parameters
+    ----------
+    loadings : of all tests
+
+    Returns
+    -------
+    Those that differ, the first of its copies each, and by file why a copy was left out.
+    """
+    first: dict[tuple[bytes, bytes], FirstLoading] = {}
+    left_out: dict[str, str] = {}
+    for each in loadings:
+        kept = first.setdefault((each.curve.deflection.tobytes(), each.curve.force.tobytes()), each)
+        if kept is not each:
+            left_out[str(each.file)] = complaint(
+                each.file,
+                "",
+                expected="each test once",
+                found=f"the same first loading as in {kept.file}",
+                remedy="Leave the copy away.",
+            )
+    return list(first.values()), left_out
+
+
+def require_known(
+    loadings: Sequence[FirstLoading], specs: Mapping[str, WireSpec], wires: Path
+) -> None:
+    """Refuse tests of wires that the sheet does not have.
+
+    Parameters
+    ----------
+    loadings : of all tests
+    specs : wires of the sheet, by name
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    UsageError
+        If a wire is missing.
+    """
+    for wire in sorted({each.curve.wire for each in loadings} - set(specs)):
+        test = next(each.curve.test for each in loadings if each.curve.wire == wire)
+        message = complaint(
+            wires,
+            "column wire",
+            expected=f"a row for '{wire}', the specimen type of test {test}",
+            found=f"rows for {', '.join(nearest(wire, list(specs)))}",
+            remedy="Add the wire, or call it as the tests do.",
+        )
+        raise UsageError(message)
+
+
+def built_wire(spec: WireSpec, wires: Path) -> Wire:
+    """Build a wire of the sheet.
+
+    Parameters
+    ----------
+    spec : of the wire
+    wires : the sheet, for messages
+
+    Raises
+    ------
+    ProcessingError
+        If its strands do not fit.
+    """
+    try:
+        made = build(spec)
+    except ValueError as error:
+        message = complaint(
+            wires,
+            f"{spec.place}, wire '{spec.name}'",
+            expected="a wire that can be built",
+            found=f"this: {error}",
+            remedy="Check its row against the wire.",
+        )
+        raise ProcessingError(message) from error
+    return Wire(made.section, made.contacts, spec.orientation)
+
+
+_GRID = np.linspace(0.0, 1.0, 200) ** 1.5
+"""Deflections of a prediction, over the deepest: closer where the curve begins, and is bent."""
+_BLOCKS = 50
+"""Means of each curve, at least, that the mean curve is made of: of single points its band would
+show how they scatter by their noise, and not how the samples do."""
+
+
+def compare(
+    calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
+) -> tuple[ValidationGroup, ...]:
+    """Hold a calibration against tests, those that it rests on and others.
+
+    Parameters
+    ----------
+    calibration : what was found
+    wires : by name
+    loadings : all tests
+
+    Returns
+    -------
+    A group per wire and length, those of the calibrated wire first.
+    """
+    groups: dict[tuple[bool, str, float], list[FirstLoading]] = {}
+    for each in loadings:
+        key = (each.curve.wire != calibration.wire, each.curve.wire, round(each.curve.length, 6))
+        groups.setdefault(key, []).append(each)
+    return tuple(
+        _compared(calibration, wires[wire], groups[other, wire, length])
+        for other, wire, length in sorted(groups)
+    )
+
+
+def _compared(
+    calibration: Calibration, wire: Wire, loadings: Sequence[FirstLoading]
+) -> ValidationGroup:
+    curves = [each.curve for each in loadings]
+    deepest = max(float(np.nanmax(curve.deflection)) for curve in curves)
+    noise = float(np.mean([curve.read_error for curve in curves]))
+    first = curves[0]
+    prediction, errors, reason = None, None, None
+    try:
+        prediction = predict(
+            calibration,
+            wire,
+            first.length,
+            deepest * _GRID,
+            rig=first.rig,
+            noise=noise,
+        )
+    except ValueError as error:
+        reason = Reason("no_prediction", str(error))
+    else:
+        errors = _errors(curves, prediction)
+    return ValidationGroup(
+        wire=first.wire,
+        length=first.length,
+        is_calibrated=first.wire == calibration.wire,
+        samples={c.test: SampleCurve(c.deflection, c.force, c.force) for c in curves},
+        band=_band(curves, prediction),
+        prediction=prediction,
+        errors=errors,
+        reason=reason,
+    )
+
+
+def _band(curves: Sequence[MeasuredCurve], prediction: Prediction | None) -> Band:
+    """Mean of some curves, each of block means.
+
+    A block mean of a curve that is bent lies beside it, near the start by 8 % of the force. So the
+    model is taken off first and put back last; where there is none, the curve is taken as it is.
+    """
+
+    def shape(deflection: Floats) -> Floats:
+        if prediction is None:
+            return np.zeros_like(deflection)
+        return np.interp(deflection, prediction.deflection, prediction.force)
+
+    means = [
+        (block_means(c.deflection, _BLOCKS), block_means(c.force - shape(c.deflection), _BLOCKS))
+        for c in curves
+    ]
+    common = common_curves(means, [curve.test for curve in curves])
+    return mean_band(replace(common, force=common.force + shape(common.displacement)))
+
+
+def _errors(curves: Sequence[MeasuredCurve], prediction: Prediction) -> CurveErrors:
+    """Errors of all points of some curves, and the share of them inside the band."""
+    deflection = np.concatenate([curve.deflection for curve in curves])
+    model, lower, upper = (
+        np.interp(deflection, prediction.deflection, values)
+        for values in (prediction.force, prediction.lower, prediction.upper)
+    )
+    return curve_errors(np.concatenate([curve.force for curve in curves]), model, lower, upper)

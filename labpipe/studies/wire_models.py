@@ -1,0 +1,287 @@
+"""From a sheet of wires to their laws: tables, simulation decks, figures, a workbook."""
+
+from __future__ import annotations
+
+import json
+import signal
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from labpipe import __version__
+from labpipe.decks import deck_paths, deck_texts, write_texts
+from labpipe.errors import ProcessingError, UsageError, complaint
+from labpipe.records.wire import WireSpec, WireTable
+from labpipe.report.wire_figures import own_figures, save_wire_figures
+from labpipe.report.wire_workbook import save_wire_workbook
+from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.wire_table import wire_table
+
+WORKBOOK_FILE = "wires.xlsx"
+MODEL_FILE = "model.json"
+FIGURES_FOLDER = "figures"
+SCHEMA = 1
+
+_WORTH_SHARING = 24
+"""Wires beyond which a second process starts sooner than one alone is done."""
+_CHUNK = 4  # wires handed out at a time
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Modelled:
+    """What became of the wires of a sheet.
+
+    Parameters
+    ----------
+    sheet, folder : what was read, where the files are
+    tables : of the wires that could be modelled, in the order of the sheet
+    refused : name -> why, of those that could not
+    files : all that were written, the workbook first
+    gone : wires of an earlier run that the sheet has no more; their files were taken away
+    """
+
+    sheet: Path
+    folder: Path
+    tables: tuple[WireTable, ...]
+    refused: Mapping[str, str]
+    files: tuple[Path, ...]
+    gone: tuple[str, ...] = ()
+
+
+def model_wires(
+    sheet: Path,
+    *,
+    out: Path | None = None,
+    figures: bool = True,
+    say: Callable[[str], None] = lambda _: None,
+) -> Modelled:
+    """Model every wire of a sheet and write what was found.
+
+    Parameters
+    ----------
+    sheet : xlsx or csv, one row per wire
+    out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
+    figures : whether to draw; those drawn before stay otherwise
+    say : told the name of each wire as it is done, then each stage
+
+    Returns
+    -------
+    Tables, refusals and files. The files of a wire that is refused now, or is no longer in the
+    sheet, are taken away.
+
+    Raises
+    ------
+    LabpipeError
+        If the sheet has faults (all are told at once), no wire can be modelled, or the results
+        cannot be written; earlier results are then as they were.
+    """
+    folder = Path("processed") / sheet.stem if out is None else out
+    _spare(sheet, folder)
+    specs = read_wire_sheet(sheet)
+    with _helpers(len(specs), sheet) as pool:
+        made, refused = make_tables(specs, sheet, say, pool)
+        if not made:
+            raise ProcessingError("\n".join(refused.values()))
+        tables = tuple(wire.table for wire in made)
+        gone = _gone(folder, [spec.name for spec in specs])
+        modelled = Modelled(sheet, folder, tables, refused, (), gone)
+        owned = _files_of((*refused, *gone))
+        with locked(folder), replacing_together(folder, owned=owned) as stage:
+            say("tables and decks")
+            with storing(folder):
+                written = _write(modelled, [wire.decks for wire in made], stage, pool)
+            if figures:
+                written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say)
+            files = tuple(folder / path.relative_to(stage) for path in written)
+    return replace(modelled, files=files)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MadeWire:
+    """A wire that could be modelled.
+
+    Parameters
+    ----------
+    table : its law
+    decks : texts for simulation programs, see `labpipe.decks.deck_texts`
+    """
+
+    table: WireTable
+    decks: tuple[str, ...]
+
+
+def make_tables(
+    specs: Sequence[WireSpec],
+    sheet: Path,
+    say: Callable[[str], None] = lambda _: None,
+    pool: Executor | None = None,
+) -> tuple[tuple[MadeWire, ...], dict[str, str]]:
+    """Model wires and word their decks.
+
+    Parameters
+    ----------
+    specs : rows of the sheet
+    sheet : where they come from, for messages
+    say : told the name of each wire as it is done
+    pool : processes that do it; None for this one
+
+    Returns
+    -------
+    The wires in the order of the sheet, and by name why a wire could not be modelled.
+    """
+    made: list[MadeWire] = []
+    refused: dict[str, str] = {}
+    outcomes = pool.map(_outcome, specs, chunksize=_CHUNK) if pool else map(_outcome, specs)
+    for spec, outcome in zip(specs, outcomes, strict=True):
+        say(spec.name)
+        if isinstance(outcome, MadeWire):
+            made.append(outcome)
+        else:
+            refused[spec.name] = complaint(
+                sheet,
+                f"{spec.place}, wire '{spec.name}'",
+                expected="a wire that can be built and bent",
+                found=f"this: {outcome}",
+                remedy="Check its row against the wire.",
+            )
+    return tuple(made), refused
+
+
+@contextmanager
+def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
+    """Two processes for many wires, none for a few; what ends them from outside is told."""
+    if count <= _WORTH_SHARING:
+        yield None
+        return
+    pool = ProcessPoolExecutor(2, initializer=_leave_interrupts)
+    try:
+        yield pool
+    except BrokenProcessPool as error:
+        message = complaint(
+            sheet,
+            "",
+            expected="processes that model its wires to the end",
+            found="that one of them was ended from outside, as for want of memory",
+            remedy="Close other programs, or split the sheet, and run the model again.",
+        )
+        raise ProcessingError(message) from error
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _leave_interrupts() -> None:
+    """Let the process that was started by a person answer to the keyboard, and end this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _outcome(spec: WireSpec) -> MadeWire | str:
+    """A wire with its decks, or why it cannot be had."""
+    try:
+        table = wire_table(spec)
+        return MadeWire(table, deck_texts(table))
+    except ValueError as error:
+        return str(error)
+
+
+def _write(
+    modelled: Modelled, decks: Sequence[Sequence[str]], stage: Path, pool: Executor | None
+) -> list[Path]:
+    """Write workbook, model and decks; the workbook in another process while the rest is."""
+    workbook, model = stage / WORKBOOK_FILE, stage / MODEL_FILE
+    save = partial(save_wire_workbook, modelled.tables, workbook, refused=modelled.refused)
+    saving = pool.submit(save) if pool else None
+    model.write_text(json.dumps(as_json(modelled)), encoding="utf-8")
+    names = [table.name for table in modelled.tables]
+    written = write_texts(dict(zip(names, decks, strict=True)), stage)
+    if saving:
+        saving.result()
+    else:
+        save()
+    return [workbook, model, *written]
+
+
+def _spare(sheet: Path, folder: Path) -> None:
+    """Refuse to write over the sheet itself."""
+    for file in (folder / WORKBOOK_FILE, folder / MODEL_FILE):
+        if file.resolve() == sheet.resolve():
+            message = complaint(
+                sheet,
+                "",
+                expected="a folder for the results in which this sheet is not one of them",
+                found=f"that {file} would be written over it",
+                remedy="Choose another folder with --out.",
+            )
+            raise UsageError(message)
+
+
+def _gone(folder: Path, names: Sequence[str]) -> tuple[str, ...]:
+    """Wires of the model that stands in a folder and are not among some names."""
+    try:
+        earlier = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))["wires"]
+        return tuple(name for name in earlier if name not in names)
+    except (OSError, ValueError, KeyError, TypeError):
+        return ()  # no model, or not one of labpipe's: nothing that this command wrote
+
+
+def _files_of(names: Iterable[str]) -> list[str]:
+    """Files of wires below the folder; of one that is refused now they would speak otherwise."""
+    files: list[str] = []
+    for name in names:
+        files += [path.as_posix() for path in deck_paths(name, Path())]
+        stems = [f"{FIGURES_FOLDER}/{stem}" for stem in own_figures(name)]
+        files += [f"{stem}{ending}" for stem in stems for ending in (".svg", ".png")]
+    return files
+
+
+def as_json(modelled: Modelled) -> dict[str, object]:
+    """What ``labpipe model --json`` prints: lists and plain numbers in SI units.
+
+    Parameters
+    ----------
+    modelled : wires of a sheet
+    """
+    return {
+        "schema": SCHEMA,
+        "labpipe": __version__,
+        "sheet": modelled.sheet.name,
+        "wires": {table.name: _wire(table) for table in modelled.tables},
+        "refused": dict(modelled.refused),
+    }
+
+
+_ARRAYS = (
+    *("curvature", "moment", "secant_stiffness", "tangent_stiffness"),
+    *("stick", "slip", "bending", "plastic", "insulation"),
+    *("lowest_moment", "highest_moment", "slip_onsets"),
+)
+
+
+def _wire(table: WireTable) -> dict[str, object]:
+    layout = table.layout
+    return {
+        "stick_stiffness": table.stick_stiffness,
+        "slip_stiffness": table.slip_stiffness,
+        "axial_stiffness": table.axial_stiffness,
+        "torsional_stiffness": table.torsional_stiffness,
+        **{name: getattr(table, name).tolist() for name in _ARRAYS},
+        "cantilever": {
+            "length": table.spec.length,
+            "tip_deflection": table.tip_deflection.tolist(),
+            "force": table.tip_force.tolist(),
+        },
+        "layout": {
+            "kind": layout.kind,
+            "x": layout.x.tolist(),
+            "y": layout.y.tolist(),
+            "layer": [int(number) for number in layout.layer],
+            "diameter": layout.diameter.tolist(),
+            "bore_radius": layout.bore_radius,
+            "wire_radius": layout.wire_radius,
+        },
+        "notes": [asdict(note) for note in table.notes],
+    }

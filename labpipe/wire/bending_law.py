@@ -1,0 +1,386 @@
+"""The moment-curvature law of a stranded wire on first loading, and as plays (PHYSICS 4).
+
+Eq. (3.17) of the source, with the cos(alpha) of its appendix in the moment of the axial forces:
+
+    M = sum F r sin(theta) cos(alpha) + sum m(kappa) helix factor + EI_ins kappa.
+
+The axial forces F are those of `wire.friction`, the strands' own moments m those of
+`wire.strand_bending`. The strands' axial stiffness stays elastic, as in the source.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.law.plays import PlayLaw, require_positive
+from labpipe.records.arrays import Floats, frozen
+from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines, slip_onsets
+from labpipe.wire.strand_bending import helix_factor, strand_moment
+
+_CHUNK = 512  # curvatures at a time: what is worked on stays in the cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MomentCurve:
+    """A wire's moment against curvature, and what it is made of; arrays of shape (n,).
+
+    The moment is stick + slip + bending + plastic + insulation.
+
+    Parameters
+    ----------
+    curvature : 1/m
+    stick : N m, of the axial forces of strands that stick
+    slip : N m, of the axial forces of strands that slip
+    bending : N m, of the strands about their own axes, if they stayed elastic
+    plastic : N m, what yielding takes away from `bending`, of the other sign
+    insulation : N m
+    tangent_stiffness : dM / d(kappa), N m^2
+    stick_stiffness : N m^2, when nothing slips or yields: the slope at zero curvature
+    slip_stiffness : N m^2, of strands without any friction that do not yield
+    """
+
+    curvature: Floats
+    stick: Floats
+    slip: Floats
+    bending: Floats
+    plastic: Floats
+    insulation: Floats
+    tangent_stiffness: Floats
+    stick_stiffness: float
+    slip_stiffness: float
+
+    def __post_init__(self) -> None:
+        shape = (len(self.curvature),)
+        for name in (
+            *("curvature", "stick", "slip", "bending", "plastic", "insulation"),
+            "tangent_stiffness",
+        ):
+            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
+
+    @property
+    def moment(self) -> Floats:
+        """All parts together, N m."""
+        own = self.bending + self.plastic
+        return np.asarray(self.stick + self.slip + own + self.insulation)
+
+    @property
+    def secant_stiffness(self) -> Floats:
+        """M / kappa, N m^2; at zero curvature the tangent stiffness.
+
+        Neither this nor the tangent is eq. (3.23) of the source, which mixes the two and is not
+        offered.
+        """
+        is_zero = self.curvature == 0.0
+        ratio = self.moment / np.where(is_zero, 1.0, self.curvature)
+        return np.where(is_zero, self.tangent_stiffness, ratio)
+
+
+def stick_stiffness(section: CrossSection, *, orientation: float = 0.0) -> float:
+    """Bending stiffness while nothing slips or yields, N m^2.
+
+    Parameters
+    ----------
+    section : strands in place
+    orientation : rad, as for `moment_curvature`, whose slope at zero curvature this is
+
+    Notes
+    -----
+    slip stiffness + sum E A r^2 sin^2(theta) cos^3(alpha). It does not change with the orientation
+    when every ring has three strands or more, evenly spread; for two strands by a fifth, for
+    packings by some per cent.
+    """
+    sine = sines(section, orientation)
+    return slip_stiffness(section) + float(_rigidity(section) @ (section_arms(section) * sine) ** 2)
+
+
+def section_arms(section: CrossSection) -> Floats:
+    """Distance of the strands outside the core from the axis, shape (strands,), m."""
+    return section.radius[section.layer >= int(section.has_core)]
+
+
+def _rigidity(section: CrossSection) -> Floats:
+    """E A cos^3(alpha) of each strand outside the core, N."""
+    first = int(section.has_core)
+    values = [
+        layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
+        for layer in section.layers[first:]
+    ]
+    return np.repeat(values, [layer.count for layer in section.layers[first:]])
+
+
+def slip_stiffness(section: CrossSection) -> float:
+    """Bending stiffness of strands without friction that do not yield, and the insulation, N m^2.
+
+    Notes
+    -----
+    sum of E pi d^4 / 64 times the helix factor + E_ins pi / 64 (d_w^4 - (d_w - 2 t)^4).
+    """
+    strands = sum(
+        layer.count
+        * helix_factor(layer.lay_angle, layer.poisson)
+        * layer.material.modulus
+        * np.pi
+        * layer.diameter**4
+        / 64.0
+        for layer in section.layers
+    )
+    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    return float(strands + tube)
+
+
+def moment_curvature(
+    section: CrossSection,
+    contacts: Contacts,
+    curvature: Floats,
+    *,
+    tension: float = 0.0,
+    orientation: float = 0.0,
+) -> MomentCurve:
+    """Moment of a wire that was never bent before, at each of many curvatures.
+
+    Parameters
+    ----------
+    section : strands in place, with their materials
+    contacts : friction and pressure
+    curvature : shape (n,), 1/m, any order and sign; each is reached from zero without a turn
+    tension : of the whole wire, N, present before bending
+    orientation : rad, by which the section is turned against the neutral axis; at 0 a strand of
+        the first ring lies on it
+
+    Returns
+    -------
+    The law, its parts and stiffnesses; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If a curvature is infinite, if a strand is bent beyond the known part of its material's
+        curve, if the contacts do not match the rings, or if tension is negative.
+    """
+    bent = np.asarray(curvature, dtype=np.float64)
+    if np.isinf(bent).any():
+        message = f"curvature[{int(np.isinf(bent).argmax())}] is infinite: allowed are finite ones"
+        raise ValueError(message)
+    stick, slip, friction = _axial_parts(section, contacts, bent, tension, orientation)
+    elastic, own, slope = _own_moments(section, bent)
+    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    return MomentCurve(
+        bent,
+        stick,
+        slip,
+        elastic * bent,
+        own - elastic * bent,
+        tube * bent,
+        friction + slope + tube,
+        stick_stiffness(section, orientation=orientation),
+        slip_stiffness(section),
+    )
+
+
+def _axial_parts(
+    section: CrossSection, contacts: Contacts, bent: Floats, tension: float, orientation: float
+) -> tuple[Floats, Floats, Floats]:
+    """Moments of sticking and of slipping strands, N m, and the slope of both together, N m^2."""
+    stick, slip, slope = np.full((3, len(bent)), np.nan)
+    for side, turn, sign in ((bent >= 0.0, 0.0, 1.0), (bent < 0.0, np.pi, -1.0)):
+        if side.any():
+            sine = sines(section, orientation + turn)
+            bundle = arrange(section, contacts, sine, tension=tension)
+            parts = _axial_moments(bundle, np.abs(bent[side]))
+            stick[side], slip[side], slope[side] = sign * parts[0], sign * parts[1], parts[2]
+    return stick, slip, slope
+
+
+def _axial_moments(bundle: Bundle, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+    """The same for bending one way."""
+    stick, total, slope = np.empty((3, len(curvature)))
+    for start in range(0, len(curvature), _CHUNK):
+        part = slice(start, start + _CHUNK)
+        axial = axial_forces(bundle, curvature[part, None])
+        total[part] = axial.force @ bundle.lever
+        stick[part] = np.where(axial.stuck, axial.force, 0.0) @ bundle.lever
+        slope[part] = axial.slope @ bundle.lever
+    return stick, total - stick, slope
+
+
+def _own_moments(section: CrossSection, curvature: Floats) -> tuple[float, Floats, Floats]:
+    """Elastic stiffness of the strands about their own axes, their moment and its slope."""
+    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    moment, slope = np.zeros((2, len(curvature)))
+    kinds = {(layer.material, layer.diameter) for layer in section.layers}
+    for material, diameter in kinds:
+        straight = strand_moment(material, diameter, curvature)
+        weight = sum(
+            layer.count * helix_factor(layer.lay_angle, layer.poisson)
+            for layer in section.layers
+            if (layer.material, layer.diameter) == (material, diameter)
+        )
+        moment += weight * straight.moment
+        slope += weight * straight.tangent
+    return slip_stiffness(section) - tube, moment, slope
+
+
+def orientation_range(
+    section: CrossSection,
+    contacts: Contacts,
+    curvature: Floats,
+    *,
+    tension: float = 0.0,
+    n_orientations: int = 24,
+) -> tuple[Floats, Floats]:
+    """Smallest and largest moment over a full turn of the section, N m, each of shape (n,).
+
+    Parameters
+    ----------
+    section, contacts, curvature, tension : as for `moment_curvature`
+    n_orientations : evenly spread over the full turn, the first at 0
+    """
+    first = moment_curvature(section, contacts, curvature, tension=tension)
+    moments = []
+    for turn in _different_turns(section, n_orientations):
+        stick, slip, _ = _axial_parts(section, contacts, first.curvature, tension, turn)
+        moments.append(replace(first, stick=stick, slip=slip).moment)
+    return np.min(moments, axis=0), np.max(moments, axis=0)
+
+
+def _different_turns(section: CrossSection, count: int) -> Floats:
+    """Turns of the section, rad, but for those that only swap strands of a ring."""
+    turns = 2.0 * np.pi * np.arange(count) / count
+    layer = section.layer[section.layer >= int(section.has_core)]
+    reach = float(section.radius.max()) or 1.0
+    arms = section_arms(section) / reach
+    seen = set()
+    kept = []
+    for turn in turns:
+        strands = np.array([layer, arms * sines(section, turn), arms]).round(9) + 0.0
+        key = strands[:, np.lexsort(strands)].tobytes()
+        if key not in seen:
+            seen.add(key)
+            kept.append(turn)
+    return np.array(kept)
+
+
+_DECADES = 4.0  # of curvature below the largest, over which the corners are spread
+_DISTINCT = 1e-6  # of a curvature: closer corners are one
+_MOST_BRIDGED = 0.01  # of the moment: more would be another law
+_ROUNDING = 1e-7  # of the first slope: what differences of close corners are worth
+
+
+def play_law(
+    section: CrossSection,
+    contacts: Contacts,
+    *,
+    largest_curvature: float,
+    n_plays: int = 60,
+    tension: float = 0.0,
+    orientation: float = 0.0,
+) -> PlayLaw:
+    """Plays whose polygon of first loading meets the wire's law at every corner.
+
+    Parameters
+    ----------
+    section, contacts, tension, orientation : as for `moment_curvature`
+    largest_curvature : 1/m, where the law ends: `wire.cantilever` bends no wire beyond
+    n_plays : corners, evenly spread in the logarithm of the curvature over four decades; besides
+        these there is one where each strand begins to slip
+
+    Returns
+    -------
+    The law, with Masing's loops: those of Coulomb sliders and hardening strands where friction is
+    even on both sides, which it nearly is for small mu sin(alpha).
+
+    Raises
+    ------
+    ValueError
+        If the law softens, or stiffens, which plays cannot do; the message says the curvature. And
+        as `moment_curvature`.
+
+    Notes
+    -----
+    With 60 plays the polygon is within 0.3 % of the laws of the source's wires between its corners.
+    """
+    require_positive("largest_curvature", largest_curvature)
+    even = np.geomspace(10.0**-_DECADES, 1.0, n_plays + 1) * largest_curvature
+    onsets = slip_onsets(section, contacts, tension=tension, orientation=orientation)
+    inside = onsets[(onsets > even[0]) & (onsets < even[-1])]
+    knots = np.union1d(even, inside)
+    knots = knots[np.diff(knots, prepend=0.0) > _DISTINCT * knots]
+    moment = moment_curvature(
+        section, contacts, knots, tension=tension, orientation=orientation
+    ).moment
+    return polygon_law(knots, moment)
+
+
+def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Plays of a polygon through the origin and given points of a first loading, the last its end.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow (softens), or a later slope is above an earlier one (stiffens);
+        the message says the curvature.
+    """
+    slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
+    if not np.all(slopes > 0.0):
+        at = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        raise ValueError(message)
+    if np.any(np.diff(slopes) > _ROUNDING * slopes[0]):
+        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = (
+            f"the law stiffens before curvature={at:.6g} 1/m: allowed is a slope that never grows"
+        )
+        raise ValueError(message)
+    compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
+    return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
+
+
+def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Plays of the lowest polygon that no given point of a first loading lies above.
+
+    Where the law stiffens, as it can by the rounding of a table or under tension, its corners are
+    left out and the polygon bridges them; elsewhere it is that of `polygon_law`.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow, or the bridges are more than 1 % of the moment above the law;
+        the message says the curvature.
+    """
+    kept = _upper_corners(curvature, moment)
+    bridged = np.interp(curvature, np.append(0.0, curvature[kept]), np.append(0.0, moment[kept]))
+    above = bridged / moment - 1.0
+    if np.any(above > _MOST_BRIDGED):
+        at = int(np.argmax(above))
+        message = (
+            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: a law that never does is "
+            f"{100.0 * above[at]:.2g} % above it, allowed is {100.0 * _MOST_BRIDGED:.0f} %"
+        )
+        raise ValueError(message)
+    return polygon_law(curvature[kept], moment[kept])
+
+
+def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
+    """Which points are corners of the upper hull with the origin (Andrew's chain, 1979)."""
+    kept: list[int] = []
+    x, y = [0.0], [0.0]
+    for number, (k, m) in enumerate(zip(curvature.tolist(), moment.tolist(), strict=True)):
+        while len(x) > 1 and (m - y[-2]) * (x[-1] - x[-2]) >= (y[-1] - y[-2]) * (k - x[-2]):
+            del x[-1], y[-1], kept[-1]
+        x.append(k)
+        y.append(m)
+        kept.append(number)
+    return kept

@@ -1,0 +1,386 @@
+"""What bounds the bending of a bundle, from the laws of its wires and where they lie.
+
+Wires that slip bend each about its own axis. Wires that stick are one beam: plane sections stay
+plane, and a wire at the distance y from the neutral axis is also strained along its axis, by
+kappa y (parallel axis theorem).
+
+At the distance y from the neutral axis a wire that sticks is strained by kappa y: at 2 mm and half
+a 1/m by a tenth of a per cent, where annealed copper has long begun to yield. The neutral axis then
+moves to where the forces of all wires balance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.harness_bundle import Bundle, BundleLayout, BundleModel
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireTable
+from labpipe.wire.bundle_layout import arrange
+from labpipe.wire.bundle_packing import fits, holding_circle, packing_fraction
+from labpipe.wire.wire_table import build
+
+_OTHER_DIAMETER = 0.05
+"""Of a diameter: how far the test sheet may be from the wire sheet without a note."""
+_MOSTLY_STRETCHED = 2.0
+"""Of the stiffness of wires that slip: above it, more than half is stretching."""
+_OBLIQUE = 0.01
+"""Of the stiffness along y: what a bundle may lose by moving aside without a note."""
+
+
+def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int = 0) -> BundleModel:
+    """Work out between what bounds the bending of a bundle lies.
+
+    Parameters
+    ----------
+    bundle : its diameters, where it states them, go before those of the wires' tables
+    tables : law of each type of wire
+    seed : of what the layout leaves to chance
+
+    Returns
+    -------
+    The model. Notes: ``diameter_differs``, ``range_shortened``, ``oblique_axes``,
+    ``copper_yields``.
+
+    Raises
+    ------
+    ValueError
+        If a type of wire has no table, stated positions overlap or are not one for each wire, or
+        the wires as they lie do not fit the conduit.
+
+    Notes
+    -----
+    low = sum of the wires' slip stiffnesses (copper that yields brings the moments below it),
+    free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
+    the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
+    without and with the moment of their stretching and shortening, in which copper yields (see
+    `wire.bundle.stretching`). What bending and stretching of one wire do to each other is left out.
+    Friction between wires, and tape that gives, leave a bundle between the two.
+    """
+    kinds = [_table(wire.type, tables) for wire in bundle.wires]
+    counts = [wire.number for wire in bundle.wires]
+    diameters = [
+        wire.diameter or 2.0 * table.layout.wire_radius
+        for wire, table in zip(bundle.wires, kinds, strict=True)
+    ]
+    axial = np.array([table.axial_stiffness for table in kinds])
+    layout = arrange(bundle, diameters, axial.tolist(), seed=seed)
+    own = np.array([table.stick_stiffness for table in kinds])
+    stuck = sticking(layout.x, layout.y, own[layout.kind], axial[layout.kind])
+    curvature, notes = _curvature(kinds, layout)
+    slip = slipping_moment(curvature, kinds, counts)
+    stick = slip + stretching_moment(curvature, layout.y, layout.kind, kinds)
+    free = float(own[layout.kind].sum())
+    high = float(stuck.tensor[1, 1])
+    middle, smallest = _holding(bundle, layout)
+    bore = bundle.conduit_bore
+    return BundleModel(
+        bundle=bundle,
+        layout=layout,
+        low=float(np.dot(counts, [table.slip_stiffness for table in kinds])),
+        free=free,
+        high=high,
+        tensor=stuck.tensor,
+        principal=stuck.principal,
+        principal_angle=stuck.angle,
+        neutral=stuck.neutral,
+        axial_stiffness=float(axial[layout.kind].sum()),
+        smallest_bore=smallest,
+        middle=middle,
+        packing_fraction=None if bore is None else packing_fraction(layout.diameter, bore),
+        curvature=curvature,
+        moment_slip=slip,
+        moment_stick=stick,
+        notes=(
+            *_other_diameters(bundle, kinds),
+            *notes,
+            *_oblique(stuck),
+            *_yielding(high, free, curvature, stick),
+        ),
+    )
+
+
+def _table(type_: str, tables: Mapping[str, WireTable]) -> WireTable:
+    if type_ not in tables:
+        known = ", ".join(tables) or "none"
+        message = f"the wire type {type_!r} has no law: there are those of {known}"
+        raise ValueError(message)
+    return tables[type_]
+
+
+def _holding(bundle: Bundle, layout: BundleLayout) -> tuple[tuple[float, float], float]:
+    """Centre and diameter of the circle that holds the wires, if it fits the conduit."""
+    centres = np.column_stack([layout.x, layout.y])
+    middle, radius = holding_circle(centres, layout.diameter)
+    smallest = 2.0 * radius
+    bore = bundle.conduit_bore
+    if bore is not None and not fits(smallest, bore):
+        message = (
+            f"the {bundle.number} wires as they lie need a bore of {1e3 * smallest:.4g} mm, "
+            f"the conduit has {1e3 * bore:.4g} mm "
+            f"(packing fraction {packing_fraction(layout.diameter, bore):.3g})"
+        )
+        raise ValueError(message)
+    return (float(middle[0]), float(middle[1])), smallest
+
+
+def _other_diameters(bundle: Bundle, kinds: Sequence[WireTable]) -> Iterator[QualityNote]:
+    for wire, table in zip(bundle.wires, kinds, strict=True):
+        known = 2.0 * table.layout.wire_radius
+        if wire.diameter and abs(wire.diameter - known) > _OTHER_DIAMETER * known:
+            message = (
+                f"{wire.type}: the bundle says {1e3 * wire.diameter:.4g} mm over the insulation, "
+                f"which places the wires; the law is that of a wire of {1e3 * known:.4g} mm"
+            )
+            yield QualityNote("diameter_differs", Severity.WARNING, "bundle", message)
+
+
+def _curvature(
+    kinds: Sequence[WireTable], layout: BundleLayout
+) -> tuple[Floats, tuple[QualityNote, ...]]:
+    """Curvatures that all laws know, and a note where one of them goes further."""
+    curvature = common_curvature(kinds)
+    depth = float(np.ptp(layout.y))
+    known = min(largest_stretch(table) for table in kinds) / depth if depth else np.inf
+    if known < curvature[-1]:
+        curvature = np.append(curvature[curvature < known], known)
+        why = f"sticking wires {1e3 * depth:.3g} mm apart reach the last strain of a stress table"
+    else:
+        why = "the shortest of the wires' laws ends"
+    longest = max(kinds, key=lambda table: float(table.curvature[-1]))
+    if longest.curvature[-1] <= curvature[-1]:
+        return curvature, ()
+    message = (
+        f"moments are told up to {curvature[-1]:.4g} 1/m, where {why}; the law of {longest.name} "
+        f"goes to {longest.curvature[-1]:.4g} 1/m"
+    )
+    return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)
+
+
+def _oblique(stuck: Sticking) -> Iterator[QualityNote]:
+    (across, mixed), (_, along) = stuck.tensor
+    lost = mixed**2 / (across * along)
+    if lost > _OBLIQUE:
+        message = (
+            f"the principal axes are oblique ({np.degrees(stuck.angle):.3g} deg from x to the "
+            f"stiffest direction): bent along y, a sticking bundle that may move aside is "
+            f"{100.0 * lost:.2g} % less stiff than the {_stiffness(along)} of one kept in its "
+            f"plane"
+        )
+        yield QualityNote("oblique_axes", Severity.INFO, "bundle", message)
+
+
+def _yielding(high: float, free: float, curvature: Floats, stick: Floats) -> Iterator[QualityNote]:
+    """Say where a sticking bundle whose wires are stretched has half its first stiffness."""
+    if high < _MOSTLY_STRETCHED * free:  # what it loses then are strands that slip
+        return
+    below = np.flatnonzero(stick[1:] < 0.5 * high * curvature[1:]) + 1
+    if len(below):
+        message = (
+            f"copper that is stretched yields: a sticking bundle, bent along y, has less than half "
+            f"of its {_stiffness(high)} beyond {curvature[below[0]]:.3g} 1/m"
+        )
+        yield QualityNote("copper_yields", Severity.INFO, "bundle", message)
+
+
+def _stiffness(value: float) -> str:
+    """A stiffness as the lines of a bundle have it, four digits and never a power of ten."""
+    return f"{float(f'{1e6 * value:.4g}'):.10g} N mm^2"
+
+
+_ROUND = 1e-6
+"""Principal stiffnesses nearer than this share are equal; an axis nearer than this to y, rad, is
+y."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sticking:
+    """Bending stiffness of a bundle in which nothing slips.
+
+    Parameters
+    ----------
+    tensor : shape (2, 2), N m^2; the xx part resists bending along x, the yy part along y
+    neutral : m, (x, y) where the neutral axes cross: the centroid of the axial stiffnesses
+    principal : N m^2, least and largest of all directions
+    angle : rad, in (-pi/2, pi/2], from the x axis to the direction of the largest; 0 where all
+        directions are equal
+    """
+
+    tensor: Floats
+    neutral: tuple[float, float]
+    principal: tuple[float, float]
+    angle: float
+
+
+def sticking(x: Floats, y: Floats, bending_stiffness: Floats, axial_stiffness: Floats) -> Sticking:
+    """Work out the bending stiffness of wires that stick to each other, in all directions.
+
+    Parameters
+    ----------
+    x, y : shape (wires,), m, centres
+    bending_stiffness : shape (wires,), N m^2, of each wire alone, alike in all directions
+    axial_stiffness : shape (wires,), N, of each wire alone
+
+    Notes
+    -----
+    With r = (x, y) from the centroid of the axial stiffnesses, K = sum EI 1 + sum EA r r^T: the
+    parallel axis theorem, as in any book on the strength of materials (Timoshenko, *Strength of
+    Materials I*, 1955, appendix A). Bending along the unit vector n takes n^T K n per curvature if
+    the bundle is kept in its plane, and 1 / (n^T K^-1 n) if it may move aside: less, unless n is
+    principal.
+    """
+    centres = np.column_stack([x, y])
+    neutral = np.average(centres, axis=0, weights=axial_stiffness)
+    about = centres - neutral
+    tensor = np.eye(2) * bending_stiffness.sum() + (axial_stiffness[:, None] * about).T @ about
+    (least, largest), axes = np.linalg.eigh(tensor)
+    angle = 0.0 if largest - least <= _ROUND * largest else _half_turn(axes[:, 1])
+    where = (float(neutral[0]), float(neutral[1]))
+    return Sticking(tensor, where, (float(least), float(largest)), angle)
+
+
+def _half_turn(axis: Floats) -> float:
+    """Angle of an axis, which has no head, in (-pi/2, pi/2]."""
+    angle = float(np.arctan2(axis[1], axis[0]))
+    if angle > np.pi / 2.0 + _ROUND:
+        return angle - np.pi
+    return angle + np.pi if angle <= -np.pi / 2.0 + _ROUND else angle
+
+
+def common_curvature(tables: Sequence[WireTable]) -> Floats:
+    """Curvatures at which all laws are known, 1/m: those of all tables, up to the shortest range.
+
+    Parameters
+    ----------
+    tables : at least one
+    """
+    end = min(float(table.curvature[-1]) for table in tables)
+    every = np.unique(np.concatenate([table.curvature for table in tables]))
+    return np.asarray(every[every <= end])
+
+
+def slipping_moment(
+    curvature: Floats, tables: Sequence[WireTable], counts: Sequence[int]
+) -> Floats:
+    """Moment of wires that slip on each other without friction: the sum of their laws, N m.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, within the range of every law
+    tables, counts : kinds of wire, and how many of each
+
+    Notes
+    -----
+    Between the points of a table the law is taken as straight.
+    """
+    laws = [np.interp(curvature, table.curvature, table.moment) for table in tables]
+    return np.asarray(np.array(counts, dtype=np.float64) @ np.array(laws))
+
+
+def share_of_bounds(value: float, low: float, high: float) -> float:
+    """Tell where a stiffness lies between the bounds of the model: 0 at the lower, 1 at the upper.
+
+    Parameters
+    ----------
+    value : N m^2
+    low, high : N m^2, 0 < low < high; taken as exact
+
+    Returns
+    -------
+    The share; below 0 or above 1 where the value lies outside the bounds.
+
+    Raises
+    ------
+    ValueError
+        If the bounds are not 0 < low < high.
+
+    Notes
+    -----
+    (value - low) / (high - low), which is what layered beams call the degree of composite action
+    (their theory: Newmark, Siess and Viest, Proc. Soc. Exp. Stress Anal. 9 (1951) 75).
+    """
+    if not 0.0 < low < high:
+        message = f"low={low:.6g}, high={high:.6g} N m^2: allowed are bounds with 0 < low < high"
+        raise ValueError(message)
+    return (value - low) / (high - low)
+
+
+_POINTS = 600
+_DECADES = 9.0
+"""Below the largest strain: the first point lies where copper is still elastic."""
+_HALVINGS = 60
+
+
+def axial_force(table: WireTable, strain: Floats) -> Floats:
+    """Force along a wire that is stretched and does not turn about its axis, N.
+
+    Parameters
+    ----------
+    table : of the wire
+    strain : shape (n,), along the wire, not negative; up to `largest_stretch`
+
+    Notes
+    -----
+    sum of A cos(alpha) sigma(strain cos^2(alpha)) over the strands + E A strain of the insulation:
+    a helical strand is strained by cos^2(alpha) of the wire's strain and pulls with cos(alpha) of
+    its force (Costello, *Theory of Wire Rope*, 1997). Its slope at zero is the axial stiffness of
+    the table.
+    """
+    section = build(table.spec).section
+    tube = section.insulation.axial_stiffness if section.insulation else 0.0
+    force = tube * strain
+    for layer in section.layers:
+        cosine = np.cos(layer.lay_angle)
+        stress = layer.material.stress(strain * cosine**2)
+        force = force + layer.count * layer.area * cosine * stress
+    return np.asarray(force)
+
+
+def largest_stretch(table: WireTable) -> float:
+    """Strain of a wire up to which the stress of all its strands is known; may be infinite."""
+    layers = build(table.spec).section.layers
+    known = [layer.material.largest_strain / np.cos(layer.lay_angle) ** 2 for layer in layers]
+    return float(min(known))
+
+
+def stretching_moment(
+    curvature: Floats, y: Floats, kind: Ints, tables: Sequence[WireTable]
+) -> Floats:
+    """Moment that the stretching and shortening of sticking wires takes, N m.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, not negative
+    y : shape (wires,), m
+    kind : shape (wires,), index into the tables
+    tables : of the kinds of wire
+
+    Returns
+    -------
+    Shape (n,): sum of N y, with N the force at the strain kappa (y - y0), alike in tension and in
+    compression, and y0 where the sum of N is zero. Its slope at zero is sum of EA (y - y0)^2.
+    """
+    reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
+    if reach == 0.0:
+        return np.zeros(len(curvature))
+    strain = np.append(0.0, np.geomspace(10.0**-_DECADES, 1.0, _POINTS) * reach)
+    laws = [axial_force(table, strain) for table in tables]
+
+    def forces(neutral: Floats) -> Floats:
+        stretch = curvature[:, None] * (y - neutral[:, None])
+        force = np.empty_like(stretch)
+        for number, law in enumerate(laws):
+            own = stretch[:, kind == number]
+            force[:, kind == number] = np.sign(own) * np.interp(np.abs(own), strain, law)
+        return force
+
+    low, high = (np.full(len(curvature), edge) for edge in (y.min(), y.max()))
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        pulls = forces(middle).sum(axis=1) > 0.0  # too much is stretched: the axis lies higher
+        low, high = np.where(pulls, middle, low), np.where(pulls, high, middle)
+    return np.asarray(forces(0.5 * (low + high)) @ y)

@@ -1,0 +1,1 @@
+"""Calibration of the wire model; `calibrate_wire` is the way in."""

@@ -1,0 +1,330 @@
+"""Calibration of the wire model by first loadings of cantilevers (PHYSICS 6, source 3.4).
+
+Of one wire, several samples and lengths determine phi = F_rad (mu_s + mu_p), the modulus of the
+insulation and the strength of the copper, as far as they do: intervals come from the profile
+likelihood with t quantiles, and what the tests do not say is said in words. The objective is that
+of `calibrating.search`, the law that of `calibrating.parts`, the loading curve the exact one of
+`first_loading`. The source's own procedure is in `calibrating.source_method`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import Interval
+from labpipe.records.curve_comparison import CurveAgreement
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire_calibration import (
+    PARAMETERS,
+    UNITS,
+    CalibratedParameter,
+    Calibration,
+    CalibrationFailure,
+    Identified,
+    NoiseLevels,
+    PriorConflict,
+    Profile,
+    Separability,
+)
+from labpipe.wire.calibration.fit import (
+    FRICTION_NAMES,
+    NAMES,
+    Found,
+    Settings,
+    Wire,
+    find,
+    friction_jacobian,
+    separability,
+    verdict_of,
+    weigh_prior,
+    words_of,
+)
+from labpipe.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
+from labpipe.wire.calibration.parameter_search import P, pull_of, search
+from labpipe.wire.calibration.profile_likelihood import Trace, trace
+from labpipe.wire.calibration.variances import uncertainty
+
+__all__ = ["MeasuredCurve", "Settings", "Wire", "calibrate"]
+
+
+def calibrate(
+    wire: Wire, curves: Sequence[MeasuredCurve], settings: Settings | None = None
+) -> Calibration | CalibrationFailure:
+    """Calibrate a wire by tests of several samples and lengths.
+
+    Parameters
+    ----------
+    wire : as its sheet has it
+    curves : first loadings, all of one wire
+    settings : which parameters are free, fixed or have a prior, and what is known of the load cell
+
+    Returns
+    -------
+    The calibration; or a failure ``no_sample_usable``, ``wires_mixed``, ``noise_not_positive``,
+    ``deflection_too_large``, ``too_few_points``, ``parameter_without_effect``,
+    ``value_out_of_bounds`` or ``model_cannot_follow``.
+
+    Raises
+    ------
+    ValueError
+        If a choice has an unknown name, or a number is out of its range.
+    """
+    found = find(wire, curves, settings or Settings())
+    return found if isinstance(found, CalibrationFailure) else tell(found)
+
+
+METHOD = (
+    "generalised least squares on the force over logarithms of the parameters; levels of noise, "
+    "samples and load cell; scatter of samples by restricted likelihood; profile likelihood with "
+    "quantiles of t averaged over what that scatter may be"
+)
+_MISSTATED = (0.8, 1.25)  # noise found over noise stated
+_PLAIN = 0.05  # half the slope of the objective: flatter is no wall that was run into
+_SLOW = 0.3  # correlation of neighbouring residuals that is worth a note
+
+
+def tell(found: Found) -> Calibration:
+    """Make the record of a calibration.
+
+    Parameters
+    ----------
+    found : the fit and all that it rests on
+    """
+    problem = found.problem
+    parameters = tuple(_parameter(found, number) for number in range(P))
+    compared = tuple(_agreements(found))
+    sse = sum(curve.sse for curve in compared)
+    rmse = float(np.sqrt(sse / problem.n_points))
+    covariance = found.spread.covariance
+    levels = _noise_levels(found)
+    return Calibration(
+        wire=problem.curves[0].wire,
+        parameters=parameters,
+        correlations=_correlations(covariance[:P, :P], found.free),
+        covariance=covariance,
+        mixture=found.mixture,
+        levels=levels,
+        separability=_separability(found),
+        friction_separability=_friction_separability(found),
+        curves=compared,
+        n_points=problem.n_points,
+        n_samples=problem.n_samples,
+        sse=sse,
+        rmse=rmse,
+        rmse_share=rmse / max(curve.peak for curve in problem.curves),
+        method=METHOD,
+        notes=tuple(_notes(found, parameters, compared)),
+    )
+
+
+def _parameter(found: Found, number: int) -> CalibratedParameter:
+    """One parameter, with profile, verdict and the weighing of its prior."""
+    name = PARAMETERS[number]
+    value = float(np.exp(found.fit.point.logs[number]))
+    if not found.free[number]:
+        return _held(found, number, value)
+    error = float(np.sqrt(found.spread.covariance[number, number]))
+    traced = trace(found, number)
+    conflict = _conflict(found, number) if _has_prior(found, number) else None
+    parameter = CalibratedParameter(
+        name=name,
+        unit=UNITS[name],
+        value=value,
+        interval=Interval(float(np.exp(traced.lower)), float(np.exp(traced.upper))),
+        log_error=error,
+        freedom=found.spread.freedom(np.eye(P + 1)[number]),
+        is_open_below=traced.is_open_below,
+        is_open_above=traced.is_open_above,
+        at_bound=_bound(found, number),
+        verdict=_verdict(found, number, traced, error, conflict),
+        words="",
+        profile=_profile(traced),
+        conflict=conflict,
+    )
+    return replace(parameter, words=words_of(parameter))
+
+
+def _verdict(
+    found: Found, number: int, traced: Trace, error: float, conflict: PriorConflict | None
+) -> Identified:
+    prior = np.inf if conflict is None else float(found.problem.precision[number]) ** -0.5
+    return verdict_of(
+        float(np.exp(traced.upper - traced.lower)),
+        at_bound=bool(_bound(found, number)),
+        is_open=traced.is_open_below or traced.is_open_above,
+        log_error=error,
+        prior_error=prior,
+        contradicts=conflict is not None and conflict.contradicts,
+    )
+
+
+def _held(found: Found, number: int, value: float) -> CalibratedParameter:
+    """A parameter that was not fitted; NaN where the wire has no such thing."""
+    name = PARAMETERS[number]
+    acts = found.problem.parts.has[number]
+    held = CalibratedParameter(
+        name=name,
+        unit=UNITS[name],
+        value=value if acts else np.nan,
+        interval=None,
+        log_error=0.0,
+        freedom=np.inf,
+        is_open_below=False,
+        is_open_above=False,
+        at_bound="",
+        verdict=Identified.FIXED,
+        words="",
+    )
+    return replace(
+        held, words=words_of(held) if acts else f"{NAMES[name]} does not act on this wire"
+    )
+
+
+def _has_prior(found: Found, number: int) -> bool:
+    return bool(found.problem.precision[number] > 0.0)
+
+
+def _bound(found: Found, number: int) -> str:
+    """The bound that the search ran into; none where it only ran out on a plain."""
+    at, problem = found.fit.point.logs[number], found.problem
+    pull = float(pull_of(problem, found.levels, found.fit)[number])
+    if at <= problem.lower[number] and pull < -_PLAIN:
+        return "lower"
+    return "upper" if at >= problem.upper[number] and pull > _PLAIN else ""
+
+
+def _profile(traced: Trace) -> Profile:
+    return Profile(
+        np.exp(traced.logs), traced.deviance, traced.threshold_below, traced.threshold_above
+    )
+
+
+def _conflict(found: Found, number: int) -> PriorConflict:
+    """Fit again without one prior: what the objective loses is the square of the conflict."""
+    name = PARAMETERS[number]
+    precision = found.problem.precision.copy()
+    precision[number] = 0.0
+    alone = replace(found.problem, precision=precision)
+    fit = search(alone, found.levels, found.fit.point, found.free)
+    spread = uncertainty(
+        alone, fit, found.free, found.levels, is_scatter_known=found.is_scatter_known
+    )
+    own, prior = float(spread.covariance[number, number]), 1.0 / found.problem.precision[number]
+    freedom = spread.freedom(np.eye(P + 1)[number]) * ((own + prior) / own) ** 2
+    numbers = PriorConflict(
+        centre=float(np.exp(found.problem.centre[number])),
+        factor=float(found.settings.choices[name].factor or np.nan),
+        alone=float(np.exp(fit.point.logs[number])),
+        size=float(np.sqrt(max(found.fit.objective - fit.objective, 0.0))),
+        freedom=float(freedom),
+        contradicts=False,
+        message="",
+    )
+    return weigh_prior(name, numbers)
+
+
+def _correlations(covariance: Floats, free: Flags) -> Floats:
+    errors = np.sqrt(np.diag(covariance))
+    out = np.full((P, P), np.nan)
+    both = np.ix_(free, free)
+    out[both] = covariance[both] / np.outer(errors[free], errors[free])
+    return out
+
+
+def _agreements(found: Found) -> Iterator[CurveAgreement]:
+    point = found.fit.point
+    for curve, model, sample in zip(
+        found.problem.curves, found.fit.models, found.problem.sample, strict=True
+    ):
+        yield agreement(curve, model.force, float(np.exp(point.gain + point.offsets[sample])))
+
+
+def _noise_levels(found: Found) -> NoiseLevels:
+    spread, levels = found.spread.level_covariance, found.levels
+    scatter_freedom = np.inf if found.is_scatter_known else 0.0
+    if spread[1, 1] > 0.0:
+        scatter_freedom = 2.0 / float(spread[1, 1])
+    return NoiseLevels(
+        noise_factor=float(np.sqrt(levels.noise)),
+        correlation=levels.correlation,
+        scatter=levels.scatter,
+        gain=found.problem.gain,
+        scatter_freedom=scatter_freedom,
+        noise_freedom=2.0 / float(spread[0, 0]),
+    )
+
+
+def _separability(found: Found) -> Separability:
+    """Of the parameters that act on the wire, by noise alone, as if samples did not scatter."""
+    acting = [number for number in range(P) if found.problem.parts.has[number]]
+    columns = []
+    for curve, model in zip(found.problem.curves, found.fit.models, strict=True):
+        scaled = model.change[acting].T / np.asarray(curve.noise)[:, None]
+        columns.append(whiten(scaled, found.levels.correlation))
+    jacobian = np.concatenate(columns) / np.sqrt(found.levels.noise)
+    return separability(
+        tuple(PARAMETERS[number] for number in acting), jacobian, "the parameters that act"
+    )
+
+
+def _friction_separability(found: Found) -> Separability | None:
+    """Of mu_s, mu_p and F_rad."""
+    if not found.problem.parts.has[0]:
+        return None
+    jacobian = friction_jacobian(
+        found.wire.section,
+        found.wire.contacts,
+        np.exp(found.fit.point.logs),
+        found.problem.curves,
+        orientation=found.wire.orientation,
+        correlation=found.levels.correlation,
+    )
+    jacobian /= np.sqrt(found.levels.noise)
+    return separability(FRICTION_NAMES, jacobian, "mu_s, mu_p and F_rad")
+
+
+def _notes(
+    found: Found, parameters: tuple[CalibratedParameter, ...], compared: tuple[CurveAgreement, ...]
+) -> Iterator[QualityNote]:
+    for parameter in parameters:
+        yield from _parameter_notes(parameter)
+    levels, where = found.levels, found.problem.curves[0].wire
+    if found.problem.n_samples == 1 and not found.is_scatter_known:
+        message = (
+            "one sample: how samples scatter is not known, so the intervals speak of this sample, "
+            "not of the wire"
+        )
+        yield QualityNote("one_sample", Severity.WARNING, where, message)
+    factor = float(np.sqrt(levels.noise))
+    if not _MISSTATED[0] <= factor <= _MISSTATED[1]:
+        message = (
+            f"the residuals scatter {factor:.3g} times as much as the stated noise; the intervals "
+            f"go by the residuals"
+        )
+        yield QualityNote("noise_misstated", Severity.WARNING, where, message)
+    if levels.correlation > _SLOW:
+        worst = max(compared, key=lambda curve: curve.lag_one)
+        message = (
+            f"neighbouring residuals are alike (correlation {levels.correlation:.2f}, most in "
+            f"{worst.test} with {worst.lag_one:.2f}): slow noise, or a model that does not have "
+            f"the shape of the curves; the intervals count correlated points for less"
+        )
+        yield QualityNote("residuals_correlated", Severity.WARNING, where, message)
+    if not found.fit.settled:
+        message = f"the search did not come to rest within {found.fit.steps} steps"
+        yield QualityNote("search_unsettled", Severity.WARNING, where, message)
+
+
+def _parameter_notes(parameter: CalibratedParameter) -> Iterator[QualityNote]:
+    if parameter.at_bound:
+        yield QualityNote("at_bound", Severity.WARNING, parameter.name, parameter.words)
+    if parameter.verdict is Identified.NOT:
+        yield QualityNote("not_identified", Severity.WARNING, parameter.name, parameter.words)
+    if parameter.conflict is not None and parameter.conflict.contradicts:
+        yield QualityNote(
+            "prior_contradicts_data", Severity.WARNING, parameter.name, parameter.conflict.message
+        )

@@ -1,0 +1,446 @@
+"""The fit of a calibration: what is searched, what is found, what the tests can tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats, Ints
+from labpipe.records.wire_calibration import (
+    COPPER_SCALE,
+    DISPLAYED,
+    INSULATION_MODULUS,
+    PARAMETERS,
+    RADIAL_FRICTION,
+    CalibratedParameter,
+    CalibrationFailure,
+    Identified,
+    ParameterChoice,
+    PriorConflict,
+    ScatterMixture,
+    Separability,
+)
+from labpipe.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
+from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
+from labpipe.wire.calibration.scatter_mixture import mix
+from labpipe.wire.calibration.variances import Uncertainty, quantile, settle, uncertainty
+from labpipe.wire.calibration.wire_parts import WireParts, model_forces, take_apart
+from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.friction import Contacts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wire:
+    """A wire as its sheet has it.
+
+    Parameters
+    ----------
+    section : strands in place, with copper and insulation: nominal values
+    contacts : friction coefficients, whose ratios are kept, and nominal radial force
+    orientation : rad, of the section against the neutral axis
+    """
+
+    section: CrossSection
+    contacts: Contacts
+    orientation: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settings:
+    """What is asked of a calibration.
+
+    Parameters
+    ----------
+    choices : by name of the parameter; one that is not named is free if it acts on the wire
+    gain : standard uncertainty of the load cell's gain, as a ratio, common to all curves
+    scatter : standard deviation of the samples' factors on the force, as a ratio, where it is
+        known; else None: it is estimated from the samples
+    """
+
+    choices: Mapping[str, ParameterChoice] = field(default_factory=dict)
+    gain: float = 0.0
+    scatter: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Found:
+    """The fit of a calibration.
+
+    Parameters
+    ----------
+    wire, settings : what was asked for
+    problem, free : what was fitted
+    fit, levels : the least of the objective
+    spread : covariance, and what degrees of freedom need
+    mixture : covariance for each scatter that the tests allow
+    """
+
+    wire: Wire
+    settings: Settings
+    problem: Problem
+    free: Flags
+    fit: Fit
+    levels: Levels
+    spread: Uncertainty
+    mixture: ScatterMixture
+
+    @property
+    def is_scatter_known(self) -> bool:
+        """Whether the scatter of the samples was given."""
+        return self.settings.scatter is not None
+
+
+def find(
+    wire: Wire, curves: Sequence[MeasuredCurve], settings: Settings
+) -> Found | CalibrationFailure:
+    """Fit a wire to its tests.
+
+    Parameters
+    ----------
+    wire, settings : what is fitted
+    curves : first loadings
+
+    Raises
+    ------
+    ValueError
+        If a choice has an unknown name, or a number is out of its range.
+    """
+    known = usable(tuple(curves))
+    if isinstance(known, CalibrationFailure):
+        return known
+    parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
+    posed = pose(parts, known, settings.choices, settings.gain)
+    if isinstance(posed, CalibrationFailure):
+        return posed
+    problem, logs, free = posed
+    try:
+        fit, levels = settle(problem, logs, free, scatter=settings.scatter)
+    except ValueError as error:
+        return CalibrationFailure("model_cannot_follow", str(error))
+    is_known = settings.scatter is not None
+    spread = uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
+    is_given = is_known or problem.n_samples == 1
+    mixture = mix(problem, fit, free, levels, is_scatter_known=is_given)
+    return Found(wire, settings, problem, free, fit, levels, spread, mixture)
+
+
+BOUNDS: Mapping[str, tuple[float, float]] = {
+    RADIAL_FRICTION: (1e-5, 1e2),
+    INSULATION_MODULUS: (1e5, 1e11),
+    COPPER_SCALE: (0.05, 20.0),
+}
+"""Of the search, where nothing else is said: N, Pa, 1."""
+_STARTS: Mapping[str, float] = {RADIAL_FRICTION: 0.05, INSULATION_MODULUS: 1e9, COPPER_SCALE: 1.0}
+"""Where the wire itself says nothing, or zero."""
+
+
+def pose(
+    parts: WireParts,
+    curves: tuple[MeasuredCurve, ...],
+    choices: Mapping[str, ParameterChoice],
+    gain: float,
+) -> tuple[Problem, Floats, Flags] | CalibrationFailure:
+    """Make the problem of a calibration.
+
+    Parameters
+    ----------
+    parts : the wire
+    curves : usable ones
+    choices : by name; a parameter that is not named is free if it acts on the wire
+    gain : standard uncertainty of the load cell's gain, relative
+
+    Returns
+    -------
+    The problem, the logarithms to start from and which parameters are free; or a failure
+    ``parameter_without_effect``, ``value_out_of_bounds`` or ``too_few_points``.
+
+    Raises
+    ------
+    ValueError
+        If a choice has an unknown name or a number out of its range.
+    """
+    _require_sound(choices, gain)
+    logs, centre, precision, lower, upper = np.zeros((5, len(PARAMETERS)))
+    free = np.zeros(len(PARAMETERS), dtype=np.bool_)
+    for number, name in enumerate(PARAMETERS):
+        acts, choice = parts.has[number], choices.get(name, ParameterChoice())
+        if not acts and name in choices and not choice.is_fixed:
+            return _without_effect(name)
+        if not acts:
+            continue
+        value = _value(name, choice, float(parts.given[number]))
+        low, high = choice.lower or BOUNDS[name][0], choice.upper or BOUNDS[name][1]
+        if choice.is_fixed:
+            low = high = value
+        elif not low <= value <= high or low == high:
+            return _out_of_bounds(name, value, low, high)
+        free[number] = not choice.is_fixed
+        logs[number], lower[number], upper[number] = np.log([value, low, high])
+        if choice.factor is not None and not choice.is_fixed:
+            centre[number] = logs[number]
+            precision[number] = 1.0 / log_error_of(choice.factor) ** 2
+    problem = Problem(parts, curves, _samples(curves), centre, precision, lower, upper, gain)
+    needed = int(free.sum()) + problem.n_samples
+    if problem.n_points <= needed:
+        message = (
+            f"{problem.n_points} points for {int(free.sum())} parameters and {problem.n_samples} "
+            f"samples; at least {needed + 1} are needed: take more points, or hold a parameter"
+        )
+        return CalibrationFailure("too_few_points", message)
+    return problem, logs, free
+
+
+def log_error_of(factor: float) -> float:
+    """Standard deviation, in logarithms, of a prior that is within a factor at 95 %."""
+    return float(np.log(factor)) / quantile(np.inf)
+
+
+def _require_sound(choices: Mapping[str, ParameterChoice], gain: float) -> None:
+    unknown = sorted(set(choices) - set(PARAMETERS))
+    if unknown:
+        message = f"{unknown[0]!r}: allowed are {', '.join(PARAMETERS)}"
+        raise ValueError(message)
+    if not (np.isfinite(gain) and 0.0 <= gain < 1.0):
+        message = f"gain={gain!r}: allowed are numbers from 0 to below 1"
+        raise ValueError(message)
+    for name, choice in choices.items():
+        for what in ("value", "lower", "upper"):
+            number = getattr(choice, what)
+            if number is not None and not (np.isfinite(number) and number > 0.0):
+                message = f"{name}: {what}={number!r}: allowed are finite numbers > 0"
+                raise ValueError(message)
+        if choice.factor is not None and not (np.isfinite(choice.factor) and choice.factor > 1.0):
+            message = f"{name}: factor={choice.factor!r}: allowed are finite numbers > 1"
+            raise ValueError(message)
+
+
+def _value(name: str, choice: ParameterChoice, given: float) -> float:
+    if choice.value is not None:
+        return choice.value
+    return given if given > 0.0 else _STARTS[name]
+
+
+def _without_effect(name: str) -> CalibrationFailure:
+    message = f"{name} does not act on this wire: there is nothing in the tests to fit it by"
+    return CalibrationFailure("parameter_without_effect", message)
+
+
+def _out_of_bounds(name: str, value: float, low: float, high: float) -> CalibrationFailure:
+    message = (
+        f"{name} starts at {in_display_unit(name, value)}, outside its bounds, "
+        f"{in_display_unit(name, low, high)}: give a value between them"
+    )
+    return CalibrationFailure("value_out_of_bounds", message)
+
+
+def _samples(curves: tuple[MeasuredCurve, ...]) -> Ints:
+    names = list(dict.fromkeys(curve.sample for curve in curves))
+    return np.array([names.index(curve.sample) for curve in curves], dtype=np.int64)
+
+
+NAMES: Mapping[str, str] = {
+    RADIAL_FRICTION: "phi = F_rad (mu_s + mu_p)",
+    INSULATION_MODULUS: "the modulus of the insulation",
+    COPPER_SCALE: "the strength of the copper",
+}
+FRICTION_NAMES = ("strand_friction", "insulation_friction", "radial_force")
+"""mu_s, mu_p, F_rad."""
+_CALLED: Mapping[str, str] = {
+    **NAMES,
+    **dict(zip(FRICTION_NAMES, ("mu_s", "mu_p", "F_rad"), strict=True)),
+}
+
+WELL, HOPELESS = 2.0, 100.0
+"""Spans of an interval, upper over lower: well identified below, not identified above."""
+_MOSTLY_PRIOR = 0.9  # error over that of the prior
+_LEAST = 1.0  # singular value: below, a combination is not known to within a factor of e
+_IN_IT = 0.05  # squared weight of a number in what is not known that makes it unknown
+_STEP = 1e-3
+
+
+def verdict_of(
+    span: float,
+    *,
+    at_bound: bool,
+    is_open: bool,
+    log_error: float,
+    prior_error: float,
+    contradicts: bool = False,
+) -> Identified:
+    """Judge an interval.
+
+    Parameters
+    ----------
+    span : upper end over lower end
+    at_bound : whether the search ended at a bound
+    is_open : on any side
+    log_error : standard error of the logarithm
+    prior_error : that of its prior; infinite without one
+    contradicts : whether prior and tests contradict each other
+    """
+    if at_bound:
+        return Identified.AT_BOUND
+    if contradicts:
+        return Identified.AGAINST_PRIOR
+    if log_error > _MOSTLY_PRIOR * prior_error:
+        return Identified.BY_PRIOR
+    if is_open or span > HOPELESS:
+        return Identified.NOT
+    return Identified.WELL if span < WELL else Identified.WEAKLY
+
+
+def in_display_unit(name: str, *values: float) -> str:
+    """Write values of a parameter with four digits, without powers of ten, the unit at the end.
+
+    Parameters
+    ----------
+    name : one of `PARAMETERS`
+    values : SI
+
+    Examples
+    --------
+    >>> in_display_unit("insulation_modulus", 9.341e8, 1.0318e9)
+    '934.1 and 1032 MPa'
+    """
+    factor, unit = DISPLAYED[name]
+    rounded = (float(f"{factor * value:.4g}") for value in values)
+    written = " and ".join(np.format_float_positional(value, trim="-") for value in rounded)
+    return f"{written} {unit}".rstrip()
+
+
+def words_of(parameter: CalibratedParameter) -> str:
+    """Say what is known of a parameter in a sentence."""
+    key, interval = parameter.name, parameter.interval
+    name, value = NAMES[key], in_display_unit(key, parameter.value)
+    if interval is None:
+        return f"{name} was held at {value}"
+    low, high, ends = (
+        in_display_unit(key, *values)
+        for values in ((interval.lower,), (interval.upper,), (interval.lower, interval.upper))
+    )
+    if parameter.at_bound:
+        side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
+        return (
+            f"{name} is doubtful: it ended at the {parameter.at_bound} bound of its search, "
+            f"{value}; the tests ask for a value {side} it, or do not determine it; inside the "
+            f"bounds it reaches to {other} (95 %)"
+        )
+    sides = {
+        (False, False): f"lies between {ends}",
+        (True, False): f"lies below {high}; the tests do not bound it from below",
+        (False, True): f"lies above {low}; the tests do not bound it from above",
+        (True, True): f"may lie anywhere between the bounds, {ends}",
+    }
+    place = sides[parameter.is_open_below, parameter.is_open_above]
+    if parameter.verdict is Identified.AGAINST_PRIOR:
+        return f"{name} is doubtful, for prior and tests contradict each other: it {place} (95 %)"
+    return f"{name} is {parameter.verdict.value}: it {place} (95 %)"
+
+
+def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separability:
+    """Singular values of whitened derivatives by logarithms, and what they say.
+
+    Parameters
+    ----------
+    names : of the columns
+    jacobian : shape (points, n), over the noise
+    what : of the numbers, for the words
+    """
+    _, values, rows = np.linalg.svd(jacobian, full_matrices=False)
+    lost = values < _LEAST
+    weights = np.sum(rows[lost] ** 2, axis=0)
+    known = {name: bool(weight < _IN_IT) for name, weight in zip(names, weights, strict=True)}
+    listed = ", ".join(f"{value:.0f}" if value >= 100.0 else f"{value:.2g}" for value in values)
+    ending = f"singular values of {what}: {listed}; below 1 is unknown to within a factor of e"
+    unknown = [_CALLED.get(name, name) for name in names if not known[name]]
+    left = len(names) - int(lost.sum())
+    share = f"{left} of {len(names)} combinations {'is' if left == 1 else 'are'} known ({ending})"
+    if not unknown:
+        words = f"{what} can be told apart: {share}"
+    elif len(unknown) == 1:
+        words = f"{unknown[0]} is not identified: {share}"
+    else:
+        together = f"{', '.join(unknown[:-1])} and {unknown[-1]}"
+        words = f"{together} are not identified, they cannot be told apart: {share}"
+    return Separability(names, values, rows, known, words)
+
+
+def friction_jacobian(
+    section: CrossSection,
+    contacts: Contacts,
+    values: Floats,
+    curves: tuple[MeasuredCurve, ...],
+    *,
+    orientation: float,
+    correlation: float,
+) -> Floats:
+    """Whitened derivatives of all forces by the logarithms of mu_s, mu_p and F_rad.
+
+    Parameters
+    ----------
+    section, contacts, orientation : the wire; the coefficients are those of `contacts`, the radial
+        force is that of phi
+    values : shape (3,), of the parameters
+    curves : measured, for their deflections and noise
+    correlation : of neighbouring points
+
+    Returns
+    -------
+    Shape (points, 3), by central differences.
+    """
+    total = contacts.inner[-1] + contacts.outer[-1]
+    force = values[0] / total
+    columns = []
+    for number in range(3):
+        forces = []
+        for sign in (1.0, -1.0):
+            grown = np.ones(3)
+            grown[number] += sign * _STEP
+            changed = _scaled(contacts, grown[0], grown[1])
+            parts = take_apart(section, changed, orientation=orientation)
+            phi = force * grown[2] * (changed.inner[-1] + changed.outer[-1])
+            forces.append(_whitened(parts, np.array([phi, *values[1:]]), curves, correlation))
+        columns.append((forces[0] - forces[1]) / (2.0 * _STEP))
+    return np.column_stack(columns)
+
+
+def _scaled(contacts: Contacts, strand: float, insulation: float) -> Contacts:
+    """Contacts with friction between strands, and with the insulation, times factors."""
+    inner = tuple(strand * value for value in contacts.inner)
+    outer = (*(strand * value for value in contacts.outer[:-1]), insulation * contacts.outer[-1])
+    return replace(contacts, inner=inner, outer=outer, radial_force=1.0)
+
+
+def _whitened(
+    parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...], correlation: float
+) -> Floats:
+    models = model_forces(parts, values, curves)
+    pieces = [
+        whiten(model.force / np.asarray(curve.noise), correlation)
+        for model, curve in zip(models, curves, strict=True)
+    ]
+    return np.concatenate(pieces)
+
+
+def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
+    """Say how far a prior lies from what the tests say by themselves.
+
+    Parameters
+    ----------
+    name : of the parameter
+    conflict : the numbers; whether they contradict and the message are filled in
+    """
+    limit = quantile(conflict.freedom)
+    contradicts = conflict.size > limit
+    relation = "contradicts" if contradicts else "agrees with"
+    side = "above" if conflict.alone > conflict.centre else "below"
+    others = "; the other values are drawn along with it" if contradicts else ""
+    message = (
+        f"the prior of {NAMES[name]}, {in_display_unit(name, conflict.centre)} within a factor of "
+        f"{conflict.factor:.4g}, {relation} the tests, which by themselves say "
+        f"{in_display_unit(name, conflict.alone)}: {conflict.size:.2f} standard errors of both "
+        f"together {side} the prior, {limit:.2f} would be a contradiction at 95 %{others}"
+    )
+    return replace(conflict, contradicts=contradicts, message=message)

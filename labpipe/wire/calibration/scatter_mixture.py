@@ -1,0 +1,130 @@
+"""Intervals averaged over what the scatter of a few samples may be.
+
+Two or three samples say little of how samples scatter, and how much a parameter leans on their
+mean rather than on the shape of the curves depends on it. So the scatter is not taken for known:
+in the linear model at the least of the objective every scatter has its restricted likelihood, its
+estimate of the parameters and its covariance, and a parameter's distribution is the mixture of
+Student's t over them (the thought of the intervals of `fitting.correlated`). Where the interval
+leans on the samples' mean alone this is Student's t with one degree of freedom less than samples.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import stdtr, stdtrit
+
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.wire_calibration import ScatterMixture
+from labpipe.wire.calibration.parameter_search import Fit, Levels, P, Problem
+from labpipe.wire.calibration.variances import LinearModel, linear_model
+
+_LEAST, _MOST, _COUNT = 0.3, 1000.0, 64
+"""Grid of scatters: from a part of what noise makes of one sample's factor to many times the found
+one, and how many."""
+_UNLIKELY = 1e-6  # chance of a scatter that is left out
+_HALVINGS = 40
+TAIL = 0.025
+"""Outside the interval, on each side."""
+
+
+def quantiles(
+    mixture: ScatterMixture, directions: Floats, one_more: Floats | float = 0.0
+) -> tuple[Floats, Floats]:
+    """2.5 and 97.5 % quantiles of linear combinations, counted from the fit.
+
+    Parameters
+    ----------
+    mixture : what is known
+    directions : shape (n, 4), of the logarithms of parameters and gain
+    one_more : shape (n,), what the factor of one more sample is multiplied by; 0 for none
+
+    Returns
+    -------
+    Lower and upper, shape (n,) each.
+
+    Notes
+    -----
+    By halving: the distribution is a sum of Student's t, each with its own place and width.
+    """
+    centre = directions @ mixture.shift.T
+    variance = np.einsum("ni,sij,nj->ns", directions, mixture.covariance, directions)
+    own = np.broadcast_to(one_more, len(directions))[:, None] * mixture.scatter
+    error = np.sqrt(np.maximum(variance, 0.0) + own**2)
+    error = np.maximum(error, 1e-9 * error.max(axis=1, keepdims=True) + 1e-300)
+    reach = stdtrit(mixture.freedom, 1.0 - 1e-4 * mixture.chance.min()) * error
+    least, most = (centre - reach).min(axis=1), (centre + reach).max(axis=1)
+
+    def quantile_at(share: float) -> Floats:
+        low, high = least, most
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            below = stdtr(mixture.freedom, (middle[:, None] - centre) / error) @ mixture.chance
+            low, high = np.where(below < share, middle, low), np.where(below < share, high, middle)
+        return np.asarray(0.5 * (low + high))
+
+    return quantile_at(TAIL), quantile_at(1.0 - TAIL)
+
+
+def mix(
+    problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
+) -> ScatterMixture:
+    """Weigh every scatter by its restricted likelihood.
+
+    Parameters
+    ----------
+    problem, fit, free, levels : what was fitted
+    is_scatter_known : given rather than estimated, or not to be had from one sample
+
+    Notes
+    -----
+    The prior is even in the logarithm of the scatter, from three tenths of what noise makes of one
+    sample's factor: below, scatter changes nothing.
+    """
+    linear = linear_model(problem, fit, free)
+    freedom = float(linear.n - len(linear.columns))
+    ratios = (
+        _ratios(linear, levels)
+        if not is_scatter_known
+        else np.array([levels.scatter**2 / levels.noise])
+    )
+    found = [linear.estimate(float(ratio)) for ratio in ratios]
+    heights = np.array([height for _, height in found])
+    chance = np.exp(-0.5 * (heights - heights.min()))
+    solved = [
+        _solve(problem, fit, free, linear.shrunk(float(ratio)).sum(axis=0) / noise)
+        for (noise, _), ratio in zip(found, ratios, strict=True)
+    ]
+    likely = chance / chance.sum()
+    kept = likely > _UNLIKELY
+    return ScatterMixture(
+        likely[kept] / likely[kept].sum(),
+        np.sqrt(ratios * [noise for noise, _ in found])[kept],
+        np.array([shift for shift, _ in solved])[kept],
+        np.array([covariance for _, covariance in solved])[kept],
+        freedom,
+    )
+
+
+def _ratios(linear: LinearModel, levels: Levels) -> Floats:
+    """Scatter over noise, as variances."""
+    own = float(np.median(linear.grams[:, P, P])) ** -0.5
+    most = max(levels.scatter / np.sqrt(levels.noise), own) * _MOST
+    return np.geomspace(_LEAST * own, most, _COUNT) ** 2
+
+
+def _solve(problem: Problem, fit: Fit, free: Flags, total: Floats) -> tuple[Floats, Floats]:
+    """Shift from the fit and covariance from whitened products, with priors and gain."""
+    moves = np.append(free, problem.gain > 0.0)
+    tight = np.append(problem.precision, problem.gain**-2.0 if problem.gain > 0.0 else 0.0)
+    away = np.append(fit.point.logs - problem.centre, fit.point.gain)
+    matrix, pull = total[: P + 1, : P + 1].copy(), total[: P + 1, -1] - tight * away
+    matrix[range(P + 1), range(P + 1)] += tight
+    shift, covariance = np.zeros(P + 1), np.zeros((P + 1, P + 1))
+    if moves.any():
+        inner = matrix[np.ix_(moves, moves)]
+        scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
+        unit = inner / np.outer(scale, scale) + 1e-12 * np.eye(len(scale))
+        inverse = np.linalg.inv(unit) / np.outer(scale, scale)
+        covariance[np.ix_(moves, moves)] = inverse
+        shift[moves] = inverse @ pull[moves]
+    return shift, covariance

@@ -1,0 +1,356 @@
+"""How much noise and samples scatter, how well that is known; parameters and scatter together.
+
+At the least of the objective the model is linear in parameters and factors, and every sum over
+points is in the samples' Gram matrices. Scatter of samples and noise are estimated by restricted
+maximum likelihood (Patterson and Thompson, Biometrika 58 (1971) 545) with the mean factor left
+free, so that it is the spread of the samples among each other, whatever the load cell's gain or a
+prior. The degrees of freedom of a parameter's variance, which is made of both, are Satterthwaite's
+(Biometrics Bull. 2 (1946) 110): 2 C^2 / var(C), as in Kenward and Roger (Biometrics 53 (1997) 983).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+from scipy.special import stdtrit
+
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, PARAMETERS
+from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors
+from labpipe.wire.calibration.parameter_search import (
+    Fit,
+    Levels,
+    P,
+    Point,
+    Problem,
+    products,
+    search,
+)
+from labpipe.wire.calibration.wire_parts import ModelForce, model_forces
+
+_HIGHEST_CORRELATION = 0.98
+_RATIOS = (-6.0, 14.0, 41)  # logarithms of scatter^2 times information over noise, and how many
+_STEP = 0.02  # of logarithms of variances, for their derivatives
+_RIDGE = 1e-12
+_FEWEST = 1.0  # degrees of freedom: Satterthwaite's formula can fall below for a few samples
+
+
+def quantile(freedom: float) -> float:
+    """Two-sided 95 % quantile of t; the normal one for endless degrees of freedom."""
+    return float(stdtrit(min(max(freedom, _FEWEST), 1e9), 0.975))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Uncertainty:
+    """Covariance of the logarithms and the gain, and how it depends on the levels.
+
+    Parameters
+    ----------
+    covariance : shape (4, 4); 0 for what is not free
+    by_level : shape (2, 4, 4), derivatives by the logarithms of the variances of noise and samples
+    level_covariance : shape (2, 2), of the estimates of those
+    """
+
+    covariance: Floats
+    by_level: Floats
+    level_covariance: Floats
+
+    def freedom(self, direction: Floats) -> float:
+        """Degrees of freedom of the variance of a linear combination, shape (4,)."""
+        variance = float(direction @ self.covariance @ direction)
+        slopes = self.by_level @ direction @ direction
+        spread = float(slopes @ self.level_covariance @ slopes)
+        return 2.0 * variance**2 / spread if spread > 0.0 else np.inf
+
+
+def correlation_of(
+    curves: tuple[MeasuredCurve, ...], models: list[ModelForce], factors: Floats
+) -> float:
+    """Correlation of neighbouring residuals over all curves, at least 0.
+
+    What an error that all points of a curve share most likely made of them is taken out first.
+
+    Parameters
+    ----------
+    curves, models : measured and modelled
+    factors : shape (curves,), of each sample on the model
+    """
+    above = below = 0.0
+    for curve, model, factor in zip(curves, models, factors, strict=True):
+        noise = np.asarray(curve.noise)
+        left = (curve.force - factor * model.force) / noise
+        shared = shared_errors(curve, model.slope) / noise
+        held = np.eye(len(shared)) + shared @ shared.T
+        left -= np.linalg.solve(held, shared @ left) @ shared
+        above += float(left[1:] @ left[:-1])
+        below += float(left @ left)
+    return float(np.clip(above / below, 0.0, _HIGHEST_CORRELATION)) if below > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearModel:
+    """The linear model at the fit, as whitened products of each sample.
+
+    Parameters
+    ----------
+    grams : shape (samples, 5, 5), of derivatives, model and residual, the residual with the
+        sample's own offset in it
+    columns : what is estimated: free parameters and the mean factor
+    n : points
+    """
+
+    grams: Floats
+    columns: list[int]
+    n: int
+
+    def shrunk(self, ratio: float) -> Floats:
+        """Products under a scatter of `ratio` times the noise, both as variances."""
+        own = self.grams[:, P, :]
+        kept = ratio / (1.0 + ratio * self.grams[:, P, P])
+        return np.asarray(self.grams - kept[:, None, None] * own[:, :, None] * own[:, None, :])
+
+    def estimate(self, ratio: float) -> tuple[float, float]:
+        """Noise variance at a ratio, and minus twice the restricted likelihood there."""
+        total = self.shrunk(ratio).sum(axis=0)
+        inner = total[np.ix_(self.columns, self.columns)]
+        scale = np.sqrt(np.diag(inner))
+        unit = inner / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+        pull = total[self.columns, -1] / scale
+        left = float(total[-1, -1] - pull @ np.linalg.solve(unit, pull))
+        freedom = self.n - len(self.columns)
+        noise = max(left, 1e-300) / freedom
+        logs = np.log1p(ratio * self.grams[:, P, P]).sum()
+        logs += np.linalg.slogdet(unit)[1] + 2.0 * np.log(scale).sum()
+        return noise, float(freedom * np.log(noise) + logs)
+
+
+def estimate_levels(
+    problem: Problem, fit: Fit, free: Flags, correlation: float, scatter: float | None
+) -> Levels:
+    """Noise and scatter at the least of the objective.
+
+    Parameters
+    ----------
+    problem, fit, free : what was fitted
+    correlation : of neighbours, with which the fit's products are whitened
+    scatter : where it is given; else it is estimated, and 0 for one sample
+    """
+    linear = linear_model(problem, fit, free)
+    if scatter is None and problem.n_samples == 1:
+        scatter = 0.0
+    if scatter is not None:
+        noise = linear.estimate(0.0)[0]
+        for _ in range(3):
+            noise = linear.estimate(scatter**2 / noise)[0]
+        return Levels(noise, correlation, scatter)
+    information = float(np.median(linear.grams[:, P, P]))
+    grid = np.linspace(*_RATIOS)
+    heights = [linear.estimate(float(np.exp(at)) / information)[1] for at in grid]
+    best = int(np.argmin(heights))
+    around = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found = minimize_scalar(
+        lambda at: linear.estimate(float(np.exp(at)) / information)[1],
+        bounds=around,
+        method="bounded",
+        options={"xatol": 1e-3},
+    )
+    ratio = float(np.exp(found.x)) / information
+    noise = linear.estimate(ratio)[0]
+    return Levels(noise, correlation, float(np.sqrt(ratio * noise)))
+
+
+def linear_model(problem: Problem, fit: Fit, free: Flags) -> LinearModel:
+    """Make the linear model of a fit: each sample's offset is put back into what scatters."""
+    grams = fit.grams.copy()
+    shift = fit.point.offsets[:, None] * fit.grams[:, P, :]
+    grams[:, :, -1] += shift
+    grams[:, -1, :] += shift
+    grams[:, -1, -1] += fit.point.offsets**2 * fit.grams[:, P, P]
+    columns = [*np.flatnonzero(free).tolist(), P]
+    return LinearModel(grams, columns, problem.n_points)
+
+
+def uncertainty(
+    problem: Problem, fit: Fit, free: Flags, levels: Levels, *, is_scatter_known: bool
+) -> Uncertainty:
+    """Covariance of what was fitted, with what Satterthwaite's degrees of freedom need.
+
+    Parameters
+    ----------
+    problem, fit, free, levels : what was fitted, and the levels it was fitted with
+    is_scatter_known : given rather than estimated
+    """
+    linear = linear_model(problem, fit, free)
+
+    def covariance(noise: float, samples: float) -> Floats:
+        return _covariance(problem, linear, free, noise, samples)
+
+    noise, samples = levels.noise, levels.scatter**2
+    up, down = np.exp(_STEP), np.exp(-_STEP)
+    by_noise = covariance(noise * up, samples) - covariance(noise * down, samples)
+    by_samples = covariance(noise, samples * up) - covariance(noise, samples * down)
+    by_level = np.stack([by_noise, by_samples]) / (2.0 * _STEP)
+    known = is_scatter_known or levels.scatter == 0.0
+    spread = _level_covariance(linear, noise, samples, is_scatter_known=known)
+    return Uncertainty(covariance(noise, samples), by_level, spread)
+
+
+def _covariance(
+    problem: Problem, linear: LinearModel, free: Flags, noise: float, samples: float
+) -> Floats:
+    total = linear.shrunk(samples / noise).sum(axis=0) / noise
+    moves = np.append(free, problem.gain > 0.0)
+    matrix = total[: P + 1, : P + 1].copy()
+    tight = np.append(problem.precision, 1.0 / problem.gain**2 if problem.gain > 0.0 else 0.0)
+    matrix[range(P + 1), range(P + 1)] += tight
+    out = np.zeros((P + 1, P + 1))
+    if moves.any():
+        inner = matrix[np.ix_(moves, moves)]
+        scale = np.sqrt(np.maximum(np.diag(inner), 1e-30))
+        unit = inner / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+        out[np.ix_(moves, moves)] = np.linalg.inv(unit) / np.outer(scale, scale)
+    return out
+
+
+def _level_covariance(
+    linear: LinearModel, noise: float, samples: float, *, is_scatter_known: bool
+) -> Floats:
+    """Of the logarithms of the two variances, from the expected restricted information."""
+    freedom = linear.n - len(linear.columns)
+    if is_scatter_known:
+        return np.diag([2.0 / freedom, 0.0])
+    here = _between(linear, noise, samples)
+    up, down = np.exp(_STEP), np.exp(-_STEP)
+    slope = (
+        np.trace(_between(linear, noise * up, samples * up))
+        - np.trace(_between(linear, noise * down, samples * down))
+    ) / (2.0 * _STEP)
+    # P scales as the inverse of both variances: trace(Z'PZ) falls by itself, in part by each.
+    alone = (
+        np.trace(_between(linear, noise, samples * up))
+        - np.trace(_between(linear, noise, samples * down))
+    ) / (2.0 * _STEP)
+    both = float(np.sum(here**2)) * samples**2
+    cross = -float(slope - alone) * samples
+    white = freedom - both - 2.0 * cross
+    information = 0.5 * np.array([[white, cross], [cross, both]])
+    return np.asarray(np.linalg.inv(information))
+
+
+def _between(linear: LinearModel, noise: float, samples: float) -> Floats:
+    """Z' P Z, shape (samples, samples), with P the projector of the restricted likelihood."""
+    shrunk = linear.shrunk(samples / noise) / noise
+    total = shrunk.sum(axis=0)
+    inner = total[np.ix_(linear.columns, linear.columns)]
+    scale = np.sqrt(np.diag(inner))
+    unit = inner / np.outer(scale, scale) + _RIDGE * np.eye(len(scale))
+    arms = shrunk[:, P, linear.columns] / scale
+    return np.asarray(np.diag(shrunk[:, P, P]) - arms @ np.linalg.solve(unit, arms.T))
+
+
+_FIRST_SCATTER = 0.05
+_ROUNDS, _SETTLED = 6, 0.01
+_SHARES = (0.3, 0.8)
+"""Of the load that the insulation takes, in the starts besides the given one."""
+
+
+def settle(
+    problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
+) -> tuple[Fit, Levels]:
+    """Fit parameters and levels.
+
+    Parameters
+    ----------
+    problem : what is fitted
+    logs : shape (3,), where the search starts
+    free : shape (3,)
+    scatter : of the samples, in logarithms, where it is given
+
+    Returns
+    -------
+    The fit and the levels that it was made with.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot follow the curves at any start.
+
+    Notes
+    -----
+    A wire of hard copper without insulation can look like one of soft copper with it, so there may
+    be two valleys. Besides the given start two more are tried, in which the insulation takes three
+    and eight tenths of the load; the least objective wins, whatever the start.
+    """
+    levels = Levels(1.0, 0.0, _FIRST_SCATTER if scatter is None else scatter)
+    found = [_from(problem, levels, start, free) for start in _starts(problem, logs, free)]
+    fits = [fit for fit in found if fit is not None]
+    if not fits:
+        message = "the model cannot follow the curves at any of the starts"
+        raise ValueError(message)
+    return refine(problem, min(fits, key=lambda fit: fit.objective), levels, free, scatter=scatter)
+
+
+def refine(
+    problem: Problem, fit: Fit, levels: Levels, free: Flags, *, scatter: float | None
+) -> tuple[Fit, Levels]:
+    """Estimate the levels and search again until they rest.
+
+    Parameters
+    ----------
+    problem, free, scatter : as for `settle`
+    fit, levels : a fit, and the levels it was made with
+    """
+    for _ in range(_ROUNDS):
+        factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
+        correlation = correlation_of(problem.curves, fit.models, factors)
+        grams = products(problem, correlation, fit.point, fit.models)
+        white = Fit(fit.point, fit.objective, grams, fit.models, fit.steps, fit.settled)
+        new = estimate_levels(problem, white, free, correlation, scatter)
+        rests = _are_close(levels, new)
+        levels = new
+        fit = search(problem, levels, _within(fit.point, levels), free)
+        if rests:
+            break
+    return fit, levels
+
+
+def _from(problem: Problem, levels: Levels, logs: Floats, free: Flags) -> Fit | None:
+    start = Point(logs, 0.0, np.zeros(problem.n_samples))
+    try:
+        return search(problem, levels, start, free)
+    except ValueError:
+        return None
+
+
+def _within(point: Point, levels: Levels) -> Point:
+    """The point without offsets where samples do not scatter."""
+    offsets = point.offsets if levels.scatter > 0.0 else np.zeros_like(point.offsets)
+    return Point(point.logs, point.gain, offsets)
+
+
+def _are_close(one: Levels, other: Levels) -> bool:
+    if abs(one.correlation - other.correlation) > _SETTLED:
+        return False
+    close = abs(one.noise / other.noise - 1.0) <= _SETTLED
+    return close and abs(one.scatter - other.scatter) <= _SETTLED * max(other.scatter, 1e-9)
+
+
+def _starts(problem: Problem, logs: Floats, free: Flags) -> list[Floats]:
+    tube, copper = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
+    if not (free[tube] and free[copper]):
+        return [logs]
+    given = problem.parts.given
+    nominal = np.where(free & (given > 0.0), np.log(np.where(given > 0.0, given, 1.0)), logs)
+    models = model_forces(problem.parts, np.exp(nominal), problem.curves)
+    total = sum(float(np.abs(model.force).sum()) for model in models)
+    of_tube = sum(float(np.abs(model.change[tube]).sum()) for model in models)
+    measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
+    starts = [logs]
+    for share in _SHARES:
+        start = nominal.copy()
+        start[tube] += np.log(share * measured / of_tube)
+        start[copper] += np.log((1.0 - share) * measured / max(total - of_tube, 0.01 * total))
+        starts.append(np.clip(start, problem.lower, problem.upper))
+    return starts

@@ -1,0 +1,384 @@
+"""The law of a wire as a sum of parts that scale, and the forces that follow from it.
+
+First loading without tension in the wire is additive in the strain energy per length W(kappa),
+
+    W = F^2 w_f(kappa / F) + sum of l^2 w_c(kappa / l) + E_ins I kappa^2 / 2,
+
+exactly: friction is homogeneous in curvature and radial force F; a Ramberg-Osgood curve of
+strength c K is that of K with strain and stress stretched by l = c^(1 / (1 - n)), n its exponent.
+So w_f and w_c are tabulated once, and a new set of parameters costs a look-up. The complementary
+energy at constant moment changes by minus what W changes by at constant curvature.
+
+Friction acts through phi = F (mu_s + mu_p) of the outermost ring. For a wire of one ring the law
+depends on the three numbers only through phi, but for mu_s sin(alpha), which bends the friction
+angle by less than 0.1 %. For more rings their given ratios stay, and F scales.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from labpipe.law.loading_panels import NODES, LoadingLaw, panel_rule
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.wire_calibration import PARAMETERS
+from labpipe.wire.bending_law import moment_curvature
+from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
+from labpipe.wire.cantilever import StringRig
+from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
+from labpipe.wire.friction import Contacts, slip_onsets
+from labpipe.wire.materials import RambergOsgood
+from labpipe.wire.strand_bending import elastic_share, helix_factor
+
+_STRAINS = (1e-9, 100.0, 32)
+"""Rim strains that the copper's table spans, and its knots per decade: soft copper at a small
+strain is hard copper at a large one."""
+_REFINED, _BEYOND = 24, 4.0  # friction: knots between the onsets, how far beyond the last
+_STRAIGHT = 1e-9  # of the first slope: a smaller change of slope is no corner
+_POINTS = 44  # of a loading curve
+_REACH, _CROWDED = 8.0, 1.5  # logarithm of last over first curvature; closer towards the last
+_SAME = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrictionPart:
+    """Moment of the axial forces for a radial force of 1 N: straight lines between knots.
+
+    Parameters
+    ----------
+    curvature : shape (knots,), 1/m per N, from 0
+    moment : shape (knots,), N m per N; constant beyond the last
+    energy : shape (knots,), N per N^2, integral of the moment
+    coefficients : mu_s + mu_p of the outermost ring: phi for 1 N
+    """
+
+    curvature: Floats
+    moment: Floats
+    energy: Floats
+    coefficients: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CopperPart:
+    """Own moment of the strands of one exponent at copper scale 1.
+
+    Parameters
+    ----------
+    exponent : n of the Ramberg-Osgood curve; 0 for a material that has no strength to scale
+    first, last : 1/m, ends of the table; below the first the strands are elastic
+    table : moment / curvature and energy / curvature^2 against the curvature's logarithm
+    """
+
+    exponent: float
+    first: float
+    last: float
+    table: CubicSpline
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WireParts:
+    """A wire ready for calibration.
+
+    Parameters
+    ----------
+    friction : None where nothing rubs: no ring, or no friction coefficient
+    copper : one part for each exponent
+    inertia : m^4, of the insulation: E_ins times it is its stiffness
+    given : shape (3,), the values of `PARAMETERS` that the wire came with; NaN where it has none
+    """
+
+    friction: FrictionPart | None
+    copper: tuple[CopperPart, ...]
+    inertia: float
+    given: Floats
+
+    @property
+    def has(self) -> tuple[bool, bool, bool]:
+        """Whether each of `PARAMETERS` acts on the wire."""
+        yields = any(part.exponent > 0.0 for part in self.copper)
+        return self.friction is not None, self.inertia > 0.0, yields
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bent:
+    """Moment, its slope and energy at curvatures, with the energy's derivatives by logarithms."""
+
+    moment: Floats
+    slope: Floats
+    energy: Floats
+    change: Floats
+
+
+def take_apart(section: CrossSection, contacts: Contacts, *, orientation: float = 0.0) -> WireParts:
+    """Tabulate the parts of a wire.
+
+    Parameters
+    ----------
+    section : strands in place with their materials, and the insulation
+    contacts : friction coefficients, whose ratios stay, and the radial force that phi starts from
+    orientation : rad, of the section against the neutral axis
+    """
+    friction = _friction(section, contacts, orientation)
+    tube = section.insulation
+    phi = contacts.radial_force * friction.coefficients if friction else np.nan
+    copper = tuple(_copper(section, exponent) for exponent in sorted(_exponents(section)))
+    yields = any(part.exponent > 0.0 for part in copper)
+    given = np.array([phi, tube.modulus if tube else np.nan, 1.0 if yields else np.nan])
+    inertia = tube.bending_stiffness / tube.modulus if tube else 0.0
+    return WireParts(friction, copper, inertia, given)
+
+
+def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> FrictionPart | None:
+    if not contacts.inner or contacts.inner[-1] + contacts.outer[-1] == 0.0:
+        return None
+    unit = replace(contacts, radial_force=1.0)
+    onsets = slip_onsets(section, unit, orientation=orientation)
+    onsets = onsets[np.isfinite(onsets)]
+    even = np.geomspace(onsets.min(), _BEYOND * onsets.max(), _REFINED)
+    knots = np.union1d(onsets, even)
+    knots = knots[np.diff(knots, prepend=0.0) > _SAME * knots]
+    law = moment_curvature(section, unit, knots, orientation=orientation)
+    curvature = np.concatenate([[0.0], knots])
+    moment = np.concatenate([[0.0], law.stick + law.slip])
+    slopes = np.diff(moment) / np.diff(curvature)
+    bends = np.abs(np.diff(slopes)) > _STRAIGHT * slopes[0]
+    kept = np.concatenate([[True], bends, [False]])
+    curvature, moment = curvature[kept], moment[kept]
+    steps = 0.5 * (moment[1:] + moment[:-1]) * np.diff(curvature)
+    energy = np.concatenate([[0.0], np.cumsum(steps)])
+    return FrictionPart(curvature, moment, energy, contacts.inner[-1] + contacts.outer[-1])
+
+
+def _exponents(section: CrossSection) -> set[float]:
+    return {_exponent(layer.material) for layer in section.layers}
+
+
+def _exponent(material: object) -> float:
+    return material.exponent if isinstance(material, RambergOsgood) else 0.0
+
+
+def _copper(section: CrossSection, exponent: float) -> CopperPart:
+    layers = [layer for layer in section.layers if _exponent(layer.material) == exponent]
+    rim = max(layer.diameter for layer in layers) / 2.0
+    most = min(_STRAINS[1], *(layer.material.largest_strain for layer in layers))
+    count = round(np.log10(most / _STRAINS[0]) * _STRAINS[2])
+    curvature = np.geomspace(_STRAINS[0], most, count) / rim * (1.0 - 1e-12)
+    moment = np.zeros_like(curvature)
+    for layer in layers:
+        share = elastic_share(layer.material, curvature * layer.diameter / 2.0)
+        stiffness = layer.material.modulus * np.pi * layer.diameter**4 / 64.0
+        lay = helix_factor(layer.lay_angle, layer.poisson)
+        moment += layer.count * lay * stiffness * curvature * share
+    level = np.log(curvature)
+    work = CubicSpline(level, moment * curvature).antiderivative()
+    energy = work(level) + 0.5 * moment[0] * curvature[0]
+    table = np.column_stack([moment / curvature, energy / curvature**2])
+    return CopperPart(
+        exponent, float(curvature[0]), float(curvature[-1]), CubicSpline(level, table)
+    )
+
+
+def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingLaw:
+    """Law of first loading at given parameters, with its derivatives by their logarithms.
+
+    Parameters
+    ----------
+    parts : the wire
+    values : shape (3,), of `PARAMETERS`; what the wire has not is not looked at
+    largest_curvature : 1/m, at the clamp
+
+    Raises
+    ------
+    ValueError
+        If a strand is bent beyond the known part of its material's curve.
+    """
+    edges, points = _edges(parts, values, largest_curvature)
+    places, weights = panel_rule(NODES)
+    width = np.diff(edges)[:, None]
+    nodes = edges[:-1, None] + width * places
+    at_edges = _bend(parts, values, edges[1:])
+    inside = _bend(parts, values, nodes.ravel())
+    from_zero = np.concatenate([[0.0], at_edges.moment])
+    complementary = edges[1:] * at_edges.moment - at_edges.energy
+    return LoadingLaw(
+        edges,
+        from_zero,
+        np.concatenate([[0.0], complementary]),
+        width * weights * inside.slope.reshape(nodes.shape),
+        nodes * inside.moment.reshape(nodes.shape) - inside.energy.reshape(nodes.shape),
+        points,
+        np.hstack([np.zeros((len(PARAMETERS), 1)), -at_edges.change]),
+        -inside.change.reshape(-1, *nodes.shape),
+    )
+
+
+def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, Ints]:
+    """Panels between the corners of friction and between even points; the points are wanted."""
+    even = largest * np.exp(-_REACH * np.linspace(1.0, 0.0, _POINTS) ** _CROWDED)
+    corners = np.zeros(0)
+    if parts.friction is not None:
+        force = values[0] / parts.friction.coefficients
+        corners = force * parts.friction.curvature[1:]
+    corners = corners[corners < largest]
+    near = even[np.minimum(np.searchsorted(even, corners), len(even) - 1)]
+    below = even[np.maximum(np.searchsorted(even, corners) - 1, 0)]
+    is_apart = np.minimum(np.abs(near - corners), np.abs(below - corners)) > _SAME * corners
+    edges = np.concatenate([[0.0], np.sort(np.concatenate([even, corners[is_apart]]))])
+    return edges, np.searchsorted(edges, even)
+
+
+def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _Bent:
+    """All parts together; the parameters' parts of the change each by itself."""
+    moment, slope, energy = np.zeros((3, len(curvature)))
+    change = np.zeros((len(PARAMETERS), len(curvature)))
+    if parts.friction is not None:
+        part = _rub(parts.friction, values[0] / parts.friction.coefficients, curvature)
+        moment, slope, energy = part[0], part[1], part[2]
+        change[0] = 2.0 * energy - curvature * moment
+    if parts.inertia > 0.0:
+        stiffness = values[1] * parts.inertia
+        change[1] = 0.5 * stiffness * curvature**2
+        moment = moment + stiffness * curvature
+        slope, energy = slope + stiffness, energy + change[1]
+    for copper in parts.copper:
+        part = _yield(copper, values[2], curvature)
+        moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]
+        if copper.exponent > 0.0:
+            own = 2.0 * part[2] - curvature * part[0]
+            change[2] += own / (1.0 - copper.exponent)
+    return _Bent(moment, slope, energy, change)
+
+
+def _rub(part: FrictionPart, force: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+    """Moment of friction, its slope and energy at a radial force, N."""
+    stretched = curvature / force
+    panel = np.searchsorted(part.curvature, stretched, side="right") - 1
+    slopes = np.append(np.diff(part.moment) / np.diff(part.curvature), 0.0)
+    ahead = stretched - part.curvature[panel]
+    slope = slopes[panel]
+    moment = part.moment[panel] + slope * ahead
+    energy = part.energy[panel] + (part.moment[panel] + 0.5 * slope * ahead) * ahead
+    return force * moment, slope, force**2 * energy
+
+
+def _yield(part: CopperPart, scale: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+    """Own moment of strands, its slope and energy at a copper scale."""
+    stretch = scale ** (1.0 / (1.0 - part.exponent)) if part.exponent > 0.0 else 1.0
+    if curvature.max() > part.last * stretch:
+        message = (
+            f"curvature={curvature.max():.6g} 1/m: the material is known up to "
+            f"{part.last * stretch:.6g} 1/m at a copper scale of {scale:.4g}"
+        )
+        raise ValueError(message)
+    level = np.log(np.maximum(curvature / stretch, part.first))
+    secant, energy = part.table(level).T
+    bend = part.table(level, 1)[:, 0]
+    slope = secant + np.where(curvature > part.first * stretch, bend, 0.0)
+    return secant * curvature, slope, energy * curvature**2
+
+
+_MARGIN, _WIDER = 1.5, 1.5
+_J, _M, _R = slice(0, len(PARAMETERS)), len(PARAMETERS), len(PARAMETERS) + 1
+COLUMNS = len(PARAMETERS) + 2
+"""Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModelForce:
+    """Forces of one curve, shape (n,), N, their derivatives, shape (3, n), N, and slope, N/m."""
+
+    force: Floats
+    change: Floats
+    slope: Floats
+
+
+def loading_curve(
+    parts: WireParts, values: Floats, length: float, rig: StringRig | None, deflection: float
+) -> LoadingCurve:
+    """Loading curve that reaches a deflection.
+
+    Parameters
+    ----------
+    parts : the wire
+    values : shape (3,), of its parameters
+    length, deflection : m
+    rig : as for `load_cantilever`
+
+    Raises
+    ------
+    ValueError
+        If first loading ends before the deflection.
+    """
+    share = min(deflection / length, 0.9)
+    largest = _MARGIN * 3.0 * share / (1.0 - share**2) / length
+    curve = load_cantilever(loading_law(parts, values, largest), length, rig)
+    while curve.deflection[-1] < deflection and curve.clamp_curvature[-1] >= largest:
+        largest *= _WIDER
+        curve = load_cantilever(loading_law(parts, values, largest), length, rig)
+    return curve
+
+
+def model_forces(
+    parts: WireParts, values: Floats, curves: tuple[MeasuredCurve, ...]
+) -> list[ModelForce]:
+    """Force of the model at every point of the curves, without the samples' own factors.
+
+    Raises
+    ------
+    ValueError
+        If a curve goes beyond first loading.
+    """
+    found: list[ModelForce | None] = [None] * len(curves)
+    order = sorted(range(len(curves)), key=lambda i: _place(curves[i]))
+    for _, members in groupby(order, key=lambda i: _place(curves[i])):
+        numbers = list(members)
+        every = np.concatenate([curves[i].deflection for i in numbers])
+        first = curves[numbers[0]]
+        deepest = float(np.max(np.abs(every)))
+        curve = loading_curve(parts, values, first.length, first.rig, deepest)
+        force, change = force_at(curve, every)
+        ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
+        rise = np.interp(np.abs(every), curve.deflection, curve.stiffness)
+        parts_of = (np.split(values, ends, axis=-1) for values in (force, change, rise))
+        for number, *part in zip(numbers, *parts_of, strict=True):
+            found[number] = ModelForce(*part)
+    return [force for force in found if force is not None]
+
+
+def _place(curve: MeasuredCurve) -> tuple[float, ...]:
+    rig = curve.rig
+    if rig is None:
+        return (curve.length,)
+    return (curve.length, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
+
+
+def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
+    """Whitened products of derivatives, model and residual with each other, shape (5, 5).
+
+    Parameters
+    ----------
+    curve, model : measured and modelled
+    factor : of the sample and the load cell on the model's force
+    correlation : of neighbouring points
+
+    Notes
+    -----
+    Errors N that the points share make the covariance R + N N', R being that of the noise. With
+    whitened columns W, N the products are W'W - W'N (1 + N'N)^-1 N'W (Woodbury), as if each error
+    were fitted with its own standard deviation for a prior. They are in units of the stated noise:
+    where residuals show more noise, the shared errors count for as much more.
+    """
+    columns = np.empty((len(curve.force), COLUMNS))
+    columns[:, _J] = factor * model.change.T
+    columns[:, _M] = factor * model.force
+    columns[:, _R] = curve.force - columns[:, _M]
+    noise = np.asarray(curve.noise)[:, None]
+    white = whiten(columns / noise, correlation)
+    shared = whiten(shared_errors(curve, model.slope).T / noise, correlation)
+    seen = shared.T @ white
+    held = np.eye(shared.shape[1]) + shared.T @ shared
+    return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))

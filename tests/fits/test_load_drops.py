@@ -1,0 +1,76 @@
+"""A sudden fall at a place: its beginning, end and drop, and whether it is noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import binomtest
+
+from labpipe.fits.load_drops import Fall, Pull, fit_fall
+from labpipe.records.arrays import Floats
+
+COUNT, STEP = 400, 1e-4
+NUMBER = np.arange(COUNT, dtype=np.float64)
+
+
+def noise(seed: int, memory: float, deviation: float = 0.04) -> Floats:
+    factor = np.exp(-1.0 / memory) if memory > 0.0 else 0.0
+    kicks = np.random.default_rng(seed).normal(size=COUNT + 100) * np.sqrt(1.0 - factor**2)
+    slow = np.asarray(lfilter([1.0], [1.0, -factor], kicks)[100:], dtype=np.float64)
+    return deviation * slow
+
+
+def pull(begin: float, length: float, drop: float, extra: Floats) -> Pull:
+    lost = drop * np.clip((NUMBER - begin) / length, 0.0, 1.0)
+    return Pull(STEP * NUMBER, 0.1 * NUMBER - lost + extra, most=10, blurred=0)
+
+
+@pytest.mark.parametrize("length", [0.01, 1.0, 2.5])
+@pytest.mark.parametrize("memory", [0.0, 6.0])
+def test_the_drop_covers(length: float, memory: float) -> None:
+    """Slow and white noise, and falls that begin anywhere between two samples."""
+    hits = 0
+    for seed in range(120):
+        begin = 200.0 + float(np.random.default_rng(seed).uniform())
+        both = noise(seed, memory, 0.03) + noise(seed + 1000, 0.0, 0.02)
+        found = fit_fall(pull(begin, length, 0.65, both), 202)
+        assert isinstance(found, Fall)
+        hits += found.drop_interval.lower <= 0.65 <= found.drop_interval.upper
+    assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
+
+
+def test_start_and_stop_are_the_samples_around_the_fall() -> None:
+    found = fit_fall(pull(200.25, 2.5, 2.0, noise(3, 0.0, 0.005)), 205)
+    assert found is not None
+    assert (found.start, found.stop) == (200, 203)
+    assert found.earliest <= found.start + 1
+    assert found.latest >= found.stop - 1
+
+
+def test_noise_is_no_fall() -> None:
+    """At its deepest place in noise of either kind."""
+    for memory in (0.0, 3.0, 10.0):
+        for seed in range(8):
+            extra = noise(seed, memory)
+            place = int(np.argmin(np.diff(extra)[30:-30])) + 30
+            assert fit_fall(pull(0.0, 1.0, 0.0, extra), place) is None
+
+
+def test_a_long_fall_is_none() -> None:
+    assert fit_fall(pull(195.0, 16.0, 1.5, noise(1, 0.0)), 200) is None
+
+
+def test_no_room_on_a_side() -> None:
+    whole = pull(3.0, 0.5, 1.0, noise(1, 0.0))
+    assert fit_fall(whole, 3) is None
+    assert fit_fall(whole, COUNT - 3) is None
+
+
+def test_added_back() -> None:
+    curve = pull(200.25, 2.5, 2.0, 0.0 * NUMBER)
+    found = fit_fall(curve, 201)
+    assert found is not None
+    mended = curve.without([found])
+    assert mended.f == pytest.approx(0.1 * NUMBER, abs=1e-6)
+    assert curve.f[300] == pytest.approx(28.0)

@@ -1,0 +1,152 @@
+"""Numbers of a force-displacement loop against what the loop was made from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fits.loops import (
+    largest_sample,
+    loop_energy,
+    resolution,
+    secant_stiffness,
+    sense_of_loading,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import Estimate, Failure
+
+STIFFNESS = 20.0
+
+
+def value(found: Estimate | Failure) -> Estimate:
+    assert isinstance(found, Estimate), found
+    return found
+
+
+def test_stiffness_is_exact_on_a_line() -> None:
+    time = np.arange(0.0, 4.0, 0.02)
+    found = value(
+        secant_stiffness(time, 1e-3 * time, 0.02 * time + 1.0, np.ones(len(time), dtype=bool))
+    )
+    assert found.value == pytest.approx(STIFFNESS, rel=1e-12)
+    assert found.n == 200
+
+
+def test_stiffness_is_not_made_small_by_a_noisy_displacement() -> None:
+    time, pulls, slopes, plain = np.arange(0.0, 4.0, 0.02), [], [], []
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        path = 1e-3 * time + rng.normal(0, 3e-4, len(time))
+        force = 0.02 * time + rng.normal(0, 1e-3, len(time))
+        found = value(secant_stiffness(time, path, force, np.ones(len(time), dtype=bool)))
+        pulls.append((found.value - STIFFNESS) / found.error)
+        slopes.append(found.value)
+        plain.append(float(np.polyfit(path, force, 1)[0]))
+    assert np.mean(slopes) == pytest.approx(STIFFNESS, rel=5e-3)
+    assert np.mean(plain) < 0.95 * STIFFNESS
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.12)
+
+
+def test_stiffness_says_why_not() -> None:
+    time = np.arange(0.0, 4.0, 0.02)
+    none = np.zeros(len(time), dtype=bool)
+    found = secant_stiffness(time, time, time, none)
+    assert found == Failure("too_few_samples", "0 samples in the stretch, 8 are needed")
+    still = secant_stiffness(time, np.ones_like(time), time, ~none)
+    assert still == Failure("no_travel", "the displacement does not change over the stretch")
+
+
+def loop() -> tuple[Floats, Floats, Floats]:
+    """An ellipse of half axes 10 mm and 0.5 N: its area is pi 0.01 0.5 J."""
+    time = np.linspace(0.0, 100.0, 5001)
+    phase = 2 * np.pi * time / 100.0
+    return time, -1e-2 * np.cos(phase), 0.5 * np.sin(phase)
+
+
+def test_energy_is_the_area_of_the_loop() -> None:
+    found = value(loop_energy(*loop(), clock_error=0.0))
+    assert found.value == pytest.approx(np.pi * 1e-2 * 0.5, rel=1e-6)
+
+
+def test_energy_error_holds() -> None:
+    time, path, force = loop()
+    pulls = []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        noisy = path + rng.normal(0, 5e-5, len(time)), force + rng.normal(0, 1e-3, len(time))
+        found = value(loop_energy(time, *noisy, clock_error=0.0))
+        pulls.append((found.value - np.pi * 5e-3) / found.error)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.12)
+
+
+def test_energy_knows_what_the_clocks_can_change() -> None:
+    time, path, force = loop()
+    # An ellipse shifted by dt has the area pi a b cos(w dt).
+    shifted = np.interp(time - 1.0, time, force)
+    still = value(loop_energy(time, path, shifted, clock_error=0.0))
+    moved = value(loop_energy(time, path, shifted, clock_error=0.5))
+    rate = np.pi * 5e-3 * np.sin(2 * np.pi * 1.0 / 100.0) * 2 * np.pi / 100.0
+    assert np.sqrt(moved.error**2 - still.error**2) == pytest.approx(0.5 * rate, rel=0.05)
+
+
+def test_energy_refuses_a_gap() -> None:
+    time, path, force = loop()
+    force[100:103] = np.nan
+    found = loop_energy(time, path, force, clock_error=0.0)
+    assert found == Failure("gap", "3 samples of the cycle have no force or no displacement")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_energy_error_is_finite_where_noise_hides_the_motion(seed: int) -> None:
+    """Noise estimated a little too high must not turn a variance negative."""
+    time = np.linspace(0.0, 10.0, 501)
+    noise = np.random.default_rng(seed).normal(0, 1e-3, (2, len(time)))
+    force = np.convolve(noise[1], np.ones(25) / 25.0, mode="same")
+    found = value(loop_energy(time, 1e-6 * time + noise[0], force, clock_error=0.0))
+    assert 0.0 < found.error < 1e-3
+
+
+def test_the_largest_sample_is_the_largest_sample() -> None:
+    values = np.array([0.0, 3.0, np.nan, 7.0, 5.0])
+    found = value(largest_sample(values, noise=0.0))
+    assert (found.value, found.n) == (7.0, 4)
+
+
+def test_the_error_holds_how_far_a_corner_reaches_beyond_its_largest_sample() -> None:
+    """A triangle of 1 N in 20 samples, sampled at any phase: the corner is in the interval."""
+    for phase in np.linspace(0.0, 1.0, 21):
+        at = (np.arange(40.0) + phase) / 20.0
+        found = value(largest_sample(np.minimum(at, 2.0 - at), noise=0.0))
+        assert abs(1.0 - found.value) <= 1.96 * found.error + 1e-12
+
+
+def test_resolution_is_what_the_file_rounds_to() -> None:
+    values = np.round(np.random.default_rng(5).normal(10.0, 0.02, 500), 2)
+    assert resolution(values) == pytest.approx(0.01)
+    assert resolution(np.ones(5)) == 0.0
+    assert value(largest_sample(values, noise=0.0)).error >= 0.999 * 0.005 / np.sqrt(3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "sense"),
+    [
+        ([0.0, 50.0, 100.0, 0.0], 1.0),
+        ([0.0, -50.0, -100.0], -1.0),
+        ([50.0, 75.0, 100.0, 0.0], 1.0),
+        ([np.nan, -20.0, 15.0], 1.0),
+        ([np.nan], 1.0),
+    ],
+)
+def test_sense_of_loading(values: list[float], sense: float) -> None:
+    assert sense_of_loading(np.array(values)) == sense
+
+
+def test_no_sample() -> None:
+    found = largest_sample(np.full(3, np.nan), noise=0.0)
+    assert found == Failure("no_sample", "every sample of the stretch is blank")
+
+
+def test_a_loop_of_few_samples_has_its_area() -> None:
+    d, f = np.array([0.0, 1.0, 2.0, 1.0, 0.0]), np.array([0.0, 3.0, 4.0, 1.0, 0.0])
+    found = value(loop_energy(np.arange(5.0), d, f, clock_error=0.0))
+    assert found.value == pytest.approx(float(np.trapezoid(f, d)))

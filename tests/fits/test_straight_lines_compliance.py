@@ -1,0 +1,41 @@
+"""Machine compliance from a stiff bar, and its correction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fits.straight_lines import correct_displacement, fit_compliance
+from labpipe.records.estimates import Estimate, Failure
+
+F = np.linspace(0.0, 1000.0, 201)
+D = 1e-4 * (1.0 - np.exp(-F / 30.0)) + 2e-7 * F
+
+
+def test_slope_over_the_window() -> None:
+    found = fit_compliance(D, F, start=300.0, stop=900.0)
+    assert isinstance(found, Estimate)
+    assert found.value == pytest.approx(2e-7, rel=1e-3)
+    assert found.n == 121
+
+
+def test_says_why_not() -> None:
+    assert fit_compliance(D, F, start=300.0, stop=2000.0) == Failure(
+        "not_reached", "the force reaches 1000 N, the window ends at 2000 N"
+    )
+    assert fit_compliance(D[:0], F[:0], start=1.0, stop=2.0) == Failure(
+        "not_reached", "the force reaches 0 N, the window ends at 2 N"
+    )
+    few = fit_compliance(D[::50], F[::50], start=300.0, stop=900.0)
+    assert isinstance(few, Failure)
+    assert few.code == "too_few_samples"
+    against = fit_compliance(-D, F, start=300.0, stop=900.0)
+    assert isinstance(against, Failure)
+    assert against.code == "not_positive"
+
+
+def test_correction_takes_the_machine_off() -> None:
+    force = np.array([0.0, 100.0, np.nan])
+    corrected = correct_displacement(np.array([0.0, 1e-3, 2e-3]), force, compliance=1e-6)
+    assert corrected[:2] == pytest.approx([0.0, 0.9e-3])
+    assert np.isnan(corrected[2])

@@ -1,0 +1,65 @@
+"""Plays fitted to a smooth law: near it everywhere, on it at the corners, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.law.plays import fit_plays, respond, stick_slip_law, virgin_plays
+
+WIRE = stick_slip_law(
+    stick_stiffness=5e-3,
+    stick_moment=0.002,
+    slip_stiffness=5e-3,
+    reference_moment=0.05,
+    hardening=0.5,
+    last_moment=0.2,
+)
+
+
+def test_fitted_plays_meet_the_law_at_every_corner() -> None:
+    corners = np.append(WIRE.half_widths, 0.2)
+    curvature = respond(WIRE, corners, virgin_plays(WIRE, len(corners))).curvature
+    wanted = corners / 5e-3 + 10.0 * ((corners - 0.002) / 0.05) ** 2
+    np.testing.assert_allclose(curvature, wanted, rtol=1e-12)
+
+
+def test_fitted_plays_are_near_the_law_between_corners() -> None:
+    moments = np.linspace(0.0, 0.2, 1001)
+    curvature = respond(WIRE, moments, virgin_plays(WIRE, 1001)).curvature
+    wanted = moments / 5e-3 + 10.0 * (np.maximum(moments - 0.002, 0.0) / 0.05) ** 2
+    assert np.max(np.abs(curvature - wanted)) < 2e-3 * wanted[-1]
+
+
+def test_fit_refuses_a_law_that_softens() -> None:
+    with pytest.raises(ValueError, match="curvature softens"):
+        fit_plays(
+            lambda moment: moment * (2.0 - moment),
+            stiffness=0.5,
+            first_moment=0.1,
+            last_moment=3.0,
+            n_plays=10,
+        )
+
+
+def test_fit_refuses_a_law_that_stiffens() -> None:
+    with pytest.raises(ValueError, match=r"curvature stiffens at moment="):
+        fit_plays(np.sqrt, stiffness=1.0, first_moment=0.1, last_moment=2.0, n_plays=10)
+
+
+def test_fit_refuses_an_empty_range() -> None:
+    with pytest.raises(ValueError, match=r"last_moment=0.1, n_plays=3: allowed are"):
+        fit_plays(np.square, stiffness=1.0, first_moment=0.1, last_moment=0.1, n_plays=3)
+
+
+@pytest.mark.parametrize("hardening", [0.0, 1.0])
+def test_hardening_out_of_range(hardening: float) -> None:
+    with pytest.raises(ValueError, match=r"hardening=.*between 0 and 1"):
+        stick_slip_law(
+            stick_stiffness=1.0,
+            stick_moment=0.1,
+            slip_stiffness=1.0,
+            reference_moment=1.0,
+            hardening=hardening,
+            last_moment=2.0,
+        )

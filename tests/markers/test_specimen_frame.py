@@ -1,0 +1,152 @@
+"""The specimen frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
+from labpipe.records.arrays import Floats
+from tests.builders.marker_takes import NAMES, WireTake, marker_tracks, wire_take
+
+X, Y, Z = np.eye(3)
+REST = slice(0, 100)
+vectors = st.tuples(*3 * [st.floats(-10, 10)]).map(np.array)
+
+
+def frame_of(take: WireTake, *, limit: float = 1e-4) -> SpecimenFrame:
+    return specimen_frame(
+        take.clamp,
+        take.tracks.positions,
+        rest=REST,
+        moving=slice(100, 350),
+        out_of_plane_limit=limit,
+    )
+
+
+def test_markers_in_one_place_have_no_direction() -> None:
+    message = r"chain at rest=\[0.0, 0.0, 0.0\]: expected a vector of a length above 0"
+    with pytest.raises(ValueError, match=message):
+        specimen_frame(
+            None, np.zeros((350, 3, 3)), rest=REST, moving=slice(100, 350), out_of_plane_limit=1e-4
+        )
+
+
+def test_frame_of_a_wire_in_its_own_frame() -> None:
+    frame = frame_of(wire_take())
+    np.testing.assert_allclose(frame.rotation_lab_to_specimen, np.eye(3), atol=2e-3)
+    np.testing.assert_allclose(frame.origin_lab, 0.0, atol=1e-12)
+    assert frame.order == (0, 1, 2, 3, 4, 5)
+    assert frame.out_of_plane == pytest.approx(2e-5, rel=0.1)
+    assert frame.travel_residual < 1e-12
+    assert frame.notes == ()
+
+
+@given(turn=vectors, shift=vectors, order=st.permutations(range(6)))
+def test_the_lab_frame_and_the_columns_do_not_matter(
+    turn: Floats, shift: Floats, order: list[int]
+) -> None:
+    take = wire_take()
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    markers = take.tracks.positions[:, order] @ rotation.T + shift
+    clamp = take.clamp @ rotation.T + shift
+    frame = specimen_frame(
+        clamp, markers, rest=REST, moving=slice(100, 350), out_of_plane_limit=1e-4
+    )
+    straight = frame_of(take)
+    assert np.linalg.det(frame.rotation_lab_to_specimen) == pytest.approx(1.0)
+    assert [order[column] for column in frame.order] == list(range(6))
+    np.testing.assert_allclose(
+        frame.to_specimen(markers[:, frame.order]),
+        straight.to_specimen(take.tracks.positions),
+        atol=1e-9,
+    )
+
+
+def test_a_curved_wire_is_ordered_along_itself() -> None:
+    # a hook: the last markers come back towards the clamp
+    angle = np.linspace(0.3, 4.0, 9)
+    hook = 0.02 * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle])
+    lift = np.linspace(0, 0.02, 300)
+    clamp = np.column_stack([0 * lift, -lift, 0 * lift])
+    order = [4, 0, 7, 2, 8, 1, 6, 3, 5]
+    markers = hook[order] + clamp[:, None]
+    markers[:, :, 1] += lift[:, None] * hook[order, 1]
+    markers[:50, 3] = np.nan  # not seen at rest
+    frame = specimen_frame(clamp, markers, rest=slice(0, 50), moving=None, out_of_plane_limit=1e-4)
+    assert [order[column] for column in frame.order] == list(range(9))
+
+
+def test_markers_off_their_plane_are_told() -> None:
+    take = wire_take()
+    positions = take.tracks.positions.copy()
+    positions[:, ::2, 2] += 0.002
+    frame = specimen_frame(take.clamp, positions, rest=REST, moving=None, out_of_plane_limit=2e-4)
+    assert frame.notes[0].code == "out_of_plane"
+    assert frame.notes[0].message == (
+        f"markers leave their plane by {frame.out_of_plane * 1e3:.3f} mm (rms), limit 0.2 mm"
+    )
+
+
+def test_without_a_clamp_the_end_that_moves_less_is_the_origin() -> None:
+    take = wire_take()
+    hanging = (take.tracks.positions - take.clamp[:, None])[:, [3, 5, 0, 2, 1, 4]]
+    turn = Rotation.from_rotvec([0.4, -1.0, 2.0]).as_matrix()
+    frame = specimen_frame(None, hanging @ turn.T, rest=REST, moving=None, out_of_plane_limit=1e-4)
+    assert frame.order == (2, 4, 3, 0, 5, 1)
+    assert np.linalg.det(frame.rotation_lab_to_specimen) == pytest.approx(1.0)
+    np.testing.assert_allclose(frame.rotation_lab_to_specimen @ turn, np.eye(3), atol=5e-3)
+    assert frame.out_of_plane < 5e-5
+    np.testing.assert_allclose(frame.origin_lab, turn @ [0.01, 0, 0], atol=1e-5)
+
+
+def test_a_clamp_that_stands_still_is_refused() -> None:
+    take = wire_take()
+    with pytest.raises(ValueError, match="clamp_lab: expected a clamp that moves, found one"):
+        frame_of(WireTake(take.tracks, 0 * take.clamp + 1.0))
+
+
+def test_a_clamp_not_seen_at_rest_is_refused() -> None:
+    take = wire_take()
+    clamp = take.clamp.copy()
+    clamp[REST] = np.nan
+    with pytest.raises(
+        ValueError, match="the clamp is seen in no frame of the stretch at rest: make it"
+    ):
+        frame_of(WireTake(take.tracks, clamp))
+
+
+def test_markers_never_seen_with_the_clamp_are_refused() -> None:
+    take = wire_take()
+    with pytest.raises(ValueError, match="markers_lab: expected markers in some frame"):
+        specimen_frame(
+            take.clamp,
+            np.full((600, 3, 3), np.nan),
+            rest=REST,
+            moving=None,
+            out_of_plane_limit=1e-4,
+        )
+
+
+def test_a_single_marker_is_refused() -> None:
+    take = wire_take()
+    with pytest.raises(ValueError, match=r"shape \(600, 1, 3\): expected at least 2 markers"):
+        specimen_frame(
+            take.clamp,
+            take.tracks.positions[:, :1],
+            rest=REST,
+            moving=None,
+            out_of_plane_limit=1e-4,
+        )
+
+
+def test_markers_never_seen_together_do_not_break_the_order() -> None:
+    take = wire_take()
+    positions = take.tracks.positions.copy()
+    positions[300:, 1] = np.nan
+    positions[:300, 4] = np.nan
+    frame = frame_of(WireTake(marker_tracks(NAMES, positions), take.clamp))
+    assert frame.order == (0, 1, 2, 3, 4, 5)

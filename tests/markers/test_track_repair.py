@@ -1,0 +1,374 @@
+"""Label repair and gap filling: truth is known, so it must come back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from labpipe.markers.track_repair import RepairedTracks, repair_tracks
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import PointFlag
+from labpipe.records.recording import MarkerTracks
+from tests.builders.marker_takes import (
+    NAMES,
+    WireTake,
+    blank_columns,
+    marker_tracks,
+    wire_take,
+    with_positions,
+)
+
+NOISE = 2e-5
+
+
+def repair(take: WireTake, **changes: float) -> RepairedTracks:
+    limits = {"max_gap": 0.5, "max_jump": 0.004, "frozen": 0.2} | changes
+    return repair_tracks(take.tracks, along=take.tracks.names, reference=take.clamp, **limits)
+
+
+def codes(repaired: RepairedTracks) -> list[str]:
+    return [note.code for note in repaired.notes]
+
+
+def message(repaired: RepairedTracks, code: str) -> str:
+    return next(note.message for note in repaired.notes if note.code == code)
+
+
+@given(seed=st.integers(0, 1000), noise=st.floats(1e-6, 1e-4))
+def test_a_clean_take_is_left_alone(seed: int, noise: float) -> None:
+    take = wire_take(frames=200, seed=seed, noise=noise)
+    repaired = repair(take)
+    assert repaired.names == NAMES
+    np.testing.assert_array_equal(repaired.positions, take.tracks.positions)
+    assert (repaired.flags == PointFlag.MEASURED).all()
+    assert repaired.notes == ()
+
+
+@given(data=st.data())
+def test_any_permutation_of_labels_is_undone(data: st.DataObject) -> None:
+    take = wire_take()
+    truth = take.tracks.positions
+    cuts = sorted(data.draw(st.sets(st.integers(40, 590), min_size=1, max_size=5)))
+    mixed = truth.copy()
+    moved = np.zeros(truth.shape[:2], dtype=bool)
+    for start, stop in zip(cuts, [*cuts[1:], 600], strict=True):
+        order = data.draw(st.permutations(range(len(NAMES))))
+        mixed[start:stop] = truth[start:stop, order]
+        moved[start:stop] = np.argsort(order) != np.arange(len(NAMES))
+    repaired = repair(with_positions(take, mixed))
+    np.testing.assert_array_equal(repaired.positions, truth)
+    np.testing.assert_array_equal(repaired.flags == PointFlag.RELABELLED, moved)
+
+
+@pytest.mark.parametrize("stop", [400, 600])
+def test_a_label_switch_is_undone_and_told(stop: int) -> None:
+    take = wire_take()
+    mixed = take.tracks.positions.copy()
+    mixed[150:stop, [2, 3]] = mixed[150:stop, [3, 2]]
+    repaired = repair(with_positions(take, mixed))
+    np.testing.assert_array_equal(repaired.positions, take.tracks.positions)
+    assert codes(repaired) == ["label_switch"]
+    assert message(repaired, "label_switch") == (
+        f"M3 stood under M4, M4 stood under M3, frames 150 to {stop - 1} "
+        f"(3.000 s to {(stop - 1) / 50:.3f} s); label switch undone"
+    )
+
+
+def test_neighbours_closer_than_a_jump_can_still_be_told_apart() -> None:
+    take = wire_take()
+    mixed = take.tracks.positions.copy()
+    mixed[150:, [2, 3]] = mixed[150:, [3, 2]]
+    repaired = repair(with_positions(take, mixed), max_jump=0.015)
+    np.testing.assert_array_equal(repaired.positions, take.tracks.positions)
+
+
+@pytest.mark.parametrize(("start", "stop"), [(0, 300), (200, 350), (250, 600)])
+@pytest.mark.parametrize("name", ["Unlabeled 1364", "Unlabeled:108", "Unlabelled 3"])
+def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int, name: str) -> None:
+    take = wire_take()
+    truth = take.tracks.positions
+    mixed = blank_columns(truth, 1)
+    mixed[start:stop, 6], mixed[start:stop, 4] = truth[start:stop, 4], np.nan
+    repaired = repair(with_positions(take, mixed, name))
+    assert repaired.names == NAMES
+    np.testing.assert_array_equal(repaired.positions, truth)
+    assert (repaired.flags[start:stop, 4] == PointFlag.RELABELLED).all()
+    assert (repaired.flags == PointFlag.RELABELLED).sum() == stop - start
+    assert codes(repaired) == ["unlabelled_merged"]
+    assert f"M5 stood under {name}, frames {start} to {stop - 1}" in repaired.notes[0].message
+
+
+def test_a_short_gap_is_filled_relative_to_the_clamp() -> None:
+    take = wire_take(noise=0.0)
+    gappy = take.tracks.positions.copy()
+    gappy[300:325, 5] = np.nan
+    repaired = repair(with_positions(take, gappy))
+    assert (repaired.flags[300:325, 5] == PointFlag.FILLED).all()
+    assert (repaired.flags == PointFlag.FILLED).sum() == 25
+    # the clamp travels 2 mm in this gap, and a straight line against it would be 0.1 mm off
+    np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=4e-5)
+    assert message(repaired, "gap_filled") == (
+        "M6: gap filled between its ends, relative to the clamp, 25 frames, "
+        "frames 300 to 324 (6.000 s to 6.480 s)"
+    )
+
+
+def test_a_long_gap_is_left_and_told() -> None:
+    take = wire_take()
+    gappy = take.tracks.positions.copy()
+    gappy[300:326, 5] = np.nan
+    repaired = repair(with_positions(take, gappy))
+    np.testing.assert_array_equal(repaired.positions, gappy)
+    assert (repaired.flags[300:326, 5] == PointFlag.MISSING).all()
+    assert "M6: no position, gap too long or open to fill, 26 frames" in message(
+        repaired, "gap_left"
+    )
+
+
+def test_blanks_of_the_clamp_do_not_matter_to_the_markers() -> None:
+    take = wire_take()
+    clamp = take.clamp.copy()
+    clamp[280:330] = np.nan
+    gappy = take.tracks.positions.copy()
+    gappy[300:310, 5] = np.nan
+    repaired = repair(WireTake(with_positions(take, gappy).tracks, clamp))
+    assert codes(repaired) == ["gap_filled"]
+    np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=3e-4)
+
+
+def test_a_frozen_pose_is_removed_and_filled() -> None:
+    take = wire_take()
+    stale = take.tracks.positions.copy()
+    stale[301:320, 2] = stale[300, 2]
+    repaired = repair(with_positions(take, stale))
+    assert codes(repaired) == ["pose_frozen", "gap_filled"]
+    assert "M3: stale pose removed, 19 frames, frames 301 to 319" in repaired.notes[0].message
+    np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=2e-4)
+    assert (repaired.flags[300:321, 2] == [1] + 19 * [PointFlag.FILLED] + [1]).all()
+
+
+@pytest.mark.parametrize("back", [312, 420])
+def test_labels_that_switch_while_one_marker_is_hidden(back: int) -> None:
+    # hidden 300 to back, switched at 305 and ever after: in half a second by position, later
+    # because only one marker is missing
+    take = wire_take()
+    truth = take.tracks.positions
+    mixed = truth.copy()
+    mixed[300:back, 3] = np.nan
+    mixed[305:, [2, 3]] = mixed[305:, [3, 2]]
+    repaired = repair(with_positions(take, mixed))
+    seen = np.ones(600, dtype=bool)
+    seen[300:back] = False
+    np.testing.assert_array_equal(repaired.positions[:, 2], truth[:, 2])
+    np.testing.assert_array_equal(repaired.positions[seen, 3], truth[seen, 3])
+    assert (repaired.flags[back:, 3] == PointFlag.RELABELLED).all()
+    hidden = PointFlag.FILLED if back == 312 else PointFlag.MISSING
+    assert (repaired.flags[300:back, 3] == hidden).all()
+    assert "label_ambiguous" not in codes(repaired)
+    by_elimination = (
+        "M4: given a track under another label, frames 420 to 599 (8.400 s to 11.980 s), as the "
+        "only marker missing"
+    )
+    assert (by_elimination in [note.message for note in repaired.notes]) == (back == 420)
+
+
+def test_a_switch_that_cannot_be_told_is_left_and_noted() -> None:
+    # two markers 1 mm apart vanish together and come back exchanged, with a jump limit of 4 mm
+    take = wire_take(noise=0.0)
+    close = take.tracks.positions.copy()
+    close[:, 3] = close[:, 2] + [0.0, 0.0, 0.0009]
+    close[300:310, [2, 3]] = np.nan
+    mixed = close.copy()
+    mixed[310:, [2, 3]] = mixed[310:, [3, 2]]
+    repaired = repair(with_positions(take, mixed))
+    np.testing.assert_array_equal(repaired.positions[310:], mixed[310:])
+    assert (repaired.flags[300:310, [2, 3]] == PointFlag.FILLED).all()  # joined as labelled
+    assert not (repaired.flags == PointFlag.RELABELLED).any()
+    told = message(repaired, "label_ambiguous")
+    assert "may have exchanged labels, frames 299 to 310" in told
+    assert "left as labelled" in told
+
+
+def test_two_orphans_at_once_are_not_given_to_anyone() -> None:
+    take = wire_take()
+    truth = take.tracks.positions
+    mixed = truth.copy()
+    mixed[300:420, [3, 4]] = np.nan
+    mixed[305:] = mixed[305:, [3, 4, 2, 0, 1, 5]]
+    mixed[305:, [3, 4]] = truth[305:, [0, 1]]
+    repaired = repair(with_positions(take, mixed))
+    np.testing.assert_array_equal(repaired.positions[:, [0, 1]], truth[:, [0, 1]])
+    assert (repaired.flags[420:, [3, 4]] == PointFlag.MISSING).all()
+    assert "a second track under this label, frames 420 to 599" in message(
+        repaired, "label_ambiguous"
+    )
+
+
+def test_a_reflection_is_dropped_and_told() -> None:
+    take = wire_take()
+    ghost = blank_columns(take.tracks.positions, 1)
+    ghost[100:140, 6] = [0.3, 0.2, 0.1]
+    ghost[100:140, 6, 0] += np.linspace(0.0, 0.001, 40)
+    ghost[400:403, 2] += 0.05
+    repaired = repair(with_positions(take, ghost, "Unlabeled 9"))
+    assert codes(repaired) == ["gap_filled", "track_dropped", "track_dropped"]
+    dropped = [note.message for note in repaired.notes if note.code == "track_dropped"]
+    assert dropped[0] == (
+        "Unlabeled 9: track of no marker dropped, frames 100 to 139 (2.000 s to 2.780 s), "
+        "within 1.0 mm"
+    )
+    assert dropped[1].startswith("M3: track of no marker dropped, frames 400 to 402")
+    np.testing.assert_allclose(repaired.positions, take.tracks.positions, atol=2e-4)
+
+
+def test_a_double_of_a_marker_is_not_taken_for_the_hidden_one() -> None:
+    take = wire_take()
+    doubled = take.tracks.positions.copy()
+    doubled[300:500, 4] = doubled[300:500, 1] + 1e-4
+    doubled[300:500, 4] += 1e-6 * np.random.default_rng(3).standard_normal((200, 3))
+    repaired = repair(with_positions(take, doubled))
+    np.testing.assert_array_equal(repaired.positions[:, 1], take.tracks.positions[:, 1])
+    assert (repaired.flags[300:500, 4] == PointFlag.MISSING).all()
+    assert message(repaired, "track_dropped").startswith("M5: track of no marker dropped")
+
+
+def test_a_jump_that_stays_is_believed_and_told() -> None:
+    take = wire_take()
+    moved = take.tracks.positions.copy()
+    moved[300:, 5] += [0.0, 0.0, 0.008]
+    repaired = repair(with_positions(take, moved))
+    np.testing.assert_array_equal(repaired.positions, moved)
+    assert message(repaired, "marker_jump") == (
+        "M6: jumps at frame 300 (6.000 s to 6.000 s); its label was believed"
+    )
+
+
+def test_a_marker_missing_throughout_is_left_out() -> None:
+    take = wire_take()
+    blank = take.tracks.positions.copy()
+    blank[:, 1] = np.nan
+    repaired = repair(with_positions(take, blank))
+    assert repaired.names == ("M1", "M3", "M4", "M5", "M6")
+    assert message(repaired, "marker_missing") == "M2 is missing in every frame and was left out"
+
+
+def test_a_take_without_names_has_its_long_lived_points_as_markers() -> None:
+    take = wire_take()
+    truth = take.tracks.positions
+    mixed = blank_columns(truth, 2)
+    mixed[200:, 6], mixed[200:, 0] = truth[200:, 0], np.nan
+    mixed[50:90, 7] = [0.5, 0.5, 0.5]
+    names = tuple(f"Unlabeled {number}" for number in range(8))
+    repaired = repair(WireTake(marker_tracks(names, mixed), take.clamp), frozen=5.0)
+    assert repaired.names == names[:6]
+    np.testing.assert_array_equal(repaired.positions, truth)
+    assert "track_dropped" in codes(repaired)
+
+
+def test_many_gaps_of_one_marker_are_told_in_one_note() -> None:
+    take = wire_take()
+    gappy = take.tracks.positions.copy()
+    gappy[10:400:20, 2] = np.nan
+    repaired = repair(with_positions(take, gappy))
+    assert codes(repaired) == ["gap_filled"]
+    assert "20 times, 20 frames" in repaired.notes[0].message
+
+
+def _turned(take: WireTake, rotation: Floats, shift: Floats) -> WireTake:
+    tracks = marker_tracks(take.tracks.names, take.tracks.positions @ rotation.T + shift)
+    return WireTake(tracks, take.clamp @ rotation.T + shift)
+
+
+@given(
+    order=st.permutations(range(7)),
+    turn=st.tuples(*3 * [st.floats(-3, 3)]),
+    shift=st.tuples(*3 * [st.floats(-5, 5)]),
+)
+def test_column_order_and_motion_of_the_lab_frame_do_not_matter(
+    order: list[int], turn: tuple[float, ...], shift: tuple[float, ...]
+) -> None:
+    take = wire_take(frames=300)
+    broken = blank_columns(take.tracks.positions, 1)
+    broken[150:200, [2, 3]] = broken[150:200, [3, 2]]
+    broken[220:230, 0] = np.nan
+    broken[180:, 6], broken[180:, 5] = broken[180:, 5], np.nan
+    straight = repair(with_positions(take, broken, "Unlabeled 1"))
+    rotation = Rotation.from_rotvec(turn).as_matrix()
+    names = (*NAMES, "Unlabeled 1")
+    shuffled = MarkerTracks(
+        take.tracks.time,
+        take.tracks.frames,
+        50.0,
+        tuple(names[column] for column in order),
+        broken[:, order],
+    )
+    other = repair(_turned(WireTake(shuffled, take.clamp), rotation, np.array(shift)))
+    columns = [other.names.index(name) for name in straight.names]
+    expected = straight.positions @ rotation.T + shift
+    # PCHIP works per axis, so a filled gap is not exactly the same in another frame
+    np.testing.assert_allclose(other.positions[:, columns], expected, atol=5e-5)
+    np.testing.assert_array_equal(other.flags[:, columns], straight.flags)
+
+
+@pytest.mark.parametrize("name", ["max_gap", "max_jump", "frozen"])
+@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
+def test_limits_out_of_range_are_refused(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=rf"{name}={value}: expected a value above 0"):
+        repair(wire_take(frames=50), **{name: value})
+
+
+def test_fewer_than_three_markers_are_refused() -> None:
+    take = wire_take(frames=50)
+    text = "markers=2: expected at least 3 markers along the specimen, found M1, M2"
+    with pytest.raises(ValueError, match=text):
+        repair(WireTake(marker_tracks(("M1", "M2"), take.tracks.positions[:, :2]), take.clamp))
+    blank = np.full((50, 6, 3), np.nan)
+    with pytest.raises(ValueError, match=r"markers=0: .* found none"):
+        repair(with_positions(take, blank))
+
+
+@pytest.mark.parametrize("along", [["M1", "M2", "M9"], ["M1", "M1", "M2"]])
+def test_unknown_and_repeated_names_are_refused(along: list[str]) -> None:
+    tracks = wire_take(frames=50).tracks
+    with pytest.raises(ValueError, match=r"along=.*: expected different names out of"):
+        repair_tracks(tracks, along=along, max_gap=0.5, max_jump=0.004, frozen=0.2, reference=None)
+
+
+def test_a_clamp_that_is_never_seen_is_refused() -> None:
+    take = wire_take(frames=50)
+    with pytest.raises(ValueError, match="reference: expected positions of the clamp, found none"):
+        repair(WireTake(take.tracks, np.full((50, 3), np.nan)))
+
+
+def test_flags_of_another_shape_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected flags of shape \(5, 1\), found \(4, 1\)"):
+        RepairedTracks(("a",), np.zeros((5, 1, 3)), np.zeros((4, 1), dtype=np.uint8), ())
+
+
+@pytest.mark.realdata
+def test_soft_arm_take(realdata: Path) -> None:
+    from labpipe.readers import read_export
+
+    recording = read_export(realdata / "motive" / "softarm_sim-fk-400-2_1.23.csv")
+    tracks = recording.markers
+    assert tracks is not None
+    repaired = repair_tracks(
+        tracks, along=tracks.names, max_gap=0.5, max_jump=0.015, frozen=0.2, reference=None
+    )
+    assert len(repaired.names) == 13
+    assert np.isfinite(repaired.positions).all()
+    base = [repaired.names.index(f"SA-base:Marker{number}") for number in (1, 2, 3)]
+    assert (repaired.flags[:3932, base] == PointFlag.RELABELLED).all()
+    assert (repaired.flags == PointFlag.RELABELLED).sum() == 3 * 3932
+    low = repaired.names.index("SA-low:Marker4")
+    assert (repaired.flags[:, low] == PointFlag.FILLED).sum() == 10
+    assert (repaired.flags == PointFlag.FILLED).sum() == 10
+    merged = [note.message for note in repaired.notes if note.code == "unlabelled_merged"]
+    for marker, unlabelled in ((1, 1366), (2, 1364), (3, 1365)):
+        words = f"SA-base:Marker{marker} stood under Unlabeled {unlabelled}, frames 0 to 3931"
+        assert any(text.startswith(words) for text in merged)

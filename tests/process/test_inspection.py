@@ -1,0 +1,147 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.process.inspection import as_json, as_text, inspect_export
+from tests.builders.controldesk import Axis, Signal, write_mat_v5
+from tests.builders.motive import Layout, marker, rigid_body, write_table
+
+TIME = np.delete(np.arange(500) * 0.001, [200, 201, 202])
+FORCE = np.linspace(-2.0, 3.0, len(TIME))
+
+
+def facts(path: Path) -> dict[str, Any]:
+    found = as_json(inspect_export(path))
+    parsed: dict[str, Any] = json.loads(json.dumps(found, allow_nan=False))
+    assert parsed == found  # nothing that JSON would change on its way
+    return parsed
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    force = FORCE.copy()
+    force[[0, 7]] = np.nan
+    signals = [
+        Signal("Model Root/Load Cell", "Out1", force),
+        Signal("Model Root/Laser", "Out1", 2.0 * FORCE, unit="mm"),
+        Signal("Model Root/Clock", "Out1", FORCE, unit="blinks"),
+    ]
+    return write_mat_v5(tmp_path / "recording.mat", [Axis(TIME)], signals)
+
+
+@pytest.fixture
+def take(tmp_path: Path) -> Path:
+    frames = 50
+    track = np.random.default_rng(1).normal(size=(frames, 3)).round(6)
+    tip, clamp = track.copy(), track.copy()
+    tip[[3, 4, 9]] = np.nan
+    clamp[20:40] = clamp[20]
+    columns = [
+        *rigid_body("Clamp", clamp, np.ones((frames, 4)), error=np.ones(frames)),
+        *marker("Tip", tip),
+    ]
+    return write_table(tmp_path / "synthetic.csv", columns, frames, Layout())
+
+
+def test_streams_of_a_recording(recording: Path) -> None:
+    found = facts(recording)
+    assert set(found) >= {"file", "reader", "program", "version", "streams", "markers", "notes"}
+    assert (found["program"], found["version"]) == ("ControlDesk", "7.4")
+    assert found["markers"] is None
+    (stream,) = found["streams"]
+    assert (stream["clock"], stream["samples"], stream["start"]) == ("HostService", 497, 0.0)
+    assert stream["end"] == pytest.approx(0.499)
+    assert stream["step_median"] == pytest.approx(0.001)
+    (hole,) = stream["holes"]
+    assert (hole["at"], hole["length"]) == (pytest.approx(0.199), pytest.approx(0.004))
+
+
+def test_channels_of_a_recording(recording: Path) -> None:
+    force, laser, clock = facts(recording)["streams"][0]["channels"]
+    assert force == {
+        "name": "Out1",
+        "path": "Model Root/Load Cell/Out1",
+        "unit": None,
+        "unit_in_file": "",
+        "first": None,
+        "last": 3.0,
+        "min": pytest.approx(FORCE[1]),
+        "max": 3.0,
+        "missing": 2,
+    }
+    assert (laser["unit"], laser["unit_in_file"]) == ("m", "mm")
+    assert laser["max"] == pytest.approx(0.006)
+    assert (clock["unit"], clock["unit_in_file"], clock["max"]) == (None, "blinks", 3.0)
+
+
+def test_markers_of_a_take(take: Path) -> None:
+    found = facts(take)
+    assert (found["program"], found["version"], found["streams"]) == ("Motive", "1.23", [])
+    markers = found["markers"]
+    assert (markers["frames"], markers["rate"], markers["start"]) == (50, 120.0, 0.0)
+    assert markers["end"] == pytest.approx(49 / 120)
+    assert (markers["names"], markers["missing"]) == (["Tip"], {"Tip": 3})
+    assert markers["gaps"] == {"Tip": {"count": 2, "longest": 2, "ranges": [[3, 4], [9, 9]]}}
+    assert markers["rigid_bodies"] == [
+        {
+            "name": "Clamp",
+            "missing": 0,
+            "gaps": {"count": 0, "longest": 0, "ranges": []},
+            "frozen_steps": 19,
+            "longest_frozen_run": 19,
+            "has_rotation": True,
+            "has_error": True,
+        }
+    ]
+    assert [note["code"] for note in found["notes"]] == ["marker_gaps", "frozen_pose"]
+    assert found["notes"][1]["severity"] == "warning"
+
+
+def test_a_time_axis_that_runs_backwards_can_be_inspected(tmp_path: Path) -> None:
+    time = np.array([0.0, 1.0, 0.5, 2.0])
+    signal = Signal("Root", "F", np.full(4, np.nan))
+    found = facts(write_mat_v5(tmp_path / "recording.mat", [Axis(time)], [signal]))
+    assert "error" in {note["severity"] for note in found["notes"]}
+    (channel,) = found["streams"][0]["channels"]
+    assert (channel["min"], channel["max"], channel["missing"]) == (None, None, 4)
+
+
+def test_a_recording_without_samples(tmp_path: Path) -> None:
+    signal = Signal("Root", "F", np.empty(0))
+    found = facts(write_mat_v5(tmp_path / "recording.mat", [Axis(np.empty(0))], [signal]))
+    (stream,) = found["streams"]
+    assert (stream["samples"], stream["start"], stream["step_median"]) == (0, None, None)
+    assert stream["channels"][0]["first"] is None
+
+
+def test_the_page_on_a_recording(recording: Path) -> None:
+    lines = as_text(inspect_export(recording)).splitlines()
+    assert lines[1] == "  ControlDesk 7.4, read by dspace-mat"
+    assert lines[3] == (
+        "Clock HostService: 497 samples, 0 to 0.499 s, step 1 ms (1000 per second), holes: 1"
+    )
+    assert lines[4].split() == ["channel", "unit", "first", "last", "min", "max", "missing"]
+    assert lines[5].split()[-6:] == ["-", "-", "3", "-1.98992", "3", "2"]
+    assert lines[6].split()[-6:] == ["m", "-0.004", "0.006", "-0.004", "0.006", "0"]
+    assert "Notes" in lines
+    assert all(line == line.rstrip() for line in lines)
+
+
+def test_the_page_on_a_take(take: Path) -> None:
+    text = as_text(inspect_export(take))
+    assert "Markers: 50 frames, 0 to 0.408333 s, step 8.33333 ms (120 per second)" in text
+    assert "lengths in Meters" in text
+    rows = [line.split() for line in text.splitlines()]
+    assert ["Tip", "marker", "3", "2", "2", "0"] in rows
+    assert ["Clamp", "rigid", "body", "0", "0", "0", "19"] in rows
+    assert "missing in" not in text  # the table says it
+
+
+def test_the_page_on_an_empty_take(tmp_path: Path) -> None:
+    text = as_text(inspect_export(write_table(tmp_path / "synthetic.csv", [], 4, Layout())))
+    assert "  no rigid body and no marker" in text

@@ -1,0 +1,331 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import ReadError, StoreError, UsageError
+from labpipe.process.new_sheets import new_from_sheet, new_test
+from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.records.harness_bundle import Bundle, BundleWire
+
+VALUES = {
+    "protocol": "wire-cantilever",
+    "type": "A2",
+    "spool": "A2-s1",
+    "sample": "1",
+    "length": "85 mm",
+    "force": "a.mat; b.mat",
+    "markers": "take.csv",
+    "markers.clamp": "Grip",
+    "because": "renamed in Motive",
+}
+
+
+def test_a_test_sheet_from_options(tmp_path: Path) -> None:
+    path = new_test(tmp_path / "raw" / "A2-085-1", VALUES)
+
+    sheet = load_test_sheet(path)
+    assert path == tmp_path / "raw" / "A2-085-1" / "test.yaml"
+    assert (sheet.test, sheet.specimen.length) == ("A2-085-1", 0.085)
+    assert sheet.files == {"force": ("a.mat", "b.mat"), "markers": ("take.csv",)}
+    protocol = resolve(sheet, path)
+    assert protocol.markers is not None
+    assert protocol.markers.clamp == "Grip"
+    assert [file.name for file in path.parent.iterdir()] == ["test.yaml"]
+
+
+BUNDLE = {
+    "length": "114.3 mm",
+    "bundle_wires": "10 B1 (1.1 mm) + 9 B2 (1.6 mm)",
+    "bundle_number": "19",
+    "arrangement": "symmetric",
+    "tape": "PVC",
+    "taping": "half-lap",
+    "conduit": "corrugated-tube",
+    "conduit_bore": "10.7 mm",
+    "labels.cured": "24 h",
+}
+RECORD = Bundle(
+    (BundleWire("B1", 10, 0.0011), BundleWire("B2", 9, 0.0016)),
+    arrangement="symmetric",
+    tape="PVC",
+    taping="half-lap",
+    conduit="corrugated-tube",
+    conduit_bore=0.0107,
+)
+
+
+def test_a_bundle_from_options(tmp_path: Path) -> None:
+    path = new_test(tmp_path / "t", VALUES | BUNDLE)
+
+    sheet = load_test_sheet(path)
+    assert sheet.specimen.record.bundle == RECORD
+    assert sheet.specimen.labels == {"cured": "24 h"}
+    assert list(sheet.overrides) == ["markers.clamp"]
+
+
+def test_faults_of_a_bundle_are_told_at_its_options(tmp_path: Path) -> None:
+    wrong = {
+        "bundle_wires": "ten B1",
+        "bundle_number": "many",
+        "taping": "halflap",
+        "labels.Cured": "24 h",
+    }
+
+    with pytest.raises(UsageError) as info:
+        new_test(tmp_path / "t", VALUES | BUNDLE | wrong)
+
+    path = tmp_path / "t" / "test.yaml"
+    assert set(str(info.value).splitlines()) == {
+        f"{path}, bundle_wires: expected wires by type, such as {{B1: 10, B2: 9}} or"
+        " '10 B1 + 9 B2', found 'ten B1'.",
+        f"{path}, bundle_number: expected a whole number from 1 to 100000, found 'many'.",
+        f"{path}, taping: expected one of 'half-lap', 'coarse', 'none', found 'halflap'."
+        " Did you mean 'half-lap'?",
+        f"{path}, labels.Cured: expected a name of small letters, digits and '_', a letter first,"
+        " found 'Cured'.",
+    }
+
+
+def test_a_bundle_without_wires(tmp_path: Path) -> None:
+    with pytest.raises(
+        UsageError,
+        match=r"bundle_wires: expected a value for 'bundle_wires', found none\. Fill it in\.$",
+    ):
+        new_test(tmp_path / "t", VALUES | {"conduit": "corrugated-tube"})
+
+
+def test_a_test_sheet_that_is_there_is_kept_unless_asked(tmp_path: Path) -> None:
+    path = new_test(tmp_path / "t", VALUES)
+    before = path.read_text(encoding="utf-8")
+
+    with pytest.raises(UsageError) as info:
+        new_test(tmp_path / "t", VALUES | {"sample": "2"})
+    assert str(info.value) == (
+        f"{path}: expected no such file yet, found one that is there already."
+        " Edit it, or ask to overwrite it."
+    )
+    assert path.read_text(encoding="utf-8") == before
+
+    new_test(tmp_path / "t", VALUES | {"sample": "2"}, overwrite=True)
+    assert load_test_sheet(path).specimen.sample == "2"
+
+
+def test_all_faults_of_the_options_come_at_once(tmp_path: Path) -> None:
+    path = tmp_path / "t" / "test.yaml"
+    values = VALUES | {"typ": "A", "length": "85", "force": "../a.mat", "protocol": "wire"}
+    del values["spool"]
+
+    with pytest.raises(UsageError) as info:
+        new_test(tmp_path / "t", values)
+
+    lines = str(info.value).splitlines()
+    assert lines[0].startswith(f"{path}, typ: expected one of 'type', ")
+    assert lines[0].endswith("or a dotted key, found 'typ'. Did you mean 'type'?")
+    assert set(lines[1:4]) == {
+        f"{path}, spool: expected a value for 'spool', found none. Fill it in.",
+        f"{path}, length: expected a quantity with a unit such as mm, found '85'."
+        " Write it with its unit, such as '53 mm'.",
+        f"{path}, force: expected a file inside the folder of the test, found '../a.mat'."
+        " Copy the export into the folder of the test and name it from there.",
+    }
+    assert lines[4].startswith(f"{path}, protocol: expected one of the protocols ")
+    assert not path.exists()
+
+
+def test_a_test_without_files(tmp_path: Path) -> None:
+    values = {key: value for key, value in VALUES.items() if key not in ("force", "markers")}
+
+    with pytest.raises(
+        UsageError, match="files: expected at least one entry, found an empty block"
+    ):
+        new_test(tmp_path / "t", values)
+
+
+def test_a_change_without_a_reason(tmp_path: Path) -> None:
+    values = {key: value for key, value in VALUES.items() if key != "because"}
+
+    with pytest.raises(UsageError, match="because: expected a value for 'because', found none"):
+        new_test(tmp_path / "t", values)
+
+
+def test_a_folder_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "t").write_text("", encoding="utf-8")
+
+    with pytest.raises(StoreError, match=r"test\.yaml: expected "):
+        new_test(tmp_path / "t" / "u", VALUES)
+
+
+TABLE = """\
+Test;protocol;type;spool;sample;Length (mm);date;force;markers;markers.clamp;because
+A2-1;wire-cantilever;A2;s1;1;85;2026-03-04;a.mat;t.csv;;
+A2-2;wire-cantilever;A2;s1;2;8 cm;2026-03-04;a.mat;t.csv;Grip;renamed
+"""
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / "campaign.csv"
+    path.write_text(TABLE, encoding="utf-8")
+    return path
+
+
+def test_one_test_sheet_per_row(table: Path, tmp_path: Path) -> None:
+    made = new_from_sheet(table, tmp_path / "raw")
+
+    first, second = (load_test_sheet(path) for path in made.written)
+    assert made.kept == ()
+    assert [path.parent.name for path in made.written] == ["A2-1", "A2-2"]
+    assert (first.specimen.length, second.specimen.length) == (0.085, 0.080)
+    assert (first.overrides, list(second.overrides)) == ({}, ["markers.clamp"])
+
+
+BUNDLES = """\
+test;protocol;type;spool;sample;Span (mm);Bundle_wires;Arrangement;tape;taping;conduit;\
+Conduit_bore (mm);labels.cured;force;markers
+C-1;wire-cantilever;CWB;s1;1;152.4;19 B1;;;;corrugated-tube;10.7;24 h;a.mat;t.csv
+C-2;wire-cantilever;CWB;s1;2;152.4;10 B1 + 9 B2;asymmetric;PVC;coarse;twist-tube;;;a.mat;t.csv
+C-3;wire-cantilever;B1;s1;3;152.4;;;;;;;;a.mat;t.csv
+"""
+
+
+def test_bundles_from_a_table(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.csv"
+    path.write_text(BUNDLES, encoding="utf-8")
+
+    made = new_from_sheet(path, tmp_path / "raw")
+
+    one, two, three = (load_test_sheet(each).specimen.record for each in made.written)
+    assert one.bundle == Bundle(
+        (BundleWire("B1", 19),), conduit="corrugated-tube", conduit_bore=0.0107
+    )
+    assert two.bundle == Bundle(
+        (BundleWire("B1", 10), BundleWire("B2", 9)),
+        arrangement="asymmetric",
+        tape="PVC",
+        taping="coarse",
+        conduit="twist-tube",
+    )
+    assert three.bundle is None
+    assert [dict(each.labels) for each in (one, two, three)] == [{"cured": "24 h"}, {}, {}]
+    assert resolve(load_test_sheet(made.written[0]), made.written[0]).specimen.span == 0.1524
+
+
+def test_faults_of_bundles_name_their_cells(tmp_path: Path) -> None:
+    path = tmp_path / "campaign.csv"
+    wrong = BUNDLES.replace("19 B1;;;", "19 B1;symmetric;;half-lap").replace("10 B1 +", "10 B1,")
+    path.write_text(wrong, encoding="utf-8")
+
+    with pytest.raises(ReadError) as info:
+        new_from_sheet(path, tmp_path / "raw")
+    assert str(info.value).splitlines() == [
+        f"{path}, line 2, column 8 (arrangement): expected 'packed' for wires of one type, found"
+        " 'symmetric'. Only wires of different types can be spread one way or another: leave it"
+        " out.",
+        f"{path}, line 2, column 10 (taping): expected 'none' where there is no tape, found"
+        " 'half-lap'. Write what tape it is, such as 'tape: PVC', or 'tape: unknown'.",
+        f"{path}, line 3, column 7 (bundle_wires): expected wires by type, such as"
+        " {B1: 10, B2: 9} or '10 B1 + 9 B2', found '10 B1, 9 B2'.",
+    ]
+    assert not (tmp_path / "raw").exists()
+
+
+def test_rows_added_later_leave_earlier_tests_alone(table: Path, tmp_path: Path) -> None:
+    path = tmp_path / "raw" / "A2-1" / "test.yaml"
+    path.parent.mkdir(parents=True)
+    path.write_text("mine", encoding="utf-8")
+
+    made = new_from_sheet(table, tmp_path / "raw")
+    assert (made.kept, len(made.written)) == ((path,), 1)
+    assert path.read_text(encoding="utf-8") == "mine"
+
+    made = new_from_sheet(table, tmp_path / "raw", overwrite=True)
+    assert (made.kept, len(made.written)) == ((), 2)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "Length (mm)",
+            "lenght",
+            "line 1, column 6: expected one of 'length', 'test', 'arrangement', 'sample', 'taping',"
+            " ..., or a dotted key, found 'lenght'. Did you mean 'length'?",
+        ),
+        (
+            "type;spool",
+            "spool;spool",
+            "line 1, column 4: expected each column once, found 'spool' again."
+            " Remove or rename one of them.",
+        ),
+        (
+            "type;spool",
+            "spool;spool",
+            "line 1, column 1: expected a column 'type', found none. Add it.",
+        ),
+        (
+            "A2;s1;2",
+            "A2;s1;",
+            "line 3, column 5 (sample): expected a value for 'sample', found none. Fill it in.",
+        ),
+        (
+            "8 cm",
+            "8 kg",
+            "line 3, column 6 (length): expected a quantity with a unit such as mm, found '8 kg'."
+            " Write it with its unit, such as '53 mm'.",
+        ),
+        (
+            "A2-2;wire-cantilever",
+            "A2-2;wire-cantilver",
+            "line 3, column 2 (protocol): expected one of the protocols 'wire-cantilever',"
+            " 'force-displacement', 'markers-only', found 'wire-cantilver'."
+            " Did you mean 'wire-cantilever'?",
+        ),
+        (
+            "A2-2",
+            "a2-1",
+            "line 3, column 1: expected each test once, found 'a2-1' again."
+            " Give each test a name of its own.",
+        ),
+        (
+            "Grip;renamed",
+            "Grip;",
+            "line 3, column 11 (because): expected a value for 'because', found none. Fill it in.",
+        ),
+        (
+            "2026-03-04;a.mat;t.csv;Grip",
+            "4.3.26;a.mat;t.csv;Grip",
+            "line 3, column 7 (date): expected a date such as 2026-03-04, found '4.3.26'.",
+        ),
+        (
+            "A2-2",
+            "../A2",
+            "line 3, column 1 (test): expected a name of letters, digits, '-', '_', '.' and '+',"
+            " found '../A2'.",
+        ),
+    ],
+)
+def test_a_fault_names_its_cell_and_nothing_is_written(
+    old: str,
+    new: str,
+    message: str,
+    table: Path,
+    tmp_path: Path,
+    repository: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    shipped = ("wire-cantilever", "force-displacement", "markers-only")
+    own = tmp_path / "protocols"
+    own.mkdir()
+    for name in shipped:
+        shutil.copy(repository / "protocols" / f"{name}.yaml", own)
+    monkeypatch.setattr("labpipe.protocol.load.protocol_folders", lambda _: (own,))
+    table.write_text(TABLE.replace(old, new), encoding="utf-8")
+
+    with pytest.raises(ReadError) as info:
+        new_from_sheet(table, tmp_path / "raw", protocols=own)
+
+    assert f"{table}, {message}" in str(info.value).splitlines()
+    assert not (tmp_path / "raw").exists()

@@ -1,0 +1,104 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from labpipe.readers.time_axes import clock_notes, find_holes
+from labpipe.records.quality import Severity
+from labpipe.records.recording import Clock
+
+
+def codes(time: np.ndarray, name: str = "time", *, is_variable: bool = False) -> dict[str, str]:
+    notes = clock_notes(Clock(name, time), is_variable=is_variable)
+    return {note.code: note.message for note in notes}
+
+
+@given(lost=st.lists(st.integers(2, 90), unique=True, max_size=8), step=st.floats(1e-4, 1.0))
+def test_lost_samples_are_holes(lost: list[int], step: float) -> None:
+    numbers = np.delete(np.arange(100.0), lost)
+    holes = find_holes(numbers * step)
+    edges = [int(n) for n, m in pairwise(numbers) if m - n > 1]
+    assert [hole.at for hole in holes] == pytest.approx([n * step for n in edges])
+    assert sum(round(hole.length / step) - 1 for hole in holes) == len(lost)
+
+
+def test_a_late_sample_is_jitter_and_not_a_hole() -> None:
+    time = np.arange(100.0)
+    time[50] += 0.6
+    assert find_holes(time) == ()
+    assert codes(time)["time_jitter"] == "steps from 400 ms to 1.6 s around 1 s without loss"
+
+
+def test_a_hole_is_told_with_its_losses() -> None:
+    time = np.delete(np.arange(100) * 0.001, [40, 41, 42])
+    assert codes(time)["time_holes"] == (
+        "1 holes of 4 ms to 4 ms, about 3 samples lost, first at 0.039 s"
+    )
+
+
+def test_long_steps_mean_nothing_where_samples_are_written_on_change() -> None:
+    time = np.array([0.0, 1.0, 2.0, 9.0, 10.0])
+    assert "time_holes" in codes(time)
+    assert codes(time, "OnChange") == {}
+
+
+REDUCED = np.concatenate([np.arange(100) * 0.01, 1.0 + np.arange(20) * 0.25])
+"""Ten milliseconds, then a quarter of a second, as a program that changes its rate writes."""
+
+
+def test_a_rate_that_varies_loses_nothing_where_the_program_varies_it() -> None:
+    assert codes(REDUCED, is_variable=True) == {
+        "time_variable": (
+            "steps from 10 ms to 250 ms around 10 ms; the program samples at a rate that varies"
+        )
+    }
+    assert codes(np.arange(100) * 0.01, is_variable=True) == {}
+
+
+def test_so_many_long_steps_that_they_need_not_be_losses() -> None:
+    (note,) = clock_notes(Clock("time", REDUCED))
+    assert note.severity is Severity.WARNING
+    assert note.message == (
+        "steps from 10 ms to 250 ms around 10 ms; 19 of 119 are longer than usual: the rate varies,"
+        " or samples were lost"
+    )
+
+
+def test_a_step_that_is_not_the_nominal_one() -> None:
+    message = codes(np.arange(10000) * 0.99985e-3)["step_not_nominal"]
+    assert message.startswith("mean step 0.99985 ms where 1 ms is nominal")
+    assert message.endswith("wrong by 0.0015 s at the end")
+    assert codes(np.arange(10000) / 120.0) == {}
+
+
+def test_time_that_runs_backwards_is_an_error_with_its_place() -> None:
+    time = np.arange(10.0)
+    time[4] = 0.5
+    (note,) = clock_notes(Clock("time", time))
+    assert note.code == "time_not_increasing"
+    assert note.severity is Severity.ERROR
+    assert note.message == "time runs backwards 1 times, first at sample 5: 0.5 s after 3 s"
+
+
+def test_time_that_is_no_number_is_an_error_with_its_place() -> None:
+    (note,) = clock_notes(Clock("time", np.array([0.0, 1.0, np.nan])))
+    assert note.severity is Severity.ERROR
+    assert note.message == "1 time stamps are no numbers, the first at sample 3"
+
+
+def test_smaller_oddities() -> None:
+    assert codes(np.array([0.0, 1.0, 1.0, 2.0, 3.0]))["time_repeats"] == (
+        "1 time stamps repeat the one before, first at sample 3 (1 s)"
+    )
+    assert codes(np.array([-1.0, 0.0, 1.0]))["time_start_not_zero"] == (
+        "time starts at -1 s, not at 0"
+    )
+    assert codes(np.empty(0)) == {"clock_empty": "it has no samples"}
+    assert codes(np.zeros(1)) == {}
+    assert codes(np.zeros(5)) == {
+        "time_repeats": "4 time stamps repeat the one before, first at sample 2 (0 s)"
+    }

@@ -1,0 +1,75 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from labpipe.readers.unknown_files import recognise_stranger
+
+CARD = "see docs/how-to/new-dialect.md."
+
+
+@pytest.mark.parametrize(
+    ("content", "words", "remedy"),
+    [
+        (
+            b"\x02\x50" + bytes(600),
+            "a C3D file (motion capture), which is recognised",
+            "Export the",
+        ),
+        (b"\x89HDF\r\n\x1a\n" + bytes(600), "an HDF5 file that is no ControlDesk export", "Export"),
+        (b"PK\x03\x04rest", "a workbook without a table of time and force or travel", "If a test"),
+        (b"MDF     3.30", "an MDF file of a version other than 4", "Export the recording"),
+        (b"TDSm" + bytes(40), "a TDMS file (LabVIEW)", "Export it as text or as a workbook"),
+        (b"LabVIEW Measurement\t\n", "an LVM file (LabVIEW)", "If a testing machine's program"),
+        (b"\x1f\x8b\x08" + bytes(40), "a packed file (gzip)", "Unpack it, and name the export in"),
+        (b'\xef\xbb\xbf<?xml version="1.0"?><a/>', "XML", "Export the recording"),
+        (b"\n {}", "JSON", "Export the recording"),
+        (b"\x01\x00\x02", "binary data of an unknown kind", "Export the recording"),
+        (b"Dear Sir,\n\nthe force\n", "text that begins with 'Dear Sir,'", "Export the recording"),
+        (b"\n \n", "nothing but blanks", "Export the recording"),
+    ],
+)
+def test_what_a_file_appears_to_be(tmp_path: Path, content: bytes, words: str, remedy: str) -> None:
+    file = tmp_path / "file.dat"
+    file.write_bytes(content)
+    stranger = recognise_stranger(file)
+    assert stranger.what.startswith(words)
+    assert stranger.remedy.startswith(remedy)
+
+
+TABLES = {
+    "a table of 2 columns parted by commas, called 'a', 'b'": "a,b\n1,2\n3,4\n",
+    "a table of 3 columns parted by semicolons, called 'x', 'y', 'z'": "p\n\nx;y;z\n1,5;2;\n3;4;5",
+    "a table of 2 columns parted by tabs, without names": "1\t2\n3\t4\n",
+    "a table of 3 columns parted by blanks, without names": "  1  2 3\n 4 5  6\n",
+    "a table of 5 columns parted by commas, called 'a', 'b', 'c', 'd' ...": (
+        "a,b,c,d,e\n1,2,3,4,5\n1,2,3,4,5\n"
+    ),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize("what", TABLES)
+def test_a_table_is_described(tmp_path: Path, what: str, encoding: str) -> None:
+    file = tmp_path / "table.csv"
+    file.write_bytes(TABLES[what].encode(encoding))
+    stranger = recognise_stranger(file)
+    assert stranger.what == what
+    assert stranger.remedy.startswith("A table is known by its names and units: time, and force ")
+    assert stranger.remedy.endswith(CARD)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("tdms/DG1_u1.tdms", "a TDMS file"),
+        ("lvm/with_comments.lvm", "an LVM file"),
+        ("qtm/mocap.tsv", "a TSV file of Qualisys"),
+        ("c3d/sprintbasket.c3d", "a C3D file"),
+        ("harness/topology.vec", "XML"),
+    ],
+)
+def test_real_strangers(realdata: Path, name: str, words: str) -> None:
+    assert recognise_stranger(realdata / name).what.startswith(words)

@@ -1,0 +1,38 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.curve import Interval
+from labpipe.records.estimates import Estimate, Failure, scaled, widened
+
+LOPSIDED = Estimate(1.0, 0.1, 9, Interval(0.9, 1.4))
+
+
+def test_they_are_values() -> None:
+    assert Estimate(1.0, 0.1, 5) == Estimate(1.0, 0.1, 5)
+    assert Failure("gap", "3 samples") != Failure("gap", "4 samples")
+
+
+def test_an_uncertain_input_widens() -> None:
+    assert widened(Estimate(1.0, 3.0, 9), 4.0) == Estimate(1.0, 5.0, 9)
+    found = widened(LOPSIDED, 0.1)
+    assert found.interval is not None
+    assert 1.0 - found.interval.lower == pytest.approx(np.hypot(0.1, 0.196), rel=1e-3)
+    assert found.interval.upper - 1.0 == pytest.approx(np.hypot(0.4, 0.196), rel=1e-3)
+    assert widened(LOPSIDED) == LOPSIDED
+
+
+@pytest.mark.parametrize("factor", [3.0, -3.0])
+def test_scaling_keeps_the_quantile(factor: float) -> None:
+    assert scaled(Estimate(2.0, 3.0, 9), factor, more=4.0) == Estimate(2.0 * factor, 15.0, 9)
+    found = scaled(LOPSIDED, factor, more=0.1)
+    assert (found.value, found.error) == pytest.approx((factor, 0.3 * np.sqrt(2.0)))
+    assert found.interval is not None
+    assert factor - found.interval.lower == pytest.approx(0.3 * np.sqrt(2.0))
+    assert found.interval.upper - factor == pytest.approx(1.2 * np.sqrt(2.0))
+
+
+def test_an_interval_without_an_error_is_left_out() -> None:
+    without = Estimate(1.0, 0.0, 9, Interval(0.9, 1.1))
+    assert scaled(without, 2.0, more=0.5) == Estimate(2.0, 1.0, 9)

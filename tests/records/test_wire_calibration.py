@@ -1,0 +1,42 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.wire_calibration import (
+    PARAMETERS,
+    UNITS,
+    Profile,
+    Separability,
+    SourceCalibration,
+)
+
+TWO = np.zeros(2)
+
+
+def test_every_parameter_has_a_unit() -> None:
+    assert tuple(UNITS) == PARAMETERS
+
+
+def test_arrays_are_frozen_and_of_one_length() -> None:
+    profile = Profile(np.array([1.0, 2.0]), TWO, 3.84, 20.0)
+    with pytest.raises(ValueError, match="read-only"):
+        profile.value[0] = 3.0
+    with pytest.raises(ValueError, match=r"expected an array of shape \(3,\), found \(2,\)"):
+        Profile(np.zeros(3), TWO, 3.84, 20.0)
+    with pytest.raises(ValueError, match=r"expected an array of shape \(2, 2\), found \(2,\)"):
+        Separability(("a", "b"), TWO, TWO, {}, "")
+    with pytest.raises(ValueError, match=r"expected an array of shape \(3,\), found \(2,\)"):
+        SourceCalibration(
+            *(0.2, 0.2, 0.2, 0.08),
+            start=(0.2, 0.2, 0.2),
+            converged=True,
+            iterations=1,
+            singular_values=TWO,
+            sse=0.0,
+            rmse=0.0,
+            rmse_share=0.0,
+            deflection=TWO,
+            force=TWO,
+            model=TWO,
+        )

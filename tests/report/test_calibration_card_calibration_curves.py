@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from labpipe.report.calibration_card import plot_loadings, plot_residuals, source_curves
+from labpipe.report.figure_page import style
+from tests.report.builders_calibrations import foretold, one_sample, source, usual
+
+
+@pytest.fixture(autouse=True)
+def _in_style() -> Iterator[None]:
+    with style():
+        yield
+
+
+def panel() -> Axes:
+    return Figure().subplots()
+
+
+def test_samples_and_the_model_once_for_each_length() -> None:
+    calibration, axes = usual(), panel()
+    plot_loadings(calibration, axes, predictions={0.085: foretold()})
+    assert len(axes.lines) == 4 + 2
+    first = calibration.curves[0]
+    np.testing.assert_allclose(np.asarray(axes.lines[0].get_ydata()), first.force)
+    np.testing.assert_allclose(
+        np.asarray(axes.lines[4].get_data()), [1e3 * first.deflection, first.model]
+    )
+    assert [text.get_text() for text in axes.texts] == ["85 mm", "120 mm"]
+    (band,) = axes.collections
+    assert band.get_paths()[0].get_extents().y1 == pytest.approx(foretold().upper_mean.max())
+
+
+def test_residuals_with_and_without_the_factors_of_samples() -> None:
+    calibration = usual()
+    plain, own = panel(), panel()
+    plot_residuals(calibration, plain)
+    plot_residuals(calibration, own, has_own_factor=True)
+    curve = calibration.curves[0]
+    left = 1e3 * (curve.force - curve.model)
+    np.testing.assert_allclose(np.asarray(plain.lines[1].get_ydata()), left)
+    np.testing.assert_allclose(
+        np.asarray(plain.lines[2].get_ydata()), left.reshape(30, 3).mean(axis=1)
+    )
+    scaled = 1e3 * (curve.force - curve.sample_factor * curve.model)
+    np.testing.assert_allclose(np.asarray(own.lines[1].get_ydata()), scaled)
+    assert plain.get_ylabel() == "Measured \u2212 model (mN)"
+
+
+def test_source_is_drawn_where_it_is_of_the_same_tests() -> None:
+    assert source_curves(usual(), source()) == ()
+    axes = panel()
+    plot_loadings(usual(), axes, source=source())
+    assert len(axes.lines) == 4 + 2
+    alone = one_sample()
+    assert source_curves(alone, source()) == ()
+
+
+def test_source_is_cut_into_curves() -> None:
+    from dataclasses import replace
+
+    calibration = replace(usual(), curves=usual().curves[:2])
+    first, second = source_curves(calibration, source())
+    assert first[0] == second[0] == 0.085
+    np.testing.assert_array_equal(np.concatenate([first[2], second[2]]), source().model)
+    axes = panel()
+    plot_loadings(calibration, axes, source=source())
+    assert len(axes.lines) == 2 + 2
+    np.testing.assert_allclose(np.asarray(axes.lines[-1].get_ydata()), first[2])

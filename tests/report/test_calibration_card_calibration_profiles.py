@@ -1,0 +1,84 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from labpipe.records.wire_calibration import Profile
+from labpipe.report.calibration_card import plot_profile, seen, smooth
+from labpipe.report.figure_page import style
+from tests.report.builders_calibrations import troubled, usual
+
+
+@pytest.fixture(autouse=True)
+def _in_style() -> Iterator[None]:
+    with style():
+        yield
+
+
+def panel() -> Axes:
+    return Figure().subplots()
+
+
+def test_profile_with_thresholds_value_and_interval() -> None:
+    parameter, axes = usual().parameter("insulation_modulus"), panel()
+    assert parameter.profile is not None
+    assert parameter.interval is not None
+    plot_profile(parameter, axes)
+    curve, dots, below, above, value = axes.lines
+    np.testing.assert_allclose(np.asarray(dots.get_xdata()), 1e-6 * parameter.profile.value)
+    np.testing.assert_allclose(np.asarray(dots.get_ydata()), parameter.profile.deviance)
+    assert set(np.asarray(below.get_ydata())) == {parameter.profile.threshold_below}
+    assert set(np.asarray(above.get_ydata())) == {parameter.profile.threshold_above}
+    assert np.asarray(value.get_xdata())[0] == pytest.approx(1e-6 * parameter.value)
+    assert np.min(np.asarray(curve.get_ydata())) == pytest.approx(0.0, abs=1e-12)
+    (grey,) = axes.patches
+    left, right = grey.get_extents().transformed(axes.transData.inverted()).intervalx
+    assert [1e6 * left, 1e6 * right] == pytest.approx(
+        [parameter.interval.lower, parameter.interval.upper]
+    )
+    assert axes.get_xscale() == "log"
+    assert axes.get_xlabel() == "Insulation modulus (MPa)"
+
+
+def test_an_open_interval_reaches_to_the_end_of_the_panel() -> None:
+    parameter, axes = troubled().parameter("radial_friction"), panel()
+    assert parameter.is_open_below
+    plot_profile(parameter, axes)
+    (grey,) = axes.patches
+    left = grey.get_extents().transformed(axes.transData.inverted()).x0
+    assert left == pytest.approx(axes.get_xlim()[0])
+
+
+def test_prior_from_its_own_centre() -> None:
+    parameter, axes = troubled().parameter("copper_scale"), panel()
+    plot_profile(parameter, axes)
+    prior = axes.lines[-1]
+    x, y = np.asarray(prior.get_data())
+    assert x[np.argmin(y)] == pytest.approx(1.6, rel=2e-3)
+    assert np.interp(1.6 / 1.05, x, y) == pytest.approx(1.96**2, rel=0.01)
+
+
+def test_value_of_another_method_is_in_the_panel() -> None:
+    parameter, axes = usual().parameter("radial_friction"), panel()
+    plot_profile(parameter, axes, elsewhere=0.4)
+    assert axes.get_xlim()[1] > 400.0
+    assert 400.0 in [float(np.asarray(line.get_xdata())[0]) for line in axes.lines]
+
+
+def test_held_parameter_is_said() -> None:
+    parameter, axes = troubled().parameter("insulation_modulus"), panel()
+    plot_profile(parameter, axes)
+    assert axes.texts[0].get_text() == "The modulus of the insulation\nwas held at 1000 MPa."
+    assert seen(parameter) == (parameter.value, parameter.value)
+
+
+def test_smooth_profile_passes_through_its_points() -> None:
+    logs = np.array([-2.0, -1.0, 0.0, 3.0])
+    profile = Profile(np.exp(logs), logs**2, 4.0, 4.0)
+    values, deviance = smooth(profile)
+    np.testing.assert_allclose(deviance, np.log(values) ** 2, atol=1e-12)
+    assert set(np.exp(logs)) <= set(values)

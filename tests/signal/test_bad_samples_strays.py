@@ -1,0 +1,46 @@
+"""Stray samples: spikes and dropouts that return, and what is none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.signal.bad_samples import bridged, stray_samples
+
+D = np.linspace(0.0, 0.04, 401)
+RISE = 9000.0 * D + np.random.default_rng(0).normal(0.0, 0.5, len(D))
+
+
+def test_spike_and_dropouts_are_found() -> None:
+    force = RISE.copy()
+    force[100] = 1200.0
+    force[200:203] = 0.0
+    force[50] = np.nan
+    assert stray_samples(force).tolist() == [100, 200, 201, 202]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_what_is_none(seed: int) -> None:
+    noise = np.random.default_rng(seed).normal(0.0, 0.5, len(D))
+    broken = np.where(D < 0.03, 9000.0 * D, 3.0)
+    turned = 9000.0 * np.where(D < 0.02, D, 0.04 - D)
+    stepped = 9000.0 * D - 30.0 * (D > 0.02)
+    dropout = np.where((D > 0.02) & (D < 0.0205), 0.0, 9000.0 * D)  # four samples and more
+    for force in (9000.0 * D, broken, turned, stepped, dropout, np.round(9000.0 * D / 2.0) * 2.0):
+        assert stray_samples(force + noise).tolist() == []
+    assert stray_samples(turned).tolist() == []
+
+
+def test_ends_and_few_samples() -> None:
+    force = RISE.copy()
+    force[[0, -1]] = 1200.0
+    assert stray_samples(force).tolist() == []
+    assert stray_samples(RISE[:13]).tolist() == []
+
+
+def test_strays_are_bridged_over_missing_samples_too() -> None:
+    force = np.array([0.0, 1.0, 90.0, np.nan, 4.0, 5.0])
+    mended = bridged(force, np.array([2]))
+    np.testing.assert_allclose(mended, [0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
+    assert force[2] == 90.0
+    np.testing.assert_array_equal(bridged(force, np.array([], dtype=np.int64)), force)

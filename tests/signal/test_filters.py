@@ -1,0 +1,174 @@
+"""Smoothing and thinning."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from labpipe.records.arrays import Floats
+from labpipe.signal.filters import (
+    in_pieces,
+    low_pass,
+    moving_average,
+    seconds_to_window,
+    smoothed,
+    window_length,
+)
+
+signals = arrays(np.float64, st.integers(1, 60), elements=st.floats(-1e3, 1e3))
+
+
+def by_definition(values: Floats, window: int) -> Floats:
+    """Mean over the symmetric window that fits, sample by sample."""
+    half, count = window // 2, len(values)
+    means = np.full(count, np.nan)
+    for i in range(count):
+        reach = min(half, i, count - 1 - i)
+        known = values[i - reach : i + reach + 1]
+        known = known[~np.isnan(known)]
+        if len(known):
+            means[i] = known.mean()
+    return means
+
+
+def test_the_documented_example_of_smooth() -> None:
+    smoothed = moving_average(np.array([3.0, 8, 2, 1, 5, 5]), window=5)
+    assert smoothed == pytest.approx([3, 13 / 3, 3.8, 4.2, 11 / 3, 5], abs=1e-12)
+
+
+@given(signals, st.integers(0, 40))
+def test_moving_average_is_its_definition(values: Floats, half: int) -> None:
+    window = min(2 * half + 1, len(values) - 1 + len(values) % 2)
+    assert moving_average(values, window=window) == pytest.approx(
+        by_definition(values, window), abs=1e-9
+    )
+
+
+@given(signals, st.integers(1, 8), st.sets(st.integers(0, 59)))
+def test_nan_a_window_averages_what_is_there(values: Floats, half: int, holes: set[int]) -> None:
+    values = values.copy()
+    values[[hole for hole in holes if hole < len(values)]] = np.nan
+    window = min(2 * half + 1, len(values) - 1 + len(values) % 2)
+    assert moving_average(values, window=window) == pytest.approx(
+        by_definition(values, window), abs=1e-9, nan_ok=True
+    )
+
+
+def test_all_nan_stays_nan() -> None:
+    assert np.isnan(moving_average(np.full(7, np.nan), window=3)).all()
+
+
+def test_input_is_untouched() -> None:
+    values = np.arange(9.0)
+    moving_average(values, window=5)
+    assert values.tolist() == list(range(9))
+
+
+@pytest.mark.parametrize("window", [0, 2, 11])
+def test_window_out_of_range(window: int) -> None:
+    with pytest.raises(ValueError, match=f"window={window}: expected an odd number of samples"):
+        moving_average(np.zeros(9), window=window)
+
+
+@pytest.mark.parametrize(
+    ("span", "count", "window"),
+    [(0.05, 2650, 133), (5, 100, 5), (6, 100, 5), (6.9, 100, 5), (500, 12, 11), (0.001, 9, 1)],
+)
+def test_window_length_is_that_of_smooth(span: float, count: int, window: int) -> None:
+    assert window_length(span, count) == window
+
+
+def test_window_length_refuses_nonsense() -> None:
+    with pytest.raises(ValueError, match="span=0, count=5: expected a positive span"):
+        window_length(0, 5)
+
+
+def test_seconds_to_window() -> None:
+    assert seconds_to_window(0.1, np.arange(0, 10, 1e-4)) == 999
+    assert seconds_to_window(1e-9, np.arange(0, 1, 0.1)) == 1
+    assert seconds_to_window(1.0, np.zeros(1)) == 1
+
+
+def test_low_pass_keeps_slow_and_takes_fast() -> None:
+    time = np.arange(0, 10, 1e-3)
+    slow, fast = np.sin(2 * np.pi * time), np.sin(2 * np.pi * 100 * time)
+    passed = low_pass(slow + fast, cutoff=10.0, rate=1e3, order=2)
+    middle = slice(1000, -1000)
+    assert passed[middle] == pytest.approx(slow[middle], abs=2e-3)
+
+
+def test_low_pass_does_not_shift_in_time() -> None:
+    values = np.zeros(2001)
+    values[1000] = 1.0
+    passed = low_pass(values, cutoff=5.0, rate=1e3, order=2)
+    assert passed == pytest.approx(passed[::-1], abs=1e-12)
+    assert int(np.argmax(passed)) == 1000
+
+
+def test_low_pass_refuses() -> None:
+    with pytest.raises(ValueError, match=r"cutoff=600.0: expected a frequency between 0 and 500.0"):
+        low_pass(np.zeros(100), cutoff=600.0, rate=1e3, order=2)
+    with pytest.raises(ValueError, match="expected a signal without gaps, found NaN"):
+        low_pass(np.array([0.0, np.nan, 1.0]), cutoff=1.0, rate=1e3, order=1)
+
+
+def test_smoothed_keeps_straight_lines_to_their_ends() -> None:
+    ramp = 2.0 * np.arange(100.0) + 1.0
+    assert smoothed(ramp, window=21) == pytest.approx(ramp)
+
+
+def test_smoothed_is_the_mean_inside_and_a_line_at_the_ends() -> None:
+    noise = np.random.default_rng(3).normal(size=50)
+    found = smoothed(noise, window=11)
+    assert found[5:-5] == pytest.approx(moving_average(noise, window=11)[5:-5])
+    line = np.polyfit(np.arange(11.0), noise[-11:], 1)
+    assert found[-5:] == pytest.approx(np.polyval(line, np.arange(6.0, 11.0)))
+
+
+def test_smoothed_agrees_with_savitzky_and_golay_of_scipy() -> None:
+    from scipy.signal import savgol_filter
+
+    values = np.random.default_rng(4).normal(size=300).cumsum()
+    expected = savgol_filter(values, 31, 1)
+    found = smoothed(values, window=31)
+    assert found[15:-15] == pytest.approx(expected[15:-15])
+    first, last = values[:31], values[-31:]
+    assert found[:15] == pytest.approx(np.clip(expected[:15], first.min(), first.max()))
+    assert found[-15:] == pytest.approx(np.clip(expected[-15:], last.min(), last.max()))
+
+
+def test_smoothed_does_not_overshoot_a_smooth_top() -> None:
+    sine = np.sin(np.linspace(0.0, 0.5 * np.pi, 200))
+    assert smoothed(sine, window=61).max() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_smoothed_leaves_nan_where_nothing_is() -> None:
+    values = np.where(np.arange(40) < 10, np.nan, np.arange(40.0))
+    found = smoothed(values, window=5)
+    assert np.isnan(found[:8]).all()
+    assert found[12:] == pytest.approx(values[12:])
+    assert smoothed(values[:2], window=5).tolist() == pytest.approx([np.nan, np.nan], nan_ok=True)
+
+
+def test_pieces_keep_their_corner() -> None:
+    tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
+    act = partial(smoothed, window=21)
+    assert in_pieces(tent, [50], [(act, 1)]) == pytest.approx(tent)
+    assert in_pieces(tent, [], [(act, 1)]).max() < 46.0
+
+
+def test_pieces_are_thinned_after_they_are_filtered() -> None:
+    tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
+    filters = [(partial(smoothed, window=5), 3), (partial(smoothed, window=5), 2)]
+    assert in_pieces(tent, [50], filters) == pytest.approx(tent[::6])
+
+
+def test_a_filter_before_thinning_does_not_fold_noise() -> None:
+    noise = np.random.default_rng(1).normal(size=200_000)
+    found = in_pieces(noise, (), [(partial(smoothed, window=201), 200)])
+    assert found[1:-1].std() == pytest.approx(201**-0.5, rel=0.1)

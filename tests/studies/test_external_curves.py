@@ -1,0 +1,190 @@
+"""Curves from elsewhere, from the plan to what tests and model say of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import UsageError
+from labpipe.protocol.load import load_calibration_plan
+from labpipe.records.curve_comparison import ThirdCurve, ThirdCurveComparison
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import Calibration
+from labpipe.studies.calibration_study import comparison_json
+from labpipe.studies.external_curves import hold_third_curves, read_third_curves
+from labpipe.studies.first_loadings import FirstLoading
+from labpipe.studies.validation import compare
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from tests.builders.loading_tests import exact_curve, measured, wire_of
+from tests.builders.wire_tables import wire_table
+
+CURVES = measured("A2")
+WIRES = {"A2": wire_of("A2"), "A1": wire_of("A1")}
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    found = calibrate(wire_of("A2"), CURVES, Settings())
+    assert isinstance(found, Calibration)
+    return found
+
+
+def specs() -> Mapping[str, WireSpec]:
+    return {"A2": wire_table("A2").spec}
+
+
+def third(
+    wire: str = "A2",
+    length: float = 0.085,
+    *,
+    is_normal: bool = False,
+    deepest: float = 0.045,
+) -> ThirdCurve:
+    """What the station-by-station path makes of the wire as the tests are made of it."""
+    at = np.linspace(0.001, deepest, 16)
+    force = exact_curve(wire, length, has_string=not is_normal)(np.minimum(at, 0.045))
+    return ThirdCurve("fe", "fe.csv", wire, length, at, force, is_normal, "synthetic")
+
+
+def held(calibration: Calibration, curve: ThirdCurve) -> ThirdCurveComparison:
+    loadings = [FirstLoading(each, 0.0, ()) for each in CURVES]
+    groups = compare(calibration, WIRES, loadings)
+    (found,) = hold_third_curves([curve], calibration, WIRES, groups, loadings)
+    return found
+
+
+def test_held_against_tests_and_model(calibration: Calibration) -> None:
+    found = held(calibration, third())
+    assert found.tests is not None
+    for each in (found.tests, found.model):
+        assert each.errors is not None
+        assert each.errors.n == 16
+        assert each.errors.rmse_share < 0.03  # scatter of three samples of 3 %
+    assert found.model.errors is not None
+    assert found.model.errors.inside == 1.0
+    assert found.prediction is not None
+    assert found.prediction.deflection[-1] == pytest.approx(0.05, abs=1e-3)  # as far as the tests
+    assert not found.notes
+
+
+def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calibration) -> None:
+    normal = held(calibration, third(is_normal=True))
+    pulled = held(calibration, replace(third(is_normal=True), is_normal=False))
+    assert normal.tests is not None
+    assert normal.model.errors is not None
+    assert pulled.model.errors is not None
+    (note,) = normal.notes
+    assert note.code == "third_curve_load"
+    assert not pulled.notes
+    assert "normal to the axis, the tests' does not: at 45 mm the model's force is" in note.message
+    exact = (exact_curve("A2", 0.085)(0.045), exact_curve("A2", 0.085, has_string=False)(0.045))
+    ratio = normal.model.reference[-1] / pulled.model.reference[-1]
+    assert ratio == pytest.approx(exact[1] / exact[0], abs=1e-3)
+    assert ratio < 0.985
+
+
+def test_tests_without_a_string_are_loaded_alike(calibration: Calibration) -> None:
+    loadings = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
+    groups = compare(calibration, WIRES, loadings)
+    curve = third(is_normal=True)
+    (found,) = hold_third_curves([curve], calibration, WIRES, groups, loadings)
+    assert not found.notes
+
+
+@pytest.mark.parametrize(("wire", "length"), [("A1", 0.085), ("A2", 0.12)])
+def test_without_tests_the_model_alone(calibration: Calibration, wire: str, length: float) -> None:
+    found = held(calibration, third(wire, length))
+    assert found.tests is None
+    assert found.model.errors is not None
+    assert found.model.errors.rmse_share < 0.03
+    (note,) = found.notes
+    assert note.code == "third_curve_untested"
+    said = f"no test of {wire} at {1e3 * length:.4g} mm: held against the model alone"
+    assert note.message == said
+
+
+def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None:
+    found = held(calibration, third(deepest=0.08))
+    assert found.tests is not None
+    assert (found.tests.left_out, found.model.left_out) == (6, 5)
+    assert [note.code for note in found.notes] == ["third_curve_cut", "third_curve_cut"]
+    tests, model = (note.message for note in found.notes)
+    assert tests.startswith("6 of 16 points left out, outside of 0.")
+    assert tests.endswith(" mm, the range of the tests")
+    assert model == "5 of 16 points left out, outside of 0 to 55.25 mm, the range of the model"
+
+
+def test_units_mistaken_leave_nothing_to_compare(calibration: Calibration) -> None:
+    wrong = replace(third(), deflection=1e3 * third().deflection + 1.0)
+    found = held(calibration, wrong)
+    assert found.model.errors is None
+    assert {note.code for note in found.notes} == {"third_curve_not_compared"}
+    assert "0 of 16 points, from 2000 to 4.6e+04 mm, lie within" in found.notes[0].message
+
+
+def test_as_plain_numbers(calibration: Calibration) -> None:
+    found = json.loads(json.dumps(comparison_json(held(calibration, third())), allow_nan=False))
+    assert (found["name"], found["load"], found["source"]) == ("fe", "as tested", "synthetic")
+    assert len(found["deflection"]) == len(found["tests"]["force"]) == 16
+    assert found["model"]["n"] == 16
+    assert found["model"]["left_out"] == 0
+    alone = comparison_json(held(calibration, third("A1")))
+    assert alone["tests"] is None
+    lost = replace(held(calibration, third()), tests=None)
+    assert comparison_json(lost)["tests"] is None
+
+
+PLAN = (
+    "version: 1\ncomparisons:\n"
+    "  - {name: fe, file: fe.csv, wire: A2, length: 85 mm, load: normal, because: synthetic}\n"
+)
+
+
+def plan_of(folder: Path, text: str = PLAN) -> Path:
+    path = folder / "plan.yaml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def read(plan: Path) -> tuple[ThirdCurve, ...]:
+    return read_third_curves(load_calibration_plan(plan), plan, specs(), Path("wires.xlsx"))
+
+
+def test_curves_are_read_beside_the_plan(tmp_path: Path) -> None:
+    curve = "deflection / m,force / N\n0,0\n0.01,0.02\n0.02,0.04\n"
+    (tmp_path / "fe.csv").write_text(curve, encoding="utf-8")
+    (found,) = read(plan_of(tmp_path))
+    assert (found.name, found.file, found.wire, found.is_normal) == ("fe", "fe.csv", "A2", True)
+    assert found.length == pytest.approx(0.085)
+    assert found.deflection.tolist() == [0.0, 0.01, 0.02]
+    assert found.force.tolist() == [0.0, 0.02, 0.04]
+
+
+def test_all_that_is_wrong_is_told_at_once(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, PLAN + PLAN.splitlines()[2].replace("fe,", "b,").replace("A2", "A22"))
+    with pytest.raises(UsageError) as caught:
+        read(plan)
+    missing, unknown, again = str(caught.value).splitlines()
+    assert missing == again
+    file = tmp_path / "fe.csv"
+    assert missing == (
+        f"{file}: expected a file, found none of that name. Check the name and the folder."
+    )
+    assert unknown == (
+        f"{plan}, comparison 'b', wire: expected a wire of wires.xlsx (A2), found 'A22'. Name the "
+        "wire that the curve is of, or add it to the sheet."
+    )
+
+
+def test_a_link_out_of_the_folder(tmp_path: Path) -> None:
+    inner = tmp_path / "plan"
+    inner.mkdir()
+    (tmp_path / "fe.csv").write_text("1,2\n", encoding="utf-8")
+    (inner / "fe.csv").symlink_to(tmp_path / "fe.csv")
+    with pytest.raises(UsageError, match="expected a file inside the folder of the plan, found a"):
+        read(plan_of(inner))

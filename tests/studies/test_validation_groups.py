@@ -1,0 +1,98 @@
+"""Tests by wire and length, held against what the model foretells."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.group import Band
+from labpipe.records.wire_calibration import Calibration
+from labpipe.statistics.mean_curves import common_curves, mean_band
+from labpipe.studies.first_loadings import FirstLoading
+from labpipe.studies.validation import compare
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from tests.builders.loading_tests import exact_curve, measured, wire_of
+
+CURVES = measured("A2")
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    found = calibrate(wire_of("A2"), CURVES, Settings())
+    assert isinstance(found, Calibration)
+    return found
+
+
+def loadings(*names: str) -> list[FirstLoading]:
+    return [FirstLoading(curve, 0.0, ()) for name in names for curve in measured(name)]
+
+
+def test_groups_are_by_wire_and_length_the_own_first(calibration: Calibration) -> None:
+    wires = {"A2": wire_of("A2"), "A1": wire_of("A1")}
+    groups = compare(calibration, wires, loadings("A1", "A2"))
+    assert [(group.wire, group.is_calibrated) for group in groups] == [("A2", True), ("A1", False)]
+    assert [len(group.samples) for group in groups] == [3, 3]
+    for group in groups:
+        assert group.errors is not None
+        assert group.errors.rmse_share < 0.05
+        assert group.errors.inside > 0.9
+        assert group.band.n == 3
+
+
+def test_errors_are_of_all_points(calibration: Calibration) -> None:
+    (group,) = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
+    assert group.errors is not None
+    assert group.prediction is not None
+    assert group.errors.n == sum(len(curve.force) for curve in CURVES)
+    left = np.concatenate(
+        [
+            curve.force
+            - np.interp(curve.deflection, group.prediction.deflection, group.prediction.force)
+            for curve in CURVES
+        ]
+    )
+    assert group.errors.sse == pytest.approx(float(left @ left))
+
+
+def test_what_cannot_be_foretold_says_why(calibration: Calibration) -> None:
+    deep = replace(
+        CURVES[0],
+        deflection=np.linspace(1e-3, 0.95 * CURVES[0].length, 50),
+        force=np.linspace(0.0, 0.2, 50),
+        noise=1e-3,
+    )
+    (group,) = compare(calibration, {"A2": wire_of("A2")}, [FirstLoading(deep, 0.0, ())])
+    assert group.prediction is None
+    assert group.errors is None
+    assert group.reason is not None
+    assert group.reason.code == "no_prediction"
+
+
+def test_the_band_is_one_of_means_and_not_of_noise(calibration: Calibration) -> None:
+    (group,) = compare(calibration, {"A2": wire_of("A2")}, loadings("A2"))
+    points = mean_band(common_curves([(curve.deflection, curve.force) for curve in CURVES]))
+    assert roughness(group.band) < 0.2 * roughness(points)
+    deep = group.band.displacement > 0.01
+    share = group.band.mean[deep] / exact_curve("A2", 0.085)(group.band.displacement[deep])
+    noise = 0.002 / np.sqrt(3 * 272 / 50) / group.band.mean[deep]
+    factor = np.mean(share / noise**2) / np.mean(1.0 / noise**2)
+    assert np.max(np.abs(share - factor) / noise) < 4.0
+
+
+def roughness(band: Band) -> float:
+    return float(np.std(np.diff(band.upper - band.lower, 2)))
+
+
+def test_the_mean_lies_among_its_samples_where_they_are_bent(calibration: Calibration) -> None:
+    curve = exact_curve("A2", 0.085)
+    deflection = np.linspace(1.5e-4, 0.05, 272)
+    exact = [
+        replace(each, deflection=deflection, force=factor * curve(deflection), noise=1e-4)
+        for each, factor in zip(CURVES, (0.98, 1.0, 1.02), strict=True)
+    ]
+    tests = [FirstLoading(each, 0.0, ()) for each in exact]
+    (group,) = compare(calibration, {"A2": wire_of("A2")}, tests)
+    share = group.band.mean / curve(group.band.displacement)
+    assert np.all((share > 0.98) & (share < 1.02))
