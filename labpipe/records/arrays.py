@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from functools import cache
+from typing import Annotated, Any, TypeAlias, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,53 @@ from numpy.typing import NDArray
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
+Vector: TypeAlias = Annotated[Floats, "n"]
+"""Shape (n,), with one n in all of a record."""
+
+
+class ArrayRecord:
+    """A frozen record whose arrays are read-only, of the number type and the shape of their fields.
+
+    The axes of a field stand in its type, ``Annotated[Floats, "frames", 3]``: a length, the name of
+    a tuple of the record with as many entries, or a word for a length that is the same throughout
+    the record. Arrays of the right type are not copied.
+
+    Raises
+    ------
+    ValueError
+        If an array has another shape.
+    """
+
+    __slots__ = ()
+
+    def __post_init__(self) -> None:
+        kind: Any = type(self)
+        lengths: dict[int | str, int] = {}
+        for name, dtype, axes in _arrays_of(kind):
+            array = np.asarray(getattr(self, name), dtype=dtype).view()
+            shape = tuple(self._length(axis, lengths) for axis in axes)
+            if not _fits(array, shape) or not _agree(lengths, axes, array.shape):
+                message = f"expected {name} of shape {shape}, found {array.shape}"
+                raise ValueError(message)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    def _length(self, axis: int | str, lengths: dict[int | str, int]) -> int | None:
+        """Length of an axis; None where any will do."""
+        if isinstance(axis, int):
+            return axis
+        entries = getattr(self, axis, None)
+        return len(entries) if isinstance(entries, tuple) else lengths.get(axis)
+
+
+@cache
+def _arrays_of(kind: Any) -> tuple[tuple[str, Any, tuple[Any, ...]], ...]:
+    """Name, number type and axes of every array of a record."""
+    hints = get_type_hints(kind, include_extras=True).items()
+    parts = ((name, get_args(hint)) for name, hint in hints if get_origin(hint) is Annotated)
+    return tuple(
+        (name, get_args(get_args(array)[1])[0], tuple(axes)) for name, (array, *axes) in parts
+    )
 
 
 def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
@@ -30,14 +78,22 @@ def frozen(values: object, *, shape: tuple[int | None, ...]) -> Floats:
         If the shape is another one.
     """
     array: Floats = np.asarray(values, dtype=np.float64).view()
-    fits = array.ndim == len(shape) and all(
-        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
+    if not _fits(array, shape):
         message = f"expected an array of shape {shape}, found {array.shape}"
         raise ValueError(message)
     array.flags.writeable = False
     return array
+
+
+def _fits(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
+    return array.ndim == len(shape) and all(
+        want in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    )
+
+
+def _agree(lengths: dict[int | str, int], axes: tuple[Any, ...], shape: tuple[int, ...]) -> bool:
+    """Keep the length of each axis, and say whether it is always the same."""
+    return all(lengths.setdefault(axis, got) == got for axis, got in zip(axes, shape, strict=True))
 
 
 def median(values: Floats) -> float:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 AT_REST = -1
 """Branch number of samples that belong to no branch: before, after and between movements."""
@@ -74,7 +75,7 @@ class Branch:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClockFit:
+class ClockFit(ArrayRecord):
     """How two clocks lie to each other: force time = offset + (1 + drift) x marker time.
 
     Parameters
@@ -93,14 +94,10 @@ class ClockFit:
     offset_interval: Interval
     drift_interval: Interval
     residual: float
-    event_times_motion: Floats
-    event_times_force: Floats
-    event_errors: Floats
+    event_times_motion: Vector
+    event_times_force: Vector
+    event_errors: Vector
     method: str
-
-    def __post_init__(self) -> None:
-        for name in ("event_times_motion", "event_times_force", "event_errors"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(None,)))
 
     def to_force_seconds(self, marker_time: float) -> float:
         """Force-clock time of one marker-clock time, s."""
@@ -116,7 +113,7 @@ class ClockFit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class Series(ArrayRecord):
     """One quantity on a clock that its owner holds.
 
     Parameters
@@ -125,15 +122,12 @@ class Series:
     unit : SI unit
     """
 
-    values: Floats
+    values: Vector
     unit: str
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", frozen(self.values, shape=(None,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Aligned:
+class Aligned(ArrayRecord):
     """Calibrated, unfiltered quantities on one clock.
 
     Parameters
@@ -144,17 +138,14 @@ class Aligned:
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
-    time: Floats
+    time: Vector
     series: Mapping[str, Series]
     clock_fit: ClockFit | None = None
     time_unit: str = "s"
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Curve:
+class Curve(ArrayRecord):
     """Force against displacement, filtered and zeroed, split into branches.
 
     Parameters
@@ -168,26 +159,13 @@ class Curve:
     time_unit : ``s``; ``1`` where the export has no time and its rows were counted
     """
 
-    time: Floats
-    displacement: Floats
-    force: Floats
-    branch: Ints
-    cycle: Ints
+    time: Vector
+    displacement: Vector
+    force: Vector
+    branch: Annotated[Ints, "n"]
+    cycle: Annotated[Ints, "n"]
     branches: tuple[Branch, ...]
     time_unit: str = "s"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
-        count = len(self.time)
-        for name in ("displacement", "force"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
-        for name in ("branch", "cycle"):
-            numbers: Ints = np.asarray(getattr(self, name), dtype=np.int64).view()
-            if numbers.shape != (count,):
-                message = f"expected {name} of shape {(count,)}, found {numbers.shape}"
-                raise ValueError(message)
-            numbers.flags.writeable = False
-            object.__setattr__(self, name, numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +203,7 @@ class PointFlag(IntEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
+class Shape(ArrayRecord):
     """Points along the specimen in every frame, in the specimen frame.
 
     The frame: x along the undeformed axis, from the clamped end or, between two supports, from the
@@ -245,31 +223,14 @@ class Shape:
     rotation_lab_to_specimen : shape (3, 3)
     """
 
-    time: Floats
-    positions: Floats
+    time: Annotated[Floats, "frames"]
+    positions: Annotated[Floats, "frames", "names", 3]
     names: tuple[str, ...]
-    flags: NDArray[np.uint8]
-    arc_length: Floats
-    coefficients: Floats
+    flags: Annotated[NDArray[np.uint8], "frames", "names"]
+    arc_length: Annotated[Floats, "names"]
+    coefficients: Annotated[Floats, "frames", 3, "terms"]
     length: float
-    rotation_lab_to_specimen: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
-        frames, points = len(self.time), len(self.names)
-        wanted = (frames, points, 3)
-        object.__setattr__(self, "positions", frozen(self.positions, shape=wanted))
-        object.__setattr__(self, "arc_length", frozen(self.arc_length, shape=(points,)))
-        wanted_terms = (frames, 3, None)
-        object.__setattr__(self, "coefficients", frozen(self.coefficients, shape=wanted_terms))
-        rotation = frozen(self.rotation_lab_to_specimen, shape=(3, 3))
-        object.__setattr__(self, "rotation_lab_to_specimen", rotation)
-        flags: NDArray[np.uint8] = np.asarray(self.flags, dtype=np.uint8).view()
-        if flags.shape != (frames, points):
-            message = f"expected flags of shape {(frames, points)}, found {flags.shape}"
-            raise ValueError(message)
-        flags.flags.writeable = False
-        object.__setattr__(self, "flags", flags)
+    rotation_lab_to_specimen: Annotated[Floats, 3, 3]
 
 
 class SlipDecision(StrEnum):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from labpipe.records.arrays import Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Vector
 from labpipe.records.quality import QualityNote
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CurveAgreement:
+class CurveAgreement(ArrayRecord):
     """One measured curve against the model.
 
     Parameters
@@ -26,9 +26,9 @@ class CurveAgreement:
     test: str
     sample: str
     length: float
-    deflection: Floats
-    force: Floats
-    model: Floats
+    deflection: Vector
+    force: Vector
+    model: Vector
     sample_factor: float
     sse: float
     rmse: float
@@ -36,15 +36,9 @@ class CurveAgreement:
     lag_one: float
     runs_p: float
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
-        for name in ("force", "model"):
-            values = frozen(getattr(self, name), shape=(len(self.deflection),))
-            object.__setattr__(self, name, values)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Prediction:
+class Prediction(ArrayRecord):
     """A predicted loading curve, with 95 % bands; arrays of shape (n,).
 
     Parameters
@@ -55,19 +49,13 @@ class Prediction:
     notes : what the bands leave out
     """
 
-    deflection: Floats
-    force: Floats
-    lower: Floats
-    upper: Floats
-    lower_mean: Floats
-    upper_mean: Floats
+    deflection: Vector
+    force: Vector
+    lower: Vector
+    upper: Vector
+    lower_mean: Vector
+    upper_mean: Vector
     notes: tuple[QualityNote, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
-        for name in ("force", "lower", "upper", "lower_mean", "upper_mean"):
-            values = frozen(getattr(self, name), shape=(len(self.deflection),))
-            object.__setattr__(self, name, values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +79,7 @@ class CurveErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThirdCurve:
+class ThirdCurve(ArrayRecord):
     """A loading curve that is neither test nor model: finite elements, a paper, another lab.
 
     Parameters
@@ -110,18 +98,14 @@ class ThirdCurve:
     file: str
     wire: str
     length: float
-    deflection: Floats
-    force: Floats
+    deflection: Vector
+    force: Vector
     is_normal: bool = False
     source: str = ""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
-        object.__setattr__(self, "force", frozen(self.force, shape=(len(self.deflection),)))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CurveMatch:
+class CurveMatch(ArrayRecord):
     """An external curve beside one other curve, at its own deflections.
 
     Parameters
@@ -133,13 +117,10 @@ class CurveMatch:
     words : which points were left out, or why none was compared; empty if all were
     """
 
-    reference: Floats
+    reference: Vector
     errors: CurveErrors | None
     left_out: int = 0
     words: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "reference", frozen(self.reference, shape=(None,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

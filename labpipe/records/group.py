@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from labpipe.records.arrays import Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Result, Specimen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SampleCurve:
+class SampleCurve(ArrayRecord):
     """One branch of the curve of one sample, thin enough to draw.
 
     Parameters
@@ -24,16 +24,10 @@ class SampleCurve:
     cycle : of the test, counted from 1
     """
 
-    displacement: Floats
-    force: Floats
-    as_measured: Floats
+    displacement: Vector
+    force: Vector
+    as_measured: Vector
     cycle: int = 1
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "displacement", frozen(self.displacement, shape=(None,)))
-        count = len(self.displacement)
-        for name in ("force", "as_measured"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +147,7 @@ class Outlier:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class Band(ArrayRecord):
     """Mean curve of a group on a common grid, with two 95 % bands.
 
     Parameters
@@ -168,21 +162,15 @@ class Band:
         simultaneous band (then `lower_all` and `upper_all` are NaN: ``two_curves``); else None
     """
 
-    displacement: Floats
-    mean: Floats
-    lower: Floats
-    upper: Floats
-    lower_all: Floats
-    upper_all: Floats
+    displacement: Vector
+    mean: Vector
+    lower: Vector
+    upper: Vector
+    lower_all: Vector
+    upper_all: Vector
     n: int
     over: str
     reason: Reason | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "displacement", frozen(self.displacement, shape=(None,)))
-        count = len(self.displacement)
-        for name in ("mean", "lower", "upper", "lower_all", "upper_all"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
-import numpy as np
-
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 PACKED = "packed"
@@ -92,7 +91,7 @@ class Bundle:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BundleLayout:
+class BundleLayout(ArrayRecord):
     """Where the wires of a bundle lie; arrays of shape (wires,).
 
     Parameters
@@ -105,21 +104,15 @@ class BundleLayout:
     """
 
     arrangement: str
-    x: Floats
-    y: Floats
-    kind: Ints
-    diameter: Floats
+    x: Vector
+    y: Vector
+    kind: Annotated[Ints, "n"]
+    diameter: Vector
     radius: float
-
-    def __post_init__(self) -> None:
-        shape = (len(self.kind),)
-        for name in ("x", "y", "diameter"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
-        object.__setattr__(self, "kind", np.asarray(self.kind, dtype=np.int64))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BundleModel:
+class BundleModel(ArrayRecord):
     """Between what bounds the bending of a bundle lies; arrays of shape (n,).
 
     Parameters
@@ -152,7 +145,7 @@ class BundleModel:
     low: float
     free: float
     high: float
-    tensor: Floats
+    tensor: Annotated[Floats, 2, 2]
     principal: tuple[float, float]
     principal_angle: float
     neutral: tuple[float, float]
@@ -160,13 +153,7 @@ class BundleModel:
     smallest_bore: float
     middle: tuple[float, float]
     packing_fraction: float | None
-    curvature: Floats
-    moment_slip: Floats
-    moment_stick: Floats
+    curvature: Vector
+    moment_slip: Vector
+    moment_stick: Vector
     notes: tuple[QualityNote, ...] = ()
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "tensor", frozen(self.tensor, shape=(2, 2)))
-        for name in ("curvature", "moment_slip", "moment_stick"):
-            array = frozen(getattr(self, name), shape=(len(self.curvature),))
-            object.__setattr__(self, name, array)

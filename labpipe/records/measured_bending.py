@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import Reason
+
+_Grid: TypeAlias = Annotated[Floats, "n", "stations"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BendingCloud:
+class BendingCloud(ArrayRecord):
     """Curvature and bending moment along the specimen; means over consecutive frames.
 
     Parameters
@@ -31,34 +34,18 @@ class BendingCloud:
     frames_per_mean : consecutive frames that each row is the mean of
     """
 
-    time: Floats
-    branch: Ints
-    cycle: Ints
-    force: Floats
-    arc_length: Floats
-    curvature: Floats
-    curvature_error: Floats
-    curvature_systematic: Floats
-    moment: Floats
-    moment_error: Floats
-    moment_at_rest: Floats
+    time: Vector
+    branch: Annotated[Ints, "n"]
+    cycle: Annotated[Ints, "n"]
+    force: Vector
+    arc_length: Annotated[Floats, "stations"]
+    curvature: _Grid
+    curvature_error: _Grid
+    curvature_systematic: _Grid
+    moment: _Grid
+    moment_error: _Grid
+    moment_at_rest: Annotated[Floats, "stations"]
     frames_per_mean: int
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
-        object.__setattr__(self, "arc_length", frozen(self.arc_length, shape=(None,)))
-        count, stations = len(self.time), len(self.arc_length)
-        object.__setattr__(self, "force", frozen(self.force, shape=(count,)))
-        at_rest = frozen(self.moment_at_rest, shape=(stations,))
-        object.__setattr__(self, "moment_at_rest", at_rest)
-        for name in ("branch", "cycle"):
-            object.__setattr__(self, name, _numbers(getattr(self, name), name, count))
-        for name in (
-            *("curvature", "curvature_error", "curvature_systematic"),
-            *("moment", "moment_error"),
-        ):
-            values = frozen(getattr(self, name), shape=(count, stations))
-            object.__setattr__(self, name, values)
 
     @property
     def noise(self) -> Floats:
@@ -71,7 +58,7 @@ class BendingCloud:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeasuredLaw:
+class MeasuredLaw(ArrayRecord):
     """The monotone moment-curvature law of the first loading, with 95 % intervals.
 
     Arrays of shape (n,) unless said otherwise; NaN in the stiffnesses where `is_known` is not.
@@ -98,46 +85,26 @@ class MeasuredLaw:
         without the scale of the force
     """
 
-    curvature: Floats
-    moment: Floats
-    moment_lower: Floats
-    moment_upper: Floats
-    secant: Floats
-    secant_lower: Floats
-    secant_upper: Floats
-    tangent: Floats
-    tangent_lower: Floats
-    tangent_upper: Floats
-    is_known: Flags
+    curvature: Vector
+    moment: Vector
+    moment_lower: Vector
+    moment_upper: Vector
+    secant: Vector
+    secant_lower: Vector
+    secant_upper: Vector
+    tangent: Vector
+    tangent_lower: Vector
+    tangent_upper: Vector
+    is_known: Annotated[Flags, "n"]
     reason: Reason | None
     floor: float
     scale_error: float
     residual: float
     noise: float
     n_frames: int
-    knots: Floats
-    compliance: Floats
-    compliance_covariance: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "curvature", frozen(self.curvature, shape=(None,)))
-        count = len(self.curvature)
-        for name in (
-            *("moment", "moment_lower", "moment_upper", "secant", "secant_lower", "secant_upper"),
-            *("tangent", "tangent_lower", "tangent_upper"),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=(count,)))
-        known = np.asarray(self.is_known, dtype=np.bool_).view()
-        if known.shape != (count,):
-            message = f"expected is_known of shape {(count,)}, found {known.shape}"
-            raise ValueError(message)
-        known.flags.writeable = False
-        object.__setattr__(self, "is_known", known)
-        object.__setattr__(self, "knots", frozen(self.knots, shape=(None,)))
-        knots = len(self.knots)
-        object.__setattr__(self, "compliance", frozen(self.compliance, shape=(knots,)))
-        covariance = frozen(self.compliance_covariance, shape=(knots, knots))
-        object.__setattr__(self, "compliance_covariance", covariance)
+    knots: Annotated[Floats, "knots"]
+    compliance: Annotated[Floats, "knots"]
+    compliance_covariance: Annotated[Floats, "knots", "knots"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

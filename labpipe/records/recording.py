@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.quality import QualityNote
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Clock:
+class Clock(ArrayRecord):
     """One time axis of an export, as the instrument wrote it.
 
     Parameters
@@ -23,15 +24,12 @@ class Clock:
     """
 
     name: str
-    time: Floats
+    time: Vector
     unit: str = "s"
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Channel:
+class Channel(ArrayRecord):
     """One named signal with a unit and a clock.
 
     Parameters
@@ -48,18 +46,15 @@ class Channel:
 
     name: str
     path: str
-    values: Floats
+    values: Vector
     clock: str = "time"
     unit: str | None = None
     unit_in_file: str = ""
     calibration: str = ""
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", frozen(self.values, shape=(None,)))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RigidBody:
+class RigidBody(ArrayRecord):
     """Pose of a rigid body in every frame, in the frame of the motion-capture system.
 
     Parameters
@@ -72,19 +67,13 @@ class RigidBody:
     """
 
     name: str
-    position: Floats
-    rotation: Floats
-    error: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "position", frozen(self.position, shape=(None, 3)))
-        frames = len(self.position)
-        object.__setattr__(self, "rotation", frozen(self.rotation, shape=(frames, 4)))
-        object.__setattr__(self, "error", frozen(self.error, shape=(frames,)))
+    position: Annotated[Floats, "frames", 3]
+    rotation: Annotated[Floats, "frames", 4]
+    error: Annotated[Floats, "frames"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MarkerTracks:
+class MarkerTracks(ArrayRecord):
     """Measured marker positions and rigid bodies over the frames of one take.
 
     Parameters
@@ -99,20 +88,13 @@ class MarkerTracks:
     unit_in_file : unit of length as the export writes it, empty if it does not
     """
 
-    time: Floats
-    frames: Floats
+    time: Annotated[Floats, "n"]
+    frames: Annotated[Floats, "n"]
     rate: float
     names: tuple[str, ...]
-    positions: Floats
+    positions: Annotated[Floats, "n", "names", 3]
     bodies: tuple[RigidBody, ...] = ()
     unit_in_file: str = ""
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "time", frozen(self.time, shape=(None,)))
-        count = len(self.time)
-        object.__setattr__(self, "frames", frozen(self.frames, shape=(count,)))
-        wanted = (count, len(self.names), 3)
-        object.__setattr__(self, "positions", frozen(self.positions, shape=wanted))
 
     def body(self, name: str) -> RigidBody | None:
         """Find a rigid body by its name; None if the take has no such body."""

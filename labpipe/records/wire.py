@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 AUTO = "auto"
@@ -74,7 +75,7 @@ class WireSpec:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WireLayout:
+class WireLayout(ArrayRecord):
     """Where the strands lie; arrays of shape (strands,).
 
     Parameters
@@ -87,21 +88,16 @@ class WireLayout:
     """
 
     kind: str
-    x: Floats
-    y: Floats
-    layer: Ints
-    diameter: Floats
+    x: Vector
+    y: Vector
+    layer: Annotated[Ints, "n"]
+    diameter: Vector
     bore_radius: float
     wire_radius: float
 
-    def __post_init__(self) -> None:
-        shape = (len(self.layer),)
-        for name in ("x", "y", "diameter"):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WireTable:
+class WireTable(ArrayRecord):
     """The law of a wire on first loading, and what else simulation wants; arrays of shape (n,).
 
     Parameters
@@ -127,37 +123,25 @@ class WireTable:
     name: str
     spec: WireSpec
     layout: WireLayout
-    curvature: Floats
-    moment: Floats
-    stick: Floats
-    slip: Floats
-    bending: Floats
-    plastic: Floats
-    insulation: Floats
-    tangent_stiffness: Floats
-    secant_stiffness: Floats
+    curvature: Vector
+    moment: Vector
+    stick: Vector
+    slip: Vector
+    bending: Vector
+    plastic: Vector
+    insulation: Vector
+    tangent_stiffness: Vector
+    secant_stiffness: Vector
     stick_stiffness: float
     slip_stiffness: float
     axial_stiffness: float
     torsional_stiffness: float
-    slip_onsets: Floats
-    lowest_moment: Floats
-    highest_moment: Floats
-    tip_deflection: Floats
-    tip_force: Floats
+    slip_onsets: Annotated[Floats, "onsets"]
+    lowest_moment: Vector
+    highest_moment: Vector
+    tip_deflection: Annotated[Floats, "points"]
+    tip_force: Annotated[Floats, "points"]
     notes: tuple[QualityNote, ...] = ()
-
-    def __post_init__(self) -> None:
-        shape = (len(self.curvature),)
-        for name in (
-            *("curvature", "moment", "stick", "slip", "bending", "plastic", "insulation"),
-            *("tangent_stiffness", "secant_stiffness", "lowest_moment", "highest_moment"),
-        ):
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
-        object.__setattr__(self, "slip_onsets", frozen(self.slip_onsets, shape=(None,)))
-        object.__setattr__(self, "tip_deflection", frozen(self.tip_deflection, shape=(None,)))
-        force = frozen(self.tip_force, shape=self.tip_deflection.shape)
-        object.__setattr__(self, "tip_force", force)
 
     @property
     def slips_at_once(self) -> bool:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Annotated
 
-from labpipe.records.arrays import Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.curve import Interval
 from labpipe.records.curve_comparison import CurveAgreement
 from labpipe.records.quality import QualityNote
@@ -72,7 +73,7 @@ class Identified(StrEnum):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Profile:
+class Profile(ArrayRecord):
     """How much worse the fit becomes as one parameter is held; arrays of shape (n,).
 
     Parameters
@@ -83,14 +84,10 @@ class Profile:
         interval: the square of a quantile of t, averaged over what the scatter of samples may be
     """
 
-    value: Floats
-    deviance: Floats
+    value: Vector
+    deviance: Vector
     threshold_below: float
     threshold_above: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "value", frozen(self.value, shape=(None,)))
-        object.__setattr__(self, "deviance", frozen(self.deviance, shape=(len(self.value),)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +149,7 @@ class CalibratedParameter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Separability:
+class Separability(ArrayRecord):
     """Whether several numbers can be told apart by the tests.
 
     Parameters
@@ -166,19 +163,14 @@ class Separability:
     """
 
     names: tuple[str, ...]
-    singular_values: Floats
-    combinations: Floats
+    singular_values: Annotated[Floats, "names"]
+    combinations: Annotated[Floats, "names", "names"]
     are_identified: Mapping[str, bool]
     words: str
 
-    def __post_init__(self) -> None:
-        count = len(self.names)
-        object.__setattr__(self, "singular_values", frozen(self.singular_values, shape=(count,)))
-        object.__setattr__(self, "combinations", frozen(self.combinations, shape=(count, count)))
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ScatterMixture:
+class ScatterMixture(ArrayRecord):
     """What is known of the parameters for each scatter of samples that the tests allow.
 
     Parameters
@@ -190,17 +182,11 @@ class ScatterMixture:
     freedom : degrees of freedom of the noise
     """
 
-    chance: Floats
-    scatter: Floats
-    shift: Floats
-    covariance: Floats
+    chance: Vector
+    scatter: Vector
+    shift: Annotated[Floats, "n", 4]
+    covariance: Annotated[Floats, "n", 4, 4]
     freedom: float
-
-    def __post_init__(self) -> None:
-        count = len(self.chance)
-        shapes = {"chance": (count,), "scatter": (count,), "shift": (count, 4)}
-        for name, shape in {**shapes, "covariance": (count, 4, 4)}.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +213,7 @@ class NoiseLevels:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class Calibration(ArrayRecord):
     """What tests of one wire say of its parameters.
 
     Parameters
@@ -250,8 +236,8 @@ class Calibration:
 
     wire: str
     parameters: tuple[CalibratedParameter, ...]
-    correlations: Floats
-    covariance: Floats
+    correlations: Annotated[Floats, 3, 3]
+    covariance: Annotated[Floats, 4, 4]
     mixture: ScatterMixture
     levels: NoiseLevels
     separability: Separability
@@ -264,14 +250,6 @@ class Calibration:
     rmse_share: float
     method: str
     notes: tuple[QualityNote, ...] = field(default=())
-
-    def __post_init__(self) -> None:
-        shapes: dict[str, tuple[int, ...]] = {
-            "correlations": (3, 3),
-            "covariance": (4, 4),
-        }
-        for name, shape in shapes.items():
-            object.__setattr__(self, name, frozen(getattr(self, name), shape=shape))
 
     def parameter(self, name: str) -> CalibratedParameter:
         """The parameter of a name."""
@@ -293,7 +271,7 @@ class CalibrationFailure:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SourceCalibration:
+class SourceCalibration(ArrayRecord):
     """The source's procedure: three friction numbers and one stiffness for the whole wire.
 
     Parameters
@@ -315,17 +293,10 @@ class SourceCalibration:
     start: tuple[float, float, float]
     converged: bool
     iterations: int
-    singular_values: Floats
+    singular_values: Annotated[Floats, 3]
     sse: float
     rmse: float
     rmse_share: float
-    deflection: Floats
-    force: Floats
-    model: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "singular_values", frozen(self.singular_values, shape=(3,)))
-        object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
-        for name in ("force", "model"):
-            values = frozen(getattr(self, name), shape=(len(self.deflection),))
-            object.__setattr__(self, name, values)
+    deflection: Vector
+    force: Vector
+    model: Vector

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_type_hints
 
 from labpipe.records.curve import (
     Aligned,
     Branch,
     ClockFit,
     Curve,
-    Direction,
     FittedLine,
     Interval,
     Series,
@@ -25,9 +24,12 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
 from labpipe.store import layout
 from labpipe.store.datasets import array, arrays, opened, strings, text, texts
+from labpipe.store.layout import Field
 from labpipe.store.reasons import read_reasons
 from labpipe.store.schema_1 import method_parts
 from labpipe.store.stored_parts import read_bending, read_notes, read_recording, read_specimen
+
+_R = TypeVar("_R")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,8 +210,8 @@ def _outcome(root: Any) -> dict[str, Any]:
         "display": _display(root),
         "run": _run(root),
         "figures": texts(root, layout.FIGURES),
-        "slips": () if curve is None else _slips(curve),
-        "lines": () if curve is None else _lines(curve),
+        "slips": _rows(Slip, _table(curve, layout.SLIPS, layout.SLIP_TABLE)),
+        "lines": _rows(FittedLine, _table(curve, layout.LINES, layout.LINE_TABLE)),
     }
 
 
@@ -265,58 +267,31 @@ def _interval(group: Any, prefix: str = "") -> Interval:
 
 def _curve(group: Any) -> Curve:
     time_unit = text(group[layout.TIME], "unit")
-    table = array(group, layout.BRANCHES, layout.branch_table(time_unit))
-    fields = arrays(group, layout.CURVE_FIELDS)
     return Curve(
         time=array(group, layout.TIME, layout.CLOCK_TIME),
-        displacement=fields["displacement"],
-        force=fields["force"],
-        branch=fields["branch"],
-        cycle=fields["cycle"],
-        branches=tuple(map(_branch, table)),
+        **arrays(group, layout.CURVE_FIELDS),
+        branches=_rows(Branch, array(group, layout.BRANCHES, layout.branch_table(time_unit))),
         time_unit=time_unit,
     )
 
 
-def _slips(group: Any) -> tuple[Slip, ...]:
-    if layout.SLIPS not in group:
-        return ()
-    return tuple(map(_slip, array(group, layout.SLIPS, layout.SLIP_TABLE)))
+def _table(curve: Any, name: str, kind: Field) -> Iterable[Any]:
+    """Rows of a table that not every test has."""
+    return () if curve is None or name not in curve else array(curve, name, kind)
 
 
-def _slip(row: Any) -> Slip:
-    return Slip(
-        position=float(row["position"]),
-        drop=float(row["drop"]),
-        position_interval=Interval(float(row["position_lower"]), float(row["position_upper"])),
-        drop_interval=Interval(float(row["drop_lower"]), float(row["drop_upper"])),
-        decision=SlipDecision(row["decision"].decode()),
-        start=int(row["start"]),
-        stop=int(row["stop"]),
-    )
+def _rows(kind: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
+    """Make the rows of a table records."""
+    hints = get_type_hints(kind).items()
+    return tuple(kind(**{key: _cell(row, key, of) for key, of in hints}) for row in table)
 
 
-def _lines(group: Any) -> tuple[FittedLine, ...]:
-    if layout.LINES not in group:
-        return ()
-    return tuple(
-        FittedLine(row["result"].decode(), *(float(row[name]) for name in _LINE_NUMBERS))
-        for row in array(group, layout.LINES, layout.LINE_TABLE)
-    )
-
-
-_LINE_NUMBERS = tuple(name for name, _ in layout.LINE_COLUMNS[1:])
-
-
-def _branch(row: Any) -> Branch:
-    return Branch(
-        start=int(row["start"]),
-        stop=int(row["stop"]),
-        cycle=int(row["cycle"]),
-        direction=Direction(row["direction"].decode()),
-        start_time=float(row["start_time"]),
-        stop_time=float(row["stop_time"]),
-    )
+def _cell(row: Any, name: str, kind: Any) -> object:
+    """One field of a record; ``drop_interval`` stands in ``drop_lower`` and ``drop_upper``."""
+    if kind is Interval:
+        ends = (f"{name.removesuffix('_interval')}_{end}" for end in ("lower", "upper"))
+        return Interval(*(float(row[end]) for end in ends))
+    return kind(row[name].decode() if isinstance(row[name], bytes) else row[name])
 
 
 def _shape(group: Any) -> Shape:

@@ -1,12 +1,24 @@
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from labpipe.records.arrays import Floats, frozen, median, stretches_of, times_of
+from labpipe.records.arrays import (
+    ArrayRecord,
+    Floats,
+    Ints,
+    Vector,
+    frozen,
+    median,
+    stretches_of,
+    times_of,
+)
 
 
 def test_read_only_without_a_copy() -> None:
@@ -44,3 +56,48 @@ def test_stretches() -> None:
     assert stretches_of(flags) == [(0, 1), (2, 4), (5, 6)]
     assert times_of(flags, np.arange(6.0)) == ((0.0, 0.0), (2.0, 3.0), (5.0, 5.0))
     assert stretches_of(np.zeros(3, dtype=np.bool_)) == []
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track(ArrayRecord):
+    """A record with arrays of every kind."""
+
+    time: Vector
+    places: Annotated[Floats, "n", "names", 3]
+    names: tuple[str, ...]
+    count: Annotated[Ints, "n"]
+    terms: Annotated[Floats, "k", "k"]
+
+
+def _track(**other: object) -> Track:
+    given = {
+        "time": [0, 1],
+        "places": np.zeros((2, 1, 3)),
+        "names": ("a",),
+        "count": [1.0, 2.0],
+        "terms": np.eye(4),
+    }
+    return Track(**{**given, **other})  # type: ignore[arg-type]
+
+
+def test_arrays_of_a_record_are_read_only_and_of_their_type() -> None:
+    track = _track()
+
+    assert track.time.dtype == np.float64
+    assert track.count.dtype == np.int64
+    with pytest.raises(ValueError, match="read-only"):
+        track.places[0, 0, 0] = 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("time", [[0.0]], r"expected time of shape \(None,\), found \(1, 1\)"),
+        ("places", np.zeros((2, 2, 3)), r"expected places of shape \(2, 1, 3\), found \(2, 2, 3\)"),
+        ("count", [1], r"expected count of shape \(2,\), found \(1,\)"),
+        ("terms", np.zeros((2, 3)), r"expected terms of shape \(None, None\), found \(2, 3\)"),
+    ],
+)
+def test_an_array_of_another_shape_is_refused(name: str, value: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        _track(**{name: value})
