@@ -28,9 +28,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks import load_frames
-from labpipe.virtual_lab import TensileCampaign, WireCampaign, simulate_test
+from benchmarks.jobs import simulated
+from benchmarks.timing import REPOSITORY
 
-REPOSITORY = Path(__file__).resolve().parents[1]
 CALLS = Path(__file__).with_name("calls.py")
 LAYOUT = {
     *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
@@ -123,15 +123,9 @@ def walk(tree: Path, test: Path, out: Path) -> Walk:
 
 def write_tests(folder: Path) -> dict[str, Path]:
     """A cantilever and a corrugated tube of the demo, and a plain bar from a csv, by protocol."""
-    wires, tubes = WireCampaign(cycles=2, fps=25.0), TensileCampaign()
-    wire = next(each for each in wires.scenarios() if each[0].name == WIRE)
-    tube = next(each for each in tubes.scenarios() if each[0].name == TUBE)
+    tests = simulated((WIRE, TUBE), folder)
     bar = load_frames.write_csv_test(folder / BAR, size=BAR_BYTES)
-    return {
-        "wire-cantilever": simulate_test(wire[0], folder / WIRE, seed=wire[1]),
-        "corrugated-tube": simulate_test(tube[0], folder / TUBE, seed=tube[1]),
-        "tensile": bar.parent,
-    }
+    return {"wire-cantilever": tests[WIRE], "corrugated-tube": tests[TUBE], "tensile": bar.parent}
 
 
 def show_sizes(tree: Path) -> None:

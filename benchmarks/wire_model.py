@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -123,19 +120,6 @@ def write_sheet(path: Path) -> Path:
     return path
 
 
-def whole_sheet() -> None:
-    """Tables, decks, workbook and JSON of 300 wires, from the command line."""
-    labpipe = str(Path(sys.executable).with_name("labpipe"))
-    with tempfile.TemporaryDirectory() as folder:
-        sheet = write_sheet(Path(folder) / "wires.xlsx")
-        command = [labpipe, "model", str(sheet), "--no-figures", "--out", str(Path(folder) / "out")]
-
-        def work() -> None:
-            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-
-        show("sheet of 300 wires, no figures, s", best(work, runs=2), "under 15, two free cores")
-
-
 def packings() -> None:
     """37 strands, all starts; the plain search goes five steps from one, too slow for more."""
     layers, tube = layers_of(37), tube_of(37)
@@ -156,7 +140,6 @@ def main() -> None:
         cantilever_curve(strands)
         far_cantilever_curve(strands)
     packings()
-    whole_sheet()
 
 
 if __name__ == "__main__":
