@@ -5,7 +5,7 @@ from typing import Annotated, get_args
 
 import pytest
 
-from labpipe.records import declarations as setting_types
+from labpipe.records import declarations
 from labpipe.records.declarations import (
     ChannelName,
     Output,
@@ -18,7 +18,7 @@ from labpipe.units import parse_quantity, si_factor
 
 QUANTITIES = {
     name: marker
-    for name, kind in vars(setting_types).items()
+    for name, kind in vars(declarations).items()
     for marker in get_args(kind)[1:]
     if isinstance(marker, Quantity)
 }
