@@ -387,7 +387,8 @@ class LawBasis:
     def slopes(self, moment: Floats) -> Floats:
         """Slope of the law per unit of compliance at each knot; shape (*moment, knots)."""
         size = np.clip(np.abs(moment), 0.0, self.knots[-1])
-        place = np.clip(np.searchsorted(self.knots, size, side="right") - 1, 0, self._last)
+        place = np.searchsorted(self.knots, size, side="right") - 1
+        place = np.clip(place, 0, len(self.knots) - 2)
         share = (size - self.knots[place]) / np.diff(self.knots)[place]
         slopes = np.zeros((*np.shape(size), len(self.knots)))
         np.put_along_axis(slopes, place[..., None], (1.0 - share)[..., None], axis=-1)
@@ -404,10 +405,6 @@ class LawBasis:
         values[..., 1:] += rising
         values[..., -1] += np.maximum(size - self.knots[-1], 0.0)
         return np.asarray(np.sign(moment)[..., None] * values, dtype=np.float64)
-
-    @property
-    def _last(self) -> int:
-        return len(self.knots) - 2
 
 
 def law_knots(largest: float, count: int) -> LawBasis:

@@ -351,7 +351,7 @@ STATIONS = 17
 
 
 def bending_cloud(test: BendingTest) -> BendingCloud:
-    """Tell curvature and moment, less those at rest.
+    """Curvature and moment, less those at rest.
 
     Parameters
     ----------

@@ -221,7 +221,7 @@ def resolution(values: Floats) -> float:
 _SMALL = 0.02
 """Share of the largest force of a branch that may pass for zero at most."""
 _CLEAR = 4.0
-"""Standard deviations of the force that are told from zero."""
+"""Standard deviations of noise above which a force is not zero."""
 _REACH = 0.1
 """Share of a branch on each side of its zero that a parabola is fitted to."""
 _LEAST_NEAR_ZERO = 8

@@ -40,7 +40,7 @@ class Onset:
 
     Parameters
     ----------
-    displacement, force : m, N; the interval of the place may be lopsided
+    displacement, force : m, N; the interval of the place may be asymmetric
     """
 
     displacement: Estimate

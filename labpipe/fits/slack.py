@@ -30,7 +30,7 @@ def fit_slack(
 
     Returns
     -------
-    m, with an interval that may be lopsided, or a failure: ``too_few_samples`` (fewer than 8 in
+    m, with an interval that may be asymmetric, or a failure: ``too_few_samples`` (fewer than 8 in
     the region), ``not_rising`` when the force does not rise there, ``not_reached`` when the branch
     begins above the lower share.
 
@@ -92,7 +92,7 @@ def _fieller(fit: LinearFit) -> tuple[float, float]:
 
 
 _CLEAR = 4.0
-"""Standard deviations of the force that are told from zero."""
+"""Standard deviations of noise above which a force is not zero."""
 _FOOT = 5.0
 """Limits up to which the foot of the force is taken for straight."""
 _LEAST_AT_FOOT = 8
@@ -107,7 +107,7 @@ class TakeUp:
     Parameters
     ----------
     displacement : m, at zero force
-    sample : first one of the branch whose force is told from zero
+    sample : first one of the branch whose force is not zero
     """
 
     displacement: Estimate
@@ -129,11 +129,11 @@ def find_take_up(
     -------
     The place, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` when the branch
     begins under a force that it cannot be followed back from, ``no_force`` when its force is
-    nowhere told from zero.
+    nowhere above its noise.
 
     Notes
     -----
-    Zero is what is not told from it: four standard deviations of the fast noise of the force. The
+    Zero is a force within its noise: four standard deviations of the fast noise of the force. The
     foot of the force begins behind the last sample within that limit before the largest force, and
     ends at five limits; a straight line through it (eight samples at least) is followed back to
     zero force. Where the force comes from below zero, as after bending to the other side, the
@@ -153,13 +153,13 @@ def find_take_up(
     limit = _CLEAR * fast_noise(f)
     top = int(np.argmax(f))
     if f[top] <= limit:
-        found = f"the force reaches {f[top]:.4g} N, zero is told to {limit:.4g} N"
+        found = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"
         return Failure("no_force", found)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
     at, rises = _followed_back(d[first:], f[first:], limit, zero_error)
     if not len(within) and not (rises and at.value >= d[0] - _BACK * float(np.ptp(d))):
-        found = f"the branch begins at {f[0]:.4g} N, zero is told to {limit:.4g} N"
+        found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
         return Failure("not_unloaded", found)
     return TakeUp(at, int(known[first]))
 

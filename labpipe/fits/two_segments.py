@@ -53,7 +53,7 @@ def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failu
     -------
     Slopes, break point and their 95 % intervals, or a failure: ``too_few_samples`` (fewer than 16),
     ``not_increasing`` when the displacement does not grow over the stretch, ``no_bend`` when one
-    straight line does as well, or the break point cannot be told from an end of the stretch.
+    straight line does as well, or the break point may be an end of the stretch.
 
     Notes
     -----
@@ -96,7 +96,7 @@ def _described(scan: _Scan, at: float) -> TwoSegments | Failure:
     interval = scan.places_within(at, half / float(whole.unit_errors[3]))
     if interval is None:
         ends = f"{scan.d[0]:.6g} to {scan.d[-1]:.6g} m"
-        return Failure("no_bend", f"the break cannot be told from an end of the stretch, {ends}")
+        return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
     return TwoSegments(
         first=_centred(whole, 1, first),
         second=_centred(whole, 2, second),
@@ -271,7 +271,9 @@ def fit_kink(displacement: Floats, force: Floats) -> Kink | Failure:
     """
     fit = fit_two_segments(displacement, force)
     if isinstance(fit, Failure):
-        return Failure("no_kink", _as_good(displacement, force, fit)) if _is_straight(fit) else fit
+        if fit.code != "no_bend":
+            return fit
+        return Failure("no_kink", _as_good(displacement, force, fit))
     if fit.second.value >= fit.first.value:
         found = f"the slope rises from {fit.first.value:.5g} to {fit.second.value:.5g} N/m"
         return Failure("no_kink", f"{found} at {1e3 * fit.break_point.value:.4g} mm")
@@ -284,10 +286,6 @@ def fit_kink(displacement: Floats, force: Floats) -> Kink | Failure:
         )
     level = _force_where_they_meet(displacement, force, fit)
     return Kink(fit.break_point, level, fit.first, fit.second, fit.start, fit.stop)
-
-
-def _is_straight(failure: Failure) -> bool:
-    return failure.code == "no_bend"
 
 
 def _as_good(displacement: Floats, force: Floats, failure: Failure) -> str:

@@ -232,7 +232,7 @@ class FrameFits:
 
     @property
     def spare(self) -> int:
-        """Coefficients that could be had on top with all markers in sight."""
+        """Further coefficients that all markers in sight would allow."""
         return int(self.misfit.shape[2]) - self.needed
 
     @property

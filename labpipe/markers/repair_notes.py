@@ -16,7 +16,7 @@ from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote, Severity
 
 _MOST = 10
-"""Stretches of one marker that get a note each; more are told in one."""
+"""Stretches of one marker that get a note each; more share one."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +116,7 @@ def _relabelled(take: Take, naming: Naming, measured: Floats) -> Iterator[Qualit
     exchanges: dict[tuple[int, int], list[tuple[str, str]]] = {}
     for label, chains in naming.markers.items():
         for column, start, stop in _foreign(take.pieces, label, chains):
-            words = f"{take.names[label]} stood under {take.names[column]}"
+            words = f"{take.names[label]} was labelled as {take.names[column]}"
             if is_unlabelled(take.names[column]):
                 span = take.span(start, stop)
                 apart = _apart(measured[:, label], measured[start:stop, column], start, stop)

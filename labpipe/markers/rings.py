@@ -84,7 +84,7 @@ def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArra
     seen = in_sight(positions)
     whole = seen.all(axis=1)
     centre: Floats = np.full((len(positions), 3), np.nan)
-    origin = _least_certain(flags)
+    origin = flags.max(axis=1)  # the least certain: values rise from measured to filled
     centre[whole] = positions[whole].mean(axis=1)
     for pattern in np.unique(seen[~whole], axis=0):
         frames = np.flatnonzero((seen == pattern).all(axis=1))
@@ -92,11 +92,6 @@ def _centre(positions: Floats, flags: NDArray[np.uint8]) -> tuple[Floats, NDArra
             centre[frames] = _carried(positions, pattern, frames, np.flatnonzero(whole))
         origin[frames] = PointFlag.FILLED if pattern.any() else PointFlag.MISSING
     return centre, origin
-
-
-def _least_certain(flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Flag of every frame: filled if any marker is, else relabelled if any is."""
-    return np.asarray(flags.max(axis=1), dtype=np.uint8)  # values rise from measured to filled
 
 
 def _carried(positions: Floats, pattern: Flags, frames: Ints, whole: Ints) -> Floats:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from labpipe.markers.rings import SIDES, Sections, axis_at_rest, section_centres, section_twist
-from labpipe.records.arrays import Flags, Floats, Ints, frozen
+from labpipe.records.arrays import Flags, Floats, frozen
 
 TERMS = 3
 _GRID = 161
@@ -157,7 +157,7 @@ def fit_span(
     _check_span(sections, span)
     bent = np.flatnonzero(bent_most)
     some = bent[np.linspace(0, len(bent) - 1, min(_LOOKED_AT, len(bent))).astype(int)]
-    few = _taken(sections, some)
+    few = replace(sections, markers=sections.markers[some])
     tried = []
     for towards in SIDES[facing]:
         axis = axis_at_rest(sections, radius=radius, towards=towards)
@@ -194,10 +194,6 @@ def _check_reach(x: Floats, span: float) -> None:
             f"{1e2 * _REACH:g} % of half the span"
         )
         raise ValueError(message)
-
-
-def _taken(sections: Sections, frames: Ints) -> Sections:
-    return replace(sections, markers=sections.markers[frames])
 
 
 def _find_middle(few: Sections, axis: Floats, span: float, radius: float) -> tuple[float, float]:

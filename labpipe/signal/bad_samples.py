@@ -217,7 +217,7 @@ class _Seen:
         return enough and (is_long or all(steep))
 
     def _before(self, start: int) -> int:
-        """Samples of the run that goes before: a plateau is come to in ever longer ones."""
+        """Samples of the run before: a plateau is approached in ever longer ones."""
         level = self.values[start - 1] if start else np.nan
         other = np.flatnonzero(self.values[:start] != level)
         return start - 1 - int(other[-1]) if len(other) else start

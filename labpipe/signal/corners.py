@@ -10,6 +10,7 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.uncertainty.noise import long_run_variance
 
 _BINS_PER_SIDE = 600
+"""Averages on each side of the corner at least, where there are as many samples."""
 _ROUNDS = 30
 _LEAST_OF_LINE, _LEAST_OF_LEVEL = 5, 3
 """Samples of a line and of the level between two lines: two may be the sides of a corner."""
@@ -59,7 +60,8 @@ def fit_corner(
     (`long_run_variance`). NaN are left out.
     """
     chosen = (np.abs(time - near) <= window) & ~np.isnan(values)
-    t, y = _binned(time[chosen] - near, values[chosen])
+    size = int(chosen.sum()) // (2 * _BINS_PER_SIDE)
+    t, y = block_means(time[chosen] - near, values[chosen], size)
     if min((t < 0).sum(), (t > 0).sum()) < degree + 3:
         return None
     grid = np.linspace(-0.5 * window, 0.5 * window, 41)
@@ -161,11 +163,6 @@ def _corner(
         value_error=float(errors[0]),
         n=count,
     )
-
-
-def _binned(time: Floats, values: Floats) -> tuple[Floats, Floats]:
-    """Averages of consecutive samples, 600 to 1200 bins on each side of zero."""
-    return block_means(time, values, len(time) // (2 * _BINS_PER_SIDE))
 
 
 def block_means(time: Floats, values: Floats, size: int) -> tuple[Floats, Floats]:

@@ -97,7 +97,7 @@ def find_strokes(time: Floats, motion: Floats, *, min_stroke: float) -> tuple[St
     Notes
     -----
     Extremes are found with hysteresis: a new one counts once the motion has come back from it by
-    `min_stroke`. A dwell is told from a smooth reversal by the time t1 spent within a tolerance of
+    `min_stroke`. A dwell differs from a smooth reversal by the time t1 spent within a tolerance of
     the extreme, on both sides together, and t4 within four times that: a corner has t4 = 4 t1, a
     parabola t4 = 2 t1, a dwell t4 < 1.5 t1. NaN are bridged by straight lines.
     """
@@ -183,7 +183,7 @@ class _Stay:
     Parameters
     ----------
     near, wide : s, within a tolerance of it, and within four times that
-    shortest : s, of a dwell that can be told from a corner
+    shortest : s, of a dwell that is not taken for a corner
     """
 
     near: float

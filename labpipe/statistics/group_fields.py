@@ -96,7 +96,7 @@ def varying_fields(group: Group) -> tuple[str, ...]:
 def differing_fields(
     first: Group, second: Group, by: Sequence[str] = (TYPE,)
 ) -> dict[str, tuple[str, str]]:
-    """Tell in which fields two groups differ.
+    """Fields in which two groups differ.
 
     Parameters
     ----------

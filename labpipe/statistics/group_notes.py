@@ -41,7 +41,7 @@ def group_note(code: str, message: str, severity: Severity = Severity.INFO) -> Q
 
 
 def sample_notes(samples: Sequence[Sample]) -> list[QualityNote]:
-    """Tell of samples that are none, one, repeated, of several sizes, or unlike bundles.
+    """Samples that are none, one, repeated, of several sizes, or unlike bundles.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def _unlike(samples: Sequence[Sample], name: str) -> str:
 
 
 def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[QualityNote]:
-    """Tell what was done to put samples into groups.
+    """What was done to put samples into groups.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ def grouping_notes(without: Sequence[str], renamed: Sequence[str]) -> list[Quali
 
 
 def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
-    """Tell which means hold doubtful values, and which were not tested for outliers.
+    """Which means hold doubtful values, and which were not tested for outliers.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def ways_of(number: GroupNumber) -> dict[str, list[str]]:
     Returns
     -------
     Tests by method, in the order in which they come; one entry where all were made alike. Remarks
-    do not count: they speak of one test each.
+    do not count: they concern one test each.
     """
     found: dict[str, list[str]] = {}
     for test, result in number.values.items():

@@ -56,8 +56,8 @@ def build_group(
     numbers = tuple(group_number(each, ordered, limits) for each in names)
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
-    told = [*method_notes(numbers, ordered), *sample_notes(ordered), *number_notes(numbers)]
-    every = (*told, *notes, *share_notes)
+    found = [*method_notes(numbers, ordered), *sample_notes(ordered), *number_notes(numbers)]
+    every = (*found, *notes, *share_notes)
     return Group(name, protocol, ordered, numbers, band, share, every, shared_fields(ordered))
 
 
@@ -138,7 +138,7 @@ def _nested(
 def compare_groups(
     first: Group, second: Group, *, names: Sequence[str] = (), margin: float | None = None
 ) -> tuple[Difference, ...]:
-    """Tell how two groups differ in the results that both have.
+    """How two groups differ in the results that both have.
 
     Parameters
     ----------

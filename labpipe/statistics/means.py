@@ -96,8 +96,7 @@ def _one_spool(over_samples: MeanInterval, means: Mapping[str, MeanInterval]) ->
     if over_samples.n:
         counted = "1 sample" if over_samples.n == 1 else f"{over_samples.n} samples"
         why = (
-            "how spools differ is not known, so the interval speaks of this spool and not of the "
-            "type"
+            "how spools differ is not known, so the interval holds for this spool, not for the type"
         )
         said = Decision(f"Over {counted} of one spool", (why,))
     nan = float("nan")
@@ -240,7 +239,7 @@ class SpoolScatter:
     between : standard deviation of the true means of spools; 0 where the spool means scatter no
         more than their samples make them; NaN where `within` is
     share : between^2 / (between^2 + within^2)
-    share_upper : upper confidence limit of the share; 1 where it cannot be had
+    share_upper : upper confidence limit of the share; 1 where it is not available
     """
 
     within: float
@@ -250,7 +249,7 @@ class SpoolScatter:
 
 
 def spool_scatter(spools: Sequence[Floats], confidence: float) -> SpoolScatter:
-    """Tell the scatter between spools from the scatter within them.
+    """Scatter between spools, apart from the scatter within them.
 
     Parameters
     ----------

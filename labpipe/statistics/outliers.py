@@ -99,7 +99,7 @@ def too_few_for_outliers(spools: Sequence[str]) -> str:
         return ""
     return (
         f"too_few_samples: {counted} samples of {len(set(spools))} spools, "
-        f"an outlier can be told from {needed} on"
+        f"outliers are found from {needed} on"
     )
 
 

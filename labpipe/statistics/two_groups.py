@@ -91,7 +91,7 @@ def compare(
     second: tuple[str, NestedMean],
     margin: float | None = None,
 ) -> Difference:
-    """Tell how two groups differ in one result.
+    """How two groups differ in one result.
 
     Parameters
     ----------

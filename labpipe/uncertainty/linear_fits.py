@@ -1,4 +1,4 @@
-"""Linear fits whose intervals hold when the residuals know their neighbours."""
+"""Linear fits whose intervals hold when the residuals are serially correlated."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def fit_linear(
     weighted : False for ordinary least squares, whose coefficients everybody gets; True for
         generalised least squares, better where a jump is looked for in strongly correlated noise
     beside : other stretches of the same signal, of at least 8 samples each, sampled alike and
-        without NaN, in which it is smooth: what is left of them about a cubic speaks of the noise
+        without NaN, in which it is smooth: what is left of them about a cubic shows the noise
         as the residuals do. A short stretch alone cannot tell how far its noise remembers
 
     Returns
@@ -99,7 +99,7 @@ def fit_linear(
     Student's t; the interval is that of the mixture over spectra, weighted by their likelihood and
     a prior: of power -0.4 over the logarithm of the correlation time, half without and half with
     white noise, plus one share for white noise alone. Only the 128 slowest cosines enter (all of
-    them with `weighted`): hum, filters and rounding do not speak of the mean over a window (the
+    them with `weighted`): hum, filters and rounding tell nothing about the mean over a window (the
     thought of the equal-weighted cosine estimator: Lazarus et al., J. Bus. Econ. Stat. 36 (2018)
     541). A curve that is not of the model's shape looks like slow noise and widens the interval.
     Stretches beside the fit multiply the likelihood of each spectrum by theirs, all of one

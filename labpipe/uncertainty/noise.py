@@ -128,7 +128,7 @@ class _Spectra:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
-    """What one stretch says of each of g spectra.
+    """Likelihood of each of g spectra by one stretch.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """What all stretches together say of each of g spectra.
+    """Chance of each of g spectra by all stretches together.
 
     Parameters
     ----------

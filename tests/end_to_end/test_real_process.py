@@ -231,7 +231,8 @@ def test_labels_that_switch_are_undone_and_flagged(soft_arm: Lab) -> None:
     said = [note.message for note in result.quality if note.code == "unlabelled_merged"]
     for number, track in MERGED.items():
         assert any(
-            f"SA-base:Marker{number} stood under {track}, frames 0 to 3931" in each for each in said
+            f"SA-base:Marker{number} was labelled as {track}, frames 0 to 3931" in each
+            for each in said
         )
     merged = {note["message"] for note in soft_arm.summary["quality"]}
     assert set(said) <= merged

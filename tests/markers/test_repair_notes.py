@@ -57,9 +57,9 @@ def test_a_marker_with_two_stand_ins_gets_a_note_for_each() -> None:
     )
     steps = 1e3 * np.linalg.norm(np.diff(truth[:, 1], axis=0), axis=1)  # mm, from frame to frame
     assert [note.message for note in repaired.notes] == [
-        "M2 stood under Unlabeled 1, frames 200 to 299 (4.000 s to 5.980 s); merged, "
+        "M2 was labelled as Unlabeled 1, frames 200 to 299 (4.000 s to 5.980 s); merged, "
         f"{steps[199]:.2f} mm apart where they meet",
-        "M2 stood under Unlabeled 2, frames 300 to 379 (6.000 s to 7.580 s); merged, "
+        "M2 was labelled as Unlabeled 2, frames 300 to 379 (6.000 s to 7.580 s); merged, "
         f"{steps[379]:.2f} mm apart where they meet",
         "M2: gap filled between its ends, relative to the clamp, 5 frames, "
         "frames 240 to 244 (4.800 s to 4.880 s)",

@@ -74,7 +74,7 @@ def test_a_label_switch_is_undone_and_told(stop: int) -> None:
     np.testing.assert_array_equal(repaired.positions, take.tracks.positions)
     assert codes(repaired) == ["label_switch"]
     assert message(repaired, "label_switch") == (
-        f"M3 stood under M4, M4 stood under M3, frames 150 to {stop - 1} "
+        f"M3 was labelled as M4, M4 was labelled as M3, frames 150 to {stop - 1} "
         f"(3.000 s to {(stop - 1) / 50:.3f} s); label switch undone"
     )
 
@@ -100,7 +100,7 @@ def test_an_unlabelled_track_is_given_back_to_its_marker(start: int, stop: int, 
     assert (repaired.flags[start:stop, 4] == PointFlag.RELABELLED).all()
     assert (repaired.flags == PointFlag.RELABELLED).sum() == stop - start
     assert codes(repaired) == ["unlabelled_merged"]
-    assert f"M5 stood under {name}, frames {start} to {stop - 1}" in repaired.notes[0].message
+    assert f"M5 was labelled as {name}, frames {start} to {stop - 1}" in repaired.notes[0].message
 
 
 def test_a_short_gap_is_filled_relative_to_the_clamp() -> None:
@@ -370,5 +370,5 @@ def test_soft_arm_take(realdata: Path) -> None:
     assert (repaired.flags == PointFlag.FILLED).sum() == 10
     merged = [note.message for note in repaired.notes if note.code == "unlabelled_merged"]
     for marker, unlabelled in ((1, 1366), (2, 1364), (3, 1365)):
-        words = f"SA-base:Marker{marker} stood under Unlabeled {unlabelled}, frames 0 to 3931"
+        words = f"SA-base:Marker{marker} was labelled as Unlabeled {unlabelled}, frames 0 to 3931"
         assert any(text.startswith(words) for text in merged)

@@ -24,8 +24,8 @@ def test_one_spool_is_over_samples_with_its_caveat() -> None:
     assert found.within == pytest.approx(np.std([1, 2, 4], ddof=1))
     assert np.isnan([found.between, found.spool_p]).all()
     assert str(found.decision) == (
-        "Over 3 samples of one spool: how spools differ is not known, so the interval speaks of "
-        "this spool and not of the type."
+        "Over 3 samples of one spool: how spools differ is not known, so the interval holds for "
+        "this spool, not for the type."
     )
 
 

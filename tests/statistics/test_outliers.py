@@ -65,7 +65,7 @@ def test_too_few_samples_are_said() -> None:
     assert not mark_outliers({}, {})
     assert too_few_for_outliers(["a", "a", "a"]) == ""
     assert too_few_for_outliers(["a", "a", "b"]) == (
-        "too_few_samples: 3 samples of 2 spools, an outlier can be told from 4 on"
+        "too_few_samples: 3 samples of 2 spools, outliers are found from 4 on"
     )
 
 
