@@ -6,7 +6,7 @@ from labpipe.cli.calibrate import comparison_lines
 from tests.builders.third_curves import third_comparison, unmodelled, untested
 
 
-def test_a_line_for_each_curve_and_what_it_is_held_against() -> None:
+def test_a_line_for_each_curve_and_what_it_is_compared_with() -> None:
     blank, heading, tests, model, alone, *notes = comparison_lines([third_comparison(), untested()])
     assert not blank
     words = [" ".join(line.split()) for line in (heading, tests, model)]
