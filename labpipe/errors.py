@@ -133,3 +133,19 @@ def nearest(word: str, known: list[str], *, most: int = 5) -> list[str]:
         return difflib.SequenceMatcher(None, word.casefold(), candidate.casefold()).ratio()
 
     return sorted(known, key=likeness, reverse=True)[:most]
+
+
+def in_test_sheet(key: str, value: str) -> str:
+    """Word an override as a test sheet writes it, for messages.
+
+    Parameters
+    ----------
+    key : dotted, of the protocol
+    value : what to write; ``...`` where only the person at the bench knows it
+
+    Examples
+    --------
+    >>> in_test_sheet("rig.cycles", "1")
+    "'rig.cycles: {value: 1, because: ...}' under 'overrides' in test.yaml"
+    """
+    return f"'{key}: {{value: {value}, because: ...}}' under 'overrides' in test.yaml"

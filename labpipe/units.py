@@ -14,6 +14,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     import pint
 
+GRAVITY = 9.80665
+"""Standard acceleration of free fall, m/s^2 (CGPM 1901)."""
+
 # A registry of our own: the units of a test lab and nothing else. It loads in a millisecond,
 # where pint's full list takes several hundred, and it cannot mistake "ft" for femtotonne.
 _DEFINITIONS = """

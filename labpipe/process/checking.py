@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from labpipe.errors import ProcessingError, ProtocolError, ReadError, complaint, nearest
-from labpipe.pipeline.layout import lay_out
-from labpipe.pipeline.steps import step_or_refuse
+from labpipe.process.calibrated_signals import calibrated
 from labpipe.process.reading import is_empty, joined, name_channels, unit_fault, where_to_name
+from labpipe.process.steps import step_or_refusal
 from labpipe.process.targets import files_below
 from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
-from labpipe.protocol.results import BendingStiffness, MidSpan, Twist
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
@@ -21,6 +20,8 @@ from labpipe.readers import read_export, recognise_export
 from labpipe.readers.channels import NoChannelError, select_channel
 from labpipe.records.recording import MarkerTracks, Recording
 from labpipe.records.step_settings import Decimate, LowPass, Smooth, Zero
+from labpipe.results.beam import BendingStiffness
+from labpipe.results.shapes import MidSpan, Twist
 
 _YAML = (".yaml", ".yml")
 _INSPECT = "`labpipe inspect` shows what the file holds."
@@ -147,7 +148,7 @@ def _refusals(
         recordings: dict[str, Recording] = {
             role: joined(read[role], sheet.files[role], path.parent) for role in protocol.sources
         }
-        bench, markers = lay_out(recordings, protocol)
+        prepared, _ = calibrated(recordings, protocol)
     except ReadError as error:
         yield str(error)
         return
@@ -155,9 +156,11 @@ def _refusals(
         yield f"{path}, {error}"
         return
     for step in protocol.steps:
-        if isinstance(step, Zero | Smooth | LowPass | Decimate) and step.channel in bench.signals:
+        if not isinstance(step, Zero | Smooth | LowPass | Decimate):
+            continue
+        if step.channel in prepared.signals.filtered:
             try:
-                step_or_refuse(bench, markers, step, protocol)
+                prepared, _ = step_or_refusal(prepared, step, protocol)
             except ProcessingError as error:
                 yield f"{path}, {error}"
 

@@ -14,8 +14,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from labpipe.errors import ReadError, complaint
-from labpipe.protocol.overrides import in_test_sheet
+from labpipe.errors import ReadError, complaint, in_test_sheet
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source

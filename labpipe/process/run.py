@@ -15,8 +15,8 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, StoreError, complaint
-from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.process.reading import read_inputs
+from labpipe.process.story import reduce_recordings
 from labpipe.process.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import FigureName, Protocol
@@ -125,10 +125,11 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         If a recording lacks what a step cannot do without.
     """
     try:
-        bench, results = reduce_recordings(raw.recordings, protocol)
+        reduced = reduce_recordings(raw.recordings, protocol)
     except ProcessingError as error:
         message = f"{raw.test}, {error}"
         raise ProcessingError(message) from error
+    test = reduced.evidence
     return TestResult(
         test=raw.test,
         specimen=raw.specimen,
@@ -138,16 +139,16 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         labpipe_version=__version__,
         inputs=raw.inputs,
         recordings=raw.recordings,
-        aligned=bench.aligned,
-        curve=bench.curve,
-        shape=bench.shape,
-        bending=bench.bending if isinstance(bench.bending, Bending) else None,
-        results=results,
-        quality=tuple(bench.notes),
+        aligned=test.aligned,
+        curve=test.curve,
+        shape=test.shape,
+        bending=test.bending if isinstance(test.bending, Bending) else None,
+        results=reduced.results,
+        quality=test.findings.notes,
         display=dict(protocol.report.display),
         figures=protocol.report.figures,
-        slips=bench.slips,
-        lines=tuple(bench.lines),
+        slips=test.slips,
+        lines=reduced.lines,
         run=run_key(raw),
     )
 

@@ -6,10 +6,9 @@ import re
 from collections.abc import Callable, Iterator
 from typing import TypeAlias
 
-from labpipe.errors import Fault, KeyPath
+from labpipe.errors import Fault, KeyPath, in_test_sheet
 from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.outline import Outline, Values, source_faults
-from labpipe.protocol.overrides import in_test_sheet
 from labpipe.protocol.results import RESULTS, result_names
 from labpipe.protocol.values import SI_UNITS
 from labpipe.records.declarations import Needs, defaults_of, existing_in

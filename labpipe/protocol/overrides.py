@@ -20,22 +20,6 @@ _LISTS = (("steps",), ("results",))
 """Blocks that a protocol may leave out and that are lists."""
 
 
-def in_test_sheet(key: str, value: str) -> str:
-    """Word an override as a test sheet writes it, for messages.
-
-    Parameters
-    ----------
-    key : dotted, of the protocol
-    value : what to write; ``...`` where only the person at the bench knows it
-
-    Examples
-    --------
-    >>> in_test_sheet("rig.cycles", "1")
-    "'rig.cycles: {value: 1, because: ...}' under 'overrides' in test.yaml"
-    """
-    return f"'{key}: {{value: {value}, because: ...}}' under 'overrides' in test.yaml"
-
-
 def with_overrides(protocol: Document, sheet: Document) -> Document:
     """Put what a test sheet says into the protocol.
 

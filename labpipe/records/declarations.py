@@ -153,6 +153,10 @@ ChannelName: TypeAlias = Annotated[Snake, Existing("channel")]
 StiffnessName: TypeAlias = Annotated[Snake, Existing("stiffness")]
 
 
+CURVE = ("force", "displacement", "clock")
+"""What a number rests on that is read from the curve."""
+
+
 @dataclass(frozen=True, slots=True)
 class Output:
     """A number that a kind of result puts into the summary.
@@ -161,12 +165,18 @@ class Output:
     ----------
     name : in the summary; ``{name}`` and ``{of}`` stand for the settings that are called so
     unit : SI
+    label : for people; empty where a protocol chooses the name
+    rests_on : quantities; what makes one of them doubtful makes the number doubtful
     first : number of the first of several, one per cycle or slip; None where there is one alone
+    is_raised_by_slips : whether a repaired slip anywhere on the way has raised it
     """
 
     name: str
     unit: str
+    label: str = ""
+    rests_on: tuple[str, ...] = CURVE
     first: int | None = None
+    is_raised_by_slips: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
         """Name in the summary, of several the first.

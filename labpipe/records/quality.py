@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 
@@ -65,3 +65,136 @@ class QualityNote:
     where: str
     message: str
     stretches: tuple[tuple[float, float], ...] = field(default=(), compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """Why results that rest on a quantity are doubtful.
+
+    Parameters
+    ----------
+    quantity : ``force``, ``displacement``, ``clock``, ``start``, or the name of another channel
+    reason : why
+    during : s, stretch of the record that is touched, on the clock `clock`; None for all. Results
+        of other stretches are left alone, unless the zero was taken there
+    clock : that `during` is counted on; empty for that of the curve
+    """
+
+    quantity: str
+    reason: Reason
+    during: tuple[float, float] | None = None
+    clock: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What was found in a test, and what follows from it.
+
+    Parameters
+    ----------
+    note : for people
+    doubts : what it makes doubtful
+    blocks : whether later stages are not available because of it
+    """
+
+    note: QualityNote
+    doubts: tuple[Doubt, ...] = ()
+    blocks: bool = False
+
+    @property
+    def code(self) -> str:
+        """Of the note."""
+        return self.note.code
+
+
+def worth_knowing(code: str, where: str, message: str) -> Finding:
+    """Note what changes nothing."""
+    return Finding(QualityNote(code, Severity.INFO, where, message))
+
+
+def warning(code: str, where: str, message: str) -> Finding:
+    """Note what was repaired, or what somebody should look at."""
+    return Finding(QualityNote(code, Severity.WARNING, where, message))
+
+
+def not_available(code: str, where: str, message: str) -> Finding:
+    """Note that something asked for is not available."""
+    return Finding(QualityNote(code, Severity.ERROR, where, message))
+
+
+def doubtful(
+    *quantities: str,
+    code: str,
+    message: str,
+    where: str,
+    during: tuple[float, float] | None = None,
+    clock: str = "",
+) -> Finding:
+    """Note what makes results doubtful that rest on a quantity.
+
+    Parameters
+    ----------
+    quantities, during, clock : as `Doubt` has them
+    code, message, where : of the note
+    """
+    note = QualityNote(code, Severity.WARNING, where, message)
+    reason = Reason(code, message)
+    return Finding(note, tuple(Doubt(each, reason, during, clock) for each in quantities))
+
+
+def doubtful_stretches(quantity: str, note: QualityNote, clock: str, *, most: int = 100) -> Finding:
+    """Doubt a quantity in the stretches that a note speaks of, or in all of the record.
+
+    Parameters
+    ----------
+    quantity : as `Doubt` has it
+    note : with stretches on the clock named `clock`, or without any
+    clock : role of the recording
+    most : stretches; more of them are taken as one, from the first to the last
+    """
+    when = note.stretches
+    if len(when) > most:
+        when = ((when[0][0], when[-1][1]),)
+    note, reason = replace(note, severity=Severity.WARNING), Reason(note.code, note.message)
+    return Finding(note, tuple(Doubt(quantity, reason, each, clock) for each in when or (None,)))
+
+
+def blocking(code: str, where: str, message: str) -> Finding:
+    """Note an error after which later stages are not available."""
+    return Finding(QualityNote(code, Severity.ERROR, where, message), blocks=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Findings:
+    """All that was found in a test, in order.
+
+    Parameters
+    ----------
+    found : one after the other; what is found twice counts once
+    """
+
+    found: tuple[Finding, ...] = ()
+
+    def __add__(self, more: Iterable[Finding]) -> Findings:
+        return Findings((*self.found, *more))
+
+    def without(self, code: str) -> Findings:
+        """Leave out what another finding explains better."""
+        return Findings(tuple(each for each in self.found if each.code != code))
+
+    @property
+    def notes(self) -> tuple[QualityNote, ...]:
+        """The notes, each once."""
+        return tuple(dict.fromkeys(each.note for each in self.found))
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """The doubts, each once."""
+        return tuple(dict.fromkeys(doubt for each in self.found for doubt in each.doubts))
+
+    @property
+    def blocked(self) -> Reason | None:
+        """Why later stages are not available: the first such finding; None where they are."""
+        return next(
+            (Reason(each.code, each.note.message) for each in self.found if each.blocks), None
+        )

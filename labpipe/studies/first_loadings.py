@@ -16,7 +16,6 @@ from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
 from labpipe.fits.loops import largest_sample
-from labpipe.pipeline.string_at_rest import at_rest, notes_of
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -25,10 +24,12 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.records.step_settings import FitShape, SpecimenFrame, Zero
+from labpipe.results.string_at_rest import at_rest, notes_of
 from labpipe.signal.turning_points import noise_level
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages
 from labpipe.uncertainty.noise import long_run_variance
+from labpipe.units import GRAVITY
 from labpipe.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig
 
@@ -152,7 +153,6 @@ def _speed(curve: Curve, first: Branch) -> float:
     return float(moved / (curve.time[end] - curve.time[begin]))
 
 
-GRAVITY = 9.80665
 """m/s^2, standard acceleration of free fall."""
 _FEWEST = 20
 """Points of a curve with which something can be said."""

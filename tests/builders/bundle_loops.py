@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from labpipe.records.arrays import Floats
+from labpipe.records.result import Result, Status
 
+NOISE = 0.01
+"""N"""
 PEAK = 0.05
 RESIDUAL = 0.012
 SPEED = 1e-3
@@ -58,3 +62,17 @@ def cycles(
         seen + random.normal(0.0, 1e-3 * noise, len(time)),
         force + random.normal(0.0, noise, len(time)),
     )
+
+
+def width(found: Result) -> float:
+    """How wide an interval is."""
+    assert found.interval is not None
+    return found.interval.upper - found.interval.lower
+
+
+def holds(found: Result, true: float, unit: str) -> None:
+    assert found.status is Status.OK
+    assert found.unit == unit
+    assert found.value is not None
+    assert found.value == pytest.approx(true, abs=width(found))
+    assert found.method

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.protocol.schema import Protocol
 from labpipe.records.recording import Recording
@@ -157,7 +157,7 @@ def _reduced(roles: dict[str, Recording], plan: Protocol) -> tuple[Result, ...]:
         role: name_channels(roles[role], source, Path(role)) if role != "markers" else roles[role]
         for role, source in plan.sources.items()
     }
-    return reduce_recordings(named, plan)[1]
+    return reduce_recordings(named, plan).results
 
 
 def _against(name: str, results: tuple[Result, ...], true: dict[str, float]) -> list[Checked]:

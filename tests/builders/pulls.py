@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 
-from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.story import Reduced, reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result, Status
+from labpipe.results.evidence import Evidence
 
 NOISE = 0.02
 STEP = 2e-5
@@ -46,7 +47,7 @@ def slipped(travel: Floats, force: Floats, *slips: tuple[float, float]) -> Float
     return lower
 
 
-def pulled(
+def reduction(
     travel: Floats,
     force: Floats,
     *,
@@ -55,8 +56,8 @@ def pulled(
     specimen: str = "{length: 100 mm}",
     time: bool = True,
     scale: str = "0 %",
-) -> tuple[Bench, dict[str, Result]]:
-    """Bench and results of a pull sampled at 10 Hz, or of its rows without times."""
+) -> Reduced:
+    """What a pull sampled at 10 Hz comes to, or its rows without times."""
     listed = "".join(f"  - {{result: {each}}}\n" for each in results)
     text = (
         "version: 1\nname: p\nsources:\n  frame:\n    reader: load-frame\n    channels:\n"
@@ -74,13 +75,18 @@ def pulled(
         Channel("displacement", "D", travel, unit="m", clock=clock.name),
     )
     recording = Recording("load-frame", clocks=(clock,), channels=channels)
-    bench, found = reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"))
-    return bench, {each.name: each for each in found}
+    return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"))
 
 
-def codes(bench: Bench) -> dict[str, str]:
+def pulled(travel: Floats, force: Floats, **asked: Any) -> tuple[Evidence, dict[str, Result]]:
+    """Evidence and results of a pull, asked for as `reduction` has it."""
+    done = reduction(travel, force, **asked)
+    return done.evidence, {each.name: each for each in done.results}
+
+
+def codes(test: Evidence) -> dict[str, str]:
     """Messages of the notes, by code."""
-    return {note.code: note.message for note in bench.notes}
+    return {note.code: note.message for note in test.findings.notes}
 
 
 def holds(found: Result, true: float, unit: str) -> None:

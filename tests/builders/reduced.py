@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.story import Reduced, reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, Recording
 from labpipe.records.result import Result
+from labpipe.results.evidence import Evidence
 
 PROTOCOL = """\
 version: 1
@@ -46,15 +46,15 @@ def loop(*, cycles: int = 2, noise: float = 0.0, seed: int = 0) -> tuple[Floats,
     return time, path + random.normal(0.0, 1e-3 * noise, len(time)), force
 
 
-def reduced(
+def reduction(
     time: Floats,
     displacement: Floats,
     force: Floats,
     *,
     more: str = RESULTS,
     replaced: tuple[str, str] = ("", ""),
-) -> tuple[Bench, dict[str, Result]]:
-    """The bench and the results by name; `more` and what is `replaced` make the protocol."""
+) -> Reduced:
+    """What a test comes to; `more` and what is `replaced` make the protocol."""
     channels = (
         Channel("force", "A", force, unit="V"),
         Channel("displacement", "B", displacement, unit="m"),
@@ -62,5 +62,17 @@ def reduced(
     recording = Recording("dspace-mat", clocks=(Clock("time", time),), channels=channels)
     text = PROTOCOL.replace(*replaced) if replaced[0] else PROTOCOL
     protocol = parse_protocol(text + more, "p.yaml")
-    bench, results = reduce_recordings({"force": recording}, protocol)
-    return bench, {each.name: each for each in results}
+    return reduce_recordings({"force": recording}, protocol)
+
+
+def reduced(
+    time: Floats,
+    displacement: Floats,
+    force: Floats,
+    *,
+    more: str = RESULTS,
+    replaced: tuple[str, str] = ("", ""),
+) -> tuple[Evidence, dict[str, Result]]:
+    """Evidence and results by name, of the same."""
+    done = reduction(time, displacement, force, more=more, replaced=replaced)
+    return done.evidence, {each.name: each for each in done.results}

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -77,7 +77,7 @@ def reduced_in_memory(test: TensileObservation, protocol: Protocol) -> tuple[Res
         Channel("displacement", "Crosshead", record.displacement, unit="m"),
     )
     frame = Recording("load-frame", clocks=(Clock("time", record.time),), channels=channels)
-    return reduce_recordings({"frame": frame}, protocol)[1]
+    return reduce_recordings({"frame": frame}, protocol).results
 
 
 def true_results(scenario: TensileScenario, seed: int) -> dict[str, float]:

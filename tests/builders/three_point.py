@@ -12,13 +12,13 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
-from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.reduction import reduce_recordings
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.sheet_exports import without_absent
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result
+from labpipe.results.evidence import Evidence
 
 SPAN, STROKE, SPEED, RADIUS = 0.1524, 0.0294, 0.5e-3, 8.55e-3
 GAIN, OFFSET = -0.21082, 0.002846
@@ -185,7 +185,7 @@ def reduced(
     *,
     without: tuple[str, ...] = (),
     change: tuple[tuple[str, str], ...] = (),
-) -> tuple[Bench, dict[str, Result]]:
+) -> tuple[Evidence, dict[str, Result]]:
     """Reduce a test by the shipped protocol and the rod's span, with some changes of their text."""
     text = CONDUIT.read_text(encoding="utf-8")
     text = text.replace("specimen: {section", "specimen: {span: 152.4 mm, section")
@@ -194,8 +194,8 @@ def reduced(
         text = text.replace(old, new)
     made = {role: each for role, each in recordings(record).items() if role not in without}
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
-    bench, results = reduce_recordings(made, protocol)
-    return bench, {each.name: each for each in results}
+    done = reduce_recordings(made, protocol)
+    return done.evidence, {each.name: each for each in done.results}
 
 
 def other(record: BendingRecord, **changes: object) -> BendingRecord:

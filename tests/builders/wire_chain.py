@@ -18,9 +18,9 @@ from labpipe import __version__
 from labpipe.process.reading import name_channels
 from labpipe.process.run import reduce_test
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
-from labpipe.protocol.results import MomentCurvature
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.results.shapes import MomentCurvature
 from labpipe.store.read import RawTest
 from labpipe.studies.first_loadings import FirstLoading, first_loading
 from labpipe.studies.validation import built_wire

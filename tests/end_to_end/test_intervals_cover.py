@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
@@ -45,7 +45,7 @@ def protocol(repository: Path, gain_uncertainty: float) -> Protocol:
 
 def results(test: Observation, plan: Protocol) -> tuple[Result, ...]:
     force = name_channels(test.force, plan.sources["force"], Path("force.mat"))
-    return reduce_recordings({"force": force, "markers": test.markers}, plan)[1]
+    return reduce_recordings({"force": force, "markers": test.markers}, plan).results
 
 
 def slope_in_time(time: Floats, displacement: Floats, force: Floats, chosen: Flags) -> float:

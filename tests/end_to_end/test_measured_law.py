@@ -16,13 +16,13 @@ import pytest
 from scipy.stats import binomtest
 
 from labpipe.bending.law_table import law_points
-from labpipe.pipeline.bench import Bench
-from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.measured_bending import Bending, MeasuredLaw
 from labpipe.records.result import Result, Status
+from labpipe.results.evidence import Evidence
 from labpipe.store.read import read_result
 from labpipe.virtual_lab import CantileverScenario, WireCampaign, observe
 from tests.builders.bent_tests import law_moment
@@ -106,11 +106,12 @@ def _bending(repository: Path, seed: int) -> Bending:
         text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
     plan, seen = parse_protocol(text, "wire-cantilever.yaml"), observe(scenario(cycles=2), seed)
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
-    bench, results = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    test, results = done.evidence, done.results
     asked = [each for each in results if each.name.startswith("bending_stiffness")]
     assert [each.status for each in asked] == [Status.OK, Status.OK], asked
-    assert isinstance(bench.bending, Bending)
-    return bench.bending
+    assert isinstance(test.bending, Bending)
+    return test.bending
 
 
 def _covered(law: MeasuredLaw, true: Floats) -> list[bool]:
@@ -156,8 +157,8 @@ def test_stiffnesses_cover_and_are_narrow(repository: Path, name: str) -> None:
     law = virtual.mechanics.wire.law()
     held, halves, states = Counter[float](), [], Counter[str]()
     for seed in range(TESTS):
-        bench, found = _stiffnesses(repository, virtual, seed)
-        states[next(n.message[:40] for n in bench.notes if n.code == "string_at_rest")] += 1
+        test, found = _stiffnesses(repository, virtual, seed)
+        states[next(n.message[:40] for n in test.findings.notes if n.code == "string_at_rest")] += 1
         for curvature, each in found.items():
             true = float(law_moment(law, np.array([curvature]))[0]) / curvature
             assert each.interval is not None
@@ -171,7 +172,7 @@ def test_stiffnesses_cover_and_are_narrow(repository: Path, name: str) -> None:
 
 def _stiffnesses(
     repository: Path, virtual: CantileverScenario, seed: int
-) -> tuple[Bench, dict[float, Result]]:
+) -> tuple[Evidence, dict[float, Result]]:
     text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
     text = text.replace("gain: 0.5 N/V", "gain: 0.05 N/V")
     rng = np.random.default_rng([seed, 12])
@@ -180,6 +181,7 @@ def _stiffnesses(
         text = text.replace(f"{key}: {nominal:g} mm", f"{key}: {drawn:.6f} mm")
     plan, seen = parse_protocol(text, "wire-cantilever.yaml"), observe(virtual, seed)
     force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
-    bench, results = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    test, results = done.evidence, done.results
     named = {each.name: each for each in results}
-    return bench, {at: named[f"bending_stiffness_at_{at:g}"] for at in (1.0, 3.0)}
+    return test, {at: named[f"bending_stiffness_at_{at:g}"] for at in (1.0, 3.0)}

@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.result import Result
@@ -56,7 +56,7 @@ def protocol(repository: Path, scenario: CantileverScenario) -> Protocol:
 
 def results(test: Observation, plan: Protocol) -> tuple[Result, ...]:
     force = name_channels(test.force, plan.sources["force"], Path("force.mat"))
-    return reduce_recordings({"force": force, "markers": test.markers}, plan)[1]
+    return reduce_recordings({"force": force, "markers": test.markers}, plan).results
 
 
 def true_values(truth: CantileverTruth, scenario: CantileverScenario) -> dict[str, float]:

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.pipeline.reduction import reduce_recordings
 from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import dump_protocol, parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
@@ -73,7 +73,7 @@ def protocol(repository: Path, stroke: float) -> Protocol:
 
 def reduced(test: Observation, plan: Protocol) -> dict[str, Result]:
     force = name_channels(test.force, plan.sources["force"], Path("force.mat"))
-    found = reduce_recordings({"force": force, "markers": test.markers}, plan)[1]
+    found = reduce_recordings({"force": force, "markers": test.markers}, plan).results
     return {each.name: each for each in found}
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from labpipe.errors import ProtocolError
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
-from labpipe.protocol.results import ComplianceResult, Stiffness
 from labpipe.protocol.schema import AlignNone, AlignStated, Protocol
+from labpipe.results.stiffness import ComplianceResult, LineStiffness
 from tests.protocol.conftest import SHEET, Tell
 
 
@@ -328,7 +328,7 @@ def test_numbers_are_those_of_the_protocol_whatever_is_taken_out(
     protocol = tube_of(lab, tube, write, "\n".join(changes[::order]))
 
     first, *_, last = protocol.results
-    assert isinstance(first, Stiffness)
+    assert isinstance(first, LineStiffness)
     assert isinstance(last, ComplianceResult)
     assert (first.stop, last.stop) == (9e-3, 390.0)
     assert len(protocol.results) == 8

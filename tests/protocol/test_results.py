@@ -2,24 +2,20 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields
-from typing import Any, get_args
 
 import pytest
 
-from labpipe.protocol.results import ResultEntry, result_names
+from labpipe.protocol.results import RESULTS, result_names
+from labpipe.results import KINDS
+from labpipe.results.kinds import Kind
 
 
-def _entries() -> tuple[Any, ...]:
-    union, _ = get_args(ResultEntry)
-    return get_args(union)
+def _tag(entry: type[Kind]) -> str:
+    return entry.result
 
 
-def _tag(entry: Any) -> str:
-    return str(entry.result)
-
-
-@pytest.mark.parametrize("entry", _entries(), ids=_tag)
-def test_every_result_says_what_it_is_called(entry: Any) -> None:
+@pytest.mark.parametrize("entry", KINDS, ids=_tag)
+def test_every_result_says_what_it_is_called(entry: type[Kind]) -> None:
     names = result_names(_tag(entry), {"of": "stiffness"})
 
     assert names
@@ -34,7 +30,8 @@ def test_every_result_says_what_it_is_called(entry: Any) -> None:
 
 
 def test_no_two_results_share_a_tag_or_a_name() -> None:
-    tags = [_tag(entry) for entry in _entries()]
+    tags = [_tag(entry) for entry in KINDS]
+    assert tags == list(RESULTS)
     # Both make a bending stiffness; a protocol that asks for both gives one of them another name.
     alike = [tag for tag in tags if tag != "bending-stiffness"]
     names = [name for tag in alike for name in result_names(tag, {"of": "stiffness"})]

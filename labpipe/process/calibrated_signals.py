@@ -1,0 +1,224 @@
+"""From recordings to signals: calibrated, in SI units, with the first findings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, complaint
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.source import ChannelSource
+from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.curve import Shape
+from labpipe.records.estimates import Failure
+from labpipe.records.quality import (
+    Finding,
+    QualityNote,
+    Severity,
+    doubtful,
+    doubtful_stretches,
+    warning,
+)
+from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
+from labpipe.records.signals import Signal, Signals
+from labpipe.results.evidence import SpanBend
+
+if TYPE_CHECKING:
+    from labpipe.markers.specimen_frame import SpecimenFrame
+    from labpipe.markers.track_repair import RepairedTracks
+
+
+_LARGEST = {"channel": 1e15, "marker": 1e6}
+"""SI; no transducer and no camera measures beyond this, damaged files do."""
+
+_FEWEST = 8
+"""Samples of a channel; with fewer, nothing can be said."""
+
+_AT_ENDS = 0.02
+"""Share of a channel that may be blank before its first and behind its last sample."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Take:
+    """What the cameras recorded, on its way from marker tracks to the shape of the specimen.
+
+    Parameters
+    ----------
+    tracks, role : the take and its role; None for a test without one
+    clamp : shape (frames, 3), m, pivot of the clamp as exported; None for a take without a clamp
+    repaired : tracks of the markers along the specimen
+    frame : of the specimen
+    rest : shape (frames,), the frames that the frame was found in
+    """
+
+    tracks: MarkerTracks | None = None
+    role: str = "markers"
+    clamp: Floats | None = None
+    repaired: RepairedTracks | None = None
+    frame: SpecimenFrame | None = None
+    rest: Flags | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prepared:
+    """A test before force and displacement are put together.
+
+    Parameters
+    ----------
+    signals, take : so far
+    shape : of the specimen; None where no step fits one
+    span : the bent axis between two supports, or why there is none; None where nobody asked
+    """
+
+    signals: Signals
+    take: Take = Take()
+    shape: Shape | None = None
+    span: SpanBend | Failure | None = None
+
+
+def calibrated(
+    recordings: Mapping[str, Recording], protocol: Protocol
+) -> tuple[Prepared, list[Finding]]:
+    """Take the channels of all recordings as signals in SI units.
+
+    Parameters
+    ----------
+    recordings : by role; channels carry the names and units of the protocol
+    protocol : resolved
+
+    Returns
+    -------
+    Signals and marker tracks, and what the readers and a first look found.
+
+    Raises
+    ------
+    ProcessingError
+        If a clock runs backwards, a channel has no finite sample, or a number is impossibly large.
+    """
+    curve, found = protocol.curve, list[Finding]()
+    signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
+    take = Take()
+    turned = [] if curve is None else [getattr(curve, word) for word in curve.reverse or ()]
+    for role, recording in recordings.items():
+        found += [Finding(replace(note, where=_at(role, note.where))) for note in recording.notes]
+        if recording.markers is not None:
+            _check_clock(recording.markers.time, role, fewest=2)
+            _check_markers(recording.markers, role)
+            take = Take(recording.markers, role)
+        for channel in recording.channels:
+            clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
+            _check_clock(clock.time, role, fewest=_FEWEST)
+            signal = _signal(channel, source, clock, role)
+            if channel.name in turned:
+                signal = replace(signal, values=-signal.values)
+            signals = signals.with_new(channel.name, signal)
+            quantity = signals.quantities.get(channel.name, channel.name)
+            found += _missing(channel.name, signal, quantity)
+            found += _peak(channel.name, signal, quantity, source.peak_range)
+    return Prepared(signals, take), found
+
+
+def _at(role: str, where: str) -> str:
+    return f"{role}: {where}" if where else role
+
+
+def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) -> Signal:
+    values = channel.values
+    if source.calibration is not None:
+        values = source.gain * values + source.offset
+    if not np.isfinite(values[:1]).all() and not np.isfinite(values).any():
+        message = complaint(
+            role,
+            f"channel {channel.path!r}",
+            expected="numbers",
+            found="none: every sample is blank or not finite",
+            remedy="Look at the export with `labpipe inspect`.",
+        )
+        raise ProcessingError(message)
+    _check_size(values, "channel", role, f"channel {channel.path!r}")
+    return Signal(
+        time=clock.time,
+        values=values,
+        unit=source.target_unit,
+        clock=role,
+        relative_error=source.gain_uncertainty,
+        time_unit=clock.unit,
+    )
+
+
+def _peak(
+    name: str, signal: Signal, quantity: str, peak_range: tuple[float, float] | None
+) -> list[Finding]:
+    """Doubt a channel whose peak no such specimen has: a unit that is not what the file says."""
+    if peak_range is None:
+        return []
+    peak, (least, most) = float(np.nanmax(np.abs(signal.values))), peak_range
+    if least <= peak <= most:
+        return []
+    message = (
+        f"the largest value is {peak:.4g} {signal.unit}, plausible are {least:.4g} to "
+        f"{most:.4g} {signal.unit}: is the unit right, and is it this channel?"
+    )
+    return [doubtful(quantity, code="implausible_peak", message=message, where=name)]
+
+
+def _check_markers(tracks: MarkerTracks, role: str) -> None:
+    for column, name in enumerate(tracks.names):
+        _check_size(tracks.positions[:, column], "marker", role, f"marker {name!r}")
+    for body in tracks.bodies:
+        _check_size(body.position, "marker", role, f"rigid body {body.name!r}")
+
+
+def _check_size(values: Floats, kind: str, role: str, place: str) -> None:
+    """Refuse numbers that cannot be measurements, before they overflow."""
+    largest = max(float(np.nanmax(values, initial=0.0)), -float(np.nanmin(values, initial=0.0)))
+    if not largest > _LARGEST[kind]:
+        return
+    at = int(np.argmax(np.nan_to_num(np.abs(values)).reshape(len(values), -1).max(axis=1)))
+    message = complaint(
+        role,
+        f"{place}, sample {at + 1}",
+        expected=f"numbers up to {_LARGEST[kind]:g} in SI units",
+        found=f"{largest:.3g}",
+        remedy="The file is damaged, or a unit is wrong: export the recording again.",
+    )
+    raise ProcessingError(message)
+
+
+def _missing(name: str, signal: Signal, quantity: str) -> list[Finding]:
+    """Note blank samples, and doubt where they are, but for those before and behind the record."""
+    missing = np.isnan(signal.values)
+    if not missing.any():
+        return []
+    message = f"{int(missing.sum())} of {len(missing)} samples are blank or not finite"
+    known = np.flatnonzero(~missing)
+    if known[0] + len(missing) - 1 - known[-1] <= _AT_ENDS * len(missing):
+        missing[: known[0]] = missing[known[-1] :] = False  # it begins later, and ends earlier
+    if not missing.any():
+        return [warning("missing_samples", name, message)]
+    when = times_of(missing, signal.time)
+    note = QualityNote("missing_samples", Severity.WARNING, name, message, when)
+    return [doubtful_stretches(quantity, note, signal.clock)]
+
+
+def _check_clock(time: Floats, role: str, *, fewest: int) -> None:
+    if len(time) < fewest:
+        expected, found = f"at least {fewest} samples", f"{len(time)}"
+        remedy = "The recording was aborted; leave this test out."
+        message = complaint(role, "time", expected=expected, found=found, remedy=remedy)
+        raise ProcessingError(message)
+    steps = np.diff(time)
+    backwards = np.flatnonzero(~(steps > 0))
+    if len(backwards):
+        at = int(backwards[0]) + 1
+        message = complaint(
+            role,
+            f"sample {at + 1}",
+            expected="a time axis that grows",
+            found=f"{time[at]:.6f} s after {time[at - 1]:.6f} s",
+            remedy="Export the recording again.",
+        )
+        raise ProcessingError(message)

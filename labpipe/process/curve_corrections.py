@@ -1,0 +1,343 @@
+"""Corrections of the curve: what frame, grips and slack add to it, and where the specimen broke.
+
+They follow one another in the order of the protocol's keys, on the curve as it was split into
+branches; the aligned signals stay as measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TypeAlias
+
+import numpy as np
+
+from labpipe.errors import ProcessingError, complaint
+from labpipe.fits.failure_point import FailurePoint, LossOfForce, failure_point, final_loss
+from labpipe.fits.grip_slips import add_back, find_slips, samples_before
+from labpipe.fits.loops import sense_of_loading
+from labpipe.fits.slack import fit_slack
+from labpipe.fits.straight_lines import correct_displacement
+from labpipe.protocol.schema import CurveBlock, MachineCompliance
+from labpipe.protocol.schema import Slack as SlackBlock
+from labpipe.protocol.schema import Slips as SlipsBlock
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Curve, Direction, Slip, SlipDecision
+from labpipe.records.estimates import Estimate, Failure, scaled, widened
+from labpipe.records.quality import Finding, doubtful, warning, worth_knowing
+from labpipe.records.signals import Signal, Signals
+from labpipe.results.evidence import Evidence
+from labpipe.signal.bad_samples import bridged, stray_samples
+from labpipe.signal.filters import in_pieces
+
+Corrected: TypeAlias = tuple[Evidence, list[Finding]]
+
+
+def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
+    """Correct the curve as the protocol says.
+
+    Parameters
+    ----------
+    test : with a curve of unfiltered force
+    block : of the protocol
+
+    Returns
+    -------
+    With another curve and displacement, with failure, slips and slack; and what was done.
+    """
+    rule = None
+    if block.failure is not None:
+        failure = block.failure
+        rule = LossOfForce(failure.force_below, failure.loss, failure.within)
+    lost = _final_loss(test, rule)  # seen on the unfiltered force, which no filter has blurred
+    test, found = _filtered_in_pieces(test, lost), list[Finding]()
+    if block.compliance is not None:
+        test, found = _without_compliance(test, block.compliance)
+    if rule is not None and test.curve is not None:
+        test = replace(test, failure=_failure(test.curve, lost, rule))
+    if block.slips is not None:
+        test, more = _with_slips(test, block.slips)
+        found += more
+    if block.slack is not None:
+        test, more = _without_slack(test, block.slack)
+        found += more
+    # Reported last: slack moves the place that displacement counts from.
+    where = test.signals.force
+    return test, [*found, *(warning(f"slip_{x.decision}", where, _said(x)) for x in test.slips)]
+
+
+def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
+    """Put single bad samples of the force on the line between their neighbours.
+
+    Parameters
+    ----------
+    signals : the raw force is used, and stays
+
+    Returns
+    -------
+    The unfiltered force on its own clock, and a note.
+    """
+    signal = signals.raw[signals.force]
+    outliers = stray_samples(signal.values)
+    if not len(outliers):
+        return signal, []
+    first = int(outliers[0])
+    at = f"at {signal.time[first]:.3f} s" if signal.has_time else f"in sample {first + 1}"
+    message = (
+        f"{len(outliers)} samples far off their neighbours, the first {signal.values[first]:.4g} N "
+        f"{at}: put on the line between them"
+    )
+    bridge = replace(signal, values=bridged(signal.values, outliers))
+    return bridge, [warning("stray_samples", signals.force, message)]
+
+
+def _without_compliance(test: Evidence, compliance: MachineCompliance) -> Corrected:
+    """Displacement of the specimen alone; the other assumption is a compliance wrong by 1 sigma."""
+    curve = test.curve
+    if curve is None:
+        return test, []
+    value = compliance.value
+    # What another assumption changes is divided by sqrt(3) later; a standard error must not be.
+    other = value * (1.0 + np.sqrt(3.0) * compliance.uncertainty)
+    taken = [
+        correct_displacement(curve.displacement, curve.force, compliance=each)
+        for each in (value, other)
+    ]
+    _refuse_backwards(test, curve, taken[0], value)
+    most = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
+    message = (
+        f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
+    )
+    made = _with_displacement(test, curve, taken[0], taken[1] if compliance.uncertainty else None)
+    return made, [worth_knowing("compliance_removed", test.signals.displacement, message)]
+
+
+def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: float) -> None:
+    """Refuse a compliance that is more than frame and specimen give way together."""
+    branch = test.first_loading
+    if branch is None:
+        return
+    top = branch.start + int(np.nanargmax(curve.force[branch.start : branch.stop]))
+    loading = slice(branch.start, top + 1)
+    blocks = np.array_split(corrected[loading], min(20, top + 1 - branch.start))
+    if np.all(np.diff([np.nanmean(each) for each in blocks]) > 0.0):
+        return
+    way = float(curve.displacement[top] - curve.displacement[branch.start])
+    pull = float(curve.force[top] - curve.force[branch.start])
+    message = complaint(
+        "curve.compliance",
+        "",
+        expected=f"a compliance below that of this test, {1e6 * way / pull:.4g} um/N on the way up",
+        found=f"{1e6 * value:.4g} um/N, with which the specimen would get shorter",
+        remedy="Look at its unit, and at the test of the stiff bar it comes from.",
+    )
+    raise ProcessingError(message)
+
+
+def _final_loss(test: Evidence, rule: LossOfForce | None) -> int | Failure | None:
+    """Sample of the curve at which the force begins to be lost; None where nobody asked."""
+    curve, branch = test.curve, test.first_loading
+    if curve is None or branch is None or rule is None:
+        return None
+    after = slice(branch.start, None)
+    is_back = np.zeros(len(curve.time), dtype=np.bool_)
+    for each in curve.branches:
+        is_back[each.start : each.stop] = each.direction is Direction.UNLOADING
+    force = _sense(curve) * curve.force[after]
+    found = final_loss(curve.time[after], force, rule, is_back[after])
+    return found if isinstance(found, Failure) else found + branch.start
+
+
+def _failure(
+    curve: Curve, lost: int | Failure | None, rule: LossOfForce
+) -> FailurePoint | Failure | None:
+    if lost is None or isinstance(lost, Failure):
+        return lost
+    start = loading_before(curve, lost).start
+    d, f = curve.displacement[start:], curve.force[start:]
+    sense = _sense(curve)
+    found = failure_point(curve.time[start:], d, sense * f, lost - start, rule)
+    return replace(found, sample=lost, force=scaled(found.force, sense))
+
+
+def _sense(curve: Curve) -> float:
+    """Which way the force goes when the specimen is loaded for the first time."""
+    first = curve.branches[0]
+    return sense_of_loading(curve.force[first.start : first.stop])
+
+
+def loading_before(curve: Curve, sample: int) -> Branch:
+    """The last loading branch that begins at a sample or before it; the first one before all."""
+    loading = [each for each in curve.branches if each.direction is Direction.LOADING]
+    return [each for each in loading if each.start <= sample or each is loading[0]][-1]
+
+
+def _filtered_in_pieces(test: Evidence, lost: int | Failure | None) -> Evidence:
+    """Filter force and displacement anew, each branch by itself: their corners are known now."""
+    curve, signals = test.curve, test.signals
+    names = {"force": signals.force, "displacement": signals.displacement}
+    if curve is None or not set(names.values()) & signals.filters.keys():
+        return test
+    ends = [at for each in curve.branches for at in (each.start_time, each.stop_time)]
+    ends += [float(curve.time[lost])] if isinstance(lost, int) else []
+    raw = {**signals.raw, signals.force: test.unfiltered or test.raw_force}
+    changed = {"force": curve.force, "displacement": curve.displacement}
+    for quantity, name in names.items():
+        if name in signals.filters:
+            at = [test.clocks.from_curve(end, raw[name].clock) for end in ends]
+            cuts = np.searchsorted(raw[name].time, at, side="right").tolist()
+            values = in_pieces(raw[name].values, cuts, signals.filters[name])
+            filtered = replace(signals.filtered[name], values=values)
+            signals = signals.with_filtered(name, filtered)
+            time = signals.filtered[signals.displacement].time
+            changed[quantity] = test.clocks.sampled(filtered, time)
+    corrected = replace(curve, force=changed["force"], displacement=changed["displacement"])
+    return replace(test, signals=signals, curve=corrected)
+
+
+def _with_slips(test: Evidence, block: SlipsBlock) -> Corrected:
+    curve, stretch = test.curve, test.loading_stretch
+    if curve is None or stretch.stop <= stretch.start:
+        return test, []
+    decision = SlipDecision(block.decision)
+    displacement, force = curve.displacement[stretch], curve.force[stretch]
+    found = find_slips(displacement, force, min_drop=block.min_drop, decision=decision)
+    if isinstance(found, Failure):
+        return test, [warning("slips_not_looked_for", test.signals.force, found.message)]
+    slips = tuple(
+        replace(slip, start=slip.start + stretch.start, stop=slip.stop + stretch.start)
+        for slip in found
+    )
+    test = replace(test, slips=slips)
+    if slips and decision is SlipDecision.REPAIRED:
+        return _repaired(test, curve), []
+    return _cut(test, curve) if slips and decision is SlipDecision.CUT else test, []
+
+
+def _said(slip: Slip) -> str:
+    done = {
+        SlipDecision.MARKED: "the curve stays as measured",
+        SlipDecision.REPAIRED: "added back to all that follows",
+        SlipDecision.CUT: "the curve ends before it",
+    }
+    where = f"{1e3 * slip.position:.4g} mm"
+    return (
+        f"the force falls suddenly by {slip.drop:.3g} N at {where}, as when a specimen slips in "
+        f"the grips: {done[slip.decision]}"
+    )
+
+
+def _repaired(test: Evidence, curve: Curve) -> Evidence:
+    """Add the drops back; what is left once the specimen broke is not raised."""
+    force, failure = add_back(curve.force, test.slips), test.failure
+    if isinstance(failure, FailurePoint):
+        broken = slice(failure.sample + 1, None)
+        force[broken] = curve.force[broken]
+        raised = float(force[failure.sample] - curve.force[failure.sample])
+        moved = replace(failure.force, value=failure.force.value + raised)
+        error = test.repair_error(before=failure.sample)
+        failure = replace(failure, force=widened(moved, error))
+    return replace(test, curve=replace(curve, force=force), failure=failure)
+
+
+def _cut(test: Evidence, curve: Curve) -> Evidence:
+    """Nothing counts from the first slip on."""
+    kept = samples_before(test.slips, len(curve.force))
+    force = np.where(np.arange(len(curve.force)) < kept, curve.force, np.nan)
+    branches = tuple(
+        replace(each, stop=min(each.stop, kept), stop_time=float(curve.time[kept - 1]))
+        if each.stop > kept
+        else each
+        for each in curve.branches
+        if each.start < kept
+    )
+    return replace(
+        test,
+        slips=test.slips[:1],
+        curve=replace(curve, force=force, branches=branches),
+        failure=None if test.failure is None else Failure("cut", "the curve ends at a slip"),
+    )
+
+
+def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
+    curve, where = test.curve, test.signals.displacement
+    if curve is None:
+        return test, []
+    slack = _slack(test, curve, block)
+    test = replace(test, slack=slack)
+    if isinstance(slack, Failure):
+        if slack.code == "no_toe":
+            return test, [warning("no_toe", where, slack.message)]
+        message = f"slack not found, so not taken off ({slack.message})"
+        return test, [doubtful("displacement", code="slack_unknown", message=message, where=where)]
+    off, alternative = slack.value, test.displacement.alternative
+    other = None if alternative is None else alternative - off
+    made = replace(
+        _with_displacement(test, curve, curve.displacement - off, other),
+        slips=tuple(_moved(slip, off) for slip in test.slips),
+        failure=_moved_failure(test.failure, off),
+    )
+    message = f"{1e3 * off:.4g} mm of slack taken off: displacement counts from where it is taut"
+    return made, [worth_knowing("slack_removed", where, message)]
+
+
+def _moved_failure(
+    failure: FailurePoint | Failure | None, slack: float
+) -> FailurePoint | Failure | None:
+    if not isinstance(failure, FailurePoint):
+        return failure
+    at = failure.displacement
+    interval = at.interval and replace(
+        at.interval, lower=at.interval.lower - slack, upper=at.interval.upper - slack
+    )
+    moved = replace(at, value=at.value - slack, interval=interval)
+    return replace(failure, displacement=moved)
+
+
+def _slack(test: Evidence, curve: Curve, block: SlackBlock) -> Estimate | Failure:
+    """Slack with the error from the zero of the force: a line too high meets zero early."""
+    stretch = test.loading_stretch
+    displacement, force = curve.displacement[stretch], curve.force[stretch]
+    fit = partial(fit_slack, displacement, start_share=block.start, stop_share=block.stop)
+    found = fit(force)
+    if isinstance(found, Failure):
+        return found
+    first = float(displacement[0])
+    if found.value < first and not _preload_explains(found, fit(force - force[0]), first):
+        return Failure(
+            "no_toe",
+            f"the line meets zero force at {1e3 * found.value:.4g} mm, before the first sample at "
+            f"{1e3 * first:.4g} mm and {force[0]:.4g} N: the curve is steepest where it begins",
+        )
+    off = test.raw_force.zero_error
+    raised = fit(force + off) if off else found
+    change = 0.0 if isinstance(raised, Failure) else abs(raised.value - found.value)
+    return widened(found, change)
+
+
+def _preload_explains(slack: Estimate, above: Estimate | Failure, first: float) -> bool:
+    """Whether a line back to zero force goes below the first sample because that one has a load.
+
+    `above` is where the line reaches the force of the first sample: near that sample if the curve
+    is straight from there on, close to `slack` if the curve was steeper than the line.
+    """
+    if slack.interval is not None and slack.interval.upper >= first:
+        return True
+    return isinstance(above, Estimate) and above.value - slack.value >= 0.5 * (first - slack.value)
+
+
+def _moved(slip: Slip, slack: float) -> Slip:
+    interval = slip.position_interval
+    moved = replace(interval, lower=interval.lower - slack, upper=interval.upper - slack)
+    return replace(slip, position=slip.position - slack, position_interval=moved)
+
+
+def _with_displacement(
+    test: Evidence, curve: Curve, displacement: Floats, alternative: Floats | None
+) -> Evidence:
+    signal = replace(test.displacement, values=displacement, alternative=alternative)
+    return replace(
+        test,
+        signals=test.signals.with_filtered(test.signals.displacement, signal),
+        curve=replace(curve, displacement=displacement),
+    )

@@ -1,0 +1,327 @@
+"""Whether a test went as its protocol takes for granted; what did not makes numbers doubtful."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from labpipe.errors import in_test_sheet
+from labpipe.process.calibrated_signals import Prepared
+from labpipe.protocol.schema import Protocol, Rig
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import Branch, Shape
+from labpipe.records.estimates import Failure
+from labpipe.records.quality import Finding, doubtful, not_available, warning
+from labpipe.records.signals import Clocks, Signal, Signals
+from labpipe.signal.filters import moving_average, seconds_to_window
+from labpipe.signal.turning_points import noise_level
+from labpipe.units import GRAVITY
+
+_SPEED = 0.2
+"""Share by which the mean speed of a branch may differ from that of the rig."""
+_SETTLED = 0.25
+"""s by which a zero may reach into the motion before it is doubted."""
+_PULLED = 0.02
+"""Share of the largest force below zero that is taken for the zero of a load that only presses."""
+_SUNK = 0.2
+"""Share by which mid-span may sink otherwise than the displacement says. Round rollers alone make
+up to a tenth: the specimen rolls up on them, and lies below them at the nominal supports."""
+
+
+def check_rig(
+    signals: Signals,
+    shape: Shape | None,
+    protocol: Protocol,
+    branches: tuple[Branch, ...],
+    *,
+    is_blocked: bool,
+) -> Iterator[Finding]:
+    """Compare what the rig and the sheet say with what was measured.
+
+    Parameters
+    ----------
+    signals, shape : of the test
+    protocol : resolved; cycles, stroke, specimen length, counterweight where it has them
+    branches : of the motion
+    is_blocked : whether there is no curve
+    """
+    if branches and protocol.branches is not None:
+        yield from _motion(signals.raw[protocol.branches.channel], protocol.rig, branches)
+    force = signals.filtered.get(signals.force)
+    if force is None or protocol.curve is None:
+        return
+    if protocol.rig.string is not None:
+        yield from _pull(force, protocol.rig.string.counterweight * GRAVITY)
+    if protocol.specimen.span is not None and force.has_time and not is_blocked:
+        yield from _push(force)
+    length, words = protocol.specimen.length, protocol.markers
+    if length is not None and words is not None and words.clamp is not None and shape is not None:
+        yield from _length(shape, length)
+
+
+def _motion(motion: Signal, rig: Rig, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+    cycles = len({branch.cycle for branch in branches})
+    if rig.cycles is not None and cycles != rig.cycles:
+        message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
+        yield warning("cycles_unexpected", "rig.cycles", message)
+    if rig.stroke is not None:
+        yield from _stroke(motion, rig.stroke)
+    if rig.crosshead_speed is not None and motion.has_time:
+        yield from _speed(motion, rig.crosshead_speed, branches[0])
+
+
+def is_full_stroke(motion: Signal, expected: float | None) -> bool:
+    """Whether the motion went as far as the rig was told to; False where nobody told.
+
+    Parameters
+    ----------
+    motion : that the branches were split by
+    expected : m
+    """
+    stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
+    return expected is not None and abs(stroke - expected) <= 0.02 * expected
+
+
+def _stroke(motion: Signal, expected: float) -> Iterator[Finding]:
+    if not is_full_stroke(motion, expected):
+        stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
+        message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * expected:.4g} mm expected"
+        yield warning("stroke_unexpected", "rig.stroke", message)
+
+
+def _speed(motion: Signal, expected: float, first: Branch) -> Iterator[Finding]:
+    """Another speed than the rig was set to: another unit, another column, another test."""
+    part = slice(first.start, first.stop)
+    moved = np.nanmax(motion.values[part]) - np.nanmin(motion.values[part])
+    speed = float(moved) / max(first.stop_time - first.start_time, 1e-9)
+    if abs(speed - expected) > _SPEED * expected:
+        message = (
+            f"{1e3 * speed:.4g} mm/s measured over the first branch, {1e3 * expected:.4g} mm/s "
+            "expected: look at rig.crosshead_speed, and at unit and name of the displacement"
+        )
+        yield doubtful(  # it may be the other one's column
+            *("displacement", "force"),
+            code="speed_unexpected",
+            message=message,
+            where="rig.crosshead_speed",
+        )
+
+
+def _pull(force: Signal, weight: float) -> Iterator[Finding]:
+    """A string does not push: below zero the force can fall by the counterweight, no further."""
+    smooth = _per_second(force)
+    lowest = float(np.nanmin(smooth))
+    if lowest < -1.2 * weight - 5.0 * noise_level(smooth) - 2e-3:
+        message = (
+            f"the force falls to {lowest:.4g} N, but a string cannot push: the zero is wrong or "
+            "drifts"
+        )
+        yield doubtful("force", code="force_negative", message=message, where="force")
+
+
+def _push(force: Signal) -> Iterator[Finding]:
+    """What presses on a specimen between two supports does not pull at it."""
+    smooth = _per_second(force)
+    lowest, highest = float(np.nanmin(smooth)), float(np.nanmax(smooth))
+    if lowest < -_PULLED * highest - 5.0 * noise_level(smooth):
+        message = (
+            f"the force falls to {lowest:.4g} N, but what presses on a specimen between supports "
+            "cannot pull at it: the zero is wrong or drifts"
+        )
+        yield doubtful("force", code="force_negative", message=message, where="force")
+
+
+def _per_second(force: Signal) -> Floats:
+    """Means over a second, moving by a tenth of it."""
+    size = max(1, seconds_to_window(0.1, force.time))  # a tenth of a second says it as well
+    blocks = force.values[: len(force.values) // size * size].reshape(-1, size).mean(axis=1)
+    window = max(1, seconds_to_window(1.0, force.time[::size]))
+    return moving_average(blocks, window=min(window, len(blocks) - 1 + len(blocks) % 2))
+
+
+def _length(shape: Shape, expected: float) -> Iterator[Finding]:
+    """The arc length from clamped end to pull point is the specimen's free length."""
+    if abs(shape.length - expected) > max(2e-3, 0.02 * expected):
+        message = (
+            f"{1e3 * shape.length:.4g} mm from clamped end to pull point, the sheet says "
+            f"{1e3 * expected:.4g} mm: look at specimen.length, grip_offset, pull_offset and at "
+            "the outermost marker"
+        )
+        yield doubtful(
+            "displacement", code="length_unexpected", message=message, where="specimen.length"
+        )
+
+
+def check_rest(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+    """Doubt a zero that was taken while the clamp was already moving.
+
+    Parameters
+    ----------
+    signals : with the stretches that they were zeroed over
+    clocks : of the test
+    branches : of the motion
+    """
+    if not branches:
+        return
+    begins, ends = branches[0].start_time, branches[-1].stop_time
+    for name, stretch in signals.zeroed.items():
+        start, stop = (clocks.to_curve(at, signals.raw[name].clock) for at in stretch)
+        if stop > begins + _SETTLED and start < ends - _SETTLED:
+            message = (
+                f"zeroed from {start:.2f} s to {stop:.2f} s of the motion's clock, but the clamp "
+                f"moves from {begins:.2f} s to {ends:.2f} s"
+            )
+            quantity = "force" if name == signals.force else "displacement"
+            yield doubtful(quantity, code="zero_not_at_rest", message=message, where=name)
+
+
+def check_mid_span(
+    prepared: Prepared, clocks: Clocks, motion: Signal, branches: tuple[Branch, ...]
+) -> tuple[Prepared, list[Finding]]:
+    """Give up cameras that began under load; doubt a displacement that is not what they see.
+
+    Parameters
+    ----------
+    prepared : its ``mid_span`` is used, where there is one
+    clocks : of the test
+    motion : the displacement
+    branches : of the motion
+    """
+    seen, span = prepared.signals.raw.get("mid_span"), prepared.span
+    if seen is None or span is None or isinstance(span, Failure) or not branches:
+        return prepared, []
+    fit, rested = clocks.others.get(seen.clock), span.time[span.rest]
+    late = (rested if fit is None else fit.to_marker_time(rested))[-1] - branches[0].start_time
+    if late > _SETTLED:
+        message = (
+            f"the shape at rest was taken up to {late:.2f} s after loading began: look at the "
+            "cameras' start, and at 'over' of the step three-point-shape"
+        )
+        given_up = replace(prepared, span=Failure("no_rest", message))
+        return given_up, [not_available("no_rest", "markers", message)]
+    sunk, moved = (
+        float(np.nanmax(each) - np.nanmin(each)) for each in (seen.values, motion.values)
+    )
+    if abs(sunk - moved) <= _SUNK * moved:
+        return prepared, []
+    message = (
+        f"cameras see mid-span sink by {1e3 * sunk:.4g} mm, the displacement is {1e3 * moved:.4g} "
+        "mm: look at specimen.span, at markers that are not on the specimen, at the units of both "
+        "exports, at rig.crosshead_speed and rig.stroke where no frame measured it, and at how far "
+        "the load was from the specimen"
+    )
+    return prepared, [
+        doubtful("displacement", code="mid_span_differs", message=message, where="mid_span")
+    ]
+
+
+_BLOCKS = 200
+"""Means that a force is looked at in, to tell a load from noise."""
+_OTHER_SIDE = 0.2
+"""Share of its largest size that a force has the other way round if it is one of both ways."""
+_SURE = 10.0
+"""Standard errors of a mean by which a force changes."""
+
+
+def check_signs(
+    signals: Signals, clocks: Clocks, protocol: Protocol, branches: tuple[Branch, ...]
+) -> list[Finding]:
+    """Doubt what goes down while the specimen is loaded, unless the protocol says that it may.
+
+    Parameters
+    ----------
+    signals, clocks : of the test
+    protocol : its ``curve.reverse`` says what was turned; an empty list, that the signs are meant
+    branches : of the motion
+
+    Notes
+    -----
+    The specimen is loaded in the branch in which the force grows most in size, if that goes the way
+    of the first one. If both go down, as where compression is negative, numbers without a sign
+    (energy, stiffness) are as good as ever.
+    A force that goes both ways, up and down by a fifth, has no wrong sign, nor has its motion.
+    """
+    curve = protocol.curve
+    if curve is None or not branches:
+        return []
+    displacement = signals.raw[signals.displacement]
+    time = displacement.time
+    force = clocks.sampled(signals.raw[signals.force], time)
+    loading = _loading(time, force, branches)
+    lowest = _largest(force)
+    if loading is None or lowest is None:
+        return []
+    wrong = {"force": lowest} if lowest < 0.0 else {}
+    first = displacement.values[(time >= branches[0].start_time) & (time <= branches[0].stop_time)]
+    if signals.displacement in protocol.channels and _goes_down(
+        displacement.values[loading], first
+    ):
+        wrong["displacement"] = float(np.nanmin(displacement.values))
+    if curve.reverse is not None:
+        wrong = {name: value for name, value in wrong.items() if name in curve.reverse}
+    joined = clocks.force is not None
+    return list(_reversed(signals, wrong, curve.reverse or (), joined=joined)) if wrong else []
+
+
+def _loading(time: Floats, force: Floats, branches: tuple[Branch, ...]) -> Flags | None:
+    """Samples of the branch in which the size of the force grows most; None where it never does."""
+    most, found = 0.0, None
+    for branch in branches:
+        inside = (time >= branch.start_time) & (time <= branch.stop_time)
+        sizes = np.abs(_means(force[inside]))
+        grown = float(sizes.max() - sizes[0]) if len(sizes) else 0.0
+        if grown > most:
+            most, found = grown, inside
+    return found
+
+
+def _largest(force: Floats) -> float | None:
+    """The force that is largest in size, N; None where it goes both ways, or is noise."""
+    means = _means(force)
+    if len(means) < 2:
+        return None
+    noise = noise_level(force) / np.sqrt(max(1.0, len(force) / len(means)))
+    top = float(means[int(np.argmax(np.abs(means)))])
+    other = float((-np.sign(top) * means).max())
+    if float(np.ptp(means)) <= _SURE * noise or other > _OTHER_SIDE * abs(top) + _SURE * noise:
+        return None
+    return top
+
+
+def _means(values: Floats) -> Floats:
+    """Means over blocks of what is known."""
+    known = values[~np.isnan(values)]
+    if not len(known):
+        return known
+    blocks = np.array_split(known, min(_BLOCKS, len(known)))
+    return np.array([each.mean() for each in blocks])
+
+
+def _goes_down(*branches: Floats) -> bool:
+    """Whether a displacement is lower at the end of each of some branches than at its begin."""
+    known = [each[~np.isnan(each)] for each in branches]
+    return all(len(each) > 1 and bool(each[-1] < each[0]) for each in known)
+
+
+def _reversed(
+    signals: Signals, wrong: dict[str, float], turned: tuple[str, ...], *, joined: bool
+) -> Iterator[Finding]:
+    units = {"force": ("N", 1.0), "displacement": ("mm", 1e3)}
+    goes = " and ".join(
+        f"the {name} goes to {units[name][1] * value:.3g} {units[name][0]}"
+        for name, value in wrong.items()
+    )
+    if set(turned) & set(wrong):
+        remedy = f"'curve.reverse' turns {' and '.join(wrong)}, which counts the right way without"
+    else:
+        line = in_test_sheet("curve.reverse", f"[{', '.join(wrong)}]")
+        remedy = f"write {line} to turn it, or [] there if the sign is meant"
+    message = f"{goes} while the specimen is loaded: {remedy}"
+    names = {"force": signals.force, "displacement": signals.displacement}
+    for name in wrong:
+        quantity = f"{name}_sign" if len(wrong) > 1 else name
+        yield doubtful(quantity, code=f"{name}_reversed", message=message, where=names[name])
+    if joined and "force" in wrong:  # clocks are joined at its peaks
+        yield doubtful("clock", code="force_reversed", message=message, where=signals.force)

@@ -1,0 +1,355 @@
+"""The story of one test, from its recordings to its results, without touching a file.
+
+Read this page first. Each step is a pure function that takes a frozen record and gives the next one
+and what it found:
+
+recordings -> signals -> prepared (steps: zeros, filters, shape) -> branches and clocks -> curve ->
+corrected curve -> results
+
+`Evidence` is the last record; every result is computed from it alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import assert_never
+
+import numpy as np
+
+from labpipe.process.calibrated_signals import Prepared, calibrated
+from labpipe.process.clock_joining import align_clocks
+from labpipe.process.clock_offsets import start_together, stated_clocks
+from labpipe.process.curve_corrections import correct_curve, without_outliers
+from labpipe.process.motion_turns import Turn, check_turns, turning_points
+from labpipe.process.plausibility import (
+    check_mid_span,
+    check_rest,
+    check_rig,
+    check_signs,
+    is_full_stroke,
+)
+from labpipe.process.recording_checks import check_channels, cut_at, file_is_cut, holds
+from labpipe.process.steps import all_steps
+from labpipe.process.zeros import check_begin, check_break, check_zeros, use_rest_there_is
+from labpipe.protocol.schema import (
+    AlignCommonStart,
+    AlignNone,
+    AlignStated,
+    AlignTurningPoints,
+    Branches,
+    CurveBlock,
+    Protocol,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Series
+from labpipe.records.estimates import Estimate
+from labpipe.records.quality import Finding, Findings, blocking
+from labpipe.records.recording import Recording
+from labpipe.records.result import Result
+from labpipe.records.signals import Clocks, Signal
+from labpipe.records.step_settings import FitShape
+from labpipe.results.evidence import Evidence, LoadString, Setup
+from labpipe.results.kinds import to_result
+from labpipe.results.shapes import MomentCurvature
+from labpipe.signal.turning_points import (
+    Stroke,
+    branch_numbers,
+    find_strokes,
+    noise_level,
+    split_branches,
+)
+
+_FAR_OFF = 5.0
+"""Standard deviations that noise alone may reach."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion of a test, split where it turns.
+
+    Parameters
+    ----------
+    signal : the channel that the branches are split by
+    branches : of it
+    clocks : joined where it turns
+    """
+
+    signal: Signal
+    branches: tuple[Branch, ...]
+    clocks: Clocks
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """What a test comes to.
+
+    Parameters
+    ----------
+    evidence : with every stage that was reached, and all findings
+    results : in the protocol's order
+    lines : the straight lines that stiffnesses were read from
+    """
+
+    evidence: Evidence
+    results: tuple[Result, ...]
+    lines: tuple[FittedLine, ...]
+
+
+def reduce_recordings(recordings: Mapping[str, Recording], protocol: Protocol) -> Reduced:
+    """Reduce the recordings of one test to stages and results.
+
+    Parameters
+    ----------
+    recordings : by role, their channels named and in SI units as the protocol says
+    protocol : resolved
+
+    Raises
+    ------
+    ProcessingError
+        If a recording lacks what a step cannot do without, such as the clamp's rigid body.
+    """
+    prepared, found = calibrated(recordings, protocol)
+    findings = Findings() + found + check_channels(prepared.signals, protocol)
+    prepared, found = all_steps(prepared, protocol)
+    findings += found
+    if protocol.curve is None or protocol.branches is None:
+        return with_results(_evidence(prepared, Clocks(), protocol, findings), protocol)
+    prepared, motion, found = split_motion(prepared, protocol, protocol.branches)
+    findings += found
+    prepared, found = at_rest(prepared, motion)
+    findings += found
+    findings = checked(prepared, motion, protocol, findings)
+    test = _evidence(prepared, motion.clocks, protocol, findings)
+    return with_results(with_curve(test, motion, protocol, protocol.curve), protocol)
+
+
+def split_motion(
+    prepared: Prepared, protocol: Protocol, block: Branches
+) -> tuple[Prepared, Motion, list[Finding]]:
+    """Split the motion where it turns, and join the clocks there.
+
+    Parameters
+    ----------
+    prepared : by all steps
+    protocol : how clocks are joined
+    block : which channel is the motion, and what a stroke is
+    """
+    signals = prepared.signals
+    motion = signals.raw[block.channel]
+    strokes, found = _strokes(motion, block)
+    clocks = Clocks(signals.raw[signals.displacement].clock)
+    times = np.full((len(strokes), 2), np.nan)
+    align = protocol.align
+    if strokes and not isinstance(align, AlignNone):
+        channel = signals.raw[align.channel or signals.force]
+        if isinstance(align, AlignTurningPoints) or channel.clock != clocks.curve:
+            turns = turning_points(motion, strokes, window=align.motion_window)
+            for turn in turns:
+                times[turn.stroke, 1] = turn.arrival.time
+                times[turn.stroke + 1, 0] = turn.departure.time
+            fit, more = _joined(channel, align, motion, strokes, turns)
+            clocks = replace(clocks, force=fit)
+            is_stated = isinstance(align, AlignStated)
+            found += [*more, *check_turns(motion, strokes, turns, for_clock=not is_stated)]
+    branches = split_branches(motion.time, strokes, turning_times=times)
+    if prepared.span is not None:
+        from labpipe.process.span_cameras import align_cameras  # loaded by these tests alone
+
+        least = block.min_stroke
+        prepared, others, more = align_cameras(prepared, motion, strokes, min_stroke=least)
+        clocks = replace(clocks, others=others)
+        found += more
+    return prepared, Motion(motion, branches, clocks), found
+
+
+def _strokes(motion: Signal, block: Branches) -> tuple[tuple[Stroke, ...], list[Finding]]:
+    least, noise = block.min_stroke, noise_level(motion.values)
+    strokes = find_strokes(motion.time, motion.values, min_stroke=least)
+    if _FAR_OFF * noise > least:
+        message = (
+            f"the motion scatters by {1e3 * noise:.3g} mm from sample to sample, too much to tell "
+            f"strokes of min_stroke, {1e3 * least:.3g} mm: is it the right channel?"
+        )
+        return (), [blocking("no_motion", block.channel, message)]
+    if not strokes:
+        span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
+        message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
+        return (), [blocking("no_motion", block.channel, message)]
+    return strokes, []
+
+
+def _joined(
+    channel: Signal,
+    align: AlignTurningPoints | AlignCommonStart | AlignStated,
+    motion: Signal,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
+) -> tuple[ClockFit | None, list[Finding]]:
+    match align:
+        case AlignStated():
+            return stated_clocks(channel, align, motion, strokes)
+        case AlignCommonStart():
+            return start_together(channel, align, motion, strokes, turns)
+        case AlignTurningPoints():
+            return align_clocks(channel, align, motion, strokes, turns)
+        case _ as never:
+            assert_never(never)
+
+
+def at_rest(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[Finding]]:
+    """Look at what was taken at rest again, now that it is known when the machine rests."""
+    prepared, found = check_mid_span(prepared, motion.clocks, motion.signal, motion.branches)
+    signals, more = use_rest_there_is(prepared.signals, motion.clocks, motion.branches)
+    return replace(prepared, signals=signals), [*found, *more]
+
+
+def checked(prepared: Prepared, motion: Motion, protocol: Protocol, findings: Findings) -> Findings:
+    """Add what a careful person would see before any number is read.
+
+    Parameters
+    ----------
+    prepared, motion : of the test
+    protocol : what is expected of rig and specimen
+    findings : so far
+    """
+    signals, clocks, branches = prepared.signals, motion.clocks, motion.branches
+    is_blocked = findings.blocked is not None
+    findings += check_rig(signals, prepared.shape, protocol, branches, is_blocked=is_blocked)
+    findings += holds(signals.displacement, motion.signal, branches)
+    findings += check_rest(signals, clocks, branches)
+    reversed_signs = [] if is_blocked else check_signs(signals, clocks, protocol, branches)
+    if any(each.code == "force_reversed" for each in reversed_signs):
+        findings = findings.without("force_negative")  # its cause is found
+    return findings + reversed_signs
+
+
+def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveBlock) -> Evidence:
+    """Put force and displacement on one clock, and correct what they show.
+
+    Parameters
+    ----------
+    test : without a curve
+    motion : its branches
+    protocol : for the stroke of the rig
+    block : the corrections
+    """
+    ends = cut_at(
+        test.signals,
+        test.clocks,
+        motion.signal,
+        motion.branches,
+        is_full_stroke=is_full_stroke(motion.signal, protocol.rig.stroke),
+        is_cut_file=file_is_cut(test.findings),
+    )
+    test = replace(test, cut_at=ends)
+    if test.findings.blocked:
+        return test
+    unfiltered, found = without_outliers(test.signals)
+    test = replace(test, aligned=_aligned(test), unfiltered=unfiltered)
+    curve, more = _curve(test, unfiltered, motion)
+    findings = test.findings + found + more
+    if curve is None:
+        return replace(test, findings=findings)
+    findings += check_zeros(test.signals, test.clocks, curve, findings)
+    test, found = correct_curve(replace(test, curve=curve), block)
+    findings += found
+    has_slack = isinstance(test.slack, Estimate)
+    findings += check_begin(test.signals, test.clocks, motion.branches, has_slack=has_slack)
+    if test.curve is not None:
+        findings += check_break(test.signals.force, test.curve, test.failure)
+    return replace(test, findings=findings)
+
+
+def _aligned(test: Evidence) -> Aligned:
+    """All raw signals at the times of the displacement; the curve's own under the words for it."""
+    time = test.displacement.time
+    series = {
+        test.signals.quantities.get(name, name): Series(
+            test.clocks.sampled(signal, time), signal.unit
+        )
+        for name, signal in test.signals.raw.items()
+    }
+    return Aligned(time, series, test.clocks.force, test.displacement.time_unit)
+
+
+def _curve(
+    test: Evidence, unfiltered: Signal, motion: Motion
+) -> tuple[Curve | None, list[Finding]]:
+    displacement = test.displacement
+    time = displacement.time
+    force = test.clocks.sampled(unfiltered, time)  # filtered once its corners are known
+    if np.isnan(force).all():
+        force_time = test.force.time
+        message = (
+            f"force from {force_time[0]:.3f} s to {force_time[-1]:.3f} s and motion from "
+            f"{time[0]:.3f} s to {time[-1]:.3f} s do not overlap"
+        )
+        return None, [blocking("no_overlap", "align", message)]
+    moved = tuple(_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
+    branch, cycle = branch_numbers(len(time), moved)
+    return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
+
+
+def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
+    """Count a branch in samples of another time axis on the same clock."""
+    if len(motion_time) == len(time):
+        return branch
+    last = min(branch.stop, len(motion_time)) - 1
+    start, stop = np.searchsorted(time, [motion_time[branch.start], motion_time[last]])
+    return Branch(
+        int(start), int(stop), branch.cycle, branch.direction, branch.start_time, branch.stop_time
+    )
+
+
+def _evidence(
+    prepared: Prepared, clocks: Clocks, protocol: Protocol, findings: Findings
+) -> Evidence:
+    specimen, words, string = protocol.specimen, protocol.markers, protocol.rig.string
+    sizes = {} if specimen.section is None else vars(specimen.section)
+    setup = Setup(
+        length=specimen.length,
+        span=specimen.span,
+        section={name: size for name, size in sizes.items() if size is not None},
+        string=None
+        if string is None
+        else LoadString(string.length, string.counterweight, string.at_rest),
+        has_markers=words is not None,
+        centre_offset=0.0 if words is None else words.centre_offset,
+        offset_uncertainty=0.0 if words is None else words.offset_uncertainty,
+        free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
+    )
+    return Evidence(
+        signals=prepared.signals,
+        clocks=clocks,
+        setup=setup,
+        shape=prepared.shape,
+        span=prepared.span,
+        findings=findings,
+    )
+
+
+def with_results(test: Evidence, protocol: Protocol) -> Reduced:
+    """Compute the results that a protocol asks for.
+
+    Parameters
+    ----------
+    test : with all that was found
+    protocol : its results, in order
+    """
+    if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
+        from labpipe.process.moment_curvature import measured  # loaded by these tests alone
+
+        bending, found = measured(test)
+        test = replace(test, bending=bending, findings=test.findings + found)
+    results, lines = list[Result](), list[FittedLine]()
+    for entry in protocol.results:
+        computed = entry.compute(test)
+        results += [to_result(test, number) for number in computed.numbers]
+        lines += computed.lines
+        test = replace(
+            test,
+            stiffnesses={**test.stiffnesses, **computed.stiffnesses},
+            findings=test.findings + computed.findings,
+        )
+    return Reduced(test, tuple(results), tuple(lines))

@@ -1,0 +1,177 @@
+"""Signals on their way from a recording to a curve, and the clocks of a test."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import ClockFit
+
+Filter: TypeAlias = tuple[Callable[[Floats], Floats], int]
+"""What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
+Stretch: TypeAlias = tuple[float, float]
+"""Begin and end, s."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signal:
+    """One quantity on its own clock.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s and `unit`
+    unit : SI
+    clock : name of the clock that `time` belongs to
+    relative_error : standard uncertainty of the scale, from the protocol
+    zero_error : standard error of the zero, in `unit`
+    alternative : shape (n,), the same quantity under another assumption as good as this one (a
+        shape with one term more, another machine compliance); what a number changes when it is
+        computed from this instead tells how far it can be trusted
+    time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
+    """
+
+    time: Floats
+    values: Floats
+    unit: str
+    clock: str
+    relative_error: float = 0.0
+    zero_error: float = 0.0
+    alternative: Floats | None = None
+    time_unit: str = "s"
+
+    @property
+    def has_time(self) -> bool:
+        """Whether the samples have times, not just numbers."""
+        return self.time_unit == "s"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Signals:
+    """The signals of one test by name, and what was done to them.
+
+    Parameters
+    ----------
+    force, displacement : names of the signals that make the curve
+    raw : calibrated and zeroed but not smoothed
+    filtered : the same after all steps
+    filters : what the steps did to a signal; done again piece by piece where its corners are
+    zeroed : the stretch (s, on its own clock) at rest that the zero of a signal was taken from
+    lined : as `zeroed`, a stretch in which the machine may have moved already
+    taken_off : the level that the zero of a signal is at in the export, in SI
+    """
+
+    force: str = "force"
+    displacement: str = "displacement"
+    raw: Mapping[str, Signal] = field(default_factory=dict)
+    filtered: Mapping[str, Signal] = field(default_factory=dict)
+    filters: Mapping[str, tuple[Filter, ...]] = field(default_factory=dict)
+    zeroed: Mapping[str, Stretch] = field(default_factory=dict)
+    lined: Mapping[str, Stretch] = field(default_factory=dict)
+    taken_off: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def quantities(self) -> dict[str, str]:
+        """What the two signals of the curve are, by name."""
+        return {self.force: "force", self.displacement: "displacement"}
+
+    def with_new(self, name: str, signal: Signal) -> Signals:
+        """Add a signal, or replace it, with all that was filtered of it."""
+        return replace(
+            self, raw={**self.raw, name: signal}, filtered={**self.filtered, name: signal}
+        )
+
+    def with_filtered(self, name: str, signal: Signal, *made: Filter) -> Signals:
+        """Replace what was filtered of a signal.
+
+        Parameters
+        ----------
+        name, signal : of it
+        made : the filter that did it, if it is one more
+        """
+        filters = {**self.filters, name: (*self.filters.get(name, ()), *made)}
+        return replace(
+            self,
+            filtered={**self.filtered, name: signal},
+            filters=filters if made else self.filters,
+        )
+
+    def without_level(self, name: str, level: float, error: float) -> Signals:
+        """Take a level off a signal, raw and filtered.
+
+        Parameters
+        ----------
+        name : of the signal
+        level, error : in its unit; the standard error becomes that of its zero
+        """
+
+        def less(signal: Signal) -> Signal:
+            return replace(signal, values=signal.values - level, zero_error=error)
+
+        raw, filtered = self.raw[name], self.filtered[name]
+        zeroed = less(raw)
+        return replace(
+            self,
+            raw={**self.raw, name: zeroed},
+            filtered={**self.filtered, name: zeroed if filtered is raw else less(filtered)},
+            taken_off={**self.taken_off, name: self.taken_off.get(name, 0.0) + level},
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clocks:
+    """How the clocks of a test lie to each other.
+
+    Parameters
+    ----------
+    curve : name of the clock of the curve, which is that of the displacement
+    force : the clock of the force against it; None while they are not joined, or are one
+    others : by name, a third clock against that of the curve: its time = offset + (1 + drift) x
+        time of the curve
+    """
+
+    curve: str = ""
+    force: ClockFit | None = None
+    others: Mapping[str, ClockFit] = field(default_factory=dict)
+
+    @property
+    def error(self) -> float:
+        """Standard error of the offset between force and motion, s; 0 for one clock."""
+        if self.force is None:
+            return 0.0
+        return float(np.sqrt(1.0 / np.sum(self.force.event_errors**-2.0)))
+
+    def to_curve(self, at: float, clock: str) -> float:
+        """Put a time of a clock on that of the curve; as it is while they are not joined."""
+        fit = self._fit(clock)
+        return at if fit is None else (at - fit.offset) / (1.0 + fit.drift)
+
+    def from_curve(self, at: float, clock: str) -> float:
+        """Put a time of the curve on another clock; as it is while they are not joined."""
+        fit = self._fit(clock)
+        return at if fit is None else fit.to_force_seconds(at)
+
+    def sampled(self, signal: Signal, time: Floats) -> Floats:
+        """Interpolate a signal at times of the curve's clock.
+
+        Parameters
+        ----------
+        signal : on any clock
+        time : shape (n,), s, on the clock of the curve
+
+        Returns
+        -------
+        Shape (n,), in the unit of the signal; NaN beyond its ends, nothing is extrapolated.
+        """
+        fit = self._fit(signal.clock)
+        if fit is not None:
+            time = fit.to_force_time(time)
+        if len(time) == len(signal.time) and np.array_equal(time, signal.time):
+            return signal.values
+        return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
+
+    def _fit(self, clock: str) -> ClockFit | None:
+        return None if clock in ("", self.curve) else self.others.get(clock, self.force)

@@ -1,0 +1,22 @@
+"""Every kind of result that a protocol can ask for, as one record each.
+
+A new one is a dataclass in the module of its family, and its name in the list at the end of that
+module; grammar, checks, JSON Schema, words and reference page derive from `KINDS`.
+"""
+
+from __future__ import annotations
+
+from labpipe.results import beam, clock, cycle_stiffness, cycles, failures, peaks, shapes, stiffness
+from labpipe.results.kinds import Kind
+
+KINDS: tuple[type[Kind], ...] = (
+    *clock.KINDS,
+    *peaks.KINDS,
+    *stiffness.KINDS,
+    *cycle_stiffness.KINDS,
+    *cycles.KINDS,
+    *failures.KINDS,
+    *beam.KINDS,
+    *shapes.KINDS,
+)
+"""In the order of the reference page."""

@@ -1,0 +1,362 @@
+"""Results of beams and harness bundles: kink, plateau, bending stiffness from a stiffness."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal, TypeAlias, TypeVar
+
+import numpy as np
+
+from labpipe.errors import Fault
+from labpipe.fits.beam_stiffness import Rollers, beam_stiffness, stiffness_ratio
+from labpipe.fits.plateau import EndSlope, Onset, find_onset, fit_end_slope
+from labpipe.fits.two_segments import Kink as FittedKink
+from labpipe.fits.two_segments import fit_kink
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, FittedLine
+from labpipe.records.declarations import (
+    CURVE,
+    Distance,
+    Length,
+    Output,
+    Ratio,
+    Share,
+    Snake,
+    StiffnessName,
+)
+from labpipe.records.estimates import Estimate, Failure, scaled, widened
+from labpipe.records.quality import Finding, Reason, worth_knowing
+from labpipe.records.result import Result
+from labpipe.results.cycles import cut_short, rectangle
+from labpipe.results.evidence import Evidence, Stiffness
+from labpipe.results.kinds import (
+    NO_LOADING,
+    Computed,
+    Errors,
+    Kind,
+    Number,
+    Outcome,
+    blocked_or,
+    force_scale,
+    marked_slips,
+    to_result,
+)
+from labpipe.results.stiffness import OfStiffness, Window
+
+_LOST = 3
+"""Samples at the end of a branch that the joining of two clocks may cost."""
+_Found = TypeVar("_Found")
+_Fit: TypeAlias = Callable[[Floats, Floats], _Found | Failure]
+"""What is found in displacement and force of the first loading."""
+
+
+def _both(test: Evidence, fit: _Fit[_Found]) -> tuple[_Found | Failure, _Found | Failure | None]:
+    """What is found in the first loading, and with the displacement of another assumption."""
+    if not test.cycles:
+        return blocked_or(test, NO_LOADING), None
+    curve, stretch = test.known_curve, test.loading_stretch
+    other = test.displacement.alternative
+    found = fit(curve.displacement[stretch], curve.force[stretch])
+    return found, None if other is None else fit(other[stretch], curve.force[stretch])
+
+
+def _place_errors(test: Evidence, found: Estimate, other: Estimate) -> Errors:
+    return {
+        **rectangle(found, other),
+        "zero of the displacement": test.displacement.zero_error,
+        "slack": test.slack_error,
+    }
+
+
+def _level_errors(test: Evidence, found: Estimate, other: Estimate) -> Errors:
+    return {
+        **rectangle(found, other),
+        "zero of the force": test.raw_force.zero_error,
+        **force_scale(test, found.value),
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kink(Window):
+    """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
+
+    result: ClassVar = "kink"
+    outputs: ClassVar = (
+        Output("kink_displacement", "m", "Displacement at the kink"),
+        Output("kink_force", "N", "Force at the kink"),
+    )
+
+    def compute(self, test: Evidence) -> Computed:
+        """Where the slope of the first loading falls."""
+        method = f"two segments that meet, {self.in_words}, all breaks tried"
+        found, other = _both(test, self._fit)
+        if isinstance(found, Failure):
+            return self.not_available(found, method)
+        at = found.displacement.value
+        before = found.force.value - found.first.value * (at - found.start)
+        moved = other if isinstance(other, FittedKink) else found
+        outcomes = (found.displacement, found.force)
+        errors = (
+            _place_errors(test, found.displacement, moved.displacement),
+            _level_errors(test, found.force, moved.force),
+        )
+        doubts = marked_slips(test, (found.start, found.stop))
+        during = test.while_loading(found.start, found.stop)
+        return Computed(
+            tuple(
+                self.number(output, outcome, method, error, during=during, doubts=doubts)
+                for output, outcome, error in zip(self.outputs, outcomes, errors, strict=True)
+            ),
+            lines=(
+                FittedLine("before_kink", found.first.value, before, found.start, at),
+                FittedLine("behind_kink", found.second.value, found.force.value, at, found.stop),
+            ),
+        )
+
+    def _fit(self, displacement: Floats, force: Floats) -> FittedKink | Failure:
+        window = self.inside(displacement)
+        if isinstance(window, Failure):
+            return window
+        return fit_kink(displacement[window], force[window])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plateau(Kind):
+    """``end_slope`` (1); where it is small also ``plateau_displacement`` (m), ``plateau_force``."""
+
+    result: ClassVar = "plateau"
+    outputs: ClassVar = (
+        Output("end_slope", "1", "Slope at the end"),
+        Output("plateau_displacement", "m", "Displacement at the plateau"),
+        Output("plateau_force", "N", "Force at the plateau"),
+    )
+    slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
+    of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (
+        "initial_stiffness"
+    )
+    over: Annotated[Length, "Stretch that a tangent is read from"] = 0.005
+
+    def compute(self, test: Evidence) -> Computed:
+        """Slope at the end of the first loading, and where it levels off."""
+        share, initial = self.outputs[0], test.stiffnesses.get(self.of)
+        method = f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
+        if initial is None:
+            missing = Failure("no_stiffness", f"{self.of} is not available")
+            return Computed((self.number(share, blocked_or(test, missing), method),))
+
+        def fit(displacement: Floats, force: Floats) -> EndSlope | Failure:
+            return fit_end_slope(displacement, force, initial=initial.estimate, over=self.over)
+
+        end, other = _both(test, fit)
+        if isinstance(end, Failure):
+            return Computed((self.number(share, end, method),))
+        moved = other if isinstance(other, EndSlope) else end
+        first = test.cycles[0][:1]
+        doubts = (
+            marked_slips(test, initial.bends_with)
+            or cut_short(test, first, CURVE)
+            or _unseen_end(test, first[0])
+        )
+        number = self.number(
+            share,
+            end.share,
+            method,
+            rectangle(end.share, moved.share),
+            during=test.while_loading(),
+            doubts=doubts,
+        )
+        onset, findings = self._onset(test, initial, to_result(test, number))
+        line = FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop)
+        return Computed((number, *onset), lines=(line,), findings=findings)
+
+    def _onset(
+        self, test: Evidence, initial: Stiffness, end: Result
+    ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
+        """Where the plateau begins; a note where there is none, which is a finding, no failure."""
+
+        def fit(displacement: Floats, force: Floats) -> Onset | Failure:
+            return find_onset(
+                displacement,
+                force,
+                initial=initial.estimate,
+                over=self.over,
+                slope_below=self.slope_below,
+            )
+
+        onset, other = _both(test, fit)
+        surely = end.interval is not None and end.interval.upper < self.slope_below
+        if isinstance(onset, Failure) or not surely:
+            return (), (self._no_plateau(test, end),)
+        moved = other if isinstance(other, Onset) else onset
+        below = f"{1e2 * self.slope_below:g} % of {self.of}"
+        method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
+        doubts = marked_slips(test, initial.bends_with) or _unseen_end(test, test.cycles[0][0])
+        outcomes = (onset.displacement, onset.force)
+        errors = (
+            _place_errors(test, onset.displacement, moved.displacement),
+            _level_errors(test, onset.force, moved.force),
+        )
+        numbers = (
+            self.number(
+                output,
+                outcome,
+                f"{method} loading",
+                error,
+                during=test.while_loading(),
+                doubts=doubts,
+            )
+            for output, outcome, error in zip(self.outputs[1:], outcomes, errors, strict=True)
+        )
+        return tuple(numbers), ()
+
+    def _no_plateau(self, test: Evidence, end: Result) -> Finding:
+        reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))
+        known = end.interval
+        between = f" ({1e2 * known.lower:.3g} % to {1e2 * known.upper:.3g} %)" if known else ""
+        message = (
+            f"the slope over the last {1e3 * self.over:g} mm is {1e2 * (end.value or 0.0):.3g} % "
+            f"of {self.of}{between}, not surely below {1e2 * self.slope_below:g} %: no plateau up "
+            f"to {1e3 * reached:.4g} mm"
+        )
+        return worth_knowing("no_plateau", test.signals.force, message)
+
+
+def _unseen_end(test: Evidence, branch: Branch) -> tuple[Reason, ...]:
+    """Why the end of a loading branch is doubtful: its force was not recorded up to there."""
+    curve = test.known_curve
+    d, f = (each[branch.start : branch.stop] for each in (curve.displacement, curve.force))
+    known = np.flatnonzero(np.isfinite(f) & np.isfinite(d))
+    if not len(known) or known[-1] >= len(d) - _LOST:
+        return ()
+    end = 1e3 * float(d[known[-1]])
+    message = (
+        f"force and displacement are known up to {end:.4g} mm of the first loading alone, "
+        f"{len(d) - 1 - known[-1]} samples before its end"
+    )
+    return (Reason("gap", message),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Roller:
+    """The rollers of two supports."""
+
+    diameter: Length | None = None
+    friction: Annotated[Ratio | None, "Coefficient, of rollers that do not turn"] = None
+
+
+_ORDER = ("large-deflection", "roller-radius", "roller-friction")
+_FORMULAS = {"cantilever": ("length", "L^3 / 3"), "three-point": ("span", "L^3 / 48")}
+_EXAMPLES = {"length": "114.3 mm", "span": "152.4 mm"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BendingStiffness(OfStiffness):
+    """``<name>`` (N m^2): bending stiffness EI of a beam, from a stiffness and its length."""
+
+    result: ClassVar = "bending-stiffness"
+    outputs: ClassVar = (Output("{name}", "N*m^2"),)
+    of: Annotated[StiffnessName, "Name of a stiffness above, such as initial_stiffness"]
+    support: Annotated[
+        Literal["cantilever", "three-point"],
+        "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
+    ]
+    length_uncertainty: Annotated[Distance, "Standard uncertainty of L"] = 0.0
+    name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
+    corrections: Annotated[
+        tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...],
+        "Of three-point: what an exactly bent elastic beam does otherwise",
+    ] = ()
+    roller: Roller | None = None
+
+    @staticmethod
+    def between(entry: Mapping[str, object]) -> Iterator[Fault]:
+        """Refuse a correction without what it is made of."""
+        yield from _correction_faults(entry)
+
+    def compute(self, test: Evidence) -> Computed:
+        """Beam formula, corrected for large deflection and rollers where asked."""
+        key, formula = _FORMULAS[self.support]
+        method = f"{self.of} x {formula}, L = specimen.{key}"
+        stiffness = test.stiffnesses.get(self.of)
+        length = test.setup.length if key == "length" else test.setup.span
+        if stiffness is None:
+            return self.not_available(self.missing(test), method)
+        outcome: Outcome
+        said = ""
+        if length is None:
+            outcome = Failure(
+                f"no_{key}",
+                f"specimen.{key} is missing: write it into the test sheet, such as "
+                f"'{key}: {_EXAMPLES[key]}'",
+            )
+        else:
+            estimate = stiffness.estimate
+            outcome = beam_stiffness(
+                widened(estimate, *force_scale(test, estimate.value).values()),
+                length=length,
+                length_error=self.length_uncertainty,
+                support=self.support,
+            )
+            outcome, said = self._corrected(outcome, test, stiffness.window)
+        doubts = marked_slips(test, stiffness.bends_with)
+        number = self.number(
+            self.outputs[0], outcome, method, during=stiffness.during, doubts=doubts, remark=said
+        )
+        return Computed((number,))
+
+    def _corrected(
+        self, uncorrected: Estimate, test: Evidence, window: tuple[float, float]
+    ) -> tuple[Outcome, str]:
+        """Divide by what the supports make of 48 EI / span^3 over the window of the stiffness.
+
+        With what each correction changed, in words; a failure where the window is beyond what an
+        elastic beam can do.
+        """
+        span = test.setup.span
+        if not self.corrections or span is None:
+            return uncorrected, ""
+        ratio, said = 1.0, []
+        for number, name in enumerate(_ORDER):
+            if name not in self.corrections:
+                continue
+            taken = [each for each in _ORDER[: number + 1] if each in self.corrections]
+            depth = test.setup.section.get("outer_diameter", 0.0)
+            rollers = self._rollers(taken, span, depth)
+            found = stiffness_ratio(rollers, low=window[0], high=window[1])
+            if isinstance(found, Failure):
+                return found, ""
+            said.append(f"{name} {1e2 * (ratio / found - 1.0):+.3g} %")
+            ratio = found
+        return scaled(uncorrected, 1.0 / ratio), f"corrected as an elastic beam: {', '.join(said)}"
+
+    def _rollers(self, taken: Sequence[str], span: float, depth: float) -> Rollers:
+        radius = friction = 0.0
+        if "roller-radius" in taken and self.roller is not None:
+            radius = 0.5 * ((self.roller.diameter or 0.0) + depth)
+        if "roller-friction" in taken and self.roller is not None:
+            friction = self.roller.friction or 0.0
+        return Rollers(span, radius, friction)
+
+
+def _correction_faults(entry: Mapping[str, object]) -> Iterator[Fault]:
+    said = entry.get("corrections")
+    names = said if isinstance(said, list | tuple) else []
+    if names and entry.get("support") == "cantilever":
+        expected = "corrections for 'three-point' alone"
+        yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
+        return
+    roller = entry.get("roller")
+    for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
+        if name not in names:
+            continue
+        if "large-deflection" not in names:
+            remedy = "Add 'large-deflection' to the corrections."
+            expected = f"'large-deflection' beside {name!r}"
+            yield Fault(("corrections",), expected, "none", remedy)
+        if not isinstance(roller, Mapping) or roller.get(key) is None:
+            remedy = f"Add 'roller: {{{key}: ...}}'."
+            yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
+
+
+KINDS = (Kink, Plateau, BendingStiffness)

@@ -1,0 +1,225 @@
+"""What a result is: one record that names its settings, its numbers, what it needs, and how.
+
+A kind of result is a frozen dataclass: its fields are the settings of its entry in a protocol, its
+class variables say what it is called, which numbers it gives and what it needs, and `compute` makes
+the numbers of a test. Grammar, cross-checks, JSON Schema, words for people and the reference page
+derive from the list `labpipe.results.KINDS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import ClassVar, TypeAlias
+
+import numpy as np
+
+from labpipe.records.curve import FittedLine, Interval, SlipDecision
+from labpipe.records.declarations import Needs, Output
+from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.quality import Finding, Reason
+from labpipe.records.result import Result, Status
+from labpipe.records.signals import Stretch
+from labpipe.results.evidence import Evidence, Stiffness
+
+Outcome: TypeAlias = Estimate | Failure
+Errors: TypeAlias = Mapping[str, float]
+"""Standard errors from outside the fit, in the unit of the number, by what they come from."""
+NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
+NO_CYCLE = Failure("no_cycle", "the motion has no branch")
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A number of a test before its status.
+
+    Parameters
+    ----------
+    output : which one
+    outcome : the value with the standard error of its fit, or why it is not available
+    method : in words
+    errors : standard errors that come on top
+    during : s, on the clock of the curve, the stretch that it was read from; None for all
+    doubts : more reasons to doubt it
+    part : of the name, such as ``.1``
+    made_of : name of the result that it is made of; empty for none
+    remark : what is to be said of the number of this test alone
+    """
+
+    output: Output
+    outcome: Outcome
+    method: str
+    errors: Errors = field(default_factory=dict)
+    during: Stretch | None = None
+    doubts: tuple[Reason, ...] = ()
+    part: str = ""
+    made_of: str = ""
+    remark: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Computed:
+    """What an entry of a protocol comes to.
+
+    Parameters
+    ----------
+    numbers : in the order of the summary
+    stiffnesses : by name, for the entries that follow
+    lines : the straight lines that stiffnesses were read from
+    findings : notes that belong to the test
+    """
+
+    numbers: tuple[Number, ...]
+    stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
+    lines: tuple[FittedLine, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kind:
+    """A kind of result; its fields are the settings of an entry in a protocol."""
+
+    result: ClassVar[str]
+    outputs: ClassVar[tuple[Output, ...]]
+    needs: ClassVar[Needs] = Needs(branches=True)
+
+    def compute(self, test: Evidence) -> Computed:
+        """Compute the numbers of a test.
+
+        Parameters
+        ----------
+        test : what they are computed from, with the stiffnesses of the entries before
+        """
+        raise NotImplementedError
+
+    def number(
+        self,
+        output: Output,
+        outcome: Outcome,
+        method: str,
+        errors: Errors | None = None,
+        *,
+        during: Stretch | None = None,
+        doubts: tuple[Reason, ...] = (),
+        part: str = "",
+        remark: str = "",
+    ) -> Number:
+        """Make a number of an output, with the settings in its name."""
+        said = {each.name: getattr(self, each.name) for each in fields(self)}
+        named = replace(output, name=output.name.format_map(said))
+        made_of = getattr(self, "of", "")
+        return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
+
+    def not_available(self, why: Failure, *methods: str) -> Computed:
+        """Give every output the same reason why it is not available.
+
+        Parameters
+        ----------
+        why : code and sentence
+        methods : of the outputs; one for all, or one for each
+        """
+        said = methods if len(methods) > 1 else methods * len(self.outputs)
+        return Computed(
+            tuple(
+                self.number(
+                    output, why, method, part="" if output.first is None else f".{output.first}"
+                )
+                for output, method in zip(self.outputs, said, strict=True)
+            )
+        )
+
+
+def blocked_or(test: Evidence, otherwise: Failure) -> Failure:
+    """Why no number is available: what stopped the test, or else what is given."""
+    blocked = test.findings.blocked
+    return otherwise if blocked is None else Failure(blocked.code, blocked.message)
+
+
+def force_scale(test: Evidence, value: float) -> Errors:
+    """Error from the scale of the force, of a number in proportion to it."""
+    return {"scale of the force": test.raw_force.relative_error * abs(value)}
+
+
+_BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
+_SIGNED = {"N": _BOTH_SIGNS[:1], "m": _BOTH_SIGNS[1:]}
+"""What more a number rests on that changes its sign when force and displacement both do."""
+_MAY_BE_WHY = frozenset(
+    {
+        *("frozen_channel", "saturation", "force_reversed", "displacement_reversed"),
+        "begins_under_load",
+    }
+)
+"""Doubts that may well be why there is no number: the curve itself is wrong."""
+_CUT_SHORT = frozenset({"not_reached", "no_travel"})
+"""Failures that such a doubt explains: it comes first."""
+
+
+def to_result(test: Evidence, number: Number) -> Result:
+    """Give a number its interval, its status and the reasons for it.
+
+    Parameters
+    ----------
+    test : knows the doubts
+    number : without an interval of its own it gets the normal one
+    """
+    output, outcome = number.output, number.outcome
+    name = output.name + number.part
+    if isinstance(outcome, Estimate):
+        outcome = widened(outcome, *number.errors.values())
+        if not np.isfinite([outcome.value, outcome.error]).all():
+            message = f"value {outcome.value}, standard error {outcome.error}"
+            outcome = Failure("not_finite", message)
+    signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNED.get(output.unit, ())
+    doubts = [
+        why for each in (*output.rests_on, *signs) for why in test.why_doubtful(each, number.during)
+    ]
+    if isinstance(outcome, Failure):
+        why = [each for each in doubts if each.code in _MAY_BE_WHY]
+        what = [Reason(outcome.code, outcome.message)]
+        reasons = tuple(dict.fromkeys(why + what if outcome.code in _CUT_SHORT else what + why))
+        return Result(
+            name,
+            value=None,
+            unit=output.unit,
+            status=Status.FAILED,
+            reasons=reasons,
+            method=number.method,
+            made_of=number.made_of,
+        )
+    reasons = tuple(dict.fromkeys([*doubts, *number.doubts]))
+    added_back = _added_back(test) if output.is_raised_by_slips else ""
+    return Result(
+        name=name,
+        value=outcome.value,
+        unit=output.unit,
+        interval=outcome.interval or Interval.normal_95(outcome.value, outcome.error),
+        status=Status.DOUBTFUL if reasons else Status.OK,
+        reasons=reasons,
+        method=number.method,
+        n=outcome.n,
+        made_of=number.made_of,
+        remark="; ".join(filter(None, (number.remark, added_back))),
+    )
+
+
+def _added_back(test: Evidence) -> str:
+    """What repaired slips have added to the force."""
+    drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
+    return f"{sum(drops):.3g} N of slips added back" if drops else ""
+
+
+def marked_slips(test: Evidence, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
+    """Why a number over a stretch is doubtful in which a slip was only marked.
+
+    Parameters
+    ----------
+    test : with its slip ledger
+    stretch : m, its ends; None where slips do not matter
+    """
+    marked = [slip for slip in test.slips if slip.decision is SlipDecision.MARKED]
+    inside = [slip for slip in marked if stretch and stretch[0] <= slip.position <= stretch[1]]
+    if not inside:
+        return ()
+    at = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
+    message = f"slipped in the grips at {at}, and the curve stays as measured"
+    return (Reason("slip_in_window", message),)

@@ -1,0 +1,315 @@
+"""Results that are read from a shape: tip travel, measured bending law, three-point bending."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+from typing import Annotated, ClassVar, Literal, TypeAlias
+
+import numpy as np
+
+from labpipe.bending.law_table import law_points
+from labpipe.fits.loops import secant_stiffness
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import Branch, Curve
+from labpipe.records.declarations import Curvature, Needs, Output, Snake
+from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.measured_bending import Bending, MeasuredLaw
+from labpipe.records.quality import Reason, worth_knowing
+from labpipe.results.cycles import rectangle
+from labpipe.results.evidence import Evidence, SpanBend
+from labpipe.results.kinds import (
+    NO_LOADING,
+    Computed,
+    Errors,
+    Kind,
+    Outcome,
+    blocked_or,
+    force_scale,
+)
+from labpipe.results.stiffness import Window
+from labpipe.signal.turning_points import noise_level
+from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.uncertainty.noise import long_run_variance
+
+_AT_TURN = 2.0
+"""s on each side of the turn that a value there is read from."""
+_BESIDE, _LEAST = 8.0, 5
+"""s on each side beyond that, which speak of the noise; frames that each side needs."""
+
+
+_MISFIT = (3.0, 2e-5)
+"""Times the noise, and m on top, that markers may lie off the shapes of the law."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TipTravel(Kind):
+    """``tip_travel`` (m): how far the tip moves from where it began."""
+
+    result: ClassVar = "tip-travel"
+    outputs: ClassVar = (Output("tip_travel", "m", "Travel of the tip", ("displacement",)),)
+    needs: ClassVar = Needs(shape="fit-shape")
+
+    def compute(self, test: Evidence) -> Computed:
+        """How far the last point of the shape gets from where it began."""
+        method = "largest distance of the last point of the shape from its mean over five frames"
+        return Computed((self.number(self.outputs[0], _tip_travel(test), method),))
+
+
+def _tip_travel(test: Evidence) -> Outcome:
+    if test.shape is None:
+        return Failure("no_shape", "the protocol fits no shape")
+    tip = test.shape.positions[:, -1]
+    known = np.isfinite(tip).all(axis=1)
+    if known.sum() < 16:
+        return Failure("too_few_samples", f"the tip is seen in {int(known.sum())} frames")
+    begin = tip[known][:5].mean(axis=0)
+    away = np.linalg.norm(tip[known] - begin, axis=1)
+    error = np.sqrt(2.0) * noise_level(away)
+    return Estimate(float(away.max()), float(error), int(known.sum()))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MomentCurvature(Kind):
+    """``<name>`` (N m^2): bending stiffness by the measured moment-curvature law."""
+
+    result: ClassVar = "moment-curvature"
+    outputs: ClassVar = (Output("{name}", "N*m^2"),)
+    needs: ClassVar = Needs(branches=True, shape="fit-shape", clamp=True)
+    at: Annotated[Curvature, "Curvature of the first loading"]
+    kind: Annotated[
+        Literal["secant", "tangent"], "secant: moment / curvature; tangent: slope of the law"
+    ] = "secant"
+    name: Annotated[Snake, "Such as bending_stiffness_at_20"] = "bending_stiffness"
+
+    def compute(self, test: Evidence) -> Computed:
+        """Secant or tangent stiffness of the measured law at a curvature."""
+        method = (
+            f"{self.kind} at {self.at:g} 1/m of the monotone law that the shapes of the first "
+            "loading obey together"
+        )
+        bending = test.bending
+        if bending is None or isinstance(bending, Failure):
+            why = bending or Failure("no_cycle", "there is no loading with a shape and a force")
+            return self.not_available(blocked_or(test, why), method)
+        law = bending.law
+        if law is None:
+            why = bending.reason or Failure("no_law", "no law was found")
+            return self.not_available(why, method)
+        number = self.number(
+            self.outputs[0],
+            _stiffness(law, self),
+            method,
+            during=test.while_loading(),
+            doubts=_misfit(test, law) or _bent_before(bending, law, self),
+        )
+        return Computed((number,))
+
+
+def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
+    largest = float(law.curvature[-1])
+    if entry.at > largest:
+        message = (
+            f"the first loading bends the wire to {largest:.3g} 1/m, {entry.at:g} 1/m is asked for"
+        )
+        return Failure("not_reached", message)
+    if entry.at <= law.floor:
+        message = (
+            f"curvatures up to {law.floor:.3g} 1/m are not told from their noise, {entry.at:g} 1/m "
+            "is asked for"
+        )
+        return Failure("below_noise", message)
+    at = law_points(
+        law.knots,
+        law.compliance,
+        law.compliance_covariance,
+        np.array([entry.at]),
+        scale_error=law.scale_error,
+    )
+    value, error = (
+        (at.secant, at.secant_error) if entry.kind == "secant" else (at.tangent, at.tangent_error)
+    )
+    return Estimate(float(value[0]), float(error[0]), law.n_frames)
+
+
+def _bent_before(bending: Bending, law: MeasuredLaw, entry: MomentCurvature) -> tuple[Reason, ...]:
+    """Why a number is doubtful: the wire had been bent as far the other way before the test."""
+    resting = float(np.nanmax(np.abs(bending.cloud.moment_at_rest)))
+    moment = float(np.interp(entry.at, law.curvature, law.moment))
+    if resting <= moment:
+        return ()
+    message = (
+        f"at rest the wire hung under a moment of {1e3 * resting:.3g} N mm, more than "
+        f"the {1e3 * moment:.3g} N mm at {entry.at:g} 1/m: below that it is not loaded for the "
+        "first time"
+    )
+    return (Reason("bent_before", message),)
+
+
+def _misfit(test: Evidence, law: MeasuredLaw) -> tuple[Reason, ...]:
+    """Why the law is doubtful: markers lie farther off its shapes than their noise."""
+    limit = _MISFIT[0] * law.noise + _MISFIT[1]
+    if test.shape is None or not law.residual > limit:
+        return ()
+    message = (
+        f"markers lie {1e6 * law.residual:.3g} um rms off the shapes of the law, more "
+        f"than {1e6 * limit:.3g} um: the wire does not bend alike all along, or string and offsets "
+        "are not as stated"
+    )
+    return (Reason("law_misfit", message),)
+
+
+_Parts: TypeAlias = tuple[SpanBend, Curve, Branch, Floats]
+
+
+def _at_hand(test: Evidence) -> _Parts | Failure:
+    """Axis, curve, first loading, and the times of the frames on the clock of the curve."""
+    bend, curve, branch = test.span, test.curve, test.first_loading
+    if isinstance(bend, Failure):
+        return bend
+    if bend is None or curve is None or branch is None:
+        return blocked_or(test, NO_LOADING)
+    fit = test.clocks.others.get(test.signals.raw["mid_span"].clock)
+    return bend, curve, branch, bend.time if fit is None else fit.to_marker_time(bend.time)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MidSpan(Window):
+    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent span."""
+
+    result: ClassVar = "mid-span"
+    outputs: ClassVar = (
+        Output("mid_span_bending_stiffness", "N*m^2", "Bending stiffness at mid-span"),
+        Output("mid_span_curvature", "1/m", "Curvature at mid-span", ("displacement", "clock")),
+    )
+    needs: ClassVar = Needs(branches=True, shape="three-point-shape")
+    corrections: Annotated[
+        tuple[Literal["large-deflection"], ...],
+        "large-deflection: the supports push along the specimen as well",
+    ] = ()
+
+    def compute(self, test: Evidence) -> Computed:
+        """Slope of the moment against the curvature at mid-span, and the largest curvature."""
+        large = "large-deflection" in self.corrections
+        moment = "P L / 4 + P tan(slope at the supports) x deflection / 2" if large else "P L / 4"
+        methods = (
+            f"slope of the moment {moment} against the curvature at mid-span {self.in_words} of "
+            "the first loading, time as instrument",
+            "curvature at mid-span where the motion turns, against rest",
+        )
+        parts = _at_hand(test)
+        if isinstance(parts, Failure):
+            return self.not_available(parts, *methods)
+        bend, _, branch, time = parts
+        found = (
+            self._stiffness(parts, bend.shape.bent.mid_span),
+            _at_turn(bend.shape.bent.mid_span, bend.rest, branch, time),
+        )
+        other = (
+            self._stiffness(parts, bend.shape.fewer_terms),
+            _at_turn(bend.shape.fewer_terms, bend.rest, branch, time),
+        )
+        errors = [_shape_errors(bend, *each) for each in zip(found, other, strict=True)]
+        if isinstance(found[0], Estimate) and errors[0]:
+            errors[0] = {**errors[0], **force_scale(test, found[0].value)}
+        return Computed(
+            tuple(
+                self.number(output, outcome, method, error, during=test.while_loading())
+                for output, outcome, method, error in zip(
+                    self.outputs, found, methods, errors, strict=True
+                )
+            )
+        )
+
+    def _stiffness(self, parts: _Parts, curvature: Floats) -> Outcome:
+        bend, curve, branch, time = parts
+        inside = (time >= branch.start_time) & (time < branch.stop_time)
+        travelled = np.interp(time, curve.time, curve.displacement)
+        if not (travelled[inside] > self.stop).any():
+            reached = 1e3 * float(np.max(travelled[inside], initial=0.0))
+            asked = f"{1e3 * self.stop:.4g} mm is asked"
+            return Failure("not_reached", f"the first loading reaches {reached:.4g} mm, {asked}")
+        inside &= (travelled >= self.start) & (travelled <= self.stop)
+        bent = bend.shape.bent
+        force = np.interp(time, curve.time, curve.force, left=np.nan, right=np.nan)
+        moment = 0.25 * bent.span * force
+        if "large-deflection" in self.corrections:
+            sunk = np.clip(bent.deflection, 0.0, None)
+            moment = moment + 0.5 * force * bent.support_slope * sunk
+        return secant_stiffness(time, curvature, moment, inside)
+
+
+def _shape_errors(bend: SpanBend, found: Outcome, other: Outcome) -> Errors:
+    """What a shape of fewer terms changes, and what the side of the markers hides."""
+    if isinstance(found, Failure) or isinstance(other, Failure):
+        return {}
+    side = bend.shape.side_share * abs(found.value) / sqrt(3.0)
+    return {**rectangle(found, other), "side of the markers": side}
+
+
+def _at_turn(values: Floats, rest: Flags, branch: Branch, time: Floats) -> Outcome:
+    """What a quantity is at the end of loading, less what it is at rest."""
+    still = values[rest & np.isfinite(values)]
+    if len(still) < 8:
+        return Failure("no_rest", f"{len(still)} frames before the loading show it, 8 are needed")
+    window = min(_AT_TURN, 0.4 * (branch.stop_time - branch.start_time))
+    found = _height_of_turn(time - branch.stop_time, values - still.mean(), window)
+    if isinstance(found, Failure):
+        return found
+    zero = float(np.sqrt(long_run_variance(still, parameters=1) / len(still)))
+    return widened(found, zero)
+
+
+def _height_of_turn(time: Floats, values: Floats, window: float) -> Outcome:
+    """Where two parabolas meet at time zero; few frames know little of their noise, hence t."""
+    known = np.isfinite(values)
+    near = known & (np.abs(time) <= window)
+    t, y = time[near], values[near]
+    if min((t <= 0.0).sum(), (t > 0.0).sum()) < _LEAST:
+        return Failure("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
+    ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
+    design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
+    stretches = [(time > low) & (time <= low + _BESIDE) for low in (-window - _BESIDE, window)]
+    beside = [values[each] for each in stretches if each.sum() >= 8 and known[each].all()]
+    return fit_linear(design, y, beside=beside).estimate(0)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Twist(Kind):
+    """``twist`` (rad): how far the section at mid-span has turned about the axis."""
+
+    result: ClassVar = "twist"
+    outputs: ClassVar = (Output("twist", "rad", "Twist", ("displacement", "clock")),)
+    needs: ClassVar = Needs(branches=True, shape="three-point-shape")
+
+    def compute(self, test: Evidence) -> Computed:
+        """Turn of the section nearest to mid-span, where the motion turns."""
+        method = (
+            "size of the turn of the markers of the section nearest to mid-span about the axis, "
+            "where the motion turns"
+        )
+        parts = _at_hand(test)
+        if isinstance(parts, Failure):
+            return self.not_available(parts, method)
+        bend, _, branch, time = parts
+        shape = bend.shape
+        able = np.flatnonzero(shape.lever > 0.0)
+        if not len(able):
+            message = (
+                "twist needs two markers at different places around the axis in one section, none "
+                f"of the {len(shape.lever)} sections has them"
+            )
+            return self.not_available(Failure("too_few_markers", message), method)
+        x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
+        section = int(able[np.argmin(np.abs(x[able]))])
+        said = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
+        turned = _at_turn(shape.twist[:, section], bend.rest, branch, time)
+        if isinstance(turned, Estimate) and turned.value < 0.0:
+            # which way it turns is only a matter of which end of the conduit is called the first
+            turned = _at_turn(-shape.twist[:, section], bend.rest, branch, time)
+        number = self.number(self.outputs[0], turned, method, during=test.while_loading())
+        note = worth_knowing("twist_section", "markers", said)
+        return Computed((number,), findings=(note,))
+
+
+KINDS = (TipTravel, MomentCurvature, MidSpan, Twist)

@@ -1,0 +1,360 @@
+"""Whether a string held a wire straight at rest, or the wire hung under the counterweight.
+
+A string that is taut at rest carries the counterweight, and nothing bends the wire. One that is
+slack, or only just spans, leaves the counterweight to the wire: it hangs, and has been bent one way
+before it is bent the other. The test itself tells, in four ways:
+
+- the string goes slack in a later cycle: the clamp moves and the tip moves with it. What the force
+  then lies below that at rest is what the string carried at rest;
+- the force falls below that at rest: a string that carried nothing cannot;
+- the clamp is ahead of the tip once the string pulls: the string was slack by as much;
+- the tip stands below the axis of the clamp at rest by as much as the counterweight bends the wire.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import sqrt
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from labpipe.errors import in_test_sheet
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.curve import Aligned, Branch, Curve, Direction, Shape
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.statistics.mean_curves import block_means
+
+EARLY = (0.5e-3, 3e-3)
+"""Deflections, m, over which it is seen how far the clamp is ahead of the tip."""
+SLACK = 0.2e-3
+"""m; a clamp that is ahead by more had travelled before the string pulled."""
+HANGS, LEANS = 0.5, 0.1
+"""Shares of the deflection that the counterweight gives the wire: a tip that stands lower than the
+first hung, one that stands lower than the second is told, for wires are not quite straight."""
+STRAIGHT, LEAST_REACH = 0.25, 0.5e-3
+"""Share of that deflection within which a wire is straight, for wires are curled; and m that it is
+at least, to be told from the direction of the clamp."""
+NOTHING, ALL = 0.25, 0.75
+"""Shares of the counterweight: a string that carried less carried nothing, one that carried more
+carried all of it."""
+_PULLED = 0.05
+"""Share of the counterweight by which a force lies below that at rest, so that a string held it."""
+_SURELY = 5.0
+"""Standard errors of a mean by which a force is different."""
+_BLOCKS = 100
+_FEW = 50
+"""Samples that a mean of a force is taken over to be told from another."""
+_STRETCH, _FOLLOWS, _LEAST_SLACK = 0.25e-3, 0.3, 2
+"""m of travel that are looked at together, how much of it the deflection follows where the string
+is slack, and how many stretches of a stroke there are at least."""
+
+State: TypeAlias = Literal["taut", "slack", "off the wire", "part", "unknown"]
+
+
+@dataclass(frozen=True, slots=True)
+class AtRest:
+    """What a test says of its string and wire at rest.
+
+    Parameters
+    ----------
+    ahead : m, by which the clamp is ahead of the tip early in the first loading; NaN where the
+        test has no travel of the clamp
+    sag : m, of the tip below the axis of the clamp at rest; NaN where the test has no shape
+    reach : m, deflection at which the force is that of the counterweight, or the largest
+    weight : N, of the counterweight
+    lowest : N, lowest force after the first loading, against that at rest; NaN where not seen
+    slackened : N, force while the string is slack after the first loading, against that at rest;
+        NaN where it never is
+    error : N, standard error of these two
+    """
+
+    ahead: float
+    sag: float
+    reach: float
+    weight: float
+    lowest: float = float("nan")
+    slackened: float = float("nan")
+    error: float = 0.0
+
+    @property
+    def is_known(self) -> bool:
+        """Whether anything is known."""
+        return bool(np.isfinite(self.ahead) or np.isfinite(self.sag))
+
+    @property
+    def share(self) -> float:
+        """Sag as a share of that under the counterweight; NaN where this cannot be told."""
+        return self.sag / self.reach if self.reach >= LEAST_REACH else float("nan")
+
+    @property
+    def carries(self) -> float:
+        """Tension at rest, N, by the force of the slack string; NaN where it never was slack."""
+        return -self.slackened
+
+    @property
+    def was_pulled(self) -> bool:
+        """Whether the force falls below that at rest, so that the string carried something then."""
+        return self.lowest < -max(_PULLED * self.weight, _SURELY * self.error)
+
+    @property
+    def state(self) -> State:
+        """What the evidence says, the most direct first."""
+        carried_nothing = self.ahead > SLACK and not self.was_pulled
+        if np.isfinite(self.slackened):
+            if self.carries >= ALL * self.weight:
+                return "taut"
+            if self.carries > NOTHING * self.weight:
+                return "part"
+            carried_nothing = True
+        if carried_nothing:
+            if self.share > HANGS:
+                return "slack"
+            return "off the wire" if abs(self.share) <= LEANS else "unknown"
+        if self.share > HANGS:  # the string just spans to a wire that hangs, or the wire is curled
+            return "unknown" if self.was_pulled else "slack"
+        return "taut" if self.was_pulled or abs(self.share) <= STRAIGHT else "unknown"
+
+    @property
+    def facts(self) -> str:
+        """The evidence in words."""
+        found = []
+        if np.isfinite(self.sag):
+            found.append(
+                f"its tip stood {1e3 * self.sag:.2g} mm below the axis of the clamp, where the "
+                f"counterweight bends it by {1e3 * self.reach:.3g} mm"
+            )
+        if np.isfinite(self.ahead):
+            found.append(
+                f"the clamp is {1e3 * self.ahead:.2g} mm ahead of it when the string pulls"
+            )
+        if np.isfinite(self.slackened):
+            found.append(
+                f"later the string goes slack at {1e3 * self.slackened:.3g} mN against the force "
+                "at rest"
+            )
+        elif np.isfinite(self.lowest):
+            found.append(f"the lowest force is {1e3 * self.lowest:.3g} mN against that at rest")
+        return "; ".join(found) if found else "the test shows neither travel nor shape"
+
+    @property
+    def why_not_straight(self) -> str:
+        """Why the test is no first loading from straight, with the numbers; empty where it is."""
+        state = self.state
+        if state in ("taut", "off the wire"):
+            return ""
+        below = "" if np.isnan(self.sag) else f", its tip {1e3 * self.sag:.3g} mm below"
+        weight = f"{1e3 * self.weight:.3g} mN"
+        if self.ahead > SLACK:
+            return (
+                f"its string was slack at rest: the clamp travels {1e3 * self.ahead:.3g} mm before "
+                f"the tip follows, and until then the wire hung under the counterweight of "
+                f"{weight}{below}; a first loading begins with a straight wire that the string "
+                "holds"
+            )
+        if state != "unknown" or self.share > HANGS:
+            return (
+                f"its wire hung at rest: the tip stood {1e3 * self.sag:.3g} mm below the axis of "
+                f"the clamp, where the counterweight of {weight} bends the wire by about "
+                f"{1e3 * self.reach:.3g} mm; a first loading begins with a straight wire that the "
+                "string holds"
+            )
+        return ""
+
+
+def at_rest(
+    aligned: Aligned | None, shape: Shape | None, curve: Curve, first: Branch, weight: float
+) -> AtRest:
+    """Look at the string and the wire before a test, and at what the force tells of it later.
+
+    Parameters
+    ----------
+    aligned, shape : None where the test has none
+    curve, first : of the test, and its first loading branch
+    weight : N, of the counterweight
+    """
+    part = slice(first.start, first.stop)
+    deflection = block_means(curve.displacement[part], _BLOCKS)
+    force = block_means(curve.force[part], _BLOCKS)
+    reached = deflection[force >= weight]
+    reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
+    travel = _travel(aligned, curve)
+    ahead = float("nan") if travel is None else _ahead(travel, curve, part)
+    later = curve.force[first.stop :]
+    slackened = np.zeros(0) if travel is None else _while_slack(travel, curve, first)
+    rest = curve.force[: first.start]
+    rest = rest[np.isfinite(rest)]
+    scatter = float(rest.std()) if len(rest) else 0.0
+    return AtRest(
+        ahead=ahead,
+        sag=_sag(shape, first),
+        reach=reach,
+        weight=weight,
+        lowest=_lowest(later),
+        slackened=_median(slackened),
+        error=scatter / float(np.sqrt(min(len(rest), _FEW) or 1)),
+    )
+
+
+def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
+    """Say what is doubtful about a wire at rest that is taken to have been straight."""
+    if not rest.is_known:
+        message = (
+            "the test has neither the travel of the clamp nor a shape, so it is not known whether "
+            "the string held the wire straight at rest; it is taken to have done so"
+        )
+        yield QualityNote("rest_unknown", Severity.WARNING, test, message)
+    elif rest.sag > LEANS * rest.reach:
+        message = (
+            f"at rest the tip stood {1e3 * rest.sag:.3g} mm below the axis of the clamp: the wire "
+            "is taken as straight, and its string as carrying all of the counterweight"
+        )
+        yield QualityNote("wire_not_straight", Severity.WARNING, test, message)
+
+
+def _travel(aligned: Aligned | None, curve: Curve) -> Floats | None:
+    travel = None if aligned is None else aligned.series.get("travel")
+    if travel is None or len(travel.values) != len(curve.displacement):
+        return None
+    return travel.values
+
+
+def _ahead(travel: Floats, curve: Curve, part: slice) -> float:
+    """How far the clamp is ahead of the tip where the string has begun to pull, m."""
+    deflection = curve.displacement[part]
+    is_early = (deflection > EARLY[0]) & (deflection < EARLY[1])
+    return _median((travel[part] - deflection)[is_early])
+
+
+def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
+    """Forces of stretches after the first loading in which the tip stays with the clamp, N."""
+    found: list[float] = []
+    for branch in curve.branches:
+        if branch.start < first.stop:
+            continue
+        means = _stretches(travel, curve, branch)
+        moved = np.abs(np.diff(means, axis=0))
+        slack = means[1:, 2][moved[:, 1] < _FOLLOWS * moved[:, 0]].tolist()
+        if len(slack) >= _LEAST_SLACK:  # where it goes slack or taut it may still pull a little
+            found += slack[1:] if branch.direction is Direction.UNLOADING else slack[:-1]
+    return np.array(found, dtype=np.float64)
+
+
+def _stretches(travel: Floats, curve: Curve, branch: Branch) -> Floats:
+    """Means of travel, deflection and force over stretches of travel, shape (n, 3)."""
+    part = slice(branch.start, branch.stop)
+    columns = np.column_stack([travel[part], curve.displacement[part], curve.force[part]])
+    columns = columns[np.isfinite(columns).all(axis=1)]
+    count = int(np.ptp(columns[:, 0]) / _STRETCH) if len(columns) else 0
+    if count < 2 or len(columns) < 2 * count:
+        return np.zeros((1, 3))
+    return np.array([block.mean(axis=0) for block in np.array_split(columns, count)])
+
+
+def _lowest(force: Floats) -> float:
+    """Lowest of the means over `_FEW` samples, N."""
+    known = force[np.isfinite(force)]
+    if len(known) < _FEW:
+        return float("nan")
+    return float(block_means(known, len(known) // _FEW).min())
+
+
+def _sag(shape: Shape | None, first: Branch) -> float:
+    """How far the pull point stands below the clamped end before the first loading, m."""
+    if shape is None or not len(shape.names):
+        return float("nan")
+    is_rest: Flags = np.asarray(shape.time < first.start_time, dtype=np.bool_)
+    return -_median((shape.positions[:, -1, 1] - shape.positions[:, 0, 1])[is_rest])
+
+
+def _median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """What is taken of the string at rest.
+
+    Parameters
+    ----------
+    state : ``taut``: it carried all of the counterweight; ``slack``: nothing, and the wire hung;
+        ``off the wire``: nothing, and the wire did not hang all the same; ``part``: some of it, as
+        measured; ``unknown``: the test does not tell
+    tension : N, in the string at rest
+    weight : N, that hangs at the tip
+    other : N, another tension at rest that is in the intervals; None where there is none
+    why : in words, with the numbers
+    """
+
+    state: State
+    tension: float
+    weight: float
+    other: float | None
+    why: str
+
+    @property
+    def note(self) -> QualityNote:
+        """To be kept with the results."""
+        severity = Severity.WARNING if self.state == "unknown" else Severity.INFO
+        return QualityNote("string_at_rest", severity, "rig.string", self.why)
+
+
+def held(rest: AtRest) -> Held:
+    """Decide by the evidence what the string carried at rest.
+
+    Parameters
+    ----------
+    rest : what the test says
+
+    Returns
+    -------
+    Tension, weight, and the alternative where the evidence does not tell.
+    """
+    weight, state = rest.weight, rest.state
+    said = f"{1e3 * weight:.3g} mN"
+    if state == "taut":
+        why = f"the string was taut at rest and carried the counterweight of {said}"
+        return Held(state, weight, weight, None, f"{why}: {rest.facts}")
+    if state == "slack":
+        why = f"the string carried nothing at rest: the wire hung under the counterweight of {said}"
+        return Held(state, 0.0, weight, None, f"{why}: {rest.facts}")
+    if state == "off the wire":
+        why = (
+            "the string carried nothing at rest, yet the wire did not hang: the counterweight is "
+            "taken not to pull at it"
+        )
+        return Held(state, 0.0, 0.0, None, f"{why}: {rest.facts}")
+    if state == "part":
+        tension = rest.carries
+        why = f"the string carried {1e3 * tension:.3g} mN of the counterweight of {said} at rest"
+        other = tension - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
+        return Held(state, tension, weight, other, f"{why}: {rest.facts}")
+    taken, other = (0.0, weight) if rest.ahead > SLACK else (weight, 0.0)
+    why = (
+        f"it is not known whether the string carried the counterweight of {said} at rest; it is "
+        f"taken to have carried {'nothing' if taken == 0.0 else 'all of it'}, and the other is in "
+        f"the intervals: {rest.facts}. If you know, write "
+        f"{in_test_sheet('rig.string.at_rest', 'taut')}, or slack"
+    )
+    return Held(state, taken, weight, other, why)
+
+
+def stated(at_rest: Literal["taut", "slack"], weight: float) -> Held:
+    """Take a string at rest as the protocol states it.
+
+    Parameters
+    ----------
+    at_rest : key of ``rig.string``
+    weight : N, of the counterweight
+    """
+    tension = weight if at_rest == "taut" else 0.0
+    carried = "the counterweight" if at_rest == "taut" else "nothing"
+    return Held(
+        at_rest,
+        tension,
+        weight,
+        None,
+        f"the string was {at_rest} at rest and carried {carried}: so rig.string.at_rest states it",
+    )

@@ -1,0 +1,211 @@
+"""Marker steps of the shipped protocols on takes seen by the virtual lab, in memory."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProcessingError
+from labpipe.process.calibrated_signals import Prepared, Take
+from labpipe.process.camera_steps import fit_shapes, repair, rms, turn_into_specimen
+from labpipe.protocol.load import load_protocol
+from labpipe.protocol.schema import Markers, Protocol
+from labpipe.records.quality import Findings
+from labpipe.records.recording import MarkerTracks
+from labpipe.records.signals import Signals
+from labpipe.records.step_settings import FitShape, RepairMarkers, SpecimenFrame
+from labpipe.virtual_lab import Observation, observe
+from tests.builders.doubts import doubted
+from tests.builders.small_tests import small_scenario
+
+
+@pytest.fixture(scope="module")
+def protocol(repository: Path) -> Protocol:
+    return load_protocol(repository / "protocols" / "wire-cantilever.yaml")
+
+
+@pytest.fixture(scope="module")
+def observation() -> Observation:
+    return observe(small_scenario(), 3)
+
+
+@pytest.fixture
+def tracks(observation: Observation) -> MarkerTracks:
+    found = observation.markers.markers
+    assert found is not None
+    return found
+
+
+def steps(protocol: Protocol) -> tuple[RepairMarkers, SpecimenFrame, FitShape]:
+    first, second, third = protocol.steps[:3]
+    assert isinstance(first, RepairMarkers)
+    assert isinstance(second, SpecimenFrame)
+    assert isinstance(third, FitShape)
+    return first, second, third
+
+
+def words(protocol: Protocol, **changes: object) -> Markers:
+    assert protocol.markers is not None
+    return protocol.markers.model_copy(update=changes)
+
+
+def taken(tracks: MarkerTracks | None) -> Prepared:
+    return Prepared(Signals(), Take(tracks))
+
+
+def done(tracks: MarkerTracks, protocol: Protocol, **changes: object) -> tuple[Prepared, Findings]:
+    mend, turn, fit = steps(protocol)
+    said = words(protocol, **changes)
+    made, first = repair(taken(tracks), mend, said)
+    made, second = turn_into_specimen(made, turn, said)
+    made, third = fit_shapes(made, fit, said)
+    return made, Findings((*first, *second, *third))
+
+
+def test_travel_and_deflection(
+    tracks: MarkerTracks, protocol: Protocol, observation: Observation
+) -> None:
+    made, found = done(tracks, protocol)
+    truth = observation.truth
+    for name, true in (("travel", truth.travel), ("deflection", truth.deflection)):
+        signal = made.signals.filtered[name]
+        assert signal.unit == "m"
+        error = signal.values - true
+        assert np.sqrt(np.nanmean(error**2)) < 1e-4
+    deflection = made.signals.filtered["deflection"]
+    assert 0.0 < deflection.zero_error < 5e-5
+    assert deflection.alternative is not None
+    assert np.nanmax(np.abs(deflection.alternative - deflection.values)) < 1e-3
+    assert {"specimen_frame", "shape_fit"} <= {note.code for note in found.notes}
+    assert not doubted(found.found)
+
+
+def test_markers_of_the_clamp_are_not_along_the_wire(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    repaired = done(tracks, protocol)[0].take.repaired
+    assert repaired is not None
+    assert len(repaired.names) == 8
+    assert all(name.startswith("Wire:") for name in repaired.names)
+
+
+def test_markers_by_pattern(tracks: MarkerTracks, protocol: Protocol) -> None:
+    repaired = done(tracks, protocol, along=("Wire:Marker[1-6]",))[0].take.repaired
+    assert repaired is not None
+    assert len(repaired.names) == 6
+
+
+def refused(tracks: MarkerTracks | None, protocol: Protocol, **changes: object) -> None:
+    mend, _, _ = steps(protocol)
+    repair(taken(tracks), mend, words(protocol, **changes))
+
+
+def test_clamp_that_is_not_there(tracks: MarkerTracks, protocol: Protocol) -> None:
+    said = r"markers, rigid bodies: expected the clamp 'Clmp', found 'Clamp'. Name the body of"
+    with pytest.raises(ProcessingError, match=said):
+        refused(tracks, protocol, clamp="Clmp")
+    bodiless = replace(tracks, bodies=())
+    with pytest.raises(ProcessingError, match=r"found no rigid body in the take"):
+        refused(bodiless, protocol)
+
+
+def test_clamp_that_was_never_seen(tracks: MarkerTracks, protocol: Protocol) -> None:
+    (body,) = tracks.bodies
+    blank = replace(body, position=np.full_like(body.position, np.nan))
+    said = r"rigid body 'Clamp': expected positions, found blanks in every frame. Solve the body"
+    with pytest.raises(ProcessingError, match=said):
+        refused(replace(tracks, bodies=(blank,)), protocol)
+
+
+def test_too_few_markers(tracks: MarkerTracks, protocol: Protocol) -> None:
+    said = r"expected at least 3 markers along the specimen, found 2: Wire:Marker1, Wire:Marker2"
+    with pytest.raises(ProcessingError, match=said):
+        refused(tracks, protocol, along=("Wire:Marker[12]",))
+    with pytest.raises(ProcessingError, match=r"found 0: none"):
+        refused(tracks, protocol, along=("Tube*",))
+
+
+def test_no_take(protocol: Protocol) -> None:
+    with pytest.raises(ValueError, match="expected a role with marker tracks and a block markers"):
+        refused(None, protocol)
+
+
+def test_steps_out_of_order(tracks: MarkerTracks, protocol: Protocol) -> None:
+    _, turn, fit = steps(protocol)
+    with pytest.raises(ValueError, match="expected repair-markers before it"):
+        turn_into_specimen(taken(tracks), turn, protocol.markers)
+    with pytest.raises(ValueError, match="expected repair-markers and specimen-frame before it"):
+        fit_shapes(taken(tracks), fit, protocol.markers)
+
+
+def test_markers_off_their_plane_leave_the_deflection_in_doubt(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    mend, turn, _ = steps(protocol)
+    made, _ = repair(taken(tracks), mend, protocol.markers)
+    strict = replace(turn, max_out_of_plane=1e-7)
+    _, found = turn_into_specimen(made, strict, protocol.markers)
+    assert doubted(found)["displacement"].startswith("out_of_plane: ")
+
+
+def with_clamp(tracks: MarkerTracks, frames: slice, *, stale: bool) -> MarkerTracks:
+    """The same take with the clamp blank, or held at its last pose, for some frames."""
+    clamp = tracks.bodies[0]
+    position = clamp.position.copy()
+    position[frames] = position[frames.start - 1] if stale else np.nan
+    return replace(tracks, bodies=(replace(clamp, position=position), *tracks.bodies[1:]))
+
+
+def test_a_stale_pose_of_the_clamp_is_not_believed(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    made, found = done(with_clamp(tracks, slice(400, 440), stale=True), protocol)
+    assert doubted(found.found)["displacement"].startswith(
+        "clamp_frozen: Clamp holds its last pose in 40"
+    )
+    assert made.take.clamp is not None
+    assert np.isnan(made.take.clamp[400:440]).all()
+
+
+def test_short_gaps_of_the_clamp_are_bridged_and_long_ones_left(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    clamp = tracks.bodies[0].position
+    made, found = done(with_clamp(tracks, slice(400, 410), stale=False), protocol)
+    assert made.take.clamp is not None
+    np.testing.assert_allclose(made.take.clamp[400:410], clamp[400:410], atol=1e-4)
+    assert "Clamp is lost in 10 frames, 10 of them bridged by straight lines" in str(found.notes)
+    made, _ = done(with_clamp(tracks, slice(400, 460), stale=False), protocol)
+    assert made.take.clamp is not None
+    assert np.isnan(made.take.clamp[400:460]).all()
+
+
+def test_markers_of_another_body_are_left_out(tracks: MarkerTracks, protocol: Protocol) -> None:
+    table = replace(tracks.bodies[0], name="Table")
+    names = (*tracks.names, "Table:Marker1")
+    added = np.concatenate([tracks.positions, tracks.positions[:, :1] + 0.05], axis=1)
+    crowded = replace(tracks, names=names, positions=added, bodies=(*tracks.bodies, table))
+    made, said = done(crowded, protocol)
+    assert made.take.repaired is not None
+    assert "Table:Marker1" not in made.take.repaired.names
+    assert "markers of Table are not the specimen's: name them to use them" in str(said.notes)
+
+
+def test_a_wrong_grip_offset_shows_in_the_fit_of_a_long_stroke(protocol: Protocol) -> None:
+    usual = small_scenario()
+    mechanics = replace(usual.mechanics, stroke=0.04, cycles=1)
+    found = observe(replace(usual, mechanics=mechanics), 3).markers.markers
+    assert found is not None
+    assert "displacement" not in doubted(done(found, protocol)[1].found)
+    _, said = done(found, protocol, grip_offset=0.016)
+    why = doubted(said.found)["displacement"]
+    assert why.startswith("shape_misfit: markers lie ")
+    assert "look at grip_offset, centre_offset and terms" in why
+
+
+def test_rms_leaves_nan_out() -> None:
+    assert rms(np.array([3.0, np.nan, 4.0])) == pytest.approx(np.sqrt(12.5))
+    assert np.isnan(rms(np.array([np.nan])))

@@ -1,0 +1,239 @@
+"""Corrections of the curve on pulls whose faults are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProcessingError
+from labpipe.fits.failure_point import FailurePoint
+from labpipe.process.curve_corrections import correct_curve
+from labpipe.protocol.schema import CurveBlock
+from labpipe.records.curve import SlipDecision
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.quality import Severity
+from tests.builders.doubts import doubted
+from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
+
+LINE = "stiffness, from: 2 mm, to: 10 mm"
+SLIPS = ((0.006, 3.0), (0.012, 2.0))
+
+
+def test_give_of_the_frame_is_taken_off() -> None:
+    """A pull through 1 um/N looks softer: 1 / (1 / 5000 + 1e-6)."""
+    travel, force = pull()
+    plain, before = pulled(travel, force, results=[LINE])
+    test, after = pulled(travel, force, curve="compliance: {value: 1 um/N}", results=[LINE])
+    assert before["stiffness"].value == pytest.approx(5000.0, rel=1e-3)
+    assert after["stiffness"].value == pytest.approx(1.0 / (1.0 / 5000.0 - 1e-6), rel=1e-3)
+    assert test.curve is not None
+    assert plain.curve is not None
+    given = plain.curve.displacement - test.curve.displacement
+    np.testing.assert_allclose(given, 1e-6 * plain.curve.force, atol=1e-15)
+    said = codes(test)["compliance_removed"]
+    assert said == "1 um/N x force taken off the displacement, 99.9 um at the most"
+
+
+def test_uncertain_give_widens_the_interval() -> None:
+    travel, force = pull()
+    curve = "compliance: {value: 10 um/N, uncertainty: 10 %}"
+    _, results = pulled(travel, force, curve=curve, results=[LINE])
+    found = results["stiffness"]
+    assert found.value is not None
+    assert found.interval is not None
+    # k = 1 / (1/5000 - C), so dk = k^2 dC
+    assert found.interval.standard_error == pytest.approx(found.value**2 * 1e-6, rel=0.05)
+
+
+def test_repaired_slips_add_up() -> None:
+    travel, force = pull()
+    curve = "slips: {decision: repaired, min_drop: 0.5 N}"
+    test, results = pulled(travel, slipped(travel, force, *SLIPS), curve=curve, results=[LINE])
+    assert [slip.decision for slip in test.slips] == [SlipDecision.REPAIRED] * 2
+    assert test.curve is not None
+    assert test.curve.force[-50:].mean() == pytest.approx(force[-50:].mean(), abs=0.1)
+    assert results["stiffness"].value == pytest.approx(5000.0, rel=2e-3)
+    assert results["stiffness"].status == "ok"
+    message = next(note.message for note in test.findings.notes if note.code == "slip_repaired")
+    assert message.startswith("the force falls suddenly by ")
+    assert message.endswith("as when a specimen slips in the grips: added back to all that follows")
+
+
+def test_marked_slips_stay() -> None:
+    travel, force = pull()
+    lower = slipped(travel, force, *SLIPS)
+    curve = "slips: {decision: marked, min_drop: 0.5 N}"
+    test, _ = pulled(travel, lower, curve=curve)
+    assert test.curve is not None
+    np.testing.assert_array_equal(test.curve.force, lower)
+    assert len(test.slips) == 2
+    assert codes(test)["slip_marked"].endswith("the curve stays as measured")
+
+
+def test_cut_ends_the_curve_before_the_first_slip() -> None:
+    travel, force = pull()
+    curve = "failure: {force_below: 50 %}, slips: {decision: cut, min_drop: 0.5 N}"
+    test, results = pulled(
+        travel,
+        slipped(travel, force, *SLIPS),
+        curve=curve,
+        results=["peak-force", "peak-displacement", LINE, "failure"],
+    )
+    assert test.curve is not None
+    kept = test.slips[0].start + 1
+    assert np.isnan(test.curve.force[kept:]).all()
+    (branch,) = test.curve.branches
+    assert branch.stop == kept
+    assert results["peak_displacement.1"].value == pytest.approx(0.006, abs=2 * STEP)
+    assert results["peak_force.1"].value == pytest.approx(30.0, abs=0.2)
+    assert results["stiffness"].why.startswith("not_reached: the branch reaches 5.98 mm, ")
+    assert results["failure_force"].why == "cut: the curve ends at a slip"
+    assert codes(test)["slip_cut"].endswith("the curve ends before it")
+
+
+def test_failure_moves_up_with_what_was_added_back() -> None:
+    travel, force = pull()
+    torn = broken(travel, slipped(travel, force, (0.006, 3.0)), at=0.018)
+    curve = "failure: {force_below: 50 %}, slips: {decision: repaired, min_drop: 0.5 N}"
+    test, _ = pulled(travel, torn, curve=curve)
+    assert isinstance(test.failure, FailurePoint)
+    assert test.failure.force.value == pytest.approx(90.0, abs=0.3)
+    assert abs(90.0 - test.failure.force.value) < 4.0 * test.failure.force.error
+    assert test.curve is not None
+    # What is left of the broken specimen is not raised.
+    assert test.curve.force[-1] == pytest.approx(torn[-1])
+
+
+def test_too_short_for_slips_is_said() -> None:
+    travel, force = pull(length=0.0012)
+    test, _ = pulled(travel, force, curve="slips: {decision: marked, min_drop: 0.5 N}")
+    assert codes(test)["slips_not_looked_for"] == "60 samples in the branch, 64 are needed"
+
+
+def test_slack_moves_all_displacements() -> None:
+    travel, force = pull(slack=0.003)
+    torn = broken(travel, force, at=0.016)
+    curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 30 %}"
+    test, _ = pulled(travel, torn, curve=curve)
+    assert isinstance(test.slack, Estimate)
+    assert test.slack.value == pytest.approx(0.003, abs=1e-5)
+    assert test.curve is not None
+    np.testing.assert_allclose(test.curve.displacement, travel - test.slack.value)
+    assert isinstance(test.failure, FailurePoint)
+    assert test.failure.displacement.value == pytest.approx(0.013, abs=2 * STEP)
+    said = f"{1e3 * test.slack.value:.4g} mm of slack taken off: displacement counts from where"
+    assert codes(test)["slack_removed"] == f"{said} it is taut"
+
+
+def test_slack_that_cannot_be_found_makes_displacements_doubtful() -> None:
+    travel, force = pull(slack=0.003)
+    torn = broken(travel, force, at=0.016)
+    curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 10.1 %}"
+    test, results = pulled(travel, torn, curve=curve, results=["failure", "slack"])
+    assert isinstance(test.slack, Failure)
+    assert results["slack"].why.startswith("too_few_samples: ")
+    assert results["failure_displacement"].status == "doubtful"
+    assert results["failure_displacement"].why.startswith(
+        "slack_unknown: slack not found, so not taken off ("
+    )
+
+
+def test_a_curve_without_a_toe_is_not_moved() -> None:
+    """Steepest where it begins: the line at 10 to 30 % meets zero force far before the start."""
+    travel, force = pull()
+    bent = 100.0 * (1.0 - np.exp(-travel / 0.004)) + (force - 5e3 * travel)
+    test, results = pulled(
+        travel + 0.001, bent, curve="slack: {from: 40 %, to: 70 %}", results=["slack"]
+    )
+    assert results["slack"].why.startswith("no_toe: the line meets zero force at -")
+    assert "before the first sample at 1 mm and " in results["slack"].why
+    assert test.curve is not None
+    np.testing.assert_allclose(test.curve.displacement, travel + 0.001)
+    assert not doubted(test)
+    (note,) = (each for each in test.findings.notes if each.code == "no_toe")
+    assert note.severity is Severity.WARNING
+
+
+def test_a_preload_is_no_missing_toe() -> None:
+    """A line that begins at 10 N is carried back to zero force, 2 mm before the start."""
+    travel, force = pull()
+    test, results = pulled(
+        travel, force + 10.0, curve="slack: {from: 20 %, to: 50 %}", results=["slack"]
+    )
+    assert results["slack"].value == pytest.approx(-0.002, abs=2e-5)
+    assert test.curve is not None
+    assert test.curve.displacement[0] == pytest.approx(0.002, abs=2e-5)
+
+
+def test_zero_of_the_force_is_in_the_interval_of_the_slack() -> None:
+    """0.05 N of zero over 5000 N/m are 10 um of slack."""
+    travel, force = pull(slack=0.003)
+    test, _ = pulled(travel, force)
+    force_signal = replace(test.raw_force, zero_error=0.05)
+    raw = {**test.signals.raw, "force": force_signal}
+    test = replace(test, signals=replace(test.signals, raw=raw))
+    block = CurveBlock.model_validate(
+        {"force": "force", "displacement": "displacement", "slack": {"from": "10 %", "to": "30 %"}}
+    )
+    test, _ = correct_curve(test, block)
+    assert isinstance(test.slack, Estimate)
+    assert test.slack.error == pytest.approx(1e-5, rel=0.1)
+
+
+def test_more_give_than_the_test_has_is_refused() -> None:
+    """5 N/mm is 200 um/N in all: a frame of 300 um/N would leave the specimen shorter."""
+    said = (
+        r"curve\.compliance: expected a compliance below that of this test, 200\.?\d* um/N on the "
+        r"way up, found 300 um/N, with which the specimen would get shorter\. Look at its unit, "
+        r"and at the test of the stiff bar it comes from\."
+    )
+    with pytest.raises(ProcessingError, match=said):
+        pulled(*pull(), curve="compliance: {value: 300 um/N}")
+
+
+def test_a_slip_is_told_where_displacement_counts_from_in_the_end() -> None:
+    travel, force = pull(slack=0.003)
+    curve = "slips: {decision: marked, min_drop: 0.5 N}, slack: {from: 10 %, to: 30 %}"
+    test, _ = pulled(travel, slipped(travel, force, (0.015, 3.0)), curve=curve)
+    message = codes(test)["slip_marked"]
+    assert f"{1e3 * test.slips[0].position:.4g} mm" in message
+    assert test.slips[0].position == pytest.approx(0.012, abs=3e-4)
+
+
+def test_of_a_cut_curve_the_ledger_ends_where_the_curve_does() -> None:
+    travel, force = pull()
+    curve = "slips: {decision: cut, min_drop: 0.5 N}"
+    test, _ = pulled(travel, slipped(travel, force, *SLIPS), curve=curve)
+    assert len(test.slips) == 1
+    assert test.slips[0].position == pytest.approx(0.006, abs=3 * STEP)
+
+
+def test_a_bad_sample_is_bridged_and_told() -> None:
+    travel, force = pull()
+    bad = broken(travel, force, at=0.018)
+    bad[500] = 1200.0
+    test, results = pulled(
+        travel, bad, curve="failure: {force_below: 50 %}", results=["peak-force", "failure"]
+    )
+    assert codes(test)["stray_samples"] == (
+        "1 samples far off their neighbours, the first 1200 N at 50.000 s: put on the line"
+        " between them"
+    )
+    assert test.curve is not None
+    assert test.curve.force[500] == pytest.approx(50.0, abs=0.2)
+    assert results["failure_displacement"].value == pytest.approx(0.018, abs=2 * STEP)
+    assert results["peak_force.1"].value == pytest.approx(90.0, abs=0.3)
+
+
+def test_a_failure_in_steps_is_doubtful() -> None:
+    travel, force = pull()
+    torn = np.where(travel > 0.01, 0.7 * force, force)
+    curve = "failure: {force_below: 50 %}"
+    _, results = pulled(travel, broken(travel, torn, at=0.012), curve=curve, results=["failure"])
+    reason = results["failure_displacement"].why
+    assert reason == (
+        "lost_in_steps: some of the force was suddenly lost before, and it never came back to where"
+        " it had been"
+    )

@@ -1,0 +1,249 @@
+"""Steps of a protocol on one channel."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from labpipe.process.calibrated_signals import Prepared
+from labpipe.process.steps import ShortStretchError, take_step
+from labpipe.protocol.load import parse_protocol
+from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote
+from labpipe.records.signals import Signal, Signals
+from labpipe.signal.filters import in_pieces, low_pass, smoothed
+
+TIME: Floats = np.arange(2000, dtype=np.float64) * 0.01
+VALUES: Floats = 0.3 + np.sin(TIME) + np.random.default_rng(1).normal(0, 0.01, len(TIME))
+
+
+def protocol(step: str, rig: str = "{crosshead_speed: 2 mm/s, stroke: 10 mm}") -> Protocol:
+    return parse_protocol(
+        "version: 1\nname: p\n"
+        "sources: {force: {reader: dspace-mat, channels: "
+        "{force: {channel: A, unit: N}, displacement: {channel: B, unit: mm}}}}\n"
+        f"rig: {rig}\nsteps:\n  - {step}\n"
+        "curve: {force: force, displacement: displacement}\n"
+        "branches: {channel: displacement, min_stroke: 1 mm}\n",
+        "p.yaml",
+    )
+
+
+@dataclass(frozen=True)
+class Stepped:
+    """Signals after a step, and what was noted."""
+
+    signals: Signals
+    notes: tuple[QualityNote, ...]
+
+
+def stepped(step: str, signal: Signal, **more: Any) -> Stepped:
+    made = protocol(step, **more)
+    prepared = Prepared(Signals().with_new("force", signal))
+    prepared, found = take_step(prepared, made.steps[0], made)
+    return Stepped(prepared.signals, tuple(each.note for each in found))
+
+
+def after(step: str, values: Floats = VALUES, **more: Any) -> Stepped:
+    return stepped(step, Signal(TIME, values, "N", "force"), **more)
+
+
+def test_zero_at_the_start() -> None:
+    test = after("{step: zero, channel: force, over: 1.995 s}")
+    level = VALUES[TIME < 1.995].mean()
+    np.testing.assert_allclose(test.signals.filtered["force"].values, VALUES - level, atol=1e-12)
+    np.testing.assert_allclose(test.signals.raw["force"].values, VALUES - level, atol=1e-12)
+    assert test.notes[0].message == f"zero at {level:.6g} N, the mean over 1.995 s at the start"
+
+
+def test_zero_at_the_end() -> None:
+    test = after("{step: zero, channel: force, over: 0.995 s, at: end}")
+    rest = TIME[-1] - 0.995 < TIME
+    assert abs(test.signals.raw["force"].values[rest].mean()) < 1e-12
+
+
+def test_error_of_the_zero_holds() -> None:
+    pulls = []
+    for seed in range(200):
+        noise = np.random.default_rng(seed).normal(0, 0.01, len(TIME))
+        signal = after("{step: zero, channel: force, over: 2 s}", noise).signals.raw["force"]
+        shift = (noise - signal.values)[0]
+        pulls.append(shift / signal.zero_error)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.15)
+
+
+def ramp(start: float, speed: float, noise: float, seed: int = 0) -> Floats:
+    """A machine that moves from the first sample on."""
+    random = np.random.default_rng(seed)
+    values: Floats = start + speed * TIME + random.normal(0.0, noise, len(TIME))
+    return values
+
+
+def test_zero_by_a_line_is_what_the_first_sample_stood_at() -> None:
+    test = after("{step: zero, channel: force, over: 0.5 s, by: line}", ramp(0.3, 2.0, 0.0))
+    np.testing.assert_allclose(test.signals.filtered["force"].values, 2.0 * TIME, atol=1e-9)
+    np.testing.assert_allclose(test.signals.raw["force"].values, 2.0 * TIME, atol=1e-9)
+    assert test.signals.zeroed == {}  # that it moves is no fault
+    assert test.notes[0].message == "zero at 0.3 N, the outer end of a line over 0.5 s at the start"
+
+
+def test_zero_by_a_line_at_the_end() -> None:
+    step = "{step: zero, channel: force, over: 0.5 s, by: line, at: end}"
+    values = after(step, ramp(0.3, 2.0, 0.0)).signals.filtered["force"].values
+    np.testing.assert_allclose(values, 2.0 * (TIME - TIME[-1]), atol=1e-9)
+
+
+def test_a_mean_in_motion_is_no_zero() -> None:
+    mean = after("{step: zero, channel: force, over: 0.5 s}", ramp(0.3, 2.0, 0.0))
+    assert mean.signals.filtered["force"].values[0] == pytest.approx(-0.5, abs=0.02)
+    assert "force" in mean.signals.zeroed
+
+
+def test_a_line_takes_no_notice_of_blanks() -> None:
+    values = ramp(0.3, 0.0, 0.0)
+    values[5:9] = np.nan
+    test = after("{step: zero, channel: force, over: 0.5 s, by: line}", values)
+    np.testing.assert_allclose(test.signals.filtered["force"].values[20:], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_error_of_the_zero_by_a_line_holds(at: str) -> None:
+    pulls = []
+    step = f"{{step: zero, channel: force, over: 2 s, by: line, at: {at}}}"
+    for seed in range(200):
+        values = ramp(0.0, 2.0, 0.01, seed)
+        truth = 0.0 if at == "start" else 2.0 * TIME[-1]
+        signal = after(step, values).signals.raw["force"]
+        pulls.append(((values - signal.values)[0] - truth) / signal.zero_error)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.15)
+    assert np.mean(pulls) == pytest.approx(0.0, abs=0.25)  # 3.5 standard errors
+
+
+def in_rows(step: str) -> Stepped:
+    """Take a step on rows without times."""
+    return stepped(step, Signal(np.arange(2000.0), VALUES, "N", "frame", time_unit="1"))
+
+
+@pytest.mark.parametrize(
+    ("step", "said"),
+    [
+        ("{step: zero, channel: force, over: 2 s}", "a stretch in s"),
+        ("{step: zero, channel: force, over: 2 s, by: line}", "a stretch in s"),
+        ("{step: low-pass, channel: force, cutoff: 5 Hz, order: 2}", "a cutoff in Hz"),
+    ],
+)
+def test_seconds_where_there_are_only_rows(step: str, said: str) -> None:
+    with pytest.raises(ValueError, match=rf"^force: {said} needs times, and the export has none$"):
+        in_rows(step)
+
+
+@pytest.mark.parametrize(
+    ("span", "kind"), [("1 s", "time"), ("2 mm", "travel"), ("10 %", "branch")]
+)
+def test_spans_where_there_are_only_rows(span: str, kind: str) -> None:
+    step = f"{{step: smooth, channel: force, method: moving-average, span: {span}}}"
+    with pytest.raises(
+        ValueError, match=rf"a span of {kind} needs times, and the export has none$"
+    ):
+        in_rows(step)
+
+
+def test_rows_are_smoothed_by_counting() -> None:
+    step = "{step: smooth, channel: force, method: moving-average, span: 21 samples}"
+    test = in_rows(step)
+    np.testing.assert_allclose(
+        test.signals.filtered["force"].values, smoothed(VALUES, window=21), atol=1e-12
+    )
+    assert test.notes[0].message == "moving average over 21 samples"
+    assert (
+        not in_rows("{step: decimate, channel: force, factor: 4}")
+        .signals.filtered["force"]
+        .has_time
+    )
+
+
+@pytest.mark.parametrize("at", ["start", "end"])
+def test_a_stretch_of_a_quick_recorder_is_widened_for_a_slow_one(at: str) -> None:
+    """What holds two samples becomes one of three, and says so."""
+    test = after(f"{{step: zero, channel: force, over: 15 ms, at: {at}}}")
+    (note,) = (note for note in test.notes if note.code == "zeroed")
+    assert f"the mean over 0.02 s at the {at}, 3 samples: their noise" in note.message
+    start, stop = test.signals.zeroed["force"]
+    assert stop - start == pytest.approx(0.02)
+    assert (start if at == "start" else stop) == pytest.approx(TIME[0 if at == "start" else -1])
+
+
+@pytest.mark.parametrize(("by", "error"), [("mean", 5**-0.5), ("line", 0.6**0.5)])
+def test_few_samples_are_enough_beside_a_record(by: str, error: float) -> None:
+    """At 10 Hz half a second holds five or six samples; the noise is that of the record."""
+    noise = np.random.default_rng(3).normal(0.0, 1.0, len(TIME))
+    test = after(f"{{step: zero, channel: force, over: 45 ms, by: {by}}}", noise)
+    (note,) = (note for note in test.notes if note.code == "zeroed")
+    assert note.message.endswith(", 5 samples: their noise is judged by the rest of the record")
+    assert test.signals.raw["force"].zero_error == pytest.approx(error, rel=0.1)
+
+
+def test_few_samples_of_a_short_record() -> None:
+    signal = Signal(np.linspace(0.0, 2.9, 30), VALUES[:30], "N", "frame")
+    with pytest.raises(ShortStretchError) as refused:
+        stepped("{step: zero, channel: force, over: 0.5 s}", signal)
+    assert str(refused.value) == (
+        "force: 6 samples in the 0.5 s to zero on, 8 are needed, and there are 10 per second"
+    )
+    assert refused.value.needed == pytest.approx(0.85)
+
+
+@pytest.mark.parametrize(
+    ("span", "window"),
+    [("1 s", 99), ("2 mm", 99), ("10 %", 49), ("21 samples", 21), ("20 samples", 19)],
+)
+def test_smooth(span: str, window: int) -> None:
+    """Of a motion at 2 mm/s over 10 mm: 2 mm are a second, a branch is five."""
+    test = after(f"{{step: smooth, channel: force, method: moving-average, span: {span}}}")
+    np.testing.assert_allclose(
+        test.signals.filtered["force"].values, smoothed(VALUES, window=window), atol=1e-12
+    )
+    np.testing.assert_array_equal(test.signals.raw["force"].values, VALUES)
+    assert f"moving average over {window} samples" in test.notes[0].message
+
+
+def test_low_pass() -> None:
+    test = after("{step: low-pass, channel: force, cutoff: 5 Hz, order: 2}")
+    expected = low_pass(VALUES, cutoff=5.0, rate=100.0, order=2)
+    np.testing.assert_allclose(test.signals.filtered["force"].values, expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["filtered", "stride"])
+def test_decimate(method: str) -> None:
+    test = after(f"{{step: decimate, channel: force, factor: 4, method: {method}}}")
+    signal = test.signals.filtered["force"]
+    window = 5 if method == "filtered" else 1
+    expected = in_pieces(VALUES, (), [(partial(smoothed, window=window), 4)])
+    np.testing.assert_allclose(signal.values, expected)
+    np.testing.assert_array_equal(signal.time, TIME[::4])
+    assert test.notes[0].message == f"every 4th sample kept ({method})"
+
+
+@pytest.mark.parametrize("count", [1000, 2000, 50_000])
+def test_zero_by_a_line_is_exact_however_many_samples(count: int) -> None:
+    time = np.linspace(0.0, 0.5, count)
+    signal = Signal(time, 3.0 + 100.0 * time, "N", "frame")
+    test = stepped("{step: zero, channel: force, over: 0.5 s, by: line}", signal)
+    assert test.signals.filtered["force"].values[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_zero_by_line_over_rest_and_motion() -> None:
+    """The machine moves from the first second on: the zero is what it stood at before."""
+    values = 0.7 + np.clip(TIME - 1.0, 0.0, None) + 1e-3 * np.sin(60.0 * TIME)
+    test = after("{step: zero, channel: force, over: 2 s, by: line}", values)
+    (note,) = test.notes
+    said = r"^zero at 0\.70\d+ N, the mean over the (0\.99\d?|1) s before the motion at the start$"
+    assert re.match(said, note.message)
+    assert abs(float(test.signals.raw["force"].values[TIME < 0.9].mean())) < 1e-3
+    assert test.signals.lined == {"force": (0.0, 2.0)}

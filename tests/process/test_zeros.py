@@ -1,0 +1,195 @@
+"""Zeros from the rest that there is: all of it, a short one, or none to speak of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
+from labpipe.process.zeros import end_level, line_zero, mean_level, needed, use_rest_there_is
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, ClockFit, Direction, Interval
+from labpipe.records.result import Result, Status
+from labpipe.records.signals import Clocks, Signal, Signals
+from labpipe.results.evidence import Evidence
+from labpipe.virtual_lab import observe
+from tests.builders.doubts import doubted
+from tests.builders.small_tests import small_scenario
+
+TIME: Floats = np.arange(0.0, 50.0, 0.02)
+BRANCHES = (
+    Branch(50, 1250, 1, Direction.LOADING, 1.0, 25.0),
+    Branch(1250, 2450, 1, Direction.UNLOADING, 25.0, 49.0),
+)
+NOWHERE = Interval(float("nan"), float("nan"))
+
+
+ONE = Clocks("frame")
+
+
+def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
+    """A signal that stands at a level for a second, and was zeroed over two by mistake."""
+    rise = np.interp(TIME, [1.0, 25.0, 49.0], [0.0, 24.0, 0.0])
+    scatter = np.random.default_rng(5).normal(0.0, 1e-3, len(TIME))
+    signal = Signal(TIME, 0.7 + rise + scatter, "N", clock)
+    made = Signals().with_new("displacement", Signal(TIME, 1e-3 * rise, "m", "frame"))
+    made = made.with_new("force", signal)
+    made = made.with_filtered("force", replace(signal, values=signal.values + 0.01))
+    return replace(made, zeroed={"force": stretch})
+
+
+def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
+    made, found = use_rest_there_is(zeroed((0.0, 2.0)), ONE, BRANCHES)
+    assert made.zeroed["force"] == (0.0, 1.0)
+    force = made.raw["force"]
+    assert abs(float(force.values[TIME <= 1.0].mean())) < 1e-12
+    assert force.zero_error == pytest.approx(1e-3 / np.sqrt(51), rel=0.8)
+    apart = made.filtered["force"].values - force.values
+    np.testing.assert_allclose(apart, 0.01, atol=1e-12)
+    (note,) = (each.note for each in found)
+    assert (note.code, note.where, note.severity.value) == ("short_rest", "force", "info")
+    assert note.message == (
+        "the machine rests for 1.00 s, less than the 2 s to zero on: the zero is the mean over "
+        "these 1.00 s"
+    )
+
+
+def test_at_the_end_too() -> None:
+    made, _ = use_rest_there_is(zeroed((48.0, 50.0)), ONE, BRANCHES)
+    assert made.zeroed["force"] == (49.0, 50.0)
+    assert abs(float(made.raw["force"].values[TIME >= 49.0].mean())) < 1e-12
+
+
+def test_on_the_clock_of_the_signal() -> None:
+    fit = ClockFit(0.5, 0.0, NOWHERE, NOWHERE, 0.0, TIME, TIME, TIME, "")
+    made, _ = use_rest_there_is(zeroed((0.0, 2.0), "force"), Clocks("frame", fit), BRANCHES)
+    assert made.zeroed["force"] == (0.0, 1.5)
+
+
+@pytest.mark.parametrize(
+    "stretch", [(0.0, 0.9), (0.9, 2.0), (2.0, 4.0)], ids=["at rest", "too short", "in motion"]
+)
+def test_what_stays(stretch: tuple[float, float]) -> None:
+    """At rest all of it, or with less than eight samples at rest: then the zero is doubted."""
+    before = zeroed(stretch)
+    for branches in (BRANCHES, ()):
+        made, found = use_rest_there_is(before, ONE, branches)
+        assert made is before
+        assert not found
+
+
+def test_levels_hold_in_their_errors() -> None:
+    """Twenty samples of noise that remembers: the record beside says how far."""
+    pulls = []
+    for seed in range(200):
+        white = np.random.default_rng(seed).normal(0.0, 1.0, 620)
+        noise = np.convolve(white, np.ones(5) / 5.0, "valid")
+        mean, mean_error = mean_level(noise[:20], noise[20:])
+        end, end_error = end_level(noise[:20], noise[20:])
+        pulls.append((mean / mean_error, end / end_error))
+    held = np.mean(np.abs(pulls) <= 1.96, axis=0)
+    assert (held >= 0.93).all(), held
+    assert (np.std(pulls, axis=0) > 0.4).all()
+
+
+def reduced(
+    repository: Path, *, rest: float, offset: float, seed: int = 4
+) -> tuple[Evidence, dict[str, Result]]:
+    usual = small_scenario(cycles=3)
+    scenario = replace(
+        usual,
+        rest=rest,
+        clocks=replace(usual.clocks, offset=offset),
+        load_cell=replace(usual.load_cell, noise=5e-4),
+    )
+    text = (repository / "protocols" / "wire-cantilever.yaml").read_text(encoding="utf-8")
+    text = text.replace("crosshead_speed: 1 mm/s", "crosshead_speed: 4 mm/s")
+    plan, seen = parse_protocol(text, "p.yaml"), observe(scenario, seed)
+    force = name_channels(seen.force, plan.sources["force"], Path("force.mat"))
+    done = reduce_recordings({"force": force, "markers": seen.markers}, plan)
+    return done.evidence, {each.name: each for each in done.results}
+
+
+@pytest.mark.parametrize(
+    ("rest", "offset", "where"),
+    [(0.8, 1.37, ["markers"]), (0.6, -1.9, ["force"]), (0.6, 0.0, ["markers", "force"])],
+)
+def test_short_rests_leave_results_as_good(
+    repository: Path, rest: float, offset: float, where: list[str]
+) -> None:
+    """Rest of the cameras, of the force recorder, of both: each shorter than the 2 s asked for."""
+    _, whole = reduced(repository, rest=2.5, offset=offset)
+    made, short = reduced(repository, rest=rest, offset=offset)
+    assert [note.where for note in made.findings.notes if note.code == "short_rest"] == where
+    assert "zero_not_at_rest" not in str(doubted(made))
+    asked = ("peak_force.1", "peak_displacement.1", "initial_stiffness", "bending_stiffness_at_3")
+    for name in asked:
+        found, usual = short[name], whole[name]
+        assert found.status is usual.status is Status.OK, found.why
+        assert found.value is not None
+        assert usual.value is not None
+        assert found.interval is not None
+        assert abs(found.value - usual.value) < 3.0 * found.interval.standard_error, name
+
+
+def test_a_rest_too_short_for_a_zero_is_doubted(repository: Path) -> None:
+    made, results = reduced(repository, rest=0.02, offset=0.0)
+    assert ("force", "zero_not_at_rest") in {
+        (each.quantity, each.reason.code) for each in made.findings.doubts
+    }
+    assert results["peak_force.1"].status is Status.DOUBTFUL
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.9])
+@pytest.mark.parametrize("count", [3, 5])
+def test_zeros_of_few_samples_hold(memory: float, count: int) -> None:
+    """Of 300 records of 10 Hz, noise that remembers nothing, or ten samples."""
+    held = {"mean": 0, "line": 0}
+    for seed in range(300):
+        white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), 400)
+        noise = lfilter([1.0], [1.0, -memory], white)[100:]
+        rising = noise + 0.5 * np.arange(300.0)
+        for word, level in (
+            ("mean", mean_level(noise[:count], rising[count:])),
+            ("line", end_level(rising[:count], rising[count:])),
+        ):
+            held[word] += abs(level[0]) <= 1.96 * level[1]
+    assert min(held.values()) >= 276  # 92 of 100
+    assert max(held.values()) <= 297
+
+
+def test_a_short_record_says_nothing_of_its_noise() -> None:
+    assert needed(TIME[:24]) == 8
+    assert needed(TIME[:25]) == 3
+
+
+@pytest.mark.parametrize("rest", [0, 2, 5, 20, 100, 199])
+@pytest.mark.parametrize("beside", [0, 400])
+def test_a_line_over_rest_and_motion(rest: int, beside: int) -> None:
+    """What the outer end of one line says is off by up to a quarter of the way."""
+    number: Floats = np.arange(200.0 + beside)
+    noise = np.random.default_rng(8).normal(0.0, 1e-3, len(number))
+    values: Floats = 0.7 + 0.01 * np.clip(number - rest, 0.0, None) + noise
+    level, error, rested = line_zero(values[:200], values[200:])
+    assert rested == (pytest.approx(rest, abs=2) if rest >= 20 and rest < 199 else rested)
+    assert abs(level - 0.7) < 4.0 * error
+    assert error < 2e-3
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5])
+def test_zeros_of_few_samples_hold_in_a_short_record(memory: float) -> None:
+    """Of 300 records of 60 samples, as a quick pull at 10 Hz leaves them."""
+    held = 0
+    for seed in range(300):
+        white = np.random.default_rng(seed).normal(0.0, np.sqrt(1.0 - memory**2), 160)
+        noise = lfilter([1.0], [1.0, -memory], white)[100:]
+        rising = noise + 0.5 * np.arange(60.0)
+        level, error = end_level(rising[:3], rising[3:])
+        held += abs(level) <= 1.96 * error
+    assert 273 <= held <= 297  # 91 of 100

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import ClockFit, Interval
+from labpipe.records.signals import Clocks, Signal, Signals
+
+TIME: Floats = np.arange(0.0, 10.0)
+PULL = Signal(TIME, TIME + 1.0, "N", "force")
+WAY = Signal(TIME, 1e-3 * TIME, "m", "frame")
+
+
+def fit(offset: float, drift: float = 0.0, errors: tuple[float, ...] = (0.1,)) -> ClockFit:
+    known, at = Interval(offset - 0.1, offset + 0.1), np.zeros(len(errors))
+    return ClockFit(offset, drift, known, known, 0.0, at, at, np.array(errors), "")
+
+
+def test_a_signal_of_rows_has_no_time() -> None:
+    assert PULL.has_time
+    assert not replace(PULL, time_unit="1").has_time
+
+
+def test_quantities_of_the_curve() -> None:
+    assert Signals("pull", "way").quantities == {"pull": "force", "way": "displacement"}
+
+
+def test_what_is_new_is_raw_and_filtered() -> None:
+    signals = Signals().with_new("force", PULL)
+    assert signals.raw["force"] is signals.filtered["force"] is PULL
+    both = signals.with_new("displacement", WAY)
+    assert list(both.raw) == list(both.filtered) == ["force", "displacement"]
+    assert list(signals.raw) == ["force"]  # the record before stays as it was
+
+
+def test_what_was_filtered_leaves_the_raw_signal() -> None:
+    def halved(values: Floats) -> Floats:
+        return 0.5 * values
+
+    once = Signals().with_new("force", PULL).with_filtered("force", WAY, (halved, 1))
+    twice = once.with_filtered("force", PULL, (halved, 2)).with_filtered("force", WAY)
+    assert twice.raw["force"] is PULL
+    assert twice.filtered["force"] is WAY
+    assert twice.filters["force"] == ((halved, 1), (halved, 2))
+
+
+def test_a_level_is_taken_off_raw_and_filtered() -> None:
+    smooth = replace(PULL, values=PULL.values + 0.5)
+    signals = Signals().with_new("force", PULL).with_filtered("force", smooth)
+    zeroed = signals.without_level("force", 1.0, 0.2)
+    np.testing.assert_array_equal(zeroed.raw["force"].values, TIME)
+    np.testing.assert_array_equal(zeroed.filtered["force"].values, TIME + 0.5)
+    assert zeroed.raw["force"].zero_error == zeroed.filtered["force"].zero_error == 0.2
+    assert zeroed.taken_off == {"force": 1.0}
+    assert zeroed.without_level("force", 0.25, 0.1).taken_off == {"force": 1.25}
+    np.testing.assert_array_equal(signals.raw["force"].values, TIME + 1.0)
+
+
+def test_a_level_of_what_was_not_filtered_leaves_one_signal() -> None:
+    signals = Signals().with_new("force", PULL).without_level("force", 1.0, 0.2)
+    assert signals.raw["force"] is signals.filtered["force"]
+
+
+def test_one_clock_needs_no_joining() -> None:
+    for clocks in (Clocks(), Clocks("frame")):
+        assert clocks.to_curve(3.0, "frame") == clocks.from_curve(3.0, "frame") == 3.0
+        assert clocks.to_curve(3.0, "force") == clocks.from_curve(3.0, "force") == 3.0
+        assert clocks.error == 0.0
+    assert Clocks("frame").sampled(WAY, TIME) is WAY.values
+
+
+def test_times_go_from_clock_to_clock_and_back() -> None:
+    clocks = Clocks("frame", fit(2.0, 1e-3), {"markers": fit(-5.0)})
+    assert clocks.from_curve(100.0, "force") == pytest.approx(102.1)
+    assert clocks.to_curve(102.1, "force") == pytest.approx(100.0)
+    assert clocks.from_curve(100.0, "markers") == pytest.approx(95.0)
+    assert clocks.to_curve(95.0, "markers") == pytest.approx(100.0)
+    for clock in ("", "frame"):  # that of the curve
+        assert clocks.to_curve(7.0, clock) == clocks.from_curve(7.0, clock) == 7.0
+
+
+def test_the_offset_is_known_better_by_more_events() -> None:
+    assert Clocks("frame", fit(0.0, errors=(0.1,))).error == pytest.approx(0.1)
+    assert Clocks("frame", fit(0.0, errors=(0.1,) * 4)).error == pytest.approx(0.05)
+
+
+def test_samples_at_times_of_the_curve() -> None:
+    clocks = Clocks("frame", fit(2.5))
+    found = clocks.sampled(PULL, TIME)  # sampled at 2.5 s, 3.5 s, ... of its own clock
+    np.testing.assert_allclose(found[:7], TIME[:7] + 3.5)
+    assert np.isnan(found[7:]).all()  # nothing is extrapolated
+    assert clocks.sampled(WAY, TIME) is WAY.values
+    np.testing.assert_allclose(clocks.sampled(WAY, np.array([0.5, 11.0])), [5e-4, np.nan])

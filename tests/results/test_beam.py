@@ -1,0 +1,258 @@
+"""Kink, plateau and bending stiffness of loadings whose numbers are known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.errors import ProtocolError
+from labpipe.process.story import Reduced
+from labpipe.protocol.load import parse_protocol
+from labpipe.records.arrays import Floats
+from labpipe.records.result import Result, Status
+from labpipe.results.beam import Kink, Plateau
+from labpipe.results.evidence import Evidence
+from labpipe.results.kinds import to_result
+from tests.builders.bundle_loops import (
+    FIRST,
+    FLAT,
+    KINK,
+    NOISE,
+    ONSET,
+    SECOND,
+    cycles,
+    first_loading,
+    holds,
+    width,
+)
+from tests.builders.doubts import doubted
+from tests.builders.reduced import reduced, reduction
+from tests.builders.three_point import CONDUIT, BendingRecord
+from tests.builders.three_point import reduced as reduced_bending
+
+ASKED = """\
+results:
+  - {result: initial-stiffness, from: 0.2 mm, to: 1.8 mm}
+  - {result: kink, from: 0.2 mm, to: 5 mm}
+  - {result: plateau, slope_below: 20 %}
+  - {result: loading-stiffness, over: 5 mm}
+  - {result: hardening, over: 5 mm}
+  - result: bending-stiffness
+    of: initial_stiffness
+    support: cantilever
+    length_uncertainty: 1 mm
+"""
+LENGTH = "specimen: {length: 100 mm}\n"
+
+
+def asked(
+    loop: tuple[Floats, Floats, Floats], more: str = LENGTH + ASKED
+) -> tuple[Evidence, dict[str, Result]]:
+    return reduced(*loop, more=more)
+
+
+@pytest.fixture(scope="module")
+def done() -> Reduced:
+    return reduction(*cycles(noise=NOISE), more=LENGTH + ASKED)
+
+
+@pytest.fixture(scope="module")
+def usual(done: Reduced) -> tuple[Evidence, dict[str, Result]]:
+    return done.evidence, {each.name: each for each in done.results}
+
+
+def test_kink(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> None:
+    _, results = usual
+    holds(results["kink_displacement"], KINK, "m")
+    holds(results["kink_force"], FIRST * KINK, "N")
+    assert width(results["kink_displacement"]) < 2e-4
+    before, behind = done.lines[:2]
+    assert (before.result, behind.result) == ("before_kink", "behind_kink")
+    assert before.slope == pytest.approx(FIRST, rel=0.02)
+    assert behind.slope == pytest.approx(SECOND, rel=0.02)
+    assert before.stop == behind.start == results["kink_displacement"].value
+    assert before.level + before.slope * (before.stop - before.start) == pytest.approx(behind.level)
+
+
+def test_scale_of_the_force_is_in_the_force_of_the_kink_alone(
+    usual: tuple[Evidence, dict[str, Result]],
+) -> None:
+    """1 % of 1.6 N, 95 %."""
+    _, results = usual
+    assert width(results["kink_force"]) > 2 * 1.96 * 0.01 * FIRST * KINK
+
+
+def test_plateau(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> None:
+    test, results = usual
+    below = 0.2 * FIRST
+    onset = ONSET - 0.001 + 0.002 * (SECOND - below) / (SECOND - FLAT)
+    holds(results["end_slope"], FLAT / FIRST, "1")
+    holds(results["plateau_displacement"], onset, "m")
+    force = first_loading(np.array([onset]))[0]
+    holds(results["plateau_force"], float(force), "N")
+    assert "no_plateau" not in {note.code for note in test.findings.notes}
+    assert [line.result for line in done.lines] == ["before_kink", "behind_kink", "slope_at_end"]
+    assert done.lines[2].slope == pytest.approx(FLAT, abs=1.0)
+
+
+def test_no_plateau_is_a_finding_and_no_failure() -> None:
+    test, results = asked(cycles(noise=NOISE, has_plateau=False))
+    holds(results["end_slope"], SECOND / FIRST, "1")
+    assert "plateau_displacement" not in results
+    assert "plateau_force" not in results
+    (said,) = [note for note in test.findings.notes if note.code == "no_plateau"]
+    assert said.severity == "info"
+    assert said.message.startswith("the slope over the last 5 mm is 37.")
+    assert "% of initial_stiffness (3" in said.message
+    assert "not surely below 20 %: no plateau up to 49.9" in said.message
+    assert said.message.endswith(" mm")
+
+
+def test_bending_stiffness(usual: tuple[Evidence, dict[str, Result]]) -> None:
+    """The length is uncertain by 1 %, which counts three times."""
+    _, results = usual
+    found = results["bending_stiffness"]
+    holds(found, FIRST * 0.1**3 / 3.0, "N*m^2")
+    assert found.value is not None
+    assert width(found) > 2 * 1.96 * 0.03 * found.value
+    assert found.method == "initial_stiffness x L^3 / 3, L = specimen.length"
+
+
+def test_three_point_takes_the_span() -> None:
+    text = ASKED.replace("support: cantilever", "support: three-point")
+    _, results = asked(cycles(noise=NOISE), "specimen: {span: 100 mm}\n" + text)
+    holds(results["bending_stiffness"], FIRST * 0.1**3 / 48.0, "N*m^2")
+    assert results["bending_stiffness"].method.endswith("x L^3 / 48, L = specimen.span")
+
+
+@pytest.mark.parametrize(
+    ("support", "reason"),
+    [("cantilever", "no_length: "), ("three-point", "no_span: ")],
+)
+def test_a_length_that_is_missing(support: str, reason: str) -> None:
+    text = ASKED.replace("support: cantilever", f"support: {support}")
+    _, results = asked(cycles(noise=NOISE), text)
+    assert results["bending_stiffness"].status is Status.FAILED
+    assert results["bending_stiffness"].why.startswith(reason)
+
+
+def test_window_outside_the_loading() -> None:
+    text = ASKED.replace("to: 5 mm", "to: 70 mm").replace(
+        "from: 0.2 mm, to: 1.8", "from: 55 mm, to: 60"
+    )
+    _, results = asked(cycles(noise=NOISE), LENGTH + text)
+    for name in ("kink_displacement", "kink_force"):
+        assert results[name].why.startswith("not_reached: the branch reaches 49.9")
+    assert results["initial_stiffness"].why.startswith("not_reached: ")
+    assert results["end_slope"].why.startswith("no_stiffness: initial_stiffness ")
+    assert results["bending_stiffness"].why.startswith("no_stiffness: ")
+
+
+def test_nothing_moves() -> None:
+    time, path, force = cycles(noise=NOISE)
+    _, results = asked((time, 0.01 * path, force))
+    assert {each.status for each in results.values()} == {Status.FAILED}
+    assert "hardening.2" in results
+
+
+def test_the_slope_at_the_end_of_a_record_that_breaks_off() -> None:
+    time, path, force = cycles(noise=NOISE)
+    part = time < 23.0
+    _, results = asked((time[part], path[part], force[part]))
+    assert results["end_slope"].why.startswith("partial_cycle: the record ends at 22.98")
+    assert results["end_slope"].why.endswith(", while still loading")
+    assert results["initial_stiffness"].status is Status.OK
+
+
+def test_the_slope_at_the_end_without_its_force() -> None:
+    time, path, force = cycles(noise=NOISE)
+    _, results = asked((time, path, np.where((time > 40.0) & (time < 60.0), np.nan, force)))
+    assert "gap: force and displacement are known up to " in results["end_slope"].why
+    assert results["end_slope"].status is Status.DOUBTFUL
+
+
+def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
+    time, path, force = cycles(noise=NOISE)
+    test, results = asked((time, path, -force))
+    assert doubted(test)["force"].startswith("force_reversed: the force goes to -1")
+    assert results["initial_stiffness"].status is Status.DOUBTFUL
+    assert results["kink_displacement"].status is Status.FAILED
+
+
+def test_another_shape_widens_places() -> None:
+    """The same deflection by a shape with a term more, 1 % longer."""
+    test, before = asked(cycles(noise=NOISE))
+    signal = replace(test.displacement, alternative=1.01 * test.displacement.values)
+    test = replace(test, signals=test.signals.with_filtered("displacement", signal))
+    for entry in (Kink(start=2e-4, stop=5e-3), Plateau(slope_below=0.2)):
+        numbers = entry.compute(test).numbers
+        after = {each.name: each for each in (to_result(test, number) for number in numbers)}
+        (name,) = (each for each in after if each.endswith("_displacement"))
+        assert after[name].value == before[name].value
+        assert width(after[name]) > width(before[name])
+
+
+OLD = "corrections: [large-deflection, roller-radius], roller: {diameter: 10 mm}"
+WINDOW = ("initial-stiffness, from: 0.2 mm, to: 5 mm", "initial-stiffness, from: 2 mm, to: 15 mm")
+
+
+def stiffness(corrections: str) -> Result:
+    change = (WINDOW, (OLD, corrections))
+    return reduced_bending(BendingRecord(), without=("markers",), change=change)[1][
+        "bending_stiffness"
+    ]
+
+
+def test_large_deflection_gives_the_true_value_back() -> None:
+    plain, exact = stiffness("corrections: []"), stiffness("corrections: [large-deflection]")
+
+    assert plain.value is not None
+    assert exact.value is not None
+    assert plain.value < 0.95 * 0.02
+    assert exact.value == pytest.approx(0.02, rel=0.01)
+    assert exact.interval is not None
+    assert exact.interval.lower < 0.02 < exact.interval.upper
+    assert exact.remark.startswith("corrected as an elastic beam: large-deflection +")
+    assert exact.how.endswith(f"; {exact.remark}")
+
+
+def test_the_size_of_each_correction_is_said() -> None:
+    more = "corrections: [large-deflection, roller-radius, roller-friction]"
+    found = stiffness(f"{more}, roller: {{diameter: 10 mm, friction: 0.2}}")
+
+    _, _, said = found.remark.partition("corrected as an elastic beam: ")
+    names = [each.split()[0] for each in said.split(", ")]
+    assert names == ["large-deflection", "roller-radius", "roller-friction"]
+    sizes = [float(each.split()[1]) for each in said.split(", ")]
+    assert sizes[0] > 0.0 > sizes[1]
+    assert sizes[2] < 0.0
+
+
+@pytest.mark.parametrize(
+    ("corrections", "told"),
+    [
+        (
+            "corrections: [roller-radius], roller: {diameter: 10 mm}",
+            "expected 'large-deflection' beside 'roller-radius', found none. Add "
+            "'large-deflection' to the corrections.",
+        ),
+        (
+            "corrections: [large-deflection, roller-friction], roller: {diameter: 10 mm}",
+            "expected 'roller.friction' for 'roller-friction', found none. Add "
+            "'roller: {friction: ...}'.",
+        ),
+        (
+            "support: cantilever, corrections: [large-deflection]",
+            "expected corrections for 'three-point' alone, found 'cantilever'. Remove them.",
+        ),
+    ],
+)
+def test_corrections_without_what_they_need(corrections: str, told: str) -> None:
+    text = CONDUIT.read_text(encoding="utf-8")
+    if "cantilever" in corrections:
+        text = text.replace("support: three-point, ", "")
+    with pytest.raises(ProtocolError) as info:
+        parse_protocol(text.replace(OLD, corrections), "p.yaml")
+    assert told in str(info.value)

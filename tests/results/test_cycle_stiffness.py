@@ -1,0 +1,98 @@
+"""Stiffnesses of every cycle on loops whose numbers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.estimates import Estimate
+from labpipe.records.result import Result, Status
+from labpipe.records.signals import Signal, Signals
+from labpipe.results.cycle_stiffness import UnloadingStiffness
+from labpipe.results.evidence import Evidence
+from tests.builders.bundle_loops import LATER, NOISE, cycles, first_loading, holds, width
+from tests.builders.reduced import reduced
+
+ASKED = """\
+results:
+  - {result: loading-stiffness, over: 5 mm}
+  - {result: hardening, over: 5 mm}
+"""
+
+
+def asked(loop: tuple[Floats, Floats, Floats]) -> dict[str, Result]:
+    return reduced(*loop, more=ASKED)[1]
+
+
+@pytest.fixture(scope="module")
+def usual() -> dict[str, Result]:
+    return asked(cycles(noise=NOISE))
+
+
+def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> None:
+    """The branch holds 3 s of the wait; noise of cameras must not be carried over them."""
+    time: Floats = np.arange(0.0, 26.0, 0.02)
+    path = 1e-3 * np.clip(np.minimum(time, 23.0 - time), 0.0, 10.0)
+    off = 0.010 - path
+    force = 1.0 - 200.0 * off + 2e4 * off**2
+    waits, turns, ends = (int(np.searchsorted(time, at)) for at in (10.0, 13.0, 23.0))
+    up = Branch(0, waits, 1, Direction.LOADING, 0.0, 10.0)
+    down = Branch(waits, ends, 1, Direction.UNLOADING, 13.0, 23.0)
+    numbers = np.zeros(len(time), dtype=np.int64)
+    seen = path + np.random.default_rng(1).normal(0.0, 15e-6, len(time))
+    signals = Signals()
+    for name, values, unit in (("force", force, "N"), ("displacement", seen, "m")):
+        signals = signals.with_new(name, Signal(time, values, unit, "force"))
+    curve = Curve(time, path, force, numbers, numbers + 1, (up, down))
+    (number,) = UnloadingStiffness(over=0.003).compute(Evidence(signals, curve=curve)).numbers
+    found = number.outcome
+    assert isinstance(found, Estimate)
+    inside = slice(turns, ends)
+    window = (off[inside] >= 0.0003) & (off[inside] <= 0.003)
+    slope = np.polyfit(path[inside][window], force[inside][window], 1)[0]
+    assert found.value == pytest.approx(slope, rel=0.01)
+
+
+def test_stiffness_of_each_cycle_and_hardening(usual: dict[str, Result]) -> None:
+    path = np.linspace(0.0, 0.005, 251)
+    lever = path - path.mean()
+    first = float(lever @ first_loading(path) / (lever @ path))
+    for number, true in ((1, first), (2, LATER), (3, LATER)):
+        holds(usual[f"loading_stiffness.{number}"], true, "N/m")
+    for number in (2, 3):
+        holds(usual[f"hardening.{number}"], LATER / first, "1")
+    assert width(usual["loading_stiffness.2"]) > 0.039 * LATER  # 1 % of the gain, 95 %
+    assert "hardening.1" not in usual
+
+
+def test_a_gain_cancels_in_hardening(usual: dict[str, Result]) -> None:
+    time, path, force = cycles(noise=NOISE)
+    stronger = asked((time, path, 1.05 * force))
+    for name, factor in (("loading_stiffness.2", 1.05), ("hardening.2", 1.0)):
+        value = usual[name].value
+        assert value is not None
+        assert stronger[name].value == pytest.approx(factor * value, rel=1e-9)
+        assert width(stronger[name]) == pytest.approx(factor * width(usual[name]), rel=1e-6)
+
+
+def test_one_cycle_has_no_hardening() -> None:
+    results = asked(cycles(1, noise=NOISE))
+    assert "loading_stiffness.1" in results
+    assert not [name for name in results if name.startswith("hardening")]
+
+
+def test_force_that_is_not_taken_off_between_cycles() -> None:
+    time, path, force = cycles(noise=NOISE)
+    results = asked((time, path, np.where(time > 60.0, force + 2.0, force)))
+    assert results["loading_stiffness.2"].why.startswith("not_unloaded: the branch begins at 1.99")
+    assert results["hardening.2"].why.startswith("not_unloaded: ")
+    assert results["loading_stiffness.1"].status is Status.OK
+
+
+def test_no_hardening_without_a_first_cycle() -> None:
+    time, path, force = cycles(noise=NOISE)
+    force = np.where(time < 50.0, np.random.default_rng(1).normal(0.0, NOISE, len(time)), force)
+    results = asked((time, path, force))
+    assert results["hardening.2"].why.startswith("no_stiffness: ")

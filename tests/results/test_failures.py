@@ -1,0 +1,135 @@
+"""Results of tensile tests from pulls whose numbers are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.result import Status
+from tests.builders.pulls import (
+    BREAK,
+    LINE,
+    MARKED,
+    STEP,
+    broken,
+    holds,
+    pull,
+    pulled,
+    slipped,
+)
+
+
+def test_failure_and_energy() -> None:
+    travel, force = pull()
+    torn = broken(travel, force, at=0.01601)
+    _, results = pulled(travel, torn, curve=BREAK, results=["failure", "energy-to-break"])
+    found = results["failure_displacement"]
+    assert found.interval is not None
+    assert found.interval.lower <= 0.01601 <= found.interval.upper
+    assert found.interval.upper - found.interval.lower < 1.1 * STEP
+    holds(results["failure_force"], 80.05, "N")
+    holds(results["energy_to_break"], 0.5 * 5e3 * 0.01601**2, "J")
+
+
+def test_energy_of_the_last_cycle_of_several() -> None:
+    """Half way up, back to zero, and up until it tears: the work of the second way up."""
+    travel, _ = pull(length=0.01)
+    path = np.concatenate([travel, travel[-2:0:-1], pull()[0]])
+    load = broken(path, 5e3 * path + np.random.default_rng(1).normal(0, 0.02, len(path)), at=0.016)
+    _, results = pulled(path, load, curve=BREAK, results=["failure", "energy-to-break", LINE])
+    holds(results["energy_to_break"], 0.5 * 5e3 * 0.016**2, "J")
+    assert results["failure_displacement"].value == pytest.approx(0.016, abs=STEP)
+    assert results["stiffness"].why.startswith("not_reached: the branch reaches 9.9")
+
+
+def test_never_failed() -> None:
+    _, results = pulled(*pull(), curve=BREAK, results=["failure", "energy-to-break"])
+    for found in results.values():
+        assert found.why.startswith("no_break: the force ends at 99.9")
+
+
+def test_slips() -> None:
+    travel, force = pull()
+    lower = slipped(travel, force, (0.006, 3.0), (0.0141, 1.0))
+    test, results = pulled(travel, lower, curve=MARKED, results=[LINE, "slips"])
+    assert len(test.slips) == 2
+    assert results["slip_position.1"].value == pytest.approx(0.006, abs=2 * STEP)
+    assert results["slip_position.2"].value == pytest.approx(0.0141, abs=2 * STEP)
+    assert results["slip_drop.1"].value == pytest.approx(3.0, abs=0.1)
+    assert results["slip_drop.2"].value == pytest.approx(1.0, abs=0.1)
+    assert results["slip_drop.2"].unit == "N"
+    assert results["slip_drop.1"].method.endswith("; marked")
+
+
+def test_slack() -> None:
+    curve = "slack: {from: 10 %, to: 30 %}"
+    _, results = pulled(*pull(slack=0.003), curve=curve, results=["slack", LINE])
+    found = results["slack"]
+    assert found.value == pytest.approx(0.003, abs=1e-5)
+    assert found.method == "toe compensation, ASTM D638 annex A1"
+    holds(results["stiffness"], 5000.0, "N/m")
+
+
+def test_compliance_of_a_stiff_bar() -> None:
+    travel, force = pull()
+    _, results = pulled(travel, force, results=["compliance, from: 10 N, to: 80 N"], scale="1 %")
+    found = results["compliance"]
+    holds(found, 1.0 / 5000.0, "m/N")
+    assert found.interval is not None
+    assert found.interval.standard_error == pytest.approx(0.01 / 5000.0, rel=0.02)
+
+
+EVERYTHING = [
+    LINE,
+    "two-segments, from: 1 mm, to: 18 mm",
+    "normalised-stiffness, of: stiffness",
+    "modulus, of: stiffness, area: stated",
+    "failure",
+    "energy-to-break",
+    "slack",
+    "compliance, from: 10 N, to: 80 N",
+]
+
+
+def test_nothing_moves() -> None:
+    travel, force = pull()
+    curve = f"{BREAK}, {MARKED}, slack: {{from: 10 %, to: 30 %}}"
+    _, results = pulled(0.01 * travel, force, curve=curve, results=[*EVERYTHING, "slips"])
+    assert {each.value for each in results.values()} == {None}
+    assert len(results) == 11
+    for found in results.values():
+        assert found.why.startswith("no_motion: the motion spans 0.2 mm, less"), found
+
+
+def test_rows_without_times() -> None:
+    curve = f"{BREAK}, {MARKED}, slack: {{from: 10 %, to: 30 %}}"
+    travel, force = pull(slack=0.001)
+    torn = broken(travel, force, at=0.016)
+    asked = [LINE, "failure", "energy-to-break", "slack", "peak-force"]
+    _, timed = pulled(travel, torn, curve=curve, results=asked)
+    _, rows = pulled(travel, torn, curve=curve, results=asked, time=False)
+    for name, found in rows.items():
+        assert found.value == pytest.approx(timed[name].value, rel=1e-9), name
+        assert found.status is Status.OK, name
+
+
+def test_rows_that_end_while_loading() -> None:
+    _, results = pulled(*pull(), results=["peak-force"], time=False)
+    assert results["peak_force.1"].why == (
+        "partial_cycle: the record ends at sample 1000, while still loading"
+    )
+
+
+def test_a_pull_to_the_stroke_of_the_rig_is_whole() -> None:
+    specimen = "{length: 100 mm}\nrig: {stroke: 20 mm}"
+    _, results = pulled(*pull(), results=["peak-force"], specimen=specimen)
+    assert results["peak_force.1"].status is Status.OK
+
+
+def test_what_was_added_back_is_said_of_the_peak() -> None:
+    travel, force = pull()
+    curve = "slips: {decision: repaired, min_drop: 0.5 N}"
+    lower = slipped(travel, force, (0.006, 3.0))
+    _, results = pulled(travel, lower, curve=curve, results=["peak-force", LINE])
+    assert results["peak_force.1"].remark.endswith(" N of slips added back")
+    assert "added back" not in results["stiffness"].method

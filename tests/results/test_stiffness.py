@@ -1,0 +1,200 @@
+"""Stiffnesses of pulls whose numbers are known, and what is made of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.result import Status
+from tests.builders.pulls import (
+    BREAK,
+    LINE,
+    MARKED,
+    SECTION,
+    broken,
+    holds,
+    pull,
+    pulled,
+    reduction,
+    slipped,
+)
+
+
+def bilinear() -> tuple[Floats, Floats]:
+    """5 N/mm up to 8 mm, 2 N/mm beyond, up to 20 mm."""
+    travel, force = pull()
+    return travel, force - 3e3 * np.maximum(travel - 0.008, 0.0)
+
+
+def test_line() -> None:
+    done = reduction(*pull(), results=[LINE])
+    results = {each.name: each for each in done.results}
+    holds(results["stiffness"], 5000.0, "N/m")
+    assert results["stiffness"].method == (
+        "straight line from 2 mm to 10 mm of the first loading, interval for correlated noise"
+    )
+    (line,) = done.lines
+    assert (line.result, line.slope) == ("stiffness", results["stiffness"].value)
+    assert line.start == pytest.approx(0.002)
+    assert line.stop == pytest.approx(0.010)
+    assert line.level == pytest.approx(10.0, abs=0.02)
+
+
+def test_scale_of_the_force_is_in_the_interval() -> None:
+    _, results = pulled(*pull(), results=[LINE], scale="1 %")
+    interval = results["stiffness"].interval
+    assert interval is not None
+    assert interval.standard_error == pytest.approx(50.0, rel=0.01)
+
+
+def test_two_segments() -> None:
+    done = reduction(*bilinear(), results=["two-segments, from: 1 mm, to: 18 mm"])
+    results = {each.name: each for each in done.results}
+    holds(results["segment_stiffness_first"], 5000.0, "N/m")
+    holds(results["segment_stiffness_second"], 2000.0, "N/m")
+    holds(results["break_point"], 0.008, "m")
+    first, second = done.lines
+    assert (first.result, second.result) == ("segment_stiffness_first", "segment_stiffness_second")
+    assert first.stop == second.start == results["break_point"].value
+    assert first.level + first.slope * (first.stop - first.start) == pytest.approx(second.level)
+
+
+def test_no_bend() -> None:
+    _, results = pulled(*pull(), results=["two-segments, from: 1 mm, to: 18 mm"])
+    for name in ("segment_stiffness_first", "segment_stiffness_second", "break_point"):
+        assert results[name].why.startswith("no_bend: ")
+
+
+def test_stiffness_over_peak_force_forgets_the_scale() -> None:
+    travel, force = bilinear()
+    torn = broken(travel, force, at=0.018)
+    asked = [LINE.replace("10 mm", "7 mm"), "normalised-stiffness, of: stiffness"]
+    test, results = pulled(travel, torn, curve=BREAK, results=asked, scale="5 %")
+    found = results["stiffness_per_peak_force"]
+    assert found.unit == "1/m"
+    assert found.value == pytest.approx(5000.0 / 60.0, rel=2e-3)
+    assert found.interval is not None
+    assert found.value is not None
+    assert found.interval.standard_error < 0.002 * found.value
+    assert found.status is Status.OK
+    assert test.stiffnesses["stiffness"].estimate.error < 0.001 * 5000.0
+
+
+def test_stiffness_over_a_force_that_may_not_be_the_peak() -> None:
+    """The specimen outlasted the record."""
+    asked = [LINE, "normalised-stiffness, of: stiffness"]
+    _, results = pulled(*pull(), curve=BREAK, results=asked)
+    found = results["stiffness_per_peak_force"]
+    assert found.status is Status.DOUBTFUL
+    assert found.why.startswith("partial_cycle: the record ends at 99.9")
+    assert results["stiffness"].status is Status.OK
+
+
+@pytest.mark.parametrize(
+    ("area", "size"),
+    [
+        ("stated", 5e-6),
+        ("rectangle", 2e-5),
+        ("annulus", 0.25 * np.pi * (0.01**2 - 0.008**2)),
+        ("thin-wall", np.pi * 0.0095 * 0.0005),
+    ],
+)
+def test_modulus(area: str, size: float) -> None:
+    asked = [LINE, f"modulus, of: stiffness, area: {area}"]
+    _, results = pulled(*pull(), results=asked, specimen=SECTION)
+    found = results["modulus"]
+    holds(found, 5000.0 * 0.1 / size, "Pa")
+    assert found.method == (f"stiffness x specimen.length / area ({area}); sizes taken as exact")
+
+
+@pytest.mark.parametrize(
+    ("specimen", "area", "said"),
+    [
+        ("{section: {area: 5 mm**2}}", "stated", "no_length: specimen.length, the gauge length, "),
+        (
+            "{length: 1 m}",
+            "rectangle",
+            "no_area: specimen.section.width and specimen.section.thickness not given",
+        ),
+        (
+            "{length: 1 m, section: {outer_diameter: 8 mm, inner_diameter: 9 mm}}",
+            "annulus",
+            "no_area: the annulus area comes out as -",
+        ),
+    ],
+)
+def test_no_modulus_without_sizes(specimen: str, area: str, said: str) -> None:
+    asked = [LINE, f"modulus, of: stiffness, area: {area}"]
+    _, results = pulled(*pull(), results=asked, specimen=specimen)
+    assert results["modulus"].why.startswith(said)
+    assert results["stiffness"].status is Status.OK
+
+
+def test_numbers_of_a_stiffness_that_failed() -> None:
+    asked = [
+        LINE.replace("10 mm", "30 mm"),
+        "normalised-stiffness, of: stiffness",
+        "modulus, of: stiffness, area: stated",
+    ]
+    _, results = pulled(*pull(), results=asked, specimen=SECTION)
+    assert results["stiffness"].why == ("not_reached: the branch reaches 19.98 mm, 30 mm is asked")
+    for name in ("stiffness_per_peak_force", "modulus"):
+        assert results[name].why.startswith("no_stiffness: stiffness ")
+
+
+def test_a_window_before_the_first_sample() -> None:
+    travel, force = pull()
+    _, results = pulled(travel + 0.004, force, results=[LINE])
+    assert results["stiffness"].why == ("not_reached: the branch begins at 4 mm, 2 mm is asked")
+
+
+def test_marked_slip_in_a_window() -> None:
+    travel, force = pull()
+    lower = slipped(travel, force, (0.006, 3.0))
+    asked = [
+        LINE,
+        "stiffness, name: behind, from: 12 mm, to: 18 mm",
+        "modulus, of: stiffness, area: stated",
+        "modulus, name: modulus_behind, of: behind, area: stated",
+        "normalised-stiffness, of: stiffness",
+    ]
+    torn = broken(travel, lower, at=0.019)
+    curve = f"{BREAK}, {MARKED}"
+    _, results = pulled(travel, torn, curve=curve, results=asked, specimen=SECTION)
+    for name in ("stiffness", "modulus", "stiffness_per_peak_force"):
+        assert results[name].status is Status.DOUBTFUL, name
+        assert results[name].why.startswith("slip_in_window: slipped in the grips at 6"), name
+        assert results[name].why.endswith("and the curve stays as measured"), name
+    for name in ("behind", "modulus_behind"):
+        assert results[name].status is Status.OK, name
+
+
+def test_stiffness_over_the_largest_peak_of_all_cycles() -> None:
+    """A way up to 10 mm, back, and up to 20 mm, where it tears."""
+    travel, _ = pull(length=0.01)
+    path = np.concatenate([travel, travel[-2:0:-1], pull()[0]])
+    noise = np.random.default_rng(1).normal(0, 0.02, len(path))
+    load = broken(path, 5e3 * path + noise, at=0.016)
+    asked = ["stiffness, from: 2 mm, to: 8 mm", "normalised-stiffness, of: stiffness"]
+    _, results = pulled(path, load, curve=BREAK, results=asked)
+    found = results["stiffness_per_peak_force"]
+    assert found.value == pytest.approx(5000.0 / 80.0, rel=5e-3)
+    assert found.status is Status.OK
+
+
+def test_a_force_that_falls_where_the_frame_pulls() -> None:
+    travel, force = pull()
+    _, results = pulled(travel, 200.0 - force, results=[LINE])
+    found = results["stiffness"]
+    assert found.value == pytest.approx(-5000.0, rel=1e-3)
+    assert found.why == "negative_slope: the force falls where the frame pulls"
+
+
+def test_no_force_at_all() -> None:
+    travel, force = pull()
+    asked = [LINE, "normalised-stiffness, of: stiffness"]
+    _, results = pulled(travel, force - 5e3 * travel, results=asked)
+    found = results["stiffness_per_peak_force"]
+    assert found.value is None
+    assert found.why.startswith("no_peak_force: a peak of ")

@@ -1,0 +1,284 @@
+"""Whether a string held its wire straight at rest, by clamp and shape, and how that is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.curve import Aligned, Branch, Curve, Direction, PointFlag, Series, Shape
+from labpipe.records.quality import Severity
+from labpipe.records.result import Specimen, TestResult
+from labpipe.results.string_at_rest import AtRest, at_rest, held, notes_of, stated
+
+WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05
+TIME = np.arange(COUNT) / 10.0
+
+
+def curve() -> Curve:
+    """Rest, then a straight line to 50 mm at 4 N/m."""
+    deflection = np.maximum(np.arange(COUNT) - REST, 0) / (COUNT - REST) * DEEP
+    branch = np.repeat([-1, 0], [REST, COUNT - REST])
+    return Curve(
+        time=TIME,
+        displacement=deflection,
+        force=4.0 * deflection,
+        branch=branch,
+        cycle=branch + 1,
+        branches=(Branch(REST, COUNT, 1, Direction.LOADING, TIME[REST], TIME[-1]),),
+    )
+
+
+def shape(sag: float) -> Shape:
+    """Clamped end and pull point alone."""
+    positions = np.zeros((COUNT, 2, 3))
+    positions[:, 1, 0] = 0.085
+    positions[:, 1, 1] = curve().displacement - sag
+    return Shape(
+        time=TIME,
+        positions=positions,
+        names=("grip", "pull"),
+        flags=np.full((COUNT, 2), PointFlag.CONSTRUCTED, dtype=np.uint8),
+        arc_length=np.array([0.0, 0.085]),
+        coefficients=np.zeros((COUNT, 3, 0)),
+        length=0.085,
+        rotation_lab_to_specimen=np.eye(3),
+    )
+
+
+def seen(*, ahead: float | None = None, sag: float | None = None) -> AtRest:
+    one = curve()
+    aligned = None
+    if ahead is not None:
+        aligned = Aligned(TIME, {"travel": Series(one.displacement + ahead, "m")})
+    result = TestResult(
+        test="T1",
+        specimen=Specimen("A2", "A2-s1", "3"),
+        protocol="wire-cantilever",
+        protocol_yaml="",
+        test_yaml="",
+        labpipe_version="0",
+        inputs=(),
+        recordings={},
+        aligned=aligned,
+        curve=one,
+        shape=None if sag is None else shape(sag),
+        results=(),
+        quality=(),
+    )
+    return at_rest(result.aligned, result.shape, one, one.branches[0], WEIGHT)
+
+
+def test_a_taut_string_and_a_straight_wire() -> None:
+    found = seen(ahead=0.02e-3, sag=0.1e-3)
+    assert found.ahead == pytest.approx(0.02e-3)
+    assert found.sag == pytest.approx(0.1e-3)
+    assert found.reach == pytest.approx(WEIGHT / 4.0, rel=0.1)
+    assert found.state == "taut"
+    assert found.why_not_straight == ""
+    assert list(notes_of("T1", found)) == []
+
+
+def test_a_slack_string() -> None:
+    found = seen(ahead=1.5e-3, sag=12e-3)
+    assert found.why_not_straight == (
+        "its string was slack at rest: the clamp travels 1.5 mm before the tip follows, and until "
+        "then the wire hung under the counterweight of 26.5 mN, its tip 12 mm below; a first "
+        "loading begins with a straight wire that the string holds"
+    )
+    assert "26.5 mN; a first loading" in seen(ahead=1.5e-3).why_not_straight
+
+
+def test_a_string_that_just_spans_to_a_hanging_wire() -> None:
+    """The clamp is not ahead of the tip, and the wire has been bent all the same."""
+    found = seen(ahead=0.0, sag=6.5e-3)
+    assert found.why_not_straight == (
+        "its wire hung at rest: the tip stood 6.5 mm below the axis of the clamp, where the "
+        "counterweight of 26.5 mN bends the wire by about 6.7 mm; a first loading begins with a "
+        "straight wire that the string holds"
+    )
+
+
+def test_a_wire_that_is_not_quite_straight_is_told() -> None:
+    found = seen(ahead=0.0, sag=2e-3)
+    assert found.why_not_straight == ""
+    (note,) = notes_of("T1", found)
+    assert (note.code, note.where) == ("wire_not_straight", "T1")
+    assert note.message == (
+        "at rest the tip stood 2 mm below the axis of the clamp: the wire is taken as straight, "
+        "and its string as carrying all of the counterweight"
+    )
+
+
+def test_a_test_that_knows_nothing_of_it() -> None:
+    found = seen()
+    assert not found.is_known
+    assert found.why_not_straight == ""
+    (note,) = notes_of("T1", found)
+    assert note.code == "rest_unknown"
+    assert note.message.endswith("held the wire straight at rest; it is taken to have done so")
+
+
+def test_a_force_that_never_reaches_the_counterweight() -> None:
+    one = curve()
+    weak = at_rest(None, shape(30e-3), one, one.branches[0], weight=1.0)
+    assert weak.reach == pytest.approx(DEEP, rel=0.01)
+    assert weak.why_not_straight.startswith("its wire hung at rest: the tip stood 30 mm below")
+
+
+def moved(*, tension: float, slack_for: float = 0.0) -> AtRest:
+    """A cycle whose string goes slack for some m at its end; the zero hides a tension at rest."""
+    rng = np.random.default_rng(6)
+    travel = np.concatenate(
+        [np.zeros(200), np.linspace(0.0, 0.02, 2000), np.linspace(0.02, 0.0, 2000)]
+    )
+    deflection = np.maximum(travel - slack_for, 0.0)
+    deflection[:2200] = travel[:2200]
+    force = np.where(deflection > 0.0, 20.0 * deflection, 0.0) - tension * (deflection <= 0.0)
+    if not slack_for:
+        force = 20.0 * deflection - tension * (1.0 - travel / 0.02)
+    force[:2200] = 20.0 * deflection[:2200]
+    time = np.arange(len(travel)) / 50.0
+    branches = (
+        Branch(200, 2200, 1, Direction.LOADING, time[200], time[2200]),
+        Branch(2200, 4200, 1, Direction.UNLOADING, time[2200], time[-1]),
+    )
+    branch = np.repeat([-1, 0, 1], [200, 2000, 2000])
+    one = Curve(
+        time=time,
+        displacement=deflection + rng.normal(0.0, 2e-5, len(time)),
+        force=force + rng.normal(0.0, 5e-4, len(time)),
+        branch=branch,
+        cycle=np.where(branch < 0, 0, 1),
+        branches=branches,
+    )
+    noisy = travel + rng.normal(0.0, 1e-5, len(time))
+    return at_rest(Aligned(time, {"travel": Series(noisy, "m")}), None, one, branches[0], WEIGHT)
+
+
+@pytest.mark.parametrize("tension", [0.0, 0.012, WEIGHT])
+def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) -> None:
+    found = moved(tension=tension, slack_for=3e-3)
+    assert found.carries == pytest.approx(tension, abs=3e-4)
+    assert found.lowest == pytest.approx(-tension, abs=3e-4)
+    assert found.error < 2e-4
+    assert found.was_pulled is (tension > 0.0)
+
+
+def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
+    found = moved(tension=0.02)
+    assert np.isnan(found.slackened)
+    assert found.lowest == pytest.approx(-0.015, abs=2e-3)
+    assert found.was_pulled
+
+
+EVIDENCE = AtRest(ahead=0.0, sag=0.0, reach=5e-3, weight=WEIGHT, lowest=-1e-4, error=5e-5)
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("ahead", "sag", "lowest", "slackened", "state"),
+    [
+        (0.0, 0.0, -0.008, NAN, "taut"),
+        (0.0, 0.0, 0.0, NAN, "taut"),
+        (0.0, 5.5e-3, 0.0, NAN, "slack"),  # it just spans
+        (1.2e-3, 5.5e-3, 0.0, NAN, "slack"),
+        (1.2e-3, 0.1e-3, 0.0, NAN, "off the wire"),
+        (1.2e-3, 1.5e-3, 0.0, NAN, "unknown"),
+        (1.2e-3, 0.0, -0.02, NAN, "taut"),  # the clamp had play
+        (0.0, 2e-3, 0.0, NAN, "unknown"),  # a curled wire, or half of its weight held
+        (0.0, 2e-3, -0.008, NAN, "taut"),  # a curled wire
+        (0.0, 5e-3, -0.008, NAN, "unknown"),
+        (0.0, -4e-3, 0.0, NAN, "unknown"),
+        (0.0, 0.0, -0.026, -0.026, "taut"),
+        (0.0, 2e-3, -0.026, -0.026, "taut"),
+        (0.0, 2.5e-3, -0.013, -0.013, "part"),
+        (0.0, 5e-3, 0.0, 0.0, "slack"),
+        (0.0, 0.0, 0.0, 0.0, "off the wire"),
+        (0.0, NAN, 0.0, NAN, "unknown"),
+        (NAN, NAN, NAN, NAN, "unknown"),
+    ],
+)
+def test_what_the_evidence_says(
+    ahead: float, sag: float, lowest: float, slackened: float, state: str
+) -> None:
+    """The force of a slack string before its lowest force, that before the clamp, then the sag."""
+    found = replace(EVIDENCE, ahead=ahead, sag=sag, lowest=lowest, slackened=slackened)
+    assert found.state == state
+    assert (found.why_not_straight == "") is (
+        state in ("taut", "off the wire")
+        or (state == "unknown" and ahead == 0.0 and sag < 4e-3)
+        or bool(np.isnan(sag))
+    )
+
+
+def test_a_stiff_wire_hangs_too_little_to_be_told_by_its_sag() -> None:
+    stiff = replace(EVIDENCE, reach=0.2e-3, sag=0.2e-3)
+    assert np.isnan(stiff.share)
+    assert stiff.state == "unknown"
+    assert replace(stiff, lowest=-0.01).state == "taut"
+
+
+TAUT = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
+
+
+def test_a_taut_string_carries_the_counterweight() -> None:
+    found = held(TAUT)
+    assert (found.state, found.tension, found.weight, found.other) == ("taut", 0.0265, 0.0265, None)
+    note = found.note
+    assert (note.code, note.severity, note.where) == (
+        "string_at_rest",
+        Severity.INFO,
+        "rig.string",
+    )
+    assert note.message == (
+        "the string was taut at rest and carried the counterweight of 26.5 mN: its tip stood 0.01 "
+        "mm below the axis of the clamp, where the counterweight bends it by 5 mm; the clamp is 0 "
+        "mm ahead of it when the string pulls; the lowest force is -8.4 mN against that at rest"
+    )
+
+
+def test_a_slack_string_leaves_it_to_the_wire() -> None:
+    found = held(replace(TAUT, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5))
+    assert (found.state, found.tension, found.weight, found.other) == ("slack", 0.0, 0.0265, None)
+    assert found.why.startswith(
+        "the string carried nothing at rest: the wire hung under the counterweight of 26.5 mN: "
+    )
+    assert found.why.endswith("later the string goes slack at -0.01 mN against the force at rest")
+
+
+def test_a_counterweight_that_does_not_pull_at_the_wire() -> None:
+    found = held(replace(TAUT, ahead=1.2e-3, lowest=0.0))
+    assert (found.state, found.tension, found.weight, found.other) == ("off the wire", 0, 0, None)
+    assert "yet the wire did not hang: the counterweight is taken not to pull at it" in found.why
+
+
+def test_a_part_of_it_is_taken_as_measured() -> None:
+    found = held(replace(TAUT, sag=2.5e-3, slackened=-0.013))
+    assert (found.state, found.tension, found.weight) == ("part", 0.013, 0.0265)
+    assert found.other == pytest.approx(0.013 - 1e-4 * 3**0.5)
+    assert found.why.startswith("the string carried 13 mN of the counterweight of 26.5 mN at rest:")
+
+
+@pytest.mark.parametrize(("ahead", "taken", "other"), [(0.0, 0.0265, 0.0), (1e-3, 0.0, 0.0265)])
+def test_what_the_test_does_not_tell_is_in_the_intervals(
+    ahead: float, taken: float, other: float
+) -> None:
+    found = held(replace(TAUT, ahead=ahead, sag=1.6e-3, lowest=0.0))
+    assert (found.state, found.tension, found.other) == ("unknown", taken, other)
+    assert found.note.severity is Severity.WARNING
+    assert found.why.startswith("it is not known whether the string carried the counterweight of ")
+    assert found.why.endswith(
+        ". If you know, write 'rig.string.at_rest: {value: taut, because: ...}' under 'overrides' "
+        "in test.yaml, or slack"
+    )
+
+
+def test_it_can_be_stated() -> None:
+    assert stated("taut", 0.0265).tension == 0.0265
+    found = stated("slack", 0.0265)
+    assert (found.tension, found.weight, found.other) == (0.0, 0.0265, None)
+    assert found.why == (
+        "the string was slack at rest and carried nothing: so rig.string.at_rest states it"
+    )
