@@ -71,7 +71,7 @@ def test_blanks_at_the_ends_are_noted_alone() -> None:
     time = np.arange(100) * 0.1
     values = np.arange(100.0)
     values[0] = values[-1] = np.nan
-    made, found = calibrated(force(values, time), PROTOCOL)
+    _made, found = calibrated(force(values, time), PROTOCOL)
     assert not Findings(tuple(found)).doubts
     assert [note.message for note in notes(found) if note.code == "missing_samples"] == [
         "2 of 100 samples are blank or not finite"

@@ -79,7 +79,7 @@ def test_doubts_of_stretches(
 def test_notes_and_doubts_count_once() -> None:
     each = doubtful("force", code="a", message="b", where="c")
     other = doubtful("clock", code="a", message="b", where="c")
-    found = Findings() + (each, each, other)
+    found = Findings((each, each)) + iter((other,))
     assert len(found.found) == 3
     assert found.notes == (each.note,)
     assert [doubt.quantity for doubt in found.doubts] == ["force", "clock"]

@@ -63,7 +63,7 @@ def test_of_each_code_the_first_reason_counts() -> None:
     more = doubtful("force", code="frozen", message="again", where="force")
     other = doubtful("force", code="drift", message="the zero drifts", where="force")
     test = located()
-    test = replace(test, findings=test.findings + (more, other))
+    test = replace(test, findings=test.findings + iter((more, other)))
     assert test.why_doubtful("force") == (*FROZEN, Reason("drift", "the zero drifts"))
 
 

@@ -14,13 +14,13 @@ from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Specimen, Status, TestResult
 from labpipe.studies.first_loadings import (
-    GRAVITY,
     FirstLoading,
     NotUsableError,
     first_loading,
     noise_of,
     read_first_loadings,
 )
+from labpipe.units import GRAVITY
 
 LENGTH, PEAK, COUNT = 0.085, 0.05, 2000
 NOISE = 1e-3
