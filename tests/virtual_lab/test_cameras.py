@@ -32,14 +32,6 @@ def wire(observation: Observation) -> Floats:
     return turned
 
 
-def test_rotation_is_proper_and_general(scenario: CantileverScenario) -> None:
-    turn = scenario.pose.rotation()
-    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-14)
-    assert np.linalg.det(turn) == pytest.approx(1.0)
-    assert turn[1, 1] > 0.99
-    assert np.min(np.abs(turn - np.eye(3))) > 1e-4
-
-
 def test_markers_stand_off_the_axis_and_are_spaced_along_it(exact: Observation) -> None:
     straight = wire(exact)[0]
     arc = np.array(exact.scenario.markers.arc_lengths(0.085))

@@ -11,8 +11,7 @@ import pytest
 import yaml
 
 from labpipe.virtual_lab.campaigns import GROUPS, WireCampaign, WireGroup, simulate_campaigns
-from labpipe.virtual_lab.cantilever_path import solve_path
-from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario, wire_scenario
+from labpipe.virtual_lab.cantilever_scenarios import NO_MISHAPS, CantileverScenario
 from labpipe.virtual_lab.observations import observe
 from labpipe.virtual_lab.specimens import WIRES, StrandedWire
 
@@ -62,15 +61,6 @@ def test_other_wires_and_no_mishaps() -> None:
     assert scenario.mechanics.wire == wire
     assert scenario.mishaps == NO_MISHAPS
     assert GROUPS[2] == WireGroup(WIRES["A3"], 0.085)
-
-
-def test_looking_up_between_crowded_positions_is_exact_enough() -> None:
-    """Far below the noise of the load cell, 0.5 mN, and of the markers, 30 um."""
-    test = wire_scenario(WIRES["A3"], 0.085, cycles=1).mechanics
-    path, finer = solve_path(test), solve_path(replace(test, steps_per_branch=240))
-    progress = np.concatenate([np.linspace(0.0, 0.003, 300), 0.053 + np.linspace(0.0, 0.053, 900)])
-    assert path.tension(progress) == pytest.approx(finer.tension(progress), abs=6e-5)
-    assert path.deflection(progress) == pytest.approx(finer.deflection(progress), abs=1e-7)
 
 
 def test_on_disk_and_in_memory(tmp_path: Path) -> None:
