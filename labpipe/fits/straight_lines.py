@@ -52,12 +52,11 @@ def fit_line(displacement: Floats, force: Floats) -> StraightLine | Failure:
 
     Notes
     -----
-    Intervals from `labpipe.uncertainty.linear_fits.fit_linear`: they hold for noise that is
-    correlated over up to a tenth of the stretch, and grow where the stretch is not straight. The
-    displacement counts as exact, as that of a crosshead encoder nearly is: noise of standard
-    deviation s on it lowers the slope by the share s^2 / var(displacement) (Fuller, Measurement
-    Error Models, 1987, sec. 1.1). For a displacement seen by cameras see
-    `labpipe.fits.loops.secant_stiffness`.
+    Intervals from `labpipe.uncertainty.linear_fits.fit_linear`: they hold for noise correlated over
+    up to a tenth of the stretch, and grow where the stretch is not straight. The displacement
+    counts as exact, as that of a crosshead encoder nearly is: noise of standard deviation s on it
+    lowers the slope by the share s^2 / var(displacement) (Fuller, Measurement Error Models, 1987,
+    sec. 1.1). For a displacement seen by cameras see `labpipe.fits.loops.secant_stiffness`.
 
     Examples
     --------

@@ -6,6 +6,7 @@ import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -62,7 +63,7 @@ class Body:
     as_exported: bool = False
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Shape:
     """A body whose extent is known.
 
@@ -80,17 +81,18 @@ class Shape:
     width: int
 
     @property
-    def data(self) -> bytes:
-        """The bytes of the whole rows."""
-        return self.body.data[self.body.start : self.end]
+    def data(self) -> memoryview:
+        """The bytes of the whole rows, not copied."""
+        return memoryview(self.body.data)[self.body.start : self.end]
 
     def rows(self) -> Iterator[list[str]]:
         """Give the cells of each row."""
-        lines = self.data.decode("utf-8", errors="replace").split("\n")
+        lines = str(self.data, "utf-8", errors="replace").split("\n")
         return (split_line(line, self.body.separator) for line in lines)
 
+    @cached_property
     def separators(self) -> tuple[Ints, Ints]:
-        """Count separators.
+        """Where lines start, and how many separators they have.
 
         Returns
         -------
@@ -102,7 +104,7 @@ class Shape:
         ends = np.append(np.flatnonzero(letters == ord("\n")) + 1, len(letters)).astype(np.int64)
         starts = np.concatenate(([0], ends))
         if self.body.separator == " ":
-            lines = (data[a:b] for a, b in pairwise(starts.tolist()))
+            lines = (bytes(data[a:b]) for a, b in pairwise(starts.tolist()))
             return starts, np.array([len(line.split()) - 1 for line in lines])
         before = np.searchsorted(np.flatnonzero(letters == ord(self.body.separator)), ends)
         return starts, np.diff(before, prepend=0)
@@ -199,9 +201,9 @@ def _parsed(shape: Shape, path: Path) -> dict[int, Floats]:
 def _from_memory(shape: Shape, wanted: list[int]) -> dict[int, Floats]:
     """Read the rows, and refuse those with more cells: pandas leaves out what nobody asked for."""
     data = shape.data
-    starts, counts = shape.separators()
+    starts, counts = shape.separators
     for i in np.flatnonzero(counts >= shape.width):
-        line = data[starts[i] : starts[i + 1]].decode("utf-8", errors="replace")
+        line = str(data[starts[i] : starts[i + 1]], "utf-8", errors="replace")
         if any(cell.strip() for cell in split_line(line, shape.body.separator)[shape.width :]):
             message = "a line has more cells than the first one"
             raise ValueError(message)
@@ -229,7 +231,7 @@ def _table(
         na_values=["", *_NAN_WORDS] if shape.body.as_exported else [""],
         keep_default_na=False,
         skip_blank_lines=False,
-        skipinitialspace=True,
+        skipinitialspace=not shape.body.as_exported,
         encoding_errors="replace",
     )
     read = range(shape.width) if wanted is None else wanted
@@ -276,9 +278,9 @@ def _decimal_sign(body: Body, data: bytes) -> str:
 def _short_lines(shape: Shape, rows: int) -> list[QualityNote]:
     """Lines with fewer cells than names; those behind the last filled row do not count."""
     data = shape.data
-    starts, counts = shape.separators()
+    starts, counts = shape.separators
     short = [int(i) for i in np.flatnonzero(counts[:rows] < len(shape.body.names) - 1)]
-    short = [i for i in short if data[starts[i] : starts[i + 1]].strip()]
+    short = [i for i in short if bytes(data[starts[i] : starts[i + 1]]).strip()]
     if not short:
         return []
     message = (

@@ -17,7 +17,7 @@ def test_rows_are_those_behind_the_names() -> None:
 
 @pytest.mark.parametrize("separator", [",", " ", "\t"])
 def test_separators_of_each_line(separator: str) -> None:
-    starts, counts = shape("1,2\n3\n4,5,6".replace(",", separator), separator).separators()
+    starts, counts = shape("1,2\n3\n4,5,6".replace(",", separator), separator).separators
     assert starts.tolist() == [0, 4, 6, 11]
     assert counts.tolist() == [1, 0, 2]
 

@@ -59,8 +59,9 @@ def calibrate_as_source(
 
     Returns
     -------
-    Where the search ended; or a failure as of `labpipe.wire.calibration.calibrate_wire`, or
-    ``parameter_without_effect`` for a single strand.
+    Where the search ended; or a failure as of
+    `labpipe.wire.calibration.calibrate_wire.calibrate`, or ``parameter_without_effect`` for
+    a single strand.
 
     Notes
     -----
