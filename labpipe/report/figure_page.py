@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import math
 import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -78,12 +80,26 @@ def style(changes: Mapping[str, Any] | None = None) -> Iterator[None]:
     Matplotlib's warning of a letter that no font here has is not passed on: the figure shows a box
     in its place, and the name stands whole in the summary, the page and the workbook.
     """
+    _load_matplotlib()
     import matplotlib as mpl
 
     own: Any = dict(changes or {})
     with mpl.rc_context(own, fname=str(STYLE_FILE)), warnings.catch_warnings():
         warnings.filterwarnings("ignore", r"Glyph \d+ .* missing from font", UserWarning)
         yield
+
+
+@cache
+def _load_matplotlib() -> None:
+    """Import what draws; its modules last, so that the collector is to pass them by."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    import matplotlib.backends.backend_svg
+    import matplotlib.figure  # noqa: F401
+
+    gc.freeze()
+    if was_enabled:
+        gc.enable()
 
 
 def new_page(

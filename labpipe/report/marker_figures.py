@@ -253,6 +253,7 @@ FLAG_COLOURS = {
 }
 _COLUMNS = 900
 _MM_PER_ROW = 4.2
+_HALF_ROW = 0.36
 
 
 def draw_marker_quality(result: TestResult) -> Figure:
@@ -280,15 +281,16 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     if shape is None or not len(shape.time):
         say(axes, why_missing(result, "shape"))
         return
+    from matplotlib.collections import PolyCollection
+
     mine = _is_marker(shape)
     names = [name for name, is_marker in zip(shape.names, mine, strict=True) if is_marker]
     flags = worst(shape.flags[:, mine], _rank(), bins=_COLUMNS)
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     edges *= scale(result, "time", "s").factor
-    for row in range(len(names)):
-        for flag, colour in FLAG_COLOURS.items():
-            if spans := _spans(flags[:, row] == flag, edges):
-                axes.broken_barh(spans, (row - 0.36, 0.72), color=colour, linewidth=0)
+    for flag, colour in FLAG_COLOURS.items():
+        axes.add_collection(PolyCollection(_bars(flags == flag, edges), color=colour, linewidth=0))
+    axes.autoscale_view()
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
     axes.tick_params(axis="y", length=0)
@@ -364,8 +366,10 @@ def _rank() -> NDArray[np.uint8]:
     return rank
 
 
-def _spans(inside: NDArray[np.bool_], edges: Floats) -> list[tuple[float, float]]:
-    """Start and width of each stretch of columns."""
-    steps = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
-    starts, stops = edges[steps[::2]], edges[steps[1::2]]
-    return [(float(a), float(b - a)) for a, b in zip(starts, stops, strict=True)]
+def _bars(inside: NDArray[np.bool_], edges: Floats) -> Floats:
+    """Corners of a bar for each stretch of columns, row by row, shape (bars, 4, 2)."""
+    rows, steps = np.nonzero(np.diff(inside.T.astype(np.int8), axis=1, prepend=0, append=0))
+    left, right = edges[steps[::2]], edges[steps[1::2]]
+    low, high = rows[::2] - _HALF_ROW, rows[::2] + _HALF_ROW
+    corners = ((left, low), (left, high), (right, high), (right, low))
+    return np.stack([np.column_stack(corner) for corner in corners], axis=1)

@@ -4,6 +4,8 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from labpipe.report.figure_page import style, titled_page
@@ -65,3 +67,15 @@ def test_each_figure_of_a_report_is_saved_three_times(tmp_path: Path) -> None:
 
 def test_nothing_to_save(tmp_path: Path) -> None:
     assert save_report_figures([], tmp_path) == []
+
+
+def test_words_are_as_wide_in_pixels_as_in_an_svg() -> None:
+    """Else they would leave the room that they were given, or the page."""
+    with style():
+        widths = []
+        for canvas in (FigureCanvasAgg, FigureCanvasSVG):
+            figure = Figure(dpi=200)
+            canvas(figure)
+            words = figure.text(0.0, 0.5, "mean of taping none, wire B1 & B2, number 19", size=7)
+            widths.append(words.get_window_extent().width / figure.dpi)
+    assert widths[0] == pytest.approx(widths[1], rel=3e-3)
