@@ -14,6 +14,8 @@ from labpipe.report.curve_figures import MOST_COLOURS, cycle_colours
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
+    area_key,
+    line_key,
     new_page,
     panel_letter,
     put_key,
@@ -165,27 +167,13 @@ def _is_loading(result: TestResult, branch: int) -> bool:
 
 def _handles(bending: Bending) -> list[Any]:
     """Name cycles, directions, law and noise."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     last = int(bending.cloud.cycle.max(initial=1))
     cycles = [
-        Line2D(
-            [], [], linestyle="", marker="o", markersize=3, color=colour, label=f"cycle {number}"
-        )
+        line_key(f"cycle {number}", linestyle="", marker="o", markersize=3, color=colour)
         for number, colour in enumerate(cycle_colours(last) if last <= MOST_COLOURS else (), 1)
     ]
     ways = [
-        Line2D(
-            [],
-            [],
-            linestyle="",
-            marker="o",
-            markersize=3,
-            color=GREY,
-            markerfacecolor=face,
-            label=word,
-        )
+        line_key(word, linestyle="", marker="o", markersize=3, color=GREY, markerfacecolor=face)
         for word, face in (("loading", GREY), ("unloading", "none"))
     ]
     if bending.law is None:
@@ -193,10 +181,10 @@ def _handles(bending: Bending) -> list[Any]:
     return [
         *cycles,
         *ways,
-        Line2D([], [], color=_LAW, label="law, secant"),
-        Line2D([], [], color=_LAW, label="tangent", linestyle=(0, (4, 1.6))),
-        Patch(color=_BAND, lw=0, label="95 %"),
-        Patch(color=_NOISE, lw=0, label="below noise"),
+        line_key("law, secant", color=_LAW),
+        line_key("tangent", color=_LAW, linestyle=(0, (4, 1.6))),
+        area_key("95 %", color=_BAND, lw=0),
+        area_key("below noise", color=_NOISE, lw=0),
     ]
 
 

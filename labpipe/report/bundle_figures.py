@@ -18,7 +18,9 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     Words,
+    area_key,
     keyed_page,
+    line_key,
     number_log,
     panel_letter,
     style_colours,
@@ -233,13 +235,11 @@ def _label(place: BundlePlace) -> str:
 
 
 def _place_keys() -> list[Artist]:
-    from matplotlib.lines import Line2D
-
     return [
-        Line2D([], [], color=_BOUNDS["color"], linewidth=5.0, label="all slips to nothing slips"),
-        Line2D([], [], label="wires slip, strands stick", **_FREE),
-        Line2D([], [], linewidth=1.0, label="sample, 95 %", **_SAMPLE),
-        Line2D([], [], linewidth=1.0, label="mean of a group, 95 %", **_MEAN),
+        line_key("all slips to nothing slips", color=_BOUNDS["color"], linewidth=5.0),
+        line_key("wires slip, strands stick", **_FREE),
+        line_key("sample, 95 %", linewidth=1.0, **_SAMPLE),
+        line_key("mean of a group, 95 %", linewidth=1.0, **_MEAN),
     ]
 
 
@@ -370,27 +370,24 @@ def plot_bounds(model: BundleModel, axes: Axes) -> None:
 
 
 def _bundle_keys(model: BundleModel) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     colours = _colours()
     keys: list[Artist] = [
-        Patch(label=wire.type, facecolor=colours[kind % len(colours)], **_OUTLINE)
+        area_key(wire.type, facecolor=colours[kind % len(colours)], **_OUTLINE)
         for kind, wire in enumerate(model.bundle.wires)
     ]
     if model.bundle.conduit_bore is not None:
         bore = {name: _BORE[name] for name in ("linewidth", "linestyle")}
-        keys.append(Line2D([], [], label="bore of the conduit", color="black", **bore))
+        keys.append(line_key("bore of the conduit", color="black", **bore))
     if _is_alike(model):
-        keys.append(Line2D([], [], label="y and x: all directions are alike", **_STIFFEST))
+        keys.append(line_key("y and x: all directions are alike", **_STIFFEST))
     else:
-        keys.append(Line2D([], [], label="stiffest direction", **_STIFFEST))
-        keys.append(Line2D([], [], label="least stiff direction", **_SOFTEST))
+        keys.append(line_key("stiffest direction", **_STIFFEST))
+        keys.append(line_key("least stiff direction", **_SOFTEST))
     return [
         *keys,
-        Line2D([], [], label="wires stick", **_STICK),
-        Line2D([], [], label="wires slip", **_SLIP),
-        Line2D([], [], label="if no copper yielded", **_ELASTIC),
+        line_key("wires stick", **_STICK),
+        line_key("wires slip", **_SLIP),
+        line_key("if no copper yielded", **_ELASTIC),
     ]
 
 

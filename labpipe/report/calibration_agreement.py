@@ -28,8 +28,10 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     Words,
+    area_key,
     in_pages,
     keyed_page,
+    line_key,
     panel_grid,
     panel_letter,
     require_room,
@@ -180,18 +182,15 @@ def _names(groups: Sequence[ValidationGroup], foretold: int) -> list[str]:
 
 
 def _keys(groups: Sequence[ValidationGroup]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     keys: list[Artist] = [
-        Line2D([], [], label="sample", **_SAMPLE),
-        Line2D([], [], label="mean of samples", **MEAN_LOOK),
+        line_key("sample", **_SAMPLE),
+        line_key("mean of samples", **MEAN_LOOK),
     ]
     if any(np.isfinite(group.band.lower).any() for group in groups):
-        keys.append(Patch(label="95 % band of the mean", **MEASURED_LOOK))
+        keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
     if any(group.prediction is not None for group in groups):
-        keys.append(Line2D([], [], label="model", **MODEL_LOOK))
-        keys.append(Patch(label="95 % band of the model", **FORETOLD_LOOK))
+        keys.append(line_key("model", **MODEL_LOOK))
+        keys.append(area_key("95 % band of the model", **FORETOLD_LOOK))
     return keys
 
 
@@ -363,16 +362,13 @@ def _third_note(panels: Sequence[ThirdPanel]) -> str:
 
 
 def _third_keys(panels: Sequence[ThirdPanel]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     keys: list[Artist] = []
     groups = [panel.group for panel in panels if panel.group is not None]
     if groups:
-        keys.append(Line2D([], [], label="mean of tests", **MEAN_LOOK))
+        keys.append(line_key("mean of tests", **MEAN_LOOK))
     if any(np.isfinite(group.band.lower).any() for group in groups):
-        keys.append(Patch(label="95 % band of the mean", **MEASURED_LOOK))
+        keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
     if any(panel.prediction is not None for panel in panels):
-        keys.append(Line2D([], [], label="model", **MODEL_LOOK))
-        keys.append(Patch(label="95 % band of the model", **FORETOLD_LOOK))
+        keys.append(line_key("model", **MODEL_LOOK))
+        keys.append(area_key("95 % band of the model", **FORETOLD_LOOK))
     return keys

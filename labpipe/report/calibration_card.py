@@ -38,7 +38,9 @@ from labpipe.report.figure_page import (
     GREY,
     Look,
     Words,
+    area_key,
     keyed_page,
+    line_key,
     number_log,
     panel_letter,
 )
@@ -448,26 +450,20 @@ def _keys(
     source: SourceCalibration | None,
     predictions: Mapping[float, Prediction] | None,
 ) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     keys: list[Artist] = [
-        Line2D(
-            [], [], color=look.colour, linestyle=look.dash, label=_samples(calibration, length),
-            **SAMPLE,
-        )
+        line_key(_samples(calibration, length), color=look.colour, linestyle=look.dash, **SAMPLE)
         for length, look in looks_of(calibration).items()
     ]  # fmt: skip
-    keys.append(Line2D([], [], label="model", **MODEL_LINE))
+    keys.append(line_key("model", **MODEL_LINE))
     if predictions:
-        keys.append(Patch(label="its 95 % band, mean sample", **MODEL_BAND))
+        keys.append(area_key("its 95 % band, mean sample", **MODEL_BAND))
     if source is not None:
-        keys.append(Line2D([], [], label="method: source", **SOURCE))
+        keys.append(line_key("method: source", **SOURCE))
     if any(parameter.profile is not None for parameter in calibration.parameters):
-        keys.append(Line2D([], [], label="95 % threshold", **THRESHOLD))
-        keys.append(Patch(label="95 % interval", **INTERVAL))
+        keys.append(line_key("95 % threshold", **THRESHOLD))
+        keys.append(area_key("95 % interval", **INTERVAL))
     if any(parameter.conflict is not None for parameter in calibration.parameters):
-        keys.append(Line2D([], [], label="prior alone", **PRIOR))
+        keys.append(line_key("prior alone", **PRIOR))
     return keys
 
 

@@ -24,7 +24,7 @@ from labpipe.report.calibration_shown import (
     CalibrationReport,
     length_words,
 )
-from labpipe.report.figure_page import WIDTH, Words, in_pages, keyed_page, say
+from labpipe.report.figure_page import WIDTH, Words, in_pages, keyed_page, line_key, say
 from labpipe.report.saving import FigureToSave, save_pages
 
 if TYPE_CHECKING:
@@ -122,13 +122,11 @@ def _known(points: Floats) -> Floats:
 
 
 def _keys(shapes: Sequence[BentShape]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
-    keys: list[Artist] = [Line2D([], [], label="markers", **_MARKERS)]
+    keys: list[Artist] = [line_key("markers", **_MARKERS)]
     if any(len(shape.fit) for shape in shapes):
-        keys.append(Line2D([], [], label="fitted curve", **_FIT))
+        keys.append(line_key("fitted curve", **_FIT))
     if any(len(shape.model) for shape in shapes):
-        keys.append(Line2D([], [], label="model", **_MODEL))
+        keys.append(line_key("model", **_MODEL))
     return keys
 
 

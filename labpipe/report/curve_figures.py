@@ -14,6 +14,7 @@ from labpipe.report.drawn_points import extremes
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
+    line_key,
     new_page,
     panel_letter,
     put_key,
@@ -212,22 +213,18 @@ def _branch_colours(branches: tuple[Branch, ...]) -> list[str]:
 
 def _explain(page: Figure, panels: list[Axes], curve: Curve) -> None:
     """Name cycles, directions and peaks above the panels, where no data can be."""
-    from matplotlib.lines import Line2D
-
     count = max(branch.cycle for branch in curve.branches)
     few = count <= MOST_COLOURS
     cycles = [
-        Line2D([], [], color=colour, label=f"cycle {number}")
+        line_key(f"cycle {number}", color=colour)
         for number, colour in enumerate(cycle_colours(count) if few else (), start=1)
     ]
     others = [
-        Line2D([], [], color=GREY, linestyle=look, label=str(direction))
+        line_key(str(direction), color=GREY, linestyle=look)
         for direction, look in _STYLES.items()
         if any(branch.direction is direction for branch in curve.branches)
     ]
-    peak = Line2D(
-        [], [], color=GREY, marker="v", markerfacecolor="white", linestyle="", label="peak"
-    )
+    peak = line_key("peak", color=GREY, marker="v", markerfacecolor="white", linestyle="")
     handles = [*cycles, *others, peak]
     put_key(page, handles)
     if not few:

@@ -264,6 +264,20 @@ def put_key(page: Figure, handles: Sequence[Artist], *, columns: int | None = No
     )
 
 
+def line_key(words: str, **look: Any) -> Artist:
+    """Sample of a line or a sign, with what it is called, for a key."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], label=words, **look)
+
+
+def area_key(words: str, **look: Any) -> Artist:
+    """Sample of an area, with what it is called, for a key."""
+    from matplotlib.patches import Patch
+
+    return Patch(label=words, **look)
+
+
 def side_key(axes: Axes, handles: Sequence[Artist]) -> None:
     """Name what a panel shows on top of its right end, above the data."""
     axes.legend(

@@ -15,7 +15,7 @@ import numpy as np
 from labpipe.records.curve import Interval, SlipDecision
 from labpipe.records.group import Band, Group, GroupNumber, MeanInterval, Sample, SampleCurve
 from labpipe.records.result import Status
-from labpipe.report.figure_page import GREY, keep_in_view, panel_grid
+from labpipe.report.figure_page import GREY, keep_in_view, line_key, panel_grid
 from labpipe.report.group_plots import (
     RED,
     count_words,
@@ -116,12 +116,10 @@ def _is_repaired(sample: Sample) -> bool:
 
 
 def _slip_keys(samples: list[Sample]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
-    keys: list[Artist] = [Line2D([], [], label="as processed")]
+    keys: list[Artist] = [line_key("as processed")]
     if any(_is_repaired(sample) for sample in samples):
-        keys.append(Line2D([], [], label="as measured", **_MEASURED))
-    keys.append(Line2D([], [], color=RED, marker="v", linestyle="", label="slip"))
+        keys.append(line_key("as measured", **_MEASURED))
+    keys.append(line_key("slip", color=RED, marker="v", linestyle=""))
     return keys
 
 
@@ -297,13 +295,11 @@ def _is_first(name: str) -> bool:
 
 
 def _keys(numbers: list[GroupNumber]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
-    rings = [Line2D([], [], label="marked as outlier", **_RING)]
+    rings = [line_key("marked as outlier", **_RING)]
     return [
-        Line2D([], [], color=GREY, marker="o", label="sample, 95 %"),
-        Line2D([], [], color=GREY, marker="o", markerfacecolor="white", label="doubtful"),
-        Line2D([], [], color=GREY, marker="D", linewidth=1.6, label="mean, 95 %"),
+        line_key("sample, 95 %", color=GREY, marker="o"),
+        line_key("doubtful", color=GREY, marker="o", markerfacecolor="white"),
+        line_key("mean, 95 %", color=GREY, marker="D", linewidth=1.6),
         *(rings if any(number.outliers for number in numbers) else []),
     ]
 

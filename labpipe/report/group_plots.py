@@ -11,7 +11,17 @@ from labpipe.records.arrays import Floats
 from labpipe.records.group import Band, Group, Sample, SampleCurve
 from labpipe.report.concerns import sentence
 from labpipe.report.drawn_points import bends
-from labpipe.report.figure_page import GREY, Look, Words, keyed_page, line_looks, say, style_colours
+from labpipe.report.figure_page import (
+    GREY,
+    Look,
+    Words,
+    area_key,
+    keyed_page,
+    line_key,
+    line_looks,
+    say,
+    style_colours,
+)
 from labpipe.report.wording import (
     Scale,
     count_of,
@@ -273,24 +283,21 @@ def _reason(band: Band) -> str:
 
 
 def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     keys: list[Artist] = [
-        Line2D([], [], color=look.colour, linestyle=look.dash, label=f"spool {spool}")
+        line_key(f"spool {spool}", color=look.colour, linestyle=look.dash)
         for spool, look in spool_looks(group).items()
     ]
     if band.n >= 2 and len(band.displacement):
-        keys.append(Line2D([], [], label=f"mean of {band.n} {band.over}", **_MEAN))
+        keys.append(line_key(f"mean of {band.n} {band.over}", **_MEAN))
         if _is_known(band.lower):
-            keys.append(Patch(label="95 % band, point by point", **_POINTWISE))
+            keys.append(area_key("95 % band, point by point", **_POINTWISE))
         if _is_known(band.lower_all):
-            keys.append(Line2D([], [], label="95 % band, whole curve", **_ALL))
+            keys.append(line_key("95 % band, whole curve", **_ALL))
     faint = "" if is_scaled else _faint_words(group)
     if faint:
-        keys.append(Line2D([], [], color=GREY, alpha=_FAINT, label=faint))
+        keys.append(line_key(faint, color=GREY, alpha=_FAINT))
     if any(value_of(sample, "failure_force") is not None for sample in group.samples):
-        keys.append(Line2D([], [], color=RED, marker="x", linestyle="", label="failure"))
+        keys.append(line_key("failure", color=RED, marker="x", linestyle=""))
     return keys
 
 
@@ -373,11 +380,7 @@ def _looks(group: Group) -> dict[str, dict[str, Any]]:
 
 
 def _line_keys(group: Group) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
-    return [
-        Line2D([], [], label=_slope(group, name), **look) for name, look in _looks(group).items()
-    ]
+    return [line_key(_slope(group, name), **look) for name, look in _looks(group).items()]
 
 
 def _slope(group: Group, name: str) -> str:

@@ -16,6 +16,8 @@ from labpipe.report.drawn_points import extremes, worst
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
+    area_key,
+    line_key,
     new_page,
     panel_letter,
     put_key,
@@ -25,6 +27,7 @@ from labpipe.report.figure_page import (
 from labpipe.report.wording import scale, why_missing
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -218,21 +221,19 @@ def _name_signs(page: Figure, shape: Shape, steps: Steps) -> None:
     from matplotlib.lines import Line2D
 
     present = set(np.unique(shape.flags[steps.frames]))
-    handles = [
+    handles: list[Artist] = [
         Line2D([], [], color=GREY, **_look(flag, GREY)) for flag in _LOOKS if flag in present
     ]
     if shape.coefficients.shape[2]:
-        handles.append(Line2D([], [], color=GREY, linewidth=0.9, label="fitted curve"))
+        handles.append(line_key("fitted curve", color=GREY, linewidth=0.9))
     put_key(page, handles)
 
 
 def _name_steps(result: TestResult, axes: Axes, steps: Steps) -> None:
     """Say beside the panel how far the tip had come at each shape."""
-    from matplotlib.lines import Line2D
-
     way = scale(result, "displacement", "m")
     levels = [
-        Line2D([], [], color=colour, linewidth=1.6, label=f"{level * way.factor:g} {way.unit}")
+        line_key(f"{level * way.factor:g} {way.unit}", color=colour, linewidth=1.6)
         for level, colour in zip(steps.levels, _colours(len(steps.levels)), strict=True)
     ]
     axes.legend(
@@ -289,7 +290,9 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
     edges = np.linspace(shape.time[0], shape.time[-1], len(flags) + 1)
     edges *= scale(result, "time", "s").factor
     for flag, colour in FLAG_COLOURS.items():
-        axes.add_collection(PolyCollection(_bars(flags == flag, edges), color=colour, linewidth=0))
+        axes.add_collection(
+            PolyCollection(list(_bars(flags == flag, edges)), color=colour, linewidth=0)
+        )
     axes.autoscale_view()
     axes.set_yticks(range(len(names)), names)
     axes.set_ylim(len(names) - 0.5, -0.5)
@@ -300,10 +303,8 @@ def plot_flags(result: TestResult, axes: Axes) -> None:
 
 
 def _name_flags(axes: Axes, present: set[int]) -> None:
-    from matplotlib.patches import Patch
-
     handles = [
-        Patch(color=colour, label=flag.name.lower())
+        area_key(flag.name.lower(), color=colour)
         for flag, colour in FLAG_COLOURS.items()
         if flag in present
     ]

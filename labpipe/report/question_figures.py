@@ -16,8 +16,10 @@ from labpipe.report.figure_page import (
     GREY,
     Look,
     Words,
+    area_key,
     keep_in_view,
     keyed_page,
+    line_key,
     panel_letter,
     say,
     style_colours,
@@ -263,19 +265,14 @@ def _looks(family: Family) -> list[Look]:
 
 
 def _keys(family: Family) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     keys: list[Artist] = [
-        Line2D(
-            [],
-            [],
+        line_key(
+            f"{shortened(word, _LONGEST)} (n = {group.band.n})",
             color=look.colour,
             linestyle=look.dash,
-            label=f"{shortened(word, _LONGEST)} (n = {group.band.n})",
         )
         for look, word, group in zip(_looks(family), family.words, family.groups, strict=True)
     ]
     if any(np.isfinite(group.band.lower).any() for group in family.groups):
-        keys.append(Patch(color=GREY, label="95 % band, point by point", **_BAND_LOOK))
+        keys.append(area_key("95 % band, point by point", color=GREY, **_BAND_LOOK))
     return keys

@@ -14,8 +14,10 @@ from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.report.figure_page import (
     Words,
+    area_key,
     in_pages,
     keyed_page,
+    line_key,
     line_looks,
     number_log,
     panel_letter,
@@ -152,20 +154,13 @@ def _shown_onsets(table: WireTable) -> Floats:
 
 
 def _stiffness_keys(table: WireTable) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     return [
-        Line2D([], [], label="secant", **_SECANT),
-        Line2D([], [], label="tangent", **_TANGENT),
-        Line2D([], [], label="secant, without yielding", **_UNYIELDING),
-        Patch(label="secant, all orientations", **_SPREAD),
-        Line2D([], [], label="limits without yielding", **_LIMIT),
-        *(
-            [Line2D([], [], label="a strand begins to slip", **_ONSET)]
-            if len(_shown_onsets(table))
-            else []
-        ),
+        line_key("secant", **_SECANT),
+        line_key("tangent", **_TANGENT),
+        line_key("secant, without yielding", **_UNYIELDING),
+        area_key("secant, all orientations", **_SPREAD),
+        line_key("limits without yielding", **_LIMIT),
+        *([line_key("a strand begins to slip", **_ONSET)] if len(_shown_onsets(table)) else []),
     ]
 
 
@@ -247,13 +242,10 @@ def _fill(colour: str, hatch: str) -> dict[str, Any]:
 
 
 def _moment_keys() -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     return [
-        *(Patch(label=name, **_fill(colour, hatch)) for name, colour, hatch in reversed(_PARTS)),
-        Line2D([], [], label="whole moment", **_WHOLE),
-        Line2D([], [], label="without yielding", **_ELASTIC),
+        *(area_key(name, **_fill(colour, hatch)) for name, colour, hatch in reversed(_PARTS)),
+        line_key("whole moment", **_WHOLE),
+        line_key("without yielding", **_ELASTIC),
     ]
 
 
@@ -320,12 +312,10 @@ def _setting(table: WireTable) -> list[str]:
 
 
 def _keys() -> list[Artist]:
-    from matplotlib.lines import Line2D
-
     return [
-        Line2D([], [], label="wire model", **_CURVE),
-        Line2D([], [], label="straight line, all stick", **_STICK),
-        Line2D([], [], label="straight line, all slip", **_SLIP),
+        line_key("wire model", **_CURVE),
+        line_key("straight line, all stick", **_STICK),
+        line_key("straight line, all slip", **_SLIP),
     ]
 
 
@@ -373,10 +363,8 @@ def _shared_range(tables: Sequence[WireTable]) -> Floats:
 
 
 def _wire_keys(tables: Sequence[WireTable]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
     return [
-        Line2D([], [], color=look.colour, linestyle=look.dash, label=short_name(table))
+        line_key(short_name(table), color=look.colour, linestyle=look.dash)
         for table, look in zip(tables, line_looks(len(tables)), strict=True)
     ]
 

@@ -15,7 +15,9 @@ from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
     Words,
+    area_key,
     keyed_page,
+    line_key,
     number_log,
     panel_grid,
     require_room,
@@ -290,21 +292,18 @@ def _words(tables: Sequence[WireTable]) -> Words:
 
 
 def _keys(tables: Sequence[WireTable]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     has_core = any(np.sum(table.layout.layer == 0) == 1 for table in tables)
     layers = max(int(table.layout.layer.max()) for table in tables) + 1
     keys: list[Artist] = [
-        Patch(label=_layer_name(number, has_core=has_core), facecolor=colour, **_OUTLINE)
+        area_key(_layer_name(number, has_core=has_core), facecolor=colour, **_OUTLINE)
         for number, colour in zip(range(layers), style_colours(), strict=False)
     ]
     bore = {"color": _BORE["edgecolor"], "linestyle": _BORE["linestyle"], "linewidth": 0.6}
     return [
         *keys,
-        Patch(label="insulation", **_INSULATION),
-        Line2D([], [], label="bore", **bore),
-        Line2D([], [], label="neutral axis", **_AXIS),
+        area_key("insulation", **_INSULATION),
+        line_key("bore", **bore),
+        line_key("neutral axis", **_AXIS),
     ]
 
 
