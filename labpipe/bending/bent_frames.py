@@ -99,7 +99,7 @@ class MeanFrames:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class MarkerLayout:
     """Where the markers are along the specimen, and the ends of its curve.
 
     Parameters
@@ -127,7 +127,7 @@ class Layout:
         )
 
 
-def layout_of(shape: Shape, *, centre_offset: float, free_tip: bool) -> Layout:
+def marker_layout(shape: Shape, *, centre_offset: float, free_tip: bool) -> MarkerLayout:
     """Say how a shape was fitted.
 
     Parameters
@@ -152,7 +152,7 @@ def layout_of(shape: Shape, *, centre_offset: float, free_tip: bool) -> Layout:
     direction = shape.coefficients[seen[0], :, 1] / shape.length
     ends = EndConditions(length=shape.length, direction=direction, free_tip=free_tip)
     places = shape.arc_length[_markers_of(shape)]
-    return Layout(places, centre_offset, ends, int(shape.coefficients.shape[2]))
+    return MarkerLayout(places, centre_offset, ends, int(shape.coefficients.shape[2]))
 
 
 def mean_frames(shape: Shape, force: Floats, branch: Ints, *, per_mean: int) -> MeanFrames:
@@ -200,7 +200,7 @@ def _markers_of(shape: Shape) -> Flags:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bent:
+class StationCurves:
     """Curves at some stations; arrays of shape (n, stations).
 
     Parameters
@@ -216,7 +216,7 @@ class Bent:
     curvature: Floats
 
 
-def bent(coefficients: Floats, length: float, arc_length: Floats) -> Bent:
+def curves_at(coefficients: Floats, length: float, arc_length: Floats) -> StationCurves:
     """Look up fitted curves in the plane of bending.
 
     Parameters
@@ -242,7 +242,7 @@ def bent(coefficients: Floats, length: float, arc_length: Floats) -> Bent:
     speed = np.hypot(rate[:, 0], rate[:, 1])
     turned = rate[:, 0] * bend[:, 1] - rate[:, 1] * bend[:, 0]
     angle = np.arctan2(rate[:, 1], rate[:, 0])
-    return Bent(place[:, 0], place[:, 1], angle, turned / speed**3)
+    return StationCurves(place[:, 0], place[:, 1], angle, turned / speed**3)
 
 
 def _second(u: Floats, terms: int) -> Floats:
@@ -252,7 +252,9 @@ def _second(u: Floats, terms: int) -> Floats:
     return rates
 
 
-def curvature_gain(layout: Layout, markers: Floats, shape: Bent, arc_length: Floats) -> Floats:
+def curvature_gain(
+    layout: MarkerLayout, markers: Floats, shape: StationCurves, arc_length: Floats
+) -> Floats:
     """Standard error of curvature per standard deviation of one coordinate of one marker.
 
     Parameters
@@ -286,7 +288,7 @@ def curvature_gain(layout: Layout, markers: Floats, shape: Bent, arc_length: Flo
     return gain
 
 
-def _operators(layout: Layout, places: Floats, arc_length: Floats) -> Floats | None:
+def _operators(layout: MarkerLayout, places: Floats, arc_length: Floats) -> Floats | None:
     """x'', y'', x', y' at the stations per marker coordinate: (4, stations, 2 markers)."""
     ends, terms = layout.ends, layout.terms
     basis = curve_basis(
@@ -305,7 +307,7 @@ def _operators(layout: Layout, places: Floats, arc_length: Floats) -> Floats | N
     return np.stack([bend @ x, bend @ y, slope @ x, slope @ y])
 
 
-def moments(at: Bent, tip: Bent, pull: Floats) -> Floats:
+def moments(at: StationCurves, tip: StationCurves, pull: Floats) -> Floats:
     """Bending moment at stations under a force at the tip.
 
     Parameters
@@ -372,12 +374,12 @@ class BendingTest:
     errors: BendingErrors
 
     @cached_property
-    def layout(self) -> Layout:
+    def layout(self) -> MarkerLayout:
         """Where the markers are."""
-        return layout_of(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
+        return marker_layout(self.shape, centre_offset=self.centre_offset, free_tip=self.free_tip)
 
     @cached_property
-    def standing(self) -> Standing:
+    def standing(self) -> SpecimenAtRest:
         """The specimen at rest.
 
         Raises
@@ -394,7 +396,7 @@ class BendingTest:
             raise ValueError(message)
         fit = self.layout.fit(each.markers[whole])
         markers = each.markers[whole].mean(axis=0)
-        return Standing(
+        return SpecimenAtRest(
             markers=markers,
             coefficients=fit.coefficients.mean(axis=0)[None],
             finer=self.layout.fit(markers[None], more=min(fit.spare, 1)).coefficients,
@@ -451,13 +453,13 @@ class BendingTest:
         shape (n, stations), N m.
         """
         length = self.layout.length
-        tip = bent(coefficients, length, np.array([length]))
+        tip = curves_at(coefficients, length, np.array([length]))
         force = (self.pull if pull is None else pull).force(reading, tip.x[:, 0])
-        return moments(bent(coefficients, length, places), tip, force)
+        return moments(curves_at(coefficients, length, places), tip, force)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Standing:
+class SpecimenAtRest:
     """The specimen at rest.
 
     Parameters

@@ -9,11 +9,11 @@ import numpy as np
 
 from labpipe.bending.bent_frames import (
     BendingTest,
-    Bent,
     FittedFrames,
+    StationCurves,
     TipPull,
-    bent,
     curvature_gain,
+    curves_at,
 )
 from labpipe.bending.fitted_law import LawBasis, LawFit, LawShapes, Line, Loaded, refine_law
 from labpipe.records.arrays import Flags, Floats
@@ -103,7 +103,7 @@ def loading_law(test: BendingTest, cloud: BendingCloud) -> MeasuredLaw:
 def _loaded(test: BendingTest, frames: FittedFrames) -> Loaded:
     layout, rest = test.layout, test.standing
     line = Line.through(layout.arc_length, layout.length)
-    still = bent(rest.coefficients, layout.length, line.arc_length)
+    still = curves_at(rest.coefficients, layout.length, line.arc_length)
     return Loaded(
         line=line,
         moment=test.moments(frames.coefficients, frames.means.force, line.arc_length),
@@ -179,7 +179,7 @@ class _Shared:
     def longer_at_the_tip(self, more: float) -> Loaded:
         """With the pull point farther along the tangent."""
         length = self.test.layout.length
-        tip = bent(self.frames.coefficients, length, np.array([length]))
+        tip = curves_at(self.frames.coefficients, length, np.array([length]))
         force = self.test.pull.force(self.frames.means.force, tip.x[:, 0])
         extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
         return replace(self.loaded, moment=self.loaded.moment + extra)
@@ -376,8 +376,8 @@ def bending_cloud(test: BendingTest) -> BendingCloud:
     frames = test.frames(test.branch, per_mean=max(1, count // ROWS))
     length, rest, means = test.layout.length, test.standing, frames.means
     places = np.linspace(0.0, length, STATIONS)
-    now = bent(frames.coefficients, length, places)
-    curvature = now.curvature - bent(rest.coefficients, length, places).curvature
+    now = curves_at(frames.coefficients, length, places)
+    curvature = now.curvature - curves_at(rest.coefficients, length, places).curvature
     moment = test.moments(frames.coefficients, means.force, places)
     at_rest = test.moments(rest.coefficients, np.zeros(1), places)[0]
     share = np.sqrt(1.0 / means.per_mean + 1.0 / rest.frames)
@@ -404,12 +404,14 @@ def _systematic(
     """What one coefficient more makes of the curvatures, in absolute value."""
     if frames.finer is None:
         return np.full(curvature.shape, np.nan)
-    finer = bent(frames.finer, test.layout.length, places).curvature
-    still = bent(test.standing.finer, test.layout.length, places).curvature
+    finer = curves_at(frames.finer, test.layout.length, places).curvature
+    still = curves_at(test.standing.finer, test.layout.length, places).curvature
     return np.asarray(np.abs(finer - still - curvature), dtype=np.float64)
 
 
-def _moment_errors(test: BendingTest, frames: FittedFrames, now: Bent, moment: Floats) -> Floats:
+def _moment_errors(
+    test: BendingTest, frames: FittedFrames, now: StationCurves, moment: Floats
+) -> Floats:
     """Standard errors of moments, shape (n, stations), N m: force, zero, scale, places."""
     errors, means = test.errors, frames.means
     lever = now.x[:, -1:] - now.x

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
-from labpipe.fits.load_drops import MAD, MAD_SHARE, Fall, Pull, fit_fall
+from labpipe.fits.load_drops import MAD, MAD_SHARE, LoadDrop, PullCurve, fit_load_drop
 from labpipe.records.arrays import Flags, Floats, Ints, median
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
@@ -16,7 +16,7 @@ from labpipe.records.estimates import Failure
 _LEAST = 64
 _SCALES = (3, 6, 12, 24, 48)
 _SEEN = 1e-5
-"""Chance of a fall in noise at a given place below which it is looked at."""
+"""Chance of a drop in noise at a given place below which it is looked at."""
 _FINE = 8
 """Blocks that the longest slip takes at least; more samples than that are averaged."""
 _LONGEST_SHARE, _LONGEST = 0.02, 1e-3
@@ -44,12 +44,12 @@ def find_slips(
         evenly sampled; NaN are left out
     min_drop : N; smaller losses are not looked at
     decision : written into the ledger
-    lost_share : a fall after which the force stays below this share of the peak before it is a
+    lost_share : a drop after which the force stays below this share of the peak before it is a
         failure, not a slip
-    largest_share : a fall by more than this share of the force carried is none either: grips that
+    largest_share : a drop by more than this share of the force carried is none either: grips that
         slide let go of little at a time, while a strand that tears takes its share of the section
         with it, and adding that back would invent strength
-    longest : m, over which a slip may take place; a slower fall is a yield. By default 2 % of the
+    longest : m, over which a slip may take place; a slower drop is a yield. By default 2 % of the
         travel, but at most 1 mm. Never less than two samples
 
     Returns
@@ -62,19 +62,19 @@ def find_slips(
     Where `longest` takes 16 samples or more, means of so many neighbours that it takes 8 to 15 of
     them stand for the samples: what is found does not depend on the sampling rate, and `start` and
     `stop` are the samples around those means. Differences of the means of neighbouring windows of 3
-    to 48, less their running median, follow a fall that is over at once but not slopes, kinks and
+    to 48, less their running median, follow a drop that is over at once but not slopes, kinks and
     yields. Each scale is measured by its own robust deviation (1.4826 MAD), so that noise of any
     correlation is its own yardstick, and a wide window, which is seldom measured, needs more of it
-    (Student's t). Samples that stand alone are set aside first. The clearest fall is measured
-    (`labpipe.fits.load_drops.fit_fall`) and added back before the next one is looked for, so that
-    it neither echoes nor hides its neighbours; in the end each is measured with all others added
-    back, and one that then does not stand is left out. A slip must lose `min_drop`, and the force
+    (Student's t). Samples that stand alone are set aside first. The clearest drop is measured
+    (`fit_load_drop`) and added back before the next one is looked for, so that it neither echoes
+    nor hides its neighbours; in the end each is measured with all others added back, and one that
+    is then no longer clear is left out. A slip must lose `min_drop`, and the force
     must go on rising: its slope behind must not be below 0.3 of that before by more than two
     errors.
 
-    The interval of the drop agrees with 95 %, in noise that is white, slow or both. That of the
-    position is the middle 95 % of the displacements between start and stop, over all falls that the
-    data allow: it holds in more than 95 % where the fall takes time, since it is no narrower than
+    The interval of the loss agrees with 95 %, in noise that is white, slow or both. That of the
+    position is the middle 95 % of the displacements between start and stop, over all drops that the
+    data allow: it holds in more than 95 % where the drop takes time, since it is no narrower than
     the samples around it.
     """
     known: Ints = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)).astype(np.int64)
@@ -85,7 +85,7 @@ def find_slips(
         )
     size, most = _fineness(displacement[known], longest)
     d, f = (_blocks(each[known], size) for each in (displacement, force))
-    found = _confirmed(Pull(d, f, most, int(size > 1)), min_drop)
+    found = _confirmed(PullCurve(d, f, most, int(size > 1)), min_drop)
     kept = [
         each
         for each in found
@@ -123,7 +123,7 @@ def add_back(force: Floats, slips: Sequence[Slip]) -> Floats:
     Returns
     -------
     shape (n,), N. From `stop` of each slip on, its drop is added; drops add up. Samples inside a
-    fall, between `start` and `stop`, lie on the straight line over the samples between the two.
+    drop, between `start` and `stop`, lie on the straight line over the samples between the two.
     NaN stay NaN.
     """
     repaired = np.array(force, dtype=np.float64)
@@ -159,44 +159,44 @@ def _stands_alone(f: Floats) -> Flags:
     return is_off & (apart < 0.5 * off)
 
 
-def _confirmed(pull: Pull, min_drop: float) -> list[Fall]:
-    """Falls in order, each measured with all others added back, by which all still stand."""
-    falls = _falls(pull, min_drop)
-    while len(falls) > 1:
+def _confirmed(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
+    """Drops in order, each measured with all others added back, by which all still stand."""
+    drops = _drops(pull, min_drop)
+    while len(drops) > 1:
         again = [
-            fit_fall(pull.without([other for other in falls if other is not each]), each.start)
-            for each in falls
+            fit_load_drop(pull.without([other for other in drops if other is not each]), each.start)
+            for each in drops
         ]
         known = [each for each in again if each is not None]
-        if len(known) == len(falls):
-            falls = known
+        if len(known) == len(drops):
+            drops = known
             break
         # The last one found is the least distinct: it may have been an echo of another.
         lost = max(number for number, each in enumerate(again) if each is None)
-        falls = [*falls[:lost], *falls[lost + 1 :]]
-    return sorted(falls, key=lambda found: found.start)
+        drops = [*drops[:lost], *drops[lost + 1 :]]
+    return sorted(drops, key=lambda found: found.start)
 
 
-def _falls(pull: Pull, min_drop: float) -> list[Fall]:
-    """Sudden falls, the most distinct first; each is added back before the next is looked for."""
-    falls: list[Fall] = []
+def _drops(pull: PullCurve, min_drop: float) -> list[LoadDrop]:
+    """Sudden drops, the most distinct first; each is added back before the next is looked for."""
+    drops: list[LoadDrop] = []
     is_open = np.ones(len(pull.f), dtype=np.bool_)
     while True:
         seen = np.where(is_open, _seen(pull.f, min_drop), 0.0)
         at = int(np.argmax(seen))
         if seen[at] <= 1.0:
-            return falls
-        found = fit_fall(pull, at)
+            return drops
+        found = fit_load_drop(pull, at)
         if found is None or not is_open[found.start : found.stop].any():
             is_open[max(at - _SIDE, 0) : at + _SIDE + 1] = False
             continue
-        falls.append(found)
+        drops.append(found)
         pull = pull.without([found])
         is_open[max(min(at, found.start) - 1, 0) : max(at, found.stop) + 1] = False
 
 
 def _seen(f: Floats, min_drop: float) -> Floats:
-    """How distinct a fall behind each sample is: more than 1 is worth a look."""
+    """How distinct a drop behind each sample is: more than 1 is worth a look."""
     best = np.zeros(len(f))
     if not np.ptp(f) > 0.0:
         return best
@@ -222,14 +222,14 @@ def _sizes(f: Floats, window: int) -> Floats:
     return sizes
 
 
-def _goes_on(f: Floats, found: Fall, lost_share: float) -> bool:
+def _goes_on(f: Floats, found: LoadDrop, lost_share: float) -> bool:
     """Whether the force comes back above the share and rises at about the same slope."""
     rises = found.slope_behind + 2.0 * found.slope_error >= 0.3 * found.slope_before
     is_held = bool(f[found.stop :].max() >= lost_share * f[: found.start + 1].max())
     return rises and is_held
 
 
-def _entry(d: Floats, known: Ints, found: Fall, size: int, decision: SlipDecision) -> Slip:
+def _entry(d: Floats, known: Ints, found: LoadDrop, size: int, decision: SlipDecision) -> Slip:
     low, high = float(d[found.earliest]), float(d[found.latest])
     middle, half = 0.5 * (low + high), 0.475 * (high - low)
     position = float(np.interp(found.middle, np.arange(len(d)), d))

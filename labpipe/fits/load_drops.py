@@ -1,4 +1,4 @@
-"""A sudden fall of a curve: where it begins and ends, how much is lost, and if it is noise."""
+"""A sudden drop of the load: where it begins and ends, how much is lost, and if it is noise."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ MAD = 1.4826
 MAD_SHARE = 0.37
 """Degrees of freedom of a median absolute deviation over those of a standard deviation."""
 _SIDE = 8
-"""Samples on each side of a fall at least."""
+"""Samples on each side of a drop at least."""
 _SURE = 1e-3
-"""Chance that the noise of a whole curve makes one fall, shared by all places and lengths."""
+"""Chance that the noise of a whole curve makes one drop, shared by all places and lengths."""
 _ALLOWED = 3.84
-"""Variances by which the sum of squares of a fall that may be true exceeds the least: chi-squared
+"""Variances by which the sum of squares of a drop that may be true exceeds the least: chi-squared
 of one degree of freedom, 95 %."""
 _PART = 0.25
-"""Of a sample, in which beginnings of falls are tried."""
+"""Of a sample, in which beginnings of drops are tried."""
 _SIDES = ((25, 3), (15, 2), (10, 1))
 """Samples on each side of a slip, and the degree of the polynomial through both that bends less
 than noise over so many: the longest is tried first."""
@@ -35,15 +35,15 @@ _STRETCH = 100
 
 
 @dataclass(frozen=True, slots=True)
-class Fall:
+class LoadDrop:
     """A sudden loss of force.
 
     Parameters
     ----------
     start, stop : last sample before it and first one after
-    middle : of the likeliest fall, in samples; of all alike, where the data do not tell them apart
+    middle : of the likeliest drop, in samples; of all alike, where the data do not tell them apart
     drop, drop_interval : N
-    earliest, latest : samples between which it may have been, by falls over whole samples
+    earliest, latest : samples between which it may have been, by drops over whole samples
     slope_before, slope_behind : N/m
     slope_error : N/m, standard error of their difference
     """
@@ -61,14 +61,14 @@ class Fall:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pull:
-    """A curve that falls are looked for in.
+class PullCurve:
+    """A curve that drops are looked for in.
 
     Parameters
     ----------
     d, f : shape (n,), m, N, samples or means of neighbours, without NaN, evenly spaced
-    most : how many of them the longest fall takes
-    blurred : 1 for means, which a fall may lie inside of; 0 for samples
+    most : how many of them the longest drop takes
+    blurred : 1 for means, which a drop may lie inside of; 0 for samples
     """
 
     d: Floats
@@ -76,28 +76,28 @@ class Pull:
     most: int
     blurred: int
 
-    def without(self, falls: Sequence[Fall]) -> Pull:
-        """The curve with falls added back; a straight line between start and stop of each."""
+    def without(self, drops: Sequence[LoadDrop]) -> PullCurve:
+        """The curve with drops added back; a straight line between start and stop of each."""
         f = self.f.copy()
-        for fall in falls:
-            f[fall.stop :] += fall.drop
-            inside = np.arange(fall.start + 1, fall.stop)
-            ends = [fall.start, fall.stop]
+        for each in drops:
+            f[each.stop :] += each.drop
+            inside = np.arange(each.start + 1, each.stop)
+            ends = [each.start, each.stop]
             f[inside] = np.interp(inside, ends, f[ends])
         return replace(self, f=f)
 
 
-def fit_fall(pull: Pull, place: int) -> Fall | None:
+def fit_load_drop(pull: PullCurve, place: int) -> LoadDrop | None:
     """Fit a sudden loss of force near a place.
 
     Parameters
     ----------
-    pull : the curve, other falls added back
+    pull : the curve, other drops added back
     place : sample that it is looked for around
 
     Returns
     -------
-    The fall; None where there is none that noise does not explain.
+    The drop; None where there is none that noise does not explain.
 
     Notes
     -----
@@ -109,48 +109,50 @@ def fit_fall(pull: Pull, place: int) -> Fall | None:
     from any quarter of a sample on; all beginnings and lengths are tried in first-order
     autoregressive noise, whose correlation comes from the whole curve. Those whose whitened sum of
     squares exceeds the least by no more than 3.84 variances may be true: the samples that lie
-    inside any of them have levels of their own, and the drop is the step by generalised least
+    inside any of them have levels of their own, and the loss is the step by generalised least
     squares, its interval that of `fit_linear` with the rest of the curve beside it.
 
-    Noise must not explain the fall with a chance of more than 1e-3 in a whole curve, shared by all
+    Noise must not explain the drop with a chance of more than 1e-3 in a whole curve, shared by all
     places and lengths: neither as it is here (F-test of the sums of squares) nor as it is elsewhere
     (the same step fitted at all other places, by its robust deviation, whose degrees of freedom
     count how much these places share).
     """
     factor = _correlation(pull.f)
-    falls = (_fit_within(pull, place, side, factor) for side in _SIDES)
-    return next((each for each in falls if each is not None), None)
+    drops = (_fit_within(pull, place, side, factor) for side in _SIDES)
+    return next((each for each in drops if each is not None), None)
 
 
-def _fit_within(pull: Pull, fall: int, reach: tuple[int, int], factor: float) -> Fall | None:
-    """Fit a polynomial and a fall with every pair of start and stop near a place."""
+def _fit_within(
+    pull: PullCurve, place: int, reach: tuple[int, int], factor: float
+) -> LoadDrop | None:
+    """Fit a polynomial and a drop with every pair of start and stop near a place."""
     (side, degree), most = reach, pull.most
-    low, high = max(0, fall - most - side), min(len(pull.f), fall + most + side + 1)
-    if fall - low < _SIDE or high - fall < _SIDE + 1:
+    low, high = max(0, place - most - side), min(len(pull.f), place + most + side + 1)
+    if place - low < _SIDE or high - place < _SIDE + 1:
         return None
     window = _Window(low, high, degree, factor)
-    falls = _possible(window, fall, most)
-    costs, variance, without = _costs(pull, window, falls)
-    # A fall between two samples has the same cost wherever it is between them.
-    best = falls[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
+    drops = _possible(window, place, most)
+    costs, variance, without = _costs(pull, window, drops)
+    # A drop between two samples has the same cost wherever it is between them.
+    best = drops[costs <= costs.min() + 1e-9 * variance].mean(axis=0)
     if best[1] > most:
         return None  # it would rather take longer than the longest slip
-    allowed = falls[costs <= costs.min() + _ALLOWED * variance]
-    whole = np.all(falls % 1.0 == 0.0, axis=1)
-    around = falls[whole & (costs <= costs[whole].min() + _ALLOWED * variance)]
+    allowed = drops[costs <= costs.min() + _ALLOWED * variance]
+    whole = np.all(drops % 1.0 == 0.0, axis=1)
+    around = drops[whole & (costs <= costs[whole].min() + _ALLOWED * variance)]
     if not _is_clear(pull, window, (without - costs.min()) / variance):
         return None
     found = _measured(pull, window, (best, allowed, around))
     return found if found is not None and _is_rare(pull, window, found) else None
 
 
-def _possible(window: _Window, fall: int, most: int) -> Floats:
-    """Beginnings and lengths of falls near a place, in samples: a fall begins between samples."""
-    first, last = max(window.low + 4, fall - most), min(window.high - 5, fall + most)
+def _possible(window: _Window, place: int, most: int) -> Floats:
+    """Beginnings and lengths of drops near a place, in samples: a drop begins between samples."""
+    first, last = max(window.low + 4, place - most), min(window.high - 5, place + most)
     begins = np.arange(first, last, _PART)
     lengths = np.append(np.arange(_PART, 2.0, _PART), np.arange(2.0, most + 2.0))
-    falls = np.array(np.meshgrid(begins, lengths)).reshape(2, -1).T
-    near: Floats = falls[falls.sum(axis=1) <= window.high - 5]
+    drops = np.array(np.meshgrid(begins, lengths)).reshape(2, -1).T
+    near: Floats = drops[drops.sum(axis=1) <= window.high - 5]
     return near
 
 
@@ -168,13 +170,13 @@ class _Window:
         return max(self.high - self.low - self.degree - 4, 1)
 
 
-def _chance(pull: Pull) -> float:
-    """Chance that noise may have to make a fall at one place."""
+def _chance(pull: PullCurve) -> float:
+    """Chance that noise may have to make a drop at one place."""
     return _SURE / (len(pull.f) * (pull.most + 1))
 
 
-def _is_clear(pull: Pull, window: _Window, squared: float) -> bool:
-    """Whether noise as it is here, with what the polynomial misses, does not explain a fall.
+def _is_clear(pull: PullCurve, window: _Window, squared: float) -> bool:
+    """Whether noise as it is here, with what the polynomial misses, does not explain a drop.
 
     The F-test of the whitened sums of squares.
     """
@@ -182,8 +184,8 @@ def _is_clear(pull: Pull, window: _Window, squared: float) -> bool:
     return bool(stdtr(window.freedom, -t) <= _chance(pull))
 
 
-def _is_rare(pull: Pull, window: _Window, found: Fall) -> bool:
-    """Whether noise as it is elsewhere, of whatever correlation, does not explain a fall.
+def _is_rare(pull: PullCurve, window: _Window, found: LoadDrop) -> bool:
+    """Whether noise as it is elsewhere, of whatever correlation, does not explain a drop.
 
     The same step is fitted at every other place; its robust deviation is the yardstick.
     """
@@ -195,7 +197,7 @@ def _is_rare(pull: Pull, window: _Window, found: Fall) -> bool:
     return bool(stdtr(max(freedom, 1), -here / spread) <= _chance(pull))
 
 
-def _step_kernel(window: _Window, found: Fall) -> Floats:
+def _step_kernel(window: _Window, found: LoadDrop) -> Floats:
     """Weights of the samples of a window in its generalised least-squares step."""
     rows = np.arange(window.low, window.high)
     ramp = np.clip((rows - found.start) / (found.stop - found.start), 0.0, 1.0)
@@ -251,14 +253,14 @@ def _seen_correlations(width: int) -> tuple[Floats, Floats]:
     return factors, np.array(expected)
 
 
-def _costs(pull: Pull, window: _Window, falls: Floats) -> tuple[Floats, float, float]:
-    """Whitened sum of squares of each fall, the variance of one term, and the sum with no fall.
+def _costs(pull: PullCurve, window: _Window, drops: Floats) -> tuple[Floats, float, float]:
+    """Whitened sum of squares of each drop, the variance of one term, and the sum with no drop.
 
     The force falls evenly.
     """
     rows = np.arange(window.low, window.high)
     f, factor = pull.f[rows], window.factor
-    ramps = np.clip((rows[:, None] - falls[:, 0]) / falls[:, 1], 0.0, 1.0)
+    ramps = np.clip((rows[:, None] - drops[:, 0]) / drops[:, 1], 0.0, 1.0)
     lines = np.column_stack(_powers(pull.d[rows], window.degree))
     base, ramps, target = (each[1:] - factor * each[:-1] for each in (lines, ramps, f - f[0]))
     base = np.linalg.qr(base)[0]
@@ -269,8 +271,10 @@ def _costs(pull: Pull, window: _Window, falls: Floats) -> tuple[Floats, float, f
     return squares, float(squares.min()) / window.freedom, without
 
 
-def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats, Floats]) -> Fall | None:
-    (best, allowed, around), blurred = falls, pull.blurred
+def _measured(
+    pull: PullCurve, window: _Window, drops: tuple[Floats, Floats, Floats]
+) -> LoadDrop | None:
+    (best, allowed, around), blurred = drops, pull.blurred
     start, stop = int(np.floor(best[0])), int(np.ceil(best.sum()))
     first = int(np.floor(allowed[:, 0].min())) + 1 - blurred
     last = int(np.ceil(allowed.sum(axis=1).max())) + blurred
@@ -282,7 +286,7 @@ def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats, Floats])
     x = d[rows] - 0.5 * (d[start] + d[stop])
     x = x / (float(np.ptp(x)) or 1.0)
     powers = [x**power for power in range(window.degree + 1)]
-    # A sample that may be inside the fall has a level of its own: it would make the drop too small.
+    # A sample that may be inside has a level of its own: it would make the loss too small.
     inside = np.eye(len(rows))[:, first - window.low : last - window.low]
     design = np.column_stack([after, *powers, inside])
     drop = fit_linear(design, f, weighted=True, beside=_beside(pull, window)).estimate(0)
@@ -290,7 +294,7 @@ def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats, Floats])
         return None
     both = fit_linear(np.column_stack([np.ones(len(rows)), x, after, x * after, inside]), f)
     before, change = float(both.coefficients[1]), float(both.coefficients[3])
-    return Fall(
+    return LoadDrop(
         start=start,
         stop=stop,
         middle=float(best[0] + 0.5 * best[1]),
@@ -304,7 +308,7 @@ def _measured(pull: Pull, window: _Window, falls: tuple[Floats, Floats, Floats])
     )
 
 
-def _beside(pull: Pull, window: _Window) -> list[Floats]:
+def _beside(pull: PullCurve, window: _Window) -> list[Floats]:
     """Stretches of the curve outside a window, which say what the noise is like."""
     before, behind = pull.f[: window.low], pull.f[window.high :]
     return [each for part in (before, behind) for each in smooth_stretches(part, width=_STRETCH)]

@@ -101,7 +101,7 @@ _BACK = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TakeUp:
+class BranchSlack:
     """Where the force begins.
 
     Parameters
@@ -114,9 +114,9 @@ class TakeUp:
     sample: int
 
 
-def find_take_up(
+def find_branch_slack(
     displacement: Floats, force: Floats, *, zero_error: float = 0.0
-) -> TakeUp | Failure:
+) -> BranchSlack | Failure:
     """Displacement at which a loading branch takes up force.
 
     Parameters
@@ -142,7 +142,7 @@ def find_take_up(
     Examples
     --------
     >>> d = np.linspace(0.0, 0.01, 400)
-    >>> found = find_take_up(d, 500.0 * np.maximum(d - 0.002, 0.0))
+    >>> found = find_branch_slack(d, 500.0 * np.maximum(d - 0.002, 0.0))
     >>> round(1e3 * found.displacement.value, 6)
     2.0
     """
@@ -161,7 +161,7 @@ def find_take_up(
     if not len(within) and not (rises and at.value >= d[0] - _BACK * float(np.ptp(d))):
         found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
         return Failure("not_unloaded", found)
-    return TakeUp(at, int(known[first]))
+    return BranchSlack(at, int(known[first]))
 
 
 def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> tuple[Estimate, bool]:

@@ -24,7 +24,7 @@ _CENTRE = (5e-3, 1e-3, 2e-4)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Bent:
+class BentAxis:
     """Shapes of the axis between two supports.
 
     sin(slope) = tilt - sum_k c_k W_k(x), with W_k the integral of u^k from mid-span,
@@ -107,7 +107,7 @@ class SpanShape:
     side_share : by which share the curvature would be another with the markers on the other side
     """
 
-    bent: Bent
+    bent: BentAxis
     mid_span: float
     centres: Floats
     twist: Floats
@@ -221,12 +221,12 @@ def _fit(sections: Sections, axis: Floats, middle: float, span: float, radius: f
     here = np.array([middle, axis[0], axis[1]])
     slope = np.zeros((len(sections.markers), sections.count))
     centres, twist, lever = _placed(sections, axis, slope, radius)
-    bent = fit_bent(centres - here, span=span, terms=TERMS)
+    bent = fit_bent_axis(centres - here, span=span, terms=TERMS)
     for _ in range(_ROUNDS - 1):
         slope = np.arcsin(bent.sine(np.nan_to_num(centres[..., 0] - middle)))
         centres, twist, lever = _placed(sections, axis, slope, radius)
-        bent = fit_bent(centres - here, span=span, terms=TERMS, start=bent)
-    fewer = fit_bent(centres - here, span=span, terms=TERMS - 1)
+        bent = fit_bent_axis(centres - here, span=span, terms=TERMS, start=bent)
+    fewer = fit_bent_axis(centres - here, span=span, terms=TERMS - 1)
     return SpanShape(bent, middle, centres - here, twist, lever, fewer.mid_span, 0.0)
 
 
@@ -238,7 +238,9 @@ def _placed(
     return section_centres(sections, axis, slope, twist), twist, lever
 
 
-def fit_bent(points: Floats, *, span: float, terms: int, start: Bent | None = None) -> Bent:
+def fit_bent_axis(
+    points: Floats, *, span: float, terms: int, start: BentAxis | None = None
+) -> BentAxis:
     """Least squares of a bent axis through points in every frame.
 
     Parameters
@@ -271,7 +273,7 @@ def fit_bent(points: Floats, *, span: float, terms: int, start: Bent | None = No
     curvature, tilt, height, residual, freedom = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
-    return Bent(curvature, tilt, height, residual, freedom, span)
+    return BentAxis(curvature, tilt, height, residual, freedom, span)
 
 
 def _fit_some(points: Floats, span: float, unknown: Floats, steps: int) -> tuple[Floats, ...]:

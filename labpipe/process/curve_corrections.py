@@ -27,7 +27,7 @@ from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Finding, doubtful, warning, worth_knowing
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
-from labpipe.signal.bad_samples import bridged, stray_samples
+from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 
 Corrected: TypeAlias = tuple[Evidence, list[Finding]]
@@ -78,7 +78,7 @@ def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
     The unfiltered force on its own clock, and a note.
     """
     signal = signals.raw[signals.force]
-    outliers = stray_samples(signal.values)
+    outliers = find_spikes(signal.values)
     if not len(outliers):
         return signal, []
     first = int(outliers[0])
@@ -87,7 +87,7 @@ def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
         f"{len(outliers)} samples far off their neighbours, the first {signal.values[first]:.4g} N "
         f"{at}: put on the line between them"
     )
-    bridge = replace(signal, values=bridged(signal.values, outliers))
+    bridge = replace(signal, values=bridge_spikes(signal.values, outliers))
     return bridge, [warning("stray_samples", signals.force, message)]
 
 

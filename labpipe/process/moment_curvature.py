@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, bent
+from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, curves_at
 from labpipe.bending.law_table import measure_bending
 from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import AT_REST, Curve, Shape
@@ -76,7 +76,7 @@ def _scatter(values: Floats) -> float:
 def _pull(test: Evidence, shape: Shape, rest: Flags) -> tuple[TipPull, float | None, list[Finding]]:
     """What pulls at the tip, and another tension at rest that is as likely."""
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
-    tip = float(bent(still, shape.length, np.array([shape.length])).x[0, 0])
+    tip = float(curves_at(still, shape.length, np.array([shape.length])).x[0, 0])
     if string is None:
         message = (
             "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "

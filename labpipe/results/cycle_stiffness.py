@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from labpipe.fits.loops import secant_stiffness
-from labpipe.fits.slack import find_take_up
+from labpipe.fits.slack import find_branch_slack
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
 from labpipe.records.declarations import CURVE, Length, Output
@@ -132,7 +132,7 @@ def _taut_stiffness(
     """Stiffness over the first stretch behind the take-up, N/m, scale taken as exact."""
     part = slice(branches[0].start, branches[0].stop)
     zero = test.raw_force.zero_error
-    start = find_take_up(displacement[part], test.known_curve.force[part], zero_error=zero)
+    start = find_branch_slack(displacement[part], test.known_curve.force[part], zero_error=zero)
     if isinstance(start, Failure):
         return start
     taut = replace(branches[0], start=branches[0].start + start.sample)

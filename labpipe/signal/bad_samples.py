@@ -302,7 +302,7 @@ _FAR_IN_STEPS = 4.0
 """Largest steps of the neighbours that it is away at least, so that a sharp turn is none."""
 
 
-def stray_samples(force: Floats) -> Ints:
+def find_spikes(force: Floats) -> Ints:
     """Samples far off their neighbours, which agree with each other.
 
     Parameters
@@ -334,13 +334,13 @@ def stray_samples(force: Floats) -> Ints:
     return numbers
 
 
-def bridged(force: Floats, strays: Ints) -> Floats:
+def bridge_spikes(force: Floats, strays: Ints) -> Floats:
     """Put stray samples on the line between their neighbours.
 
     Parameters
     ----------
     force : shape (n,), N; NaN stay and are no neighbours
-    strays : numbers of samples, as `stray_samples` gives them
+    strays : numbers of samples, as `find_spikes` gives them
 
     Returns
     -------

@@ -9,9 +9,9 @@ import pytest
 
 from labpipe.bending.bent_frames import (
     TipPull,
-    bent,
     curvature_gain,
-    layout_of,
+    curves_at,
+    marker_layout,
     mean_frames,
     moments,
 )
@@ -66,15 +66,15 @@ def test_the_force_at_the_tip_is_that_of_the_mechanics() -> None:
 def test_moments_are_those_of_the_mechanics() -> None:
     frame = len(TEST.shape.time) - 1
     coefficients = TEST.shape.coefficients[frame][None]
-    at = bent(coefficients, LENGTH, SHAPES[-1].arc_length)
-    tip = bent(coefficients, LENGTH, np.array([LENGTH]))
+    at = curves_at(coefficients, LENGTH, SHAPES[-1].arc_length)
+    tip = curves_at(coefficients, LENGTH, np.array([LENGTH]))
     found = moments(at, tip, SHAPES[-1].force[None])[0]
     assert found == pytest.approx(SHAPES[-1].moment, abs=2e-5)
 
 
 def test_curvatures_of_an_exact_shape() -> None:
     """Seven coefficients follow an elastic wire to 2 % of its largest curvature."""
-    at = bent(TEST.shape.coefficients[-1][None], LENGTH, PLACES)
+    at = curves_at(TEST.shape.coefficients[-1][None], LENGTH, PLACES)
     true = np.interp(PLACES, SHAPES[-1].arc_length, SHAPES[-1].curvature)
     assert at.curvature[0] == pytest.approx(true, abs=0.02 * true.max())
     assert at.angle[0] == pytest.approx(
@@ -83,18 +83,18 @@ def test_curvatures_of_an_exact_shape() -> None:
 
 
 def test_missing_frames_stay_missing() -> None:
-    at = bent(np.full((1, 3, 7), np.nan), LENGTH, PLACES)
+    at = curves_at(np.full((1, 3, 7), np.nan), LENGTH, PLACES)
     assert np.isnan(at.curvature).all()
 
 
 def test_noise_of_curvature_is_as_stated() -> None:
-    layout = layout_of(TEST.shape, centre_offset=HEIGHT, free_tip=True)
+    layout = marker_layout(TEST.shape, centre_offset=HEIGHT, free_tip=True)
     markers = TEST.shape.positions[-1, 1:-1]
     noise, rng = 3e-6, np.random.default_rng(5)
     shaken = markers + noise * rng.standard_normal((4000, *markers.shape))
     shaken[2000:, 3] = np.nan
-    at = bent(layout.fit(shaken).coefficients, LENGTH, PLACES)
-    still = bent(layout.fit(markers[None]).coefficients, LENGTH, PLACES)
+    at = curves_at(layout.fit(shaken).coefficients, LENGTH, PLACES)
+    still = curves_at(layout.fit(markers[None]).coefficients, LENGTH, PLACES)
     for part, pattern in ((slice(0, 2000), shaken[:1]), (slice(2000, 4000), shaken[-1:])):
         gain = curvature_gain(layout, pattern, still, PLACES)[0]
         spread = at.curvature[part].std(axis=0)
@@ -103,17 +103,17 @@ def test_noise_of_curvature_is_as_stated() -> None:
 
 
 def test_too_few_markers_have_no_noise() -> None:
-    layout = layout_of(TEST.shape, centre_offset=HEIGHT, free_tip=True)
+    layout = marker_layout(TEST.shape, centre_offset=HEIGHT, free_tip=True)
     markers = TEST.shape.positions[-1:, 1:-1].copy()
     markers[0, 2:] = np.nan
-    still = bent(TEST.shape.coefficients[-1][None], LENGTH, PLACES)
+    still = curves_at(TEST.shape.coefficients[-1][None], LENGTH, PLACES)
     assert np.isnan(curvature_gain(layout, markers, still, PLACES)).all()
 
 
 def test_a_layout_needs_a_curve() -> None:
     lost = replace(TEST.shape, coefficients=np.full_like(TEST.shape.coefficients, np.nan))
     with pytest.raises(ValueError, match="expected a frame with a fitted curve, found none"):
-        layout_of(lost, centre_offset=HEIGHT, free_tip=True)
+        marker_layout(lost, centre_offset=HEIGHT, free_tip=True)
 
 
 def test_means_stay_within_a_branch_and_leave_out_what_was_not_measured() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import binomtest
 
-from labpipe.fits.load_drops import Fall, Pull, fit_fall
+from labpipe.fits.load_drops import LoadDrop, PullCurve, fit_load_drop
 from labpipe.records.arrays import Floats
 
 COUNT, STEP = 400, 1e-4
@@ -21,9 +21,9 @@ def noise(seed: int, memory: float, deviation: float = 0.04) -> Floats:
     return deviation * slow
 
 
-def pull(begin: float, length: float, drop: float, extra: Floats) -> Pull:
+def pull(begin: float, length: float, drop: float, extra: Floats) -> PullCurve:
     lost = drop * np.clip((NUMBER - begin) / length, 0.0, 1.0)
-    return Pull(STEP * NUMBER, 0.1 * NUMBER - lost + extra, most=10, blurred=0)
+    return PullCurve(STEP * NUMBER, 0.1 * NUMBER - lost + extra, most=10, blurred=0)
 
 
 @pytest.mark.parametrize("length", [0.01, 1.0, 2.5])
@@ -34,14 +34,14 @@ def test_the_drop_covers(length: float, memory: float) -> None:
     for seed in range(120):
         begin = 200.0 + float(np.random.default_rng(seed).uniform())
         both = noise(seed, memory, 0.03) + noise(seed + 1000, 0.0, 0.02)
-        found = fit_fall(pull(begin, length, 0.65, both), 202)
-        assert isinstance(found, Fall)
+        found = fit_load_drop(pull(begin, length, 0.65, both), 202)
+        assert isinstance(found, LoadDrop)
         hits += found.drop_interval.lower <= 0.65 <= found.drop_interval.upper
     assert binomtest(hits, 120, 0.95).pvalue > 0.01 / 6, hits
 
 
 def test_start_and_stop_are_the_samples_around_the_fall() -> None:
-    found = fit_fall(pull(200.25, 2.5, 2.0, noise(3, 0.0, 0.005)), 205)
+    found = fit_load_drop(pull(200.25, 2.5, 2.0, noise(3, 0.0, 0.005)), 205)
     assert found is not None
     assert (found.start, found.stop) == (200, 203)
     assert found.earliest <= found.start + 1
@@ -54,22 +54,22 @@ def test_noise_is_no_fall() -> None:
         for seed in range(8):
             extra = noise(seed, memory)
             place = int(np.argmin(np.diff(extra)[30:-30])) + 30
-            assert fit_fall(pull(0.0, 1.0, 0.0, extra), place) is None
+            assert fit_load_drop(pull(0.0, 1.0, 0.0, extra), place) is None
 
 
 def test_a_long_fall_is_none() -> None:
-    assert fit_fall(pull(195.0, 16.0, 1.5, noise(1, 0.0)), 200) is None
+    assert fit_load_drop(pull(195.0, 16.0, 1.5, noise(1, 0.0)), 200) is None
 
 
 def test_no_room_on_a_side() -> None:
     whole = pull(3.0, 0.5, 1.0, noise(1, 0.0))
-    assert fit_fall(whole, 3) is None
-    assert fit_fall(whole, COUNT - 3) is None
+    assert fit_load_drop(whole, 3) is None
+    assert fit_load_drop(whole, COUNT - 3) is None
 
 
 def test_added_back() -> None:
     curve = pull(200.25, 2.5, 2.0, 0.0 * NUMBER)
-    found = fit_fall(curve, 201)
+    found = fit_load_drop(curve, 201)
     assert found is not None
     mended = curve.without([found])
     assert mended.f == pytest.approx(0.1 * NUMBER, abs=1e-6)

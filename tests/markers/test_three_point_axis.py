@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.markers.rings import find_sections
-from labpipe.markers.three_point_axis import fit_bent, fit_span
+from labpipe.markers.three_point_axis import fit_bent_axis, fit_span
 from labpipe.records.arrays import Floats
 from tests.builders.three_point import RADIUS, SPAN, STROKE, BendingRecord, curvature_at, tracks
 
@@ -21,7 +21,7 @@ def points(bend: float) -> Floats:
 
 
 def test_the_small_bend_of_an_elastic_beam() -> None:
-    bent = fit_bent(points(0.01), span=SPAN, terms=3)
+    bent = fit_bent_axis(points(0.01), span=SPAN, terms=3)
 
     assert bent.mid_span[0] == pytest.approx(0.01, rel=1e-3)
     # To 1 %: over a span the three powers are nearly alike, only their sum is well known.
@@ -32,15 +32,15 @@ def test_the_small_bend_of_an_elastic_beam() -> None:
 
 def test_a_line_is_no_bend_and_missing_points_are_left_out() -> None:
     straight = np.column_stack([PLACES, 0.1 * PLACES + 0.002])[None]
-    bent = fit_bent(straight, span=SPAN, terms=3)
+    bent = fit_bent_axis(straight, span=SPAN, terms=3)
     assert bent.mid_span[0] == pytest.approx(0.0, abs=1e-9)
     assert bent.height[0] == pytest.approx(0.002)
 
     some = points(0.01)
     some[0, 3] = np.nan
-    assert fit_bent(some, span=SPAN, terms=3).mid_span[0] == pytest.approx(0.01, rel=1e-3)
+    assert fit_bent_axis(some, span=SPAN, terms=3).mid_span[0] == pytest.approx(0.01, rel=1e-3)
     some[0, :10] = np.nan
-    assert np.isnan(fit_bent(some, span=SPAN, terms=3).mid_span).all()
+    assert np.isnan(fit_bent_axis(some, span=SPAN, terms=3).mid_span).all()
 
 
 def test_the_stated_noise_is_that_of_the_points() -> None:
@@ -48,7 +48,7 @@ def test_the_stated_noise_is_that_of_the_points() -> None:
     many = np.repeat(points(5.0)[..., :2], 400, axis=0)
     many[..., 1] += random.normal(0.0, 2e-5, many.shape[:2])
 
-    bent = fit_bent(many, span=SPAN, terms=3)
+    bent = fit_bent_axis(many, span=SPAN, terms=3)
 
     assert bent.noise == pytest.approx(2e-5, rel=0.1)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.signal.bad_samples import bridged, stray_samples
+from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 
 D = np.linspace(0.0, 0.04, 401)
 RISE = 9000.0 * D + np.random.default_rng(0).normal(0.0, 0.5, len(D))
@@ -16,7 +16,7 @@ def test_spike_and_dropouts_are_found() -> None:
     force[100] = 1200.0
     force[200:203] = 0.0
     force[50] = np.nan
-    assert stray_samples(force).tolist() == [100, 200, 201, 202]
+    assert find_spikes(force).tolist() == [100, 200, 201, 202]
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -27,20 +27,20 @@ def test_what_is_none(seed: int) -> None:
     stepped = 9000.0 * D - 30.0 * (D > 0.02)
     dropout = np.where((D > 0.02) & (D < 0.0205), 0.0, 9000.0 * D)  # four samples and more
     for force in (9000.0 * D, broken, turned, stepped, dropout, np.round(9000.0 * D / 2.0) * 2.0):
-        assert stray_samples(force + noise).tolist() == []
-    assert stray_samples(turned).tolist() == []
+        assert find_spikes(force + noise).tolist() == []
+    assert find_spikes(turned).tolist() == []
 
 
 def test_ends_and_few_samples() -> None:
     force = RISE.copy()
     force[[0, -1]] = 1200.0
-    assert stray_samples(force).tolist() == []
-    assert stray_samples(RISE[:13]).tolist() == []
+    assert find_spikes(force).tolist() == []
+    assert find_spikes(RISE[:13]).tolist() == []
 
 
 def test_strays_are_bridged_over_missing_samples_too() -> None:
     force = np.array([0.0, 1.0, 90.0, np.nan, 4.0, 5.0])
-    mended = bridged(force, np.array([2]))
+    mended = bridge_spikes(force, np.array([2]))
     np.testing.assert_allclose(mended, [0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
     assert force[2] == 90.0
-    np.testing.assert_array_equal(bridged(force, np.array([], dtype=np.int64)), force)
+    np.testing.assert_array_equal(bridge_spikes(force, np.array([], dtype=np.int64)), force)
