@@ -79,7 +79,7 @@ def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
     Processing Letters 9 (1979) 216-219.
     """
     _require_law(curvature, moment, most)
-    corners = _hull(curvature, moment)
+    corners = _hull(curvature.tolist(), moment.tolist())  # plain numbers are faster one by one
     x, y = curvature[corners], moment[corners]
     chosen = np.arange(len(x)) if len(x) <= most else _fewest_error(x, y, most)
     return Thinned(x[chosen], y[chosen], _error(x[chosen], y[chosen], curvature, moment))
@@ -105,7 +105,7 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
         raise ValueError(message)
 
 
-def _hull(x: Floats, y: Floats) -> Ints:
+def _hull(x: list[float], y: list[float]) -> Ints:
     """Corners of the concave hull, the two ends included."""
     kept: list[int] = [0]
     for new in range(1, len(x)):
@@ -127,7 +127,7 @@ def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
     plain_x, plain_y = x.tolist(), y.tolist()
     while high - low > _ENOUGH * high:
         middle = 0.5 * (low + high) if low > 0.0 else _FIRST_CUT * high
-        found = _as_far_as_allowed(plain_x, plain_y, middle)
+        found = _as_far_as_allowed(plain_x, plain_y, middle, most)
         if len(found) > most:
             low = middle
         else:
@@ -136,8 +136,8 @@ def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
     return best
 
 
-def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float) -> list[int]:
-    """Go from corner to corner, each time as far as the tolerance lets one."""
+def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float, most: int) -> list[int]:
+    """Go from corner to corner as far as the tolerance lets one; end with one too many."""
     chosen, steepest = [0], -np.inf
     for new in range(1, len(x)):
         at = chosen[-1]
@@ -145,7 +145,10 @@ def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float) -> list
         if y[new] - y[at] < steepest * (x[new] - x[at]):
             at, steepest = new - 1, -np.inf
             chosen.append(at)
-        steepest = max(steepest, ((1.0 - tolerance) * y[new] - y[at]) / (x[new] - x[at]))
+            if len(chosen) == most:
+                break
+        slope = ((1.0 - tolerance) * y[new] - y[at]) / (x[new] - x[at])
+        steepest = slope if slope > steepest else steepest  # `max` takes as long as all the rest
     return [*chosen, len(x) - 1]
 
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 
-import numpy as np
-
 from labpipe import __version__
 from labpipe.decks.deck_law import FIRST_LOADING, NO_MASS, facts, on_one_line, require_mass
 from labpipe.records.wire import WireTable
@@ -63,8 +61,8 @@ def lookup_csv(table: WireTable) -> str:
         "turn of the section.",
         ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items()),
     ]
-    columns = np.column_stack([getattr(table, name) for name in COLUMNS])
-    lines += [",".join(repr(value) for value in row) for row in columns.tolist()]
+    columns = [map(repr, getattr(table, name).tolist()) for name in COLUMNS]
+    lines += map(",".join, zip(*columns, strict=True))
     return "\n".join(lines) + "\n"
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.optimize import lsq_linear, nnls
 
 from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats, frozen
@@ -23,6 +23,7 @@ N_KNOTS = 24
 ELASTIC_SHARE = 0.002
 """End of the elastic range, as a share of the largest curvature."""
 _STEEPEST = 0.999  # of the modulus: a curve as steep as it would have no plastic strain
+_MOST_ROUNDS = 20  # for each slope; one, as by default, ended some searches half-way
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,10 +130,20 @@ def equivalent_material(
     parts = modulus * _segments(curvature, strain, radius) / moment[:, np.newaxis]
     above = curvature > elastic
     rest = 1.0 - parts[above, 0]
-    slopes = lsq_linear(parts[above, 1:], rest, bounds=(0.0, _STEEPEST), method="bvls").x
+    slopes = _bounded_slopes(parts[above, 1:], rest)
     shares = np.append(1.0, slopes)
     stress = modulus * np.cumsum(shares * np.diff(strain, prepend=0.0))
     return EquivalentMaterial(diameter, modulus, strain, stress, curvature, parts @ shares - 1.0)
+
+
+def _bounded_slopes(parts: Floats, wanted: Floats) -> Floats:
+    """Least squares between zero and `_STEEPEST`; that above zero, found sooner, if it is so."""
+    most = _MOST_ROUNDS * parts.shape[1]
+    slopes = nnls(parts, wanted, maxiter=most)[0]
+    if np.any(slopes > _STEEPEST):
+        bounds = (0.0, _STEEPEST)
+        slopes = lsq_linear(parts, wanted, bounds=bounds, method="bvls", max_iter=most).x
+    return np.asarray(slopes)
 
 
 def _moment_at(at: float, curvature: Floats, moment: Floats) -> float:

@@ -10,7 +10,7 @@ The axial forces F are those of `wire.friction`, the strands' own moments m thos
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -226,7 +226,7 @@ def _own_moments(section: CrossSection, curvature: Floats) -> tuple[float, Float
 def orientation_range(
     section: CrossSection,
     contacts: Contacts,
-    curvature: Floats,
+    curve: MomentCurve,
     *,
     tension: float = 0.0,
     n_orientations: int = 24,
@@ -235,32 +235,29 @@ def orientation_range(
 
     Parameters
     ----------
-    section, contacts, curvature, tension : as for `moment_curvature`
+    section, contacts, tension : as for `moment_curvature`
+    curve : the law at any orientation
     n_orientations : evenly spread over the full turn, the first at 0
     """
-    first = moment_curvature(section, contacts, curvature, tension=tension)
+    own = curve.bending + curve.plastic
     moments = []
     for turn in _different_turns(section, n_orientations):
-        stick, slip, _ = _axial_parts(section, contacts, first.curvature, tension, turn)
-        moments.append(replace(first, stick=stick, slip=slip).moment)
+        stick, slip, _ = _axial_parts(section, contacts, curve.curvature, tension, turn)
+        moments.append(stick + slip + own + curve.insulation)
     return np.min(moments, axis=0), np.max(moments, axis=0)
 
 
-def _different_turns(section: CrossSection, count: int) -> Floats:
+def _different_turns(section: CrossSection, count: int) -> list[float]:
     """Turns of the section, rad, but for those that only swap strands of a ring."""
     turns = 2.0 * np.pi * np.arange(count) / count
     layer = section.layer[section.layer >= int(section.has_core)]
-    reach = float(section.radius.max()) or 1.0
-    arms = section_arms(section) / reach
-    seen = set()
-    kept = []
-    for turn in turns:
-        strands = np.array([layer, arms * sines(section, turn), arms]).round(9) + 0.0
-        key = strands[:, np.lexsort(strands)].tobytes()
-        if key not in seen:
-            seen.add(key)
-            kept.append(turn)
-    return np.array(kept)
+    arms = section_arms(section) / (float(section.radius.max()) or 1.0)
+    alike = np.unique(np.array([layer, arms.round(9)]), axis=1, return_inverse=True)[1]
+    # strands that are alike are told apart by their height alone, which is at most 1
+    heights = 4.0 * alike.ravel() + (arms * sines(section, turns[:, None])).round(9)
+    strands = np.sort(heights, axis=1)
+    seen = {row.tobytes(): turn for row, turn in zip(strands[::-1], turns[::-1], strict=True)}
+    return sorted(map(float, seen.values()))
 
 
 _DECADES = 4.0  # of curvature below the largest, over which the corners are spread

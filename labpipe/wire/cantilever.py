@@ -33,6 +33,7 @@ from labpipe.law.plays import (
 )
 from labpipe.records.arrays import Floats, frozen
 from labpipe.wire.newton import (
+    TOLERANCE,
     Condition,
     DeadLoad,
     EndLoad,
@@ -284,6 +285,7 @@ def settle(
     *,
     travel: float,
     guess: Unknowns | None = None,
+    tolerance: float = TOLERANCE,
 ) -> WireState | None:
     """One step from a state to the equilibrium under a condition; None where Newton fails.
 
@@ -294,24 +296,23 @@ def settle(
     condition : what fixes the load
     travel : m, where the path then stands
     guess : where Newton's method starts; None for the state itself
+    tolerance : of `newton.solve`
 
     Returns
     -------
     The state; None also for an equilibrium far from the guess, as a curl: there are many.
     """
     near = Unknowns(state.moment, state.load) if guess is None else guess
-    found = solve(law, state.plays, length, condition, near)
-    if found is None or _turns_far(law, near.moment, state.plays, found, length):
+    found = solve(law, state.plays, length, condition, near, tolerance=tolerance)
+    if found is None or _turns_far(found, length):
         return None
     return WireState(found.moment, found.plays, found.force, found.load, travel)
 
 
-def _turns_far(
-    law: MomentLaw, moment: Floats, plays: Floats, found: Equilibrium, length: float
-) -> bool:
-    """Whether any part of the wire turns by more than a step may from moments to an equilibrium."""
-    before = respond(law, moment, plays).curvature
-    turn = length * chebyshev_stations(len(moment)).from_clamp @ (found.curvature - before)
+def _turns_far(found: Equilibrium, length: float) -> bool:
+    """Whether any part of the wire turns by more than a step may, from the guess to the result."""
+    stations = chebyshev_stations(len(found.moment))
+    turn = length * stations.from_clamp @ (found.curvature - found.start_curvature)
     return bool(np.max(np.abs(turn)) > _LARGEST_TURN)
 
 

@@ -22,6 +22,7 @@ from labpipe.wire.end_load import EndLoads, end_loads
 from labpipe.wire.newton import EndLoad, Unknowns, chebyshev_stations
 
 _FARTHEST_TREND = 2.0  # steps ahead that the last one is taken to go on
+_TOLERANCE = 1e-5  # of Newton's method from a good guess: its next change would be 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,10 +101,20 @@ def _last_state(law: MomentLaw, virgin: WireState, length: float, first: EndLoad
     """State at the end of a first loading."""
     guess = _guess(virgin, length, first, -1)
     near = Unknowns(guess.moment, guess.load)
-    found = settle(law, virgin, length, EndLoad(guess.travel), travel=guess.travel, guess=near)
-    if found is None:
-        return deflect(law, virgin, length, guess.travel)
-    return found
+    return _settle(law, virgin, length, guess.travel, near)
+
+
+def _settle(
+    law: MomentLaw, state: WireState, length: float, deflection: float, guess: Unknowns | None
+) -> WireState:
+    """Bend a wire to a deflection, in one step where there is a guess from which that goes."""
+    found = None
+    if guess is not None:
+        condition = EndLoad(deflection)
+        found = settle(
+            law, state, length, condition, travel=deflection, guess=guess, tolerance=_TOLERANCE
+        )
+    return deflect(law, state, length, deflection) if found is None else found
 
 
 def _go_on(
@@ -116,14 +127,7 @@ def _go_on(
     """Fill in a path, each point from the trend of the states before; give how many, to its end."""
     states = list(first)
     for number, deflection in enumerate(deflections.tolist()):
-        ahead = _trend(states, deflection)
-        found = None
-        if ahead is not None:
-            found = settle(
-                law, states[-1], length, EndLoad(deflection), travel=deflection, guess=ahead
-            )
-        if found is None:
-            found = deflect(law, states[-1], length, deflection)
+        found = _settle(law, states[-1], length, deflection, _trend(states, deflection))
         if not is_within(law, float(np.max(np.abs(found.moment)))):
             return number
         states = [*states[-2:], found]

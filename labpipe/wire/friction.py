@@ -166,8 +166,11 @@ def axial_strain(section: CrossSection, tension: float) -> float:
     return float(tension / (strands + tube))
 
 
-def sines(section: CrossSection, orientation: float) -> Floats:
-    """Sine of the angle of each strand outside the core from the neutral axis, shape (strands,)."""
+def sines(section: CrossSection, orientation: float | Floats) -> Floats:
+    """Sine of the angle of each strand outside the core from the neutral axis, shape (strands,).
+
+    Of several orientations, a column of them, one row each.
+    """
     first = int(section.has_core)
     sine = np.sin(section.angle[section.layer >= first] + orientation)
     return np.where(np.abs(sine) < _ON_AXIS, 0.0, sine)

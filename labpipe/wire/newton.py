@@ -13,7 +13,8 @@ from labpipe.law.plays import MomentLaw, Response, respond
 from labpipe.records.arrays import Floats
 
 _ITERATIONS = 40
-_TOLERANCE = 1e-7  # of the last change: the next would be less than 1e-14, measured 1e-15
+TOLERANCE = 1e-7
+"""Of the largest moment, the last change: the next would be less than 1e-14, measured 1e-15."""
 _LARGEST_TURN = 0.7
 
 
@@ -103,20 +104,22 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """What it found: moments, history, force at the tip, load, and the curvatures."""
+    """What it found: moments, history, tip force, load, curvatures of it and of the start."""
 
     moment: Floats
     plays: Floats
     force: Floats
     load: float
     curvature: Floats
+    start_curvature: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
+    """Stations are those of the whole length, m."""
+
     law: MomentLaw
     plays: Floats
-    length: float
     condition: Condition
     stations: Stations
 
@@ -134,11 +137,16 @@ class _Bent:
     cos: Floats
     sin: Floats
     wanted: Demand
-    angle_by_moment: Floats
 
 
 def solve(
-    law: MomentLaw, plays: Floats, length: float, condition: Condition, start: Unknowns
+    law: MomentLaw,
+    plays: Floats,
+    length: float,
+    condition: Condition,
+    start: Unknowns,
+    *,
+    tolerance: float = TOLERANCE,
 ) -> Equilibrium | None:
     """Find the equilibrium next to a start, or None if the iteration does not settle.
 
@@ -149,21 +157,28 @@ def solve(
     length : m
     condition : what fixes the end force
     start : first guess
+    tolerance : last change of the moments, as a share of the largest; the next is of its square
     """
-    problem = _Problem(law, plays, length, condition, chebyshev_stations(len(start.moment)))
+    unit = chebyshev_stations(len(start.moment))
+    stations = Stations(*(length * part for part in (unit.position, unit.from_clamp, unit.to_tip)))
+    problem = _Problem(law, plays, condition, stations)
     moment, load = start.moment, start.load
+    first = None
     for _ in range(_ITERATIONS):
         system = _linearise(problem, moment, load)
+        first = system.response.curvature if first is None else first
         if not np.all(np.isfinite(system.residual)):
             return None
         change: Floats = -np.linalg.solve(system.jacobian, system.residual).astype(np.float64)
         change *= _damping(change[:-1], system.response.compliance, length)
         moment, load = moment + change[:-1], load + change[-1]
         largest = np.max(np.abs(moment)) + 1e-9 * law.stiffness / length
-        if np.max(np.abs(change[:-1])) <= _TOLERANCE * largest:
+        if np.max(np.abs(change[:-1])) <= tolerance * largest:
             last = _bent(problem, moment, load)
             response, force = last.response, last.wanted.force
-            return Equilibrium(moment, response.plays, force, float(load), response.curvature)
+            return Equilibrium(
+                moment, response.plays, force, float(load), response.curvature, first
+            )
     return None
 
 
@@ -175,22 +190,21 @@ def _damping(change: Floats, compliance: Floats, length: float) -> float:
 
 def _bent(problem: _Problem, moment: Floats, load: float) -> _Bent:
     """The wire as moments bend it, and what the condition asks for then."""
-    stations, length = problem.stations, problem.length
+    stations = problem.stations
     response = respond(problem.law, moment, problem.plays)
-    from_clamp = length * stations.from_clamp
-    angle = from_clamp @ response.curvature
+    angle = stations.from_clamp @ response.curvature
     cos, sin = np.cos(angle), np.sin(angle)
-    weights = length * stations.weights
-    wanted = problem.condition.demand(np.array([weights @ cos, weights @ sin]), load)
-    return _Bent(response, cos, sin, wanted, from_clamp * response.compliance)
+    tip = np.array([stations.weights @ cos, stations.weights @ sin])
+    wanted = problem.condition.demand(tip, load)
+    return _Bent(response, cos, sin, wanted)
 
 
 def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
     """Residual and exact Jacobian by moments (first n columns) and load (last column)."""
     bent = _bent(problem, moment, load)
-    cos, sin, wanted, angle_by_moment = bent.cos, bent.sin, bent.wanted, bent.angle_by_moment
-    to_tip = problem.length * problem.stations.to_tip
-    weights = problem.length * problem.stations.weights
+    cos, sin, wanted = bent.cos, bent.sin, bent.wanted
+    angle_by_moment = problem.stations.from_clamp * bent.response.compliance
+    to_tip, weights = problem.stations.to_tip, problem.stations.weights
     tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
     levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
     lateral = -wanted.force[1] * sin - wanted.force[0] * cos

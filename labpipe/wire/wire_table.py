@@ -65,9 +65,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     largest, shortened = range_of(spec, strain=built.axial_strain)
     onsets = _onsets(built, spec, largest)
     curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
-    lowest, highest = orientation_range(
-        built.section, built.contacts, curve.curvature, tension=spec.tension
-    )
+    lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
     deflection, force, cut = _cantilever(spec, curve)
     return WireTable(
         name=spec.name,

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -9,7 +11,8 @@ from labpipe.law.equivalent_material import (
     equivalent_material,
 )
 from labpipe.records.arrays import Floats
-from tests.builders.wire_tables import wire_table
+from labpipe.wire.wire_table import wire_table as table_of
+from tests.builders.wire_tables import spec_of, wire_table
 
 DIAMETER = 1.6e-3
 SECOND_MOMENT = np.pi / 64.0 * DIAMETER**4
@@ -116,3 +119,17 @@ def test_what_is_no_law_is_refused(
 ) -> None:
     with pytest.raises(ValueError, match=f"^{message}"):
         equivalent_material(np.array(curvature), np.array(moment), DIAMETER, **options)  # type: ignore[arg-type]
+
+
+def test_a_search_with_many_turns_is_not_ended_half_way() -> None:
+    sticks = replace(
+        spec_of("C5", "C5"), layout="packed", copper_n=0.23, friction_insulation=0.003,
+        friction_strand=0.274, radial_force=1.0,
+    )  # fmt: skip
+    table = table_of(sticks)
+    curvature, moment = table.curvature[1:], table.moment[1:]
+    found = equivalent_material(curvature, moment, 2.0 * table.layout.wire_radius)
+    slopes = np.diff(found.stress) / np.diff(found.strain) / found.modulus
+    assert np.all((slopes > -1e-12) & (slopes < 1.0))
+    above = found.curvature > found.elastic_curvature
+    assert np.sum(found.error[above] ** 2) < 0.102  # 0.1031 where it ended half-way

@@ -156,7 +156,7 @@ def test_orientation_matters_in_slip() -> None:
     section = wire("A2")
     contacts = contacts_of(section)
     kappa = np.array([5.0])
-    low, high = orientation_range(section, contacts, kappa)
+    low, high = orientation_range(section, contacts, moment_curvature(section, contacts, kappa))
     slip = moment_curvature(section, contacts, kappa).slip
     assert 0.12 < float((high - low)[0] / slip[0]) < 0.18
     assert low[0] <= moment_curvature(section, contacts, kappa).moment[0] <= high[0]
@@ -207,7 +207,7 @@ def test_a_curvature_beyond_the_material_is_refused() -> None:
 def test_the_range_over_orientations_leaves_out_no_turn(name: str) -> None:
     section, contacts = wire(name), contacts_of(wire(name))
     kappa = np.array([-5.0, 0.05, 5.0, 40.0])
-    low, high = orientation_range(section, contacts, kappa)
+    low, high = orientation_range(section, contacts, moment_curvature(section, contacts, kappa))
     turns = 2.0 * np.pi * np.arange(24) / 24
     moments = [moment_curvature(section, contacts, kappa, orientation=t).moment for t in turns]
     assert low == pytest.approx(np.min(moments, axis=0), rel=1e-9)
@@ -220,7 +220,8 @@ def test_the_range_over_orientations_of_strands_without_order() -> None:
     away = rng.normal(scale=1e-5, size=(2, 7)) * (section.radius > 0.0)
     loose = replace(section, x=section.x + away[0], y=section.y + away[1])
     kappa = np.array([0.05, 5.0])
-    low, high = orientation_range(loose, contacts_of(loose), kappa, n_orientations=7)
+    curve = moment_curvature(loose, contacts_of(loose), kappa)
+    low, high = orientation_range(loose, contacts_of(loose), curve, n_orientations=7)
     moments = [
         moment_curvature(loose, contacts_of(loose), kappa, orientation=turn).moment
         for turn in 2.0 * np.pi * np.arange(7) / 7

@@ -87,7 +87,7 @@ def test_the_states_are_in_equilibrium_from_tip_to_clamp() -> None:
     deflections = np.linspace(0.0, 0.6 * LENGTH, 13)[1:]
     found = end_loads(STRANDED, LENGTH, deflections)
     assert found.deflection[:-1] == pytest.approx(deflections, rel=1e-10)
-    assert found.tail[:, -1] == pytest.approx(np.full(13, LENGTH), rel=1e-10)
+    assert found.tail()[:, -1] == pytest.approx(np.full(13, LENGTH), rel=1e-10)
     shape = bend_to_deflection(STRANDED, straight(STRANDED), LENGTH, float(deflections[5]))
     assert found.load[5] == pytest.approx(shape.force[1], rel=1e-4)
     moment = found.moment_at(5, LENGTH - shape.arc_length)
