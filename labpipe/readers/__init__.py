@@ -77,15 +77,15 @@ def recognise_export(path: Path) -> Reader:
             return reader
     if is_workbook(path):
         open_sheets(path)  # where it cannot be opened at all, that is what is wrong
-    from labpipe.readers.unknown_files import recognise_stranger
+    from labpipe.readers.unknown_files import describe_unknown
 
-    stranger = recognise_stranger(path)
+    unknown = describe_unknown(path)
     raise unreadable(
         path,
         "",
         f"an export of a known format ({', '.join(READERS)})",
-        stranger.what,
-        stranger.remedy,
+        unknown.what,
+        unknown.remedy,
     )
 
 

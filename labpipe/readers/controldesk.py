@@ -18,6 +18,12 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
 
 _PROGRAM_VERSION = re.compile(r"ControlDesk version:\s*([\w.]+)")
+_SAVED = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) [\d:]+ (\d{4})")
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+_LONGEST = 4
+"""Digits of a day, a month or a year."""
+_CLOSE = 7
+"""Days between recording and saving that are still believed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,14 +202,6 @@ def _blank_note(trace: Trace, blank: Flags, where: str) -> QualityNote:
     message += f" ({infinite} of them infinite)" if infinite else ""
     message += f", the first at sample {first}"
     return QualityNote("not_finite", Severity.WARNING, where, message)
-
-
-_SAVED = re.compile(r"Created on: \w{3} (\w{3}) +(\d{1,2}) [\d:]+ (\d{4})")
-_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
-_LONGEST = 4
-"""Digits of a day, a month or a year."""
-_CLOSE = 7
-"""Days between recording and saving that are still believed."""
 
 
 def day_of_saving(header: str) -> date | None:

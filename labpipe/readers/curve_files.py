@@ -11,25 +11,16 @@ different lengths side by side. One blank cell is refused.
 File structure: cells parted by tabulator, semicolon, comma or blanks, whichever parts the first
 rows into numbers; decimal point or comma, one of them in a file. Rows above the names are passed
 over. A file without names is read where its columns are numbered. Of a workbook, the first sheet.
-A file that CalculiX printed is read as it is, see `readers.calculix_dat`.
 
-The columns of a curve from elsewhere: found by name or number, their units told or stated.
-
-Reads what CalculiX prints of a tip that is pushed: deflection and force at each increment.
-
-Writes this file: CalculiX CrunchiX (``ccx``), ending ``.dat``, asked for ``*NODE PRINT`` of ``U``
-and, with ``TOTALS=ONLY``, of ``RF`` (User's Manual, ``*NODE PRINT``). The deck that `labpipe model`
-writes asks for both.
-
-Units: those of the deck, which the file does not say; decks of labpipe are in m and N.
-
-File structure: blocks, each under a heading with the quantity, the set of nodes and the time, such
+A file that CalculiX CrunchiX (``ccx``, ending ``.dat``, known version 2.20) printed is read as it
+is: deflection and force of a tip that is pushed, at each increment. It was asked for ``*NODE
+PRINT`` of ``U`` and, with ``TOTALS=ONLY``, of ``RF``, as the deck that `labpipe model` writes asks.
+Its units are those of the deck, which the file does not say; decks of labpipe are in m and N. It
+holds blocks, each under a heading with the quantity, the set of nodes and the time, such
 as ``displacements (vx,vy,vz) for set TIPHALF and time  0.1250000E-01``. Of displacements a line per
 node, its number first; of the total force one line. The deflection is the mean of the second
 component, along y; the force is the second component too. Of a set whose name ends in HALF the
 force counts twice: it is of a half model.
-
-Known versions: 2.20.
 """
 
 from __future__ import annotations
@@ -69,6 +60,17 @@ _HEAD = 400
 """Lines in which the first row of numbers is looked for."""
 _ENCODINGS = ("utf-8", "latin-1")
 _NOT_FINITE = frozenset({"nan", "inf", "infinity"})
+_USUAL = {
+    "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
+    "force": ("force", "tip force"),
+}
+"""What a column is called that nobody has to name."""
+HALF = "HALF"
+"""What the name of a set ends with whose force is of a half model."""
+_HEADING = re.compile(r"\s*(\S.*?)\s*\((\w+,\w+,\w+)\) for set (\S+) and time\s+(\S+)\s*")
+_DEFLECTION, _FORCE = "displacements", "total force"
+_AGAIN = "Run ccx again; the file may have been cut off."
+_NEEDED = "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
 
 
 def read_curve(path: Path, deflection: CurveColumn, force: CurveColumn) -> tuple[Floats, Floats]:
@@ -214,13 +216,6 @@ def _check_sign(path: Path, points: Sequence[Sequence[Cell]], force: Floats) -> 
         expected, found = "a largest force above zero", f"{force[at]:.6g} N"
         remedy = "If the file counts downwards, write 'sign: -1' for the force."
         raise unreadable(path, points[at][1].place, expected, found, remedy)
-
-
-_USUAL = {
-    "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
-    "force": ("force", "tip force"),
-}
-"""What a column is called that nobody has to name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,15 +367,6 @@ def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
         remedy = "Correct the one that is wrong."
         raise unreadable(table.path, place, f"{unit!r}, as in the plan", f"{said!r}", remedy)
     return factor
-
-
-HALF = "HALF"
-"""What the name of a set ends with whose force is of a half model."""
-
-_HEADING = re.compile(r"\s*(\S.*?)\s*\((\w+,\w+,\w+)\) for set (\S+) and time\s+(\S+)\s*")
-_DEFLECTION, _FORCE = "displacements", "total force"
-_AGAIN = "Run ccx again; the file may have been cut off."
-_NEEDED = "Print U, and RF with TOTALS=ONLY, of one set of nodes, as the deck of labpipe does."
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,6 +25,18 @@ _ROUNDED = 2e-6
 
 Columns = Mapping[int, Floats]
 """Numbers of an export by their column number in the file, shape (frames,); NaN where blank."""
+Cells = Sequence[str]
+LENGTHS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
+"""Length Units of the export, in m."""
+SEEN = frozenset({"1.21", "1.23", "1.24", "1.25"})
+"""Format versions that real files have shown."""
+_AGAIN = "Export the take from Motive as CSV again."
+_WORDS = ("Type", "Name", "ID")
+_KEYS = (
+    *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
+    *("Capture Start Time", "Capture Start Frame", "Total Frames in Take"),
+    *("Total Exported Frames", "Rotation Type", "Length Units", "Coordinate Space"),
+)
 
 
 def needed_columns(header: Header) -> list[int]:
@@ -279,23 +291,6 @@ def _shared_names(groups: Sequence[Group]) -> list[QualityNote]:
         return []
     message = f"names that several objects share carry their id: {', '.join(shared[:5])}"
     return [QualityNote("names_not_unique", Severity.INFO, "markers", message)]
-
-
-Cells = Sequence[str]
-
-LENGTHS = {"Meters": 1.0, "Centimeters": 0.01, "Millimeters": 0.001}
-"""Length Units of the export, in m."""
-
-SEEN = frozenset({"1.21", "1.23", "1.24", "1.25"})
-"""Format versions that real files have shown."""
-
-_AGAIN = "Export the take from Motive as CSV again."
-_WORDS = ("Type", "Name", "ID")
-_KEYS = (
-    *("Format Version", "Take Name", "Take Notes", "Capture Frame Rate", "Export Frame Rate"),
-    *("Capture Start Time", "Capture Start Frame", "Total Frames in Take"),
-    *("Total Exported Frames", "Rotation Type", "Length Units", "Coordinate Space"),
-)
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,6 +28,16 @@ from labpipe.records.quality import QualityNote, Severity
 SIGNS = {".": "a decimal point", ",": "a decimal comma"}
 PLAIN = {sign: re.compile(rf"[+-]?(\d+(\{sign}\d*)?|\{sign}\d+)([eE][+-]?\d+)?") for sign in SIGNS}
 """A number by its decimal sign."""
+_HEAD = 20000
+"""Bytes in which the decimal sign is looked for."""
+_NAN_WORDS = ("NAN", "NaN", "nan")
+_WORTH = 4_000_000
+"""Bytes from which on pandas reads faster from the file than from memory."""
+_COMPARED = 200
+"""Lines above the last one in which a number as short as its last one is looked for."""
+_AGAIN = "Export the test again; the file may have been cut off or edited."
+_SHOWN = 40
+_WORDS_FOR_NUMBERS = frozenset({"nan", "inf", "infinity"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,13 +123,6 @@ class Shape:
 def chosen_cells(row: Sequence[str], columns: Sequence[int]) -> Iterator[str]:
     """Give the cells of some columns, as far as the row has them."""
     return (row[column].strip() for column in columns if column < len(row))
-
-
-_HEAD = 20000
-"""Bytes in which the decimal sign is looked for."""
-_NAN_WORDS = ("NAN", "NaN", "nan")
-_WORTH = 4_000_000
-"""Bytes from which on pandas reads faster from the file than from memory."""
 
 
 def read_columns(body: Body, path: Path) -> tuple[dict[int, Floats], list[QualityNote]]:
@@ -290,10 +293,6 @@ def _short_lines(shape: Shape, rows: int) -> list[QualityNote]:
     return [QualityNote("lines_short", Severity.WARNING, "file", message)]
 
 
-_COMPARED = 200
-"""Lines above the last one in which a number as short as its last one is looked for."""
-
-
 def whole_lines(body: Body) -> tuple[int, list[QualityNote]]:
     """Find where the last whole line ends: one that stops in the middle is left out.
 
@@ -360,11 +359,6 @@ def _lengths(cell: str) -> tuple[int, int, int]:
     parts = re.split(r"[.,]", number)
     decimals = len(parts[-1]) if len(parts) > 1 else 0
     return decimals, len(re.sub(r"\D", "", number).lstrip("0")), len(exponent.lstrip("+-"))
-
-
-_AGAIN = "Export the test again; the file may have been cut off or edited."
-_SHOWN = 40
-_WORDS_FOR_NUMBERS = frozenset({"nan", "inf", "infinity"})
 
 
 def first_fault(shape: Shape, path: Path) -> str:

@@ -37,6 +37,13 @@ BROKEN: tuple[type[Exception], ...] = (
 
 _LOOK = "Check the name and the folder."
 _CUT = "Export the recording again; the file may have been cut off while copying."
+HEAD = 65536
+"""Bytes in which the header of an export is looked for."""
+_MARKS = (
+    (codecs.BOM_UTF8, "utf-8"),
+    (codecs.BOM_UTF16_LE, "utf-16-le"),
+    (codecs.BOM_UTF16_BE, "utf-16-be"),
+)
 
 
 def unreadable(file: object, place: str, expected: str, found: str, remedy: str) -> ReadError:
@@ -127,16 +134,6 @@ def _absent(path: Path) -> str:
 def _first_line(error: BaseException) -> str:
     said = str(error).strip().splitlines()
     return said[0][:160] if said else type(error).__name__
-
-
-HEAD = 65536
-"""Bytes in which the header of an export is looked for."""
-
-_MARKS = (
-    (codecs.BOM_UTF8, "utf-8"),
-    (codecs.BOM_UTF16_LE, "utf-16-le"),
-    (codecs.BOM_UTF16_BE, "utf-16-be"),
-)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,7 @@
 """Cells of text exports: how they are parted, and what number or unit one holds.
 
-From 1.063, 1.110797 and 1.162 become 1063, 1110797 and 1162: whole numbers of which those with
+A spreadsheet may take the decimal sign of numbers for a sign between thousands, and leave it out:
+1.063, 1.110797 and 1.162 become 1063, 1110797 and 1162: whole numbers of which those with
 more decimals are a thousand times too large. The digits cannot be given back their places.
 """
 
@@ -34,6 +35,21 @@ _COMMON = frozenset(
 )
 """Told at once; whatever else could be a unit is looked up with pint, which is slow to load."""
 _SHOWN = 60
+LOST = (
+    "A spreadsheet took the decimal sign for a sign between thousands and the digits are lost:"
+    " export the test again and do not save it from a spreadsheet."
+)
+_GROUPED = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
+_FACTORS = (1e3, 1e6)
+_NEAR = 1.5
+"""Two jumps count as of one thousand if both are so up to this factor."""
+_WITHIN = 10
+"""Samples between the jump and the one back."""
+_LEAST = 100.0
+"""Smaller whole numbers are counters and codes."""
+_SPREAD = 0.01
+"""Beside the step between the two neighbours, a number may lie so far from them."""
+_LOOK = 1000
 
 
 def is_number(cell: str) -> bool:
@@ -116,24 +132,6 @@ def quoted(cells: Sequence[str]) -> str:
     """Show cells in a message."""
     text = ", ".join(cell for cell in cells if cell)
     return f"'{text[:_SHOWN]}'" if text else "nothing"
-
-
-LOST = (
-    "A spreadsheet took the decimal sign for a sign between thousands and the digits are lost:"
-    " export the test again and do not save it from a spreadsheet."
-)
-
-_GROUPED = re.compile(r"[+-]?\d{1,3}(,\d{3}){2,}|[+-]?\d{1,3}(\.\d{3}){2,}")
-_FACTORS = (1e3, 1e6)
-_NEAR = 1.5
-"""Two jumps count as of one thousand if both are so up to this factor."""
-_WITHIN = 10
-"""Samples between the jump and the one back."""
-_LEAST = 100.0
-"""Smaller whole numbers are counters and codes."""
-_SPREAD = 0.01
-"""Beside the step between the two neighbours, a number may lie so far from them."""
-_LOOK = 1000
 
 
 def is_grouped(cell: str) -> bool:

@@ -46,7 +46,7 @@ _ROWS = 2
 """Rows of numbers, one below the other, that make a table."""
 
 
-class Stranger(NamedTuple):
+class UnknownFile(NamedTuple):
     """A file that no reader takes.
 
     Parameters
@@ -59,7 +59,7 @@ class Stranger(NamedTuple):
     remedy: str
 
 
-def recognise_stranger(path: Path) -> Stranger:
+def describe_unknown(path: Path) -> UnknownFile:
     """Say in words what a file that no reader takes appears to be.
 
     Parameters
@@ -68,24 +68,26 @@ def recognise_stranger(path: Path) -> Stranger:
     """
     head = read_head(path)
     if len(head) >= 512 and head[1] == 0x50 and 0 < head[0] < 64:
-        return Stranger("a C3D file (motion capture), which is recognised but not read", _ANOTHER)
+        return UnknownFile(
+            "a C3D file (motion capture), which is recognised but not read", _ANOTHER
+        )
     for first, what, remedy in _BY_FIRST_BYTES:
         if head.removeprefix(b"\xef\xbb\xbf").lstrip().startswith(first):
-            return Stranger(what, remedy)
+            return UnknownFile(what, remedy)
     content = as_content(head)
     if b"\0" in content.data:
-        return Stranger("binary data of an unknown kind", _ANOTHER)
+        return UnknownFile("binary data of an unknown kind", _ANOTHER)
     lines = lines_of(content.data.decode("utf-8", errors="replace"))
     return _table(lines) or _text(lines)
 
 
-def _text(lines: Sequence[str]) -> Stranger:
+def _text(lines: Sequence[str]) -> UnknownFile:
     first = next((line.strip() for line in lines if line.strip()), "")
     what = f"text that begins with '{first[:_SHOWN]}'" if first else "nothing but blanks"
-    return Stranger(what, _ANOTHER)
+    return UnknownFile(what, _ANOTHER)
 
 
-def _table(lines: Sequence[str]) -> Stranger | None:
+def _table(lines: Sequence[str]) -> UnknownFile | None:
     """Describe a table of numbers in a text; None where there is none."""
     for separator, parted in _PARTED.items():
         rows = [[cell.strip() for cell in split_line(line, separator)] for line in lines]
@@ -93,7 +95,7 @@ def _table(lines: Sequence[str]) -> Stranger | None:
         if first is not None:
             above = next((row for row in reversed(rows[:first]) if any(row)), [])
             what = f"a table of {len(rows[first])} columns parted by {parted}, {_called(above)}"
-            return Stranger(what, f"{_KNOWN_BY} {_CARD}")
+            return UnknownFile(what, f"{_KNOWN_BY} {_CARD}")
     return None
 
 

@@ -43,6 +43,24 @@ _REFUSED = "labpipe.errors.ReadError: "
 _MEMORY, _PATIENCE = 4 << 30, 120.0
 """Bytes and seconds that a child may take; the largest sheet of an old workbook takes 1 GB."""
 _XLSX, _XLS = b"PK\x03\x04", b"\xd0\xcf\x11\xe0"
+MOST: Final = 10_000_000
+"""Cells that may be laid out in any case: some 400 MB."""
+SPARSE: Final = 20
+"""Beyond that, as many cells are laid out as this many times those that are filled."""
+_BEYOND = 4 * MOST
+_LARGE = 2_000_000
+"""Bytes, once unpacked: at about 100 MB a second."""
+_CHUNK = 1 << 20
+_HEAD = 4096
+_CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
+"""A cell as nearly every program writes it, or in another way."""
+_PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
+_PLACE = re.compile(r"([A-Za-z]+)(\d+)")
+_UTF16 = (b"\xff\xfe", b"\xfe\xff")
+_OTHERS = {
+    "content.xml": "an OpenDocument spreadsheet (ods)",
+    "xl/workbook.bin": "a binary workbook (xlsb)",
+}
 
 
 def is_workbook(path: Path) -> bool:
@@ -109,16 +127,14 @@ def _parsing(path: Path, mtime: int, size: int) -> Future[Sheets]:  # noqa: ARG0
 
 
 @contextmanager
-def opened_workbook(
-    path: Path, what: str, *, most: int | None = None
-) -> Iterator[CalamineWorkbook]:
+def opened_workbook(path: Path, what: str, *, most: int = MOST) -> Iterator[CalamineWorkbook]:
     """Open an xlsx workbook whose cells lie together.
 
     Parameters
     ----------
     path : the workbook
     what : what was expected, for messages
-    most : cells that may be laid out in any case; None for `extent.MOST`
+    most : cells that may be laid out in any case
 
     Yields
     ------
@@ -133,7 +149,7 @@ def opened_workbook(
     from python_calamine import CalamineError, CalamineWorkbook
 
     with reading(path, what, also=(CalamineError,)):
-        check_extent(path, most=MOST if most is None else most)
+        check_extent(path, most=most)
         with CalamineWorkbook.from_path(path) as book:
             yield book
 
@@ -242,27 +258,6 @@ def _by_openpyxl(path: Path) -> Sheets:
 
 def _plain(cell: object) -> object:
     return float(cell) if isinstance(cell, int) and not isinstance(cell, bool) else cell
-
-
-MOST: Final = 10_000_000
-"""Cells that may be laid out in any case: some 400 MB."""
-SPARSE: Final = 20
-"""Beyond that, as many cells are laid out as this many times those that are filled."""
-
-_BEYOND = 4 * MOST
-_LARGE = 2_000_000
-"""Bytes, once unpacked: at about 100 MB a second."""
-_CHUNK = 1 << 20
-_HEAD = 4096
-_CELL = re.compile(rb'<c(?: r="([A-Z]{1,3})(\d{1,7})"|[^a-zA-Z])')
-"""A cell as nearly every program writes it, or in another way."""
-_PREFIXED = (b":c ", b":c>", b":c/", b":c\t", b":c\n", b":c\r")
-_PLACE = re.compile(r"([A-Za-z]+)(\d+)")
-_UTF16 = (b"\xff\xfe", b"\xfe\xff")
-_OTHERS = {
-    "content.xml": "an OpenDocument spreadsheet (ods)",
-    "xl/workbook.bin": "a binary workbook (xlsb)",
-}
 
 
 @dataclass(slots=True)

@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from labpipe.errors import ReadError
-from labpipe.readers import motive_takes as motive_csv
+from labpipe.readers import motive_takes
 from labpipe.readers.motive_table import derived_rate, unique_names
 from labpipe.records.quality import Severity
 from labpipe.records.recording import MarkerTracks
@@ -23,7 +23,7 @@ def read(
     folder: Path, columns: list[Column], layout: Layout = LAYOUT
 ) -> tuple[MarkerTracks, dict[str, str]]:
     file = write_table(folder / "synthetic.csv", columns, FRAMES, layout)
-    recording = motive_csv.read(file)
+    recording = motive_takes.read(file)
     assert recording.markers is not None
     return recording.markers, {note.code: note.message for note in recording.notes}
 
@@ -52,7 +52,7 @@ def test_frames_that_jump_are_holes(tmp_path: Path) -> None:
     file = write_table(tmp_path / "synthetic.csv", marker("Tip", TIP), FRAMES, LAYOUT)
     lines = file.read_text().splitlines()
     file.write_text("\n".join(lines[:15] + lines[25:]) + "\n")
-    recording = motive_csv.read(file)
+    recording = motive_takes.read(file)
     (note,) = (n for n in recording.notes if n.code == "time_holes")
     assert "about 10 samples lost" in note.message
 
@@ -146,14 +146,14 @@ def test_a_line_without_frame_number_is_refused(tmp_path: Path) -> None:
     lines[10] = lines[10][lines[10].index(",") :]
     file.write_text("\n".join(lines) + "\n")
     with pytest.raises(ReadError, match=r"line 11, cell 1: expected a frame number, found none"):
-        motive_csv.read(file)
+        motive_takes.read(file)
 
 
 def test_frames_that_run_backwards_are_an_error_note(tmp_path: Path) -> None:
     file = write_table(tmp_path / "synthetic.csv", marker("Tip", TIP), FRAMES, LAYOUT)
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines[:20], lines[12], *lines[20:]]) + "\n")
-    (note,) = (n for n in motive_csv.read(file).notes if n.severity is Severity.ERROR)
+    (note,) = (n for n in motive_takes.read(file).notes if n.severity is Severity.ERROR)
     assert note.message.startswith("time runs backwards 1 times, first at sample 14")
 
 

@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from openpyxl import Workbook
 
 from labpipe.errors import ReadError
-from labpipe.readers import motive_takes as motive_csv
+from labpipe.readers import motive_takes
 from labpipe.records.recording import MarkerTracks, Recording
 from tests.builders.motive import (
     Layout,
@@ -85,7 +85,7 @@ def test_what_was_written_is_read(
     names = [f"Wire:Marker {i}" for i in range(data.shape[1])]
     columns = [c for i, name in enumerate(names) for c in marker(name, data[:, i])]
     file = tmp_path_factory.mktemp("motive") / "take.csv"
-    take = tracks(motive_csv.read(write_table(file, columns, len(data), layout)))
+    take = tracks(motive_takes.read(write_table(file, columns, len(data), layout)))
     assert take.names == tuple(names)
     np.testing.assert_allclose(take.positions, data, rtol=1e-15)
     np.testing.assert_array_equal(take.time, np.arange(len(data)) / 120.0)
@@ -94,7 +94,7 @@ def test_what_was_written_is_read(
 @pytest.mark.parametrize("version", ["1.21", "1.23", "1.24", "1.25"])
 def test_bodies_and_measured_markers(tmp_path: Path, version: str) -> None:
     layout = replace(LAYOUT, version=version, lower_w=version == "1.25")
-    recording = motive_csv.read(write_table(tmp_path / "synthetic.csv", COLUMNS, FRAMES, layout))
+    recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", COLUMNS, FRAMES, layout))
     take = tracks(recording)
     assert take.names == ("Clamp:Marker1", "Unlabeled 12")
     np.testing.assert_allclose(take.positions[:, 0], TIP, rtol=1e-15)
@@ -110,8 +110,8 @@ def test_bodies_and_measured_markers(tmp_path: Path, version: str) -> None:
 def test_the_order_of_columns_does_not_matter(tmp_path: Path) -> None:
     order = np.random.default_rng(3).permutation(len(COLUMNS))
     shuffled = [COLUMNS[i] for i in order]
-    one = tracks(motive_csv.read(write_table(tmp_path / "a.csv", COLUMNS, FRAMES, LAYOUT)))
-    other = tracks(motive_csv.read(write_table(tmp_path / "b.csv", shuffled, FRAMES, LAYOUT)))
+    one = tracks(motive_takes.read(write_table(tmp_path / "a.csv", COLUMNS, FRAMES, LAYOUT)))
+    other = tracks(motive_takes.read(write_table(tmp_path / "b.csv", shuffled, FRAMES, LAYOUT)))
     for name in one.names:
         np.testing.assert_array_equal(
             one.positions[:, one.names.index(name)], other.positions[:, other.names.index(name)]
@@ -124,7 +124,7 @@ def test_the_order_of_columns_does_not_matter(tmp_path: Path) -> None:
 )
 def test_lengths_become_metres(tmp_path: Path, unit: str, factor: float) -> None:
     layout = replace(LAYOUT, unit=unit)
-    take = tracks(motive_csv.read(write_table(tmp_path / "take.csv", COLUMNS, FRAMES, layout)))
+    take = tracks(motive_takes.read(write_table(tmp_path / "take.csv", COLUMNS, FRAMES, layout)))
     np.testing.assert_allclose(take.positions[:, 0], TIP * factor, rtol=1e-14)
     np.testing.assert_allclose(take.bodies[0].position, CLAMP * factor, rtol=1e-14)
     np.testing.assert_allclose(take.bodies[0].error, ERROR * factor, rtol=1e-14)
@@ -135,10 +135,10 @@ def test_the_same_sheet_saved_as_xlsx(tmp_path: Path) -> None:
     gap = TIP.copy()
     gap[4:7] = np.nan
     columns = [*COLUMNS, *marker("Tip", gap)]
-    one = motive_csv.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, LAYOUT))
+    one = motive_takes.read(write_table(tmp_path / "synthetic.csv", columns, FRAMES, LAYOUT))
     file = write_xlsx(tmp_path / "synthetic.xlsx", columns, FRAMES, LAYOUT)
-    assert motive_csv.recognise(file)
-    other = motive_csv.read(file)
+    assert motive_takes.recognise(file)
+    other = motive_takes.read(file)
     np.testing.assert_allclose(tracks(one).positions, tracks(other).positions, rtol=1e-15)
     assert tracks(one).names == tracks(other).names
     assert tracks(one).rate == tracks(other).rate
@@ -156,18 +156,18 @@ def test_a_cell_of_a_workbook_that_is_no_number(tmp_path: Path) -> None:
     with pytest.raises(
         ReadError, match=r"row 12, column 'Clamp Rotation W': expected a number, found 'lost'"
     ):
-        motive_csv.read(file)
+        motive_takes.read(file)
 
 
 def test_a_cut_workbook(tmp_path: Path) -> None:
     file = write_xlsx(tmp_path / "take.xlsx", COLUMNS, FRAMES, LAYOUT)
     file.write_bytes(file.read_bytes()[:2000])
     with pytest.raises(ReadError, match=r"expected a whole xlsx workbook, found a damaged one"):
-        motive_csv.read(file)
+        motive_takes.read(file)
 
 
 def test_an_empty_take_is_legal(tmp_path: Path) -> None:
-    recording = motive_csv.read(write_table(tmp_path / "synthetic.csv", [], 9, LAYOUT))
+    recording = motive_takes.read(write_table(tmp_path / "synthetic.csv", [], 9, LAYOUT))
     take = tracks(recording)
     assert (take.positions.shape, take.names, take.bodies) == ((9, 0, 3), (), ())
     assert set(notes(recording)) == {"take_empty"}
@@ -175,14 +175,14 @@ def test_an_empty_take_is_legal(tmp_path: Path) -> None:
 
 def test_a_take_without_frames_is_legal(tmp_path: Path) -> None:
     empty = [replace(column, values=np.empty(0)) for column in COLUMNS]
-    take = tracks(motive_csv.read(write_table(tmp_path / "synthetic.csv", empty, 0, LAYOUT)))
+    take = tracks(motive_takes.read(write_table(tmp_path / "synthetic.csv", empty, 0, LAYOUT)))
     assert take.positions.shape == (0, 2, 3)
 
 
 def test_a_cut_in_mid_line_loses_that_line_only(tmp_path: Path) -> None:
     file = write_table(tmp_path / "synthetic.csv", COLUMNS, FRAMES, LAYOUT)
     file.write_bytes(file.read_bytes()[:-20])
-    recording = motive_csv.read(file)
+    recording = motive_takes.read(file)
     assert len(tracks(recording).time) == FRAMES - 1
     found = notes(recording)
     assert found["truncated"] == "the last line (37) is incomplete and was left out"
@@ -195,7 +195,7 @@ def test_stated_rows_that_are_wrong(tmp_path: Path) -> None:
         write_table(tmp_path / "take.csv", COLUMNS, FRAMES, layout),
         write_xlsx(tmp_path / "take.xlsx", COLUMNS, FRAMES, layout),
     ):
-        assert notes(motive_csv.read(file))["rows_differ"] == (
+        assert notes(motive_takes.read(file))["rows_differ"] == (
             "the header states 190951 rows, the file holds 30"
         )
 
@@ -207,7 +207,7 @@ def test_infinite_numbers_count_as_blank(tmp_path: Path) -> None:
     cells[-1] = "inf"
     lines[12] = ",".join(cells)
     file.write_text("\n".join(lines) + "\n")
-    recording = motive_csv.read(file)
+    recording = motive_takes.read(file)
     assert tracks(recording).missing["Unlabeled 12"] == 1
     assert notes(recording)["not_finite"] == (
         "1 infinite numbers count as blank, the first in data row 6"
@@ -216,8 +216,8 @@ def test_infinite_numbers_count_as_blank(tmp_path: Path) -> None:
 
 def test_row_style_is_read_through_the_same_door(tmp_path: Path) -> None:
     file = write_row_style(tmp_path / "rows.csv", np.arange(4) / 120.0, [])
-    assert motive_csv.recognise(file)
-    recording = motive_csv.read(file)
+    assert motive_takes.recognise(file)
+    recording = motive_takes.read(file)
     assert (recording.reader, recording.program_version) == ("motive-csv", "1.1")
     assert len(tracks(recording).time) == 4
 
@@ -235,7 +235,7 @@ def test_row_style_is_read_through_the_same_door(tmp_path: Path) -> None:
 def test_recognised_by_the_first_words(tmp_path: Path, content: bytes, is_motive: bool) -> None:
     file = tmp_path / "take.mat"
     file.write_bytes(content)
-    assert motive_csv.recognise(file) is is_motive
+    assert motive_takes.recognise(file) is is_motive
 
 
 def test_a_workbook_of_something_else(tmp_path: Path) -> None:
@@ -243,12 +243,12 @@ def test_a_workbook_of_something_else(tmp_path: Path) -> None:
     book = Workbook()
     book.active.append(["time", "force"])  # type: ignore[union-attr]
     book.save(file)
-    assert not motive_csv.recognise(file)
+    assert not motive_takes.recognise(file)
     with pytest.raises(ReadError, match=r"expected a sheet whose first cell is Format Version"):
-        motive_csv.read(file)
+        motive_takes.read(file)
     archive = tmp_path / "files.zip"
     with zipfile.ZipFile(archive, "w") as parts:
         parts.writestr("readme.txt", "Format Version")
-    assert not motive_csv.recognise(archive)
+    assert not motive_takes.recognise(archive)
     archive.write_bytes(archive.read_bytes()[:-30])
-    assert not motive_csv.recognise(archive)
+    assert not motive_takes.recognise(archive)

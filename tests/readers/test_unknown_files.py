@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.readers.unknown_files import recognise_stranger
+from labpipe.readers.unknown_files import describe_unknown
 
 CARD = "see docs/how-to/new-dialect.md."
 
@@ -33,7 +33,7 @@ CARD = "see docs/how-to/new-dialect.md."
 def test_what_a_file_appears_to_be(tmp_path: Path, content: bytes, words: str, remedy: str) -> None:
     file = tmp_path / "file.dat"
     file.write_bytes(content)
-    stranger = recognise_stranger(file)
+    stranger = describe_unknown(file)
     assert stranger.what.startswith(words)
     assert stranger.remedy.startswith(remedy)
 
@@ -54,7 +54,7 @@ TABLES = {
 def test_a_table_is_described(tmp_path: Path, what: str, encoding: str) -> None:
     file = tmp_path / "table.csv"
     file.write_bytes(TABLES[what].encode(encoding))
-    stranger = recognise_stranger(file)
+    stranger = describe_unknown(file)
     assert stranger.what == what
     assert stranger.remedy.startswith("A table is known by its names and units: time, and force ")
     assert stranger.remedy.endswith(CARD)
@@ -72,4 +72,4 @@ def test_a_table_is_described(tmp_path: Path, what: str, encoding: str) -> None:
     ],
 )
 def test_real_strangers(realdata: Path, name: str, words: str) -> None:
-    assert recognise_stranger(realdata / name).what.startswith(words)
+    assert describe_unknown(realdata / name).what.startswith(words)

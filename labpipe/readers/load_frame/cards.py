@@ -24,6 +24,12 @@ LAYOUTS: Final = ("one", "side by side", "blocks", "specimen above")
 BRACKETS: Final = ("", "()", "[]")
 DECIMALS: Final = (".", ",", "auto")
 _NAME = re.compile(r"[a-z0-9]+(-[a-z0-9]+)*")
+_SHOW = 60
+_HUGE = 10**300
+_FIX = "Correct the card."
+_Check = Callable[[object, str, object], object]
+LAB_FOLDER = "dialects"
+"""Where a lab keeps its own cards, in the working folder beside ``protocols``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,11 +173,6 @@ def _fault(source: object, key: str, expected: str, found: str, remedy: str) -> 
     return unreadable(source, place, expected, found, remedy)
 
 
-_SHOW = 60
-_HUGE = 10**300
-_FIX = "Correct the card."
-
-
 def _shown(value: object) -> str:
     return repr(value)[:_SHOW]
 
@@ -226,9 +227,6 @@ def _separator(value: object, key: str, source: object) -> str:
     if value == "blanks" or (isinstance(value, str) and len(value) == 1 and value.isascii()):
         return " " if value == "blanks" else value
     raise _fault(source, key, 'one sign, or "blanks"', _shown(value), _FIX)
-
-
-_Check = Callable[[object, str, object], object]
 
 
 def _one_of(words: tuple[str, ...]) -> _Check:
@@ -293,10 +291,6 @@ _CHECKS: Final[dict[str, _Check]] = {
     "layout": _one_of(LAYOUTS),
 }
 """Every key of a card, and what it must be."""
-
-
-LAB_FOLDER = "dialects"
-"""Where a lab keeps its own cards, in the working folder beside ``protocols``."""
 
 
 @cache

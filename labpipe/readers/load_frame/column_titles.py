@@ -25,6 +25,9 @@ MOST_LINES = 400
 
 _AGAIN = "Export the test again with names and units, or name another dialect."
 _CARD = "Say in a card of your own how names begin (name_starts); see docs/how-to/new-dialect.md."
+Rows = Sequence[Sequence[str]]
+Fault = Callable[[int, str, str], ReadError]
+"""Of the number of a row, what was expected there and what was found."""
 
 
 def find_header(lines: Sequence[str], card: Card, path: object, first_line: int = 1) -> Header:
@@ -138,11 +141,6 @@ def _listed(lines: Sequence[str], card: Card, path: object) -> Header:
     above = [split_line(line, "\t") for line in lines[:start]]
     names, units = zip(*(name_and_unit(cell) or (cell, "") for cell in named), strict=True)
     return Header(names, units, start + 1, above, card.separators[0])
-
-
-Rows = Sequence[Sequence[str]]
-Fault = Callable[[int, str, str], ReadError]
-"""Of the number of a row, what was expected there and what was found."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,10 @@ _SAY_UNIT = (
     "Write it in a row below the names, or in brackets as in 'Time (s)', or say it in a card of"
     " your own (time_unit); see docs/how-to/new-dialect.md."
 )
+FEW = 10
+"""Fewer samples than this are no test that was carried through."""
+_OF_TIME = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
+_SEPARATOR = re.compile(r"sep=.?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,13 +181,6 @@ def _missing_note(channel: Channel, count: int, card: Card) -> QualityNote:
     message = f"{count} of {len(channel.values)} values are missing (blank{codes}),"
     message += f" the first in row {first}"
     return QualityNote("missing_values", Severity.WARNING, channel.path, message)
-
-
-FEW = 10
-"""Fewer samples than this are no test that was carried through."""
-
-_OF_TIME = re.compile(r"(?i)time|zeit|temps|tempo|tiempo|czas|tijd|时间|時間")
-_SEPARATOR = re.compile(r"sep=.?")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -33,6 +33,8 @@ from labpipe.readers.raw_files import (
 from labpipe.readers.text_cells import is_number, split_line
 from labpipe.records.quality import QualityNote, Severity
 
+_BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
+
 
 def read_tables(content: Content, place: Place) -> Export:
     """Read all tables of a text export.
@@ -138,9 +140,6 @@ def _words(data: bytes, start: int, header: Header, card: Card) -> dict[str, obj
             if column < len(cells):
                 found[header.names[column]].setdefault(cells[column].strip())
     return {name: list(texts)[:20] for name, texts in found.items()}
-
-
-_BLANK_LINE = re.compile(r"\n(?:[ \t\r]*\n)+")
 
 
 @dataclass(frozen=True, slots=True)
