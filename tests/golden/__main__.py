@@ -15,43 +15,57 @@ from pathlib import Path
 
 from tests.golden.campaigns import (
     CAMPAIGNS,
-    REAL,
+    all_report_rows,
     campaign_rows,
     made_demo,
     real_folder,
     real_rows,
 )
 from tests.golden.differences import differences
+from tests.golden.documents import made_model, study_rows
 from tests.golden.rows import Row, read, write
 
+REPORTS, STUDIES, REAL = "reports", "studies", "real"
+NAMES = (*CAMPAIGNS, REPORTS, STUDIES, REAL)
 HERE = Path(__file__).resolve().parent
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join((*CAMPAIGNS, REAL)))
+    parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(NAMES))
     parser.add_argument("--processed", type=Path, metavar="DIR", help="a demo's processed/demo")
     parser.add_argument("--update", action="store_true", help="keep the new numbers")
     options = parser.parse_args()
+    if unknown := set(options.names) - set(NAMES):
+        parser.error(f"expected some of {', '.join(NAMES)}, found {', '.join(sorted(unknown))}")
     with tempfile.TemporaryDirectory() as folder:
-        campaigns = taken(Path(folder), options.processed, options.names or (*CAMPAIGNS, REAL))
-    changed = sum(compared(name, new, update=options.update) for name, new in campaigns.items())
+        found = taken(Path(folder), options.processed, options.names or NAMES)
+    changed = sum(compared(name, new, update=options.update) for name, new in found.items())
     return 0 if options.update or not changed else 1
 
 
 def taken(folder: Path, processed: Path | None, names: Sequence[str]) -> dict[str, list[Row]]:
-    """Rows of the campaigns asked for; real exports only where they are."""
-    campaigns: dict[str, list[Row]] = {}
+    """Rows of what was asked for; real exports only where they are."""
+    found: dict[str, list[Row]] = {}
     if set(names) - {REAL}:
-        demo = processed or made_demo(folder / "demo")
-        campaigns = {name: campaign_rows(demo / name) for name in names if name != REAL}
-    if REAL in names:
-        real = real_folder(HERE.parents[1])
-        if real.is_dir():
-            campaigns[REAL] = real_rows(real, folder / REAL)
-        else:
-            print(f"{REAL}: skipped, no folder of real exports (set LABPIPE_REALDATA)")
-    return campaigns
+        found = demo_rows(processed or made_demo(folder / "demo"), folder, names)
+    real = real_folder(HERE.parents[1])
+    if REAL in names and real.is_dir():
+        found[REAL] = real_rows(real, folder / REAL)
+    elif REAL in names:
+        print(f"{REAL}: skipped, no folder of real exports (set LABPIPE_REALDATA)")
+    return found
+
+
+def demo_rows(demo: Path, folder: Path, names: Sequence[str]) -> dict[str, list[Row]]:
+    """Rows of what was asked for of a processed demo; models are made in a folder."""
+    found = {name: campaign_rows(demo / name) for name in CAMPAIGNS if name in names}
+    if REPORTS in names:
+        found[REPORTS] = all_report_rows(demo)
+    if STUDIES in names:
+        calibration = demo / "wires" / "calibration" / "calibration.json"
+        found[STUDIES] = study_rows(calibration, made_model(folder / "model"))
+    return found
 
 
 def compared(name: str, new: list[Row], *, update: bool) -> int:

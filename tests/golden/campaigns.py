@@ -11,13 +11,13 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from labpipe.cli import main
+from tests.golden.documents import report_rows
 from tests.golden.rows import Row, rows
 from tests.plain.bench import process
 from tests.plain.test_real_exports import CASES
 
 CAMPAIGNS = ("wires", "tensile", "harness")
 """Of the demo."""
-REAL = "real"
 JOBS = min(os.cpu_count() or 1, 4)
 
 
@@ -32,6 +32,15 @@ def campaign_rows(folder: Path) -> list[Row]:
     """Rows of every test of a processed campaign."""
     tests = sorted(path.parent for path in folder.glob("*/result.h5"))
     return [row for test in tests for row in rows(test.name, test)]
+
+
+def all_report_rows(processed: Path) -> list[Row]:
+    """Rows of the reports of all campaigns."""
+    return [
+        row
+        for name in CAMPAIGNS
+        for row in report_rows(processed / name / "report" / "tables.xlsx", name)
+    ]
 
 
 def real_rows(realdata: Path, folder: Path) -> list[Row]:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from tests.golden.differences import differences
+from tests.golden.documents import json_rows
 from tests.golden.rows import Row, codes, read, write
 
 ROW = Row("T", "result", "peak_force.1", "ok", "", "N", "3.5", "3.4", "3.6", "0.95", "12")
@@ -61,6 +62,14 @@ def test_codes_without_their_sentences() -> None:
     listed = [{"code": each, "message": "worded afresh"} for each in said]
     assert codes(listed) == "no_break partial_cycle"
     assert codes([]) == ""
+
+
+def test_documents_are_kept_without_their_words() -> None:
+    document = {"schema": 1, "parts": [{"mean": 2, "words": "two", "code": "few", "x": [1.0, 3.0]}]}
+    mean, code, x = json_rows("T", "model", document)
+    assert (mean.name, mean.value) == ("parts.0.mean", "2.0")
+    assert (code.name, code.status) == ("parts.0.code", "few")
+    assert (x.value, x.lower, x.upper, x.n) == ("2.0", "1.0", "3.0", "2")
 
 
 def test_rows_are_read_as_written(tmp_path: Path) -> None:
