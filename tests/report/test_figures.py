@@ -4,11 +4,13 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 from xml.etree import ElementTree
 
 import pytest
 
 from labpipe.errors import StoreError
+from labpipe.protocol.schema import FigureName
 from labpipe.records.result import TestResult
 from labpipe.report.figures import FIGURES, save_figures
 from tests.store.builders_result import build_result
@@ -35,6 +37,10 @@ def test_all_figures_in_both_formats_with_the_same_bytes(
         assert content.startswith(b"\x89PNG")
         # 180 mm at 300 dots per inch
         assert int.from_bytes(content[16:20]) == int(180 / 25.4 * 300)
+
+
+def test_every_figure_that_a_protocol_may_ask_for_can_be_drawn() -> None:
+    assert set(get_args(FigureName)) == set(FIGURES)
 
 
 def test_only_what_the_protocol_asks_for(result: TestResult, tmp_path: Path) -> None:
