@@ -237,19 +237,19 @@ def channel_notes(channels: Sequence[Channel]) -> list[QualityNote]:
     silent = [channel.path for channel in channels if not channel.unit_in_file]
     names = Counter(channel.name for channel in channels)
     shared = [f"{count} are called '{name}'" for name, count in names.items() if count > 1]
-    total, told = len(channels), {}
+    total, notes = len(channels), []
     if constant:
-        told["constant_channel"] = f"{len(constant)} of {total} channels never change:"
-        told["constant_channel"] += f" {_some(constant)}"
-    if silent and len(silent) == total:
-        told["units_not_stated"] = "the export states no units; the protocol must"
-    elif silent:
-        told["units_not_stated"] = f"no unit is stated for {len(silent)} of {total} channels:"
-        told["units_not_stated"] += f" {_some(silent)}"
+        message = f"{len(constant)} of {total} channels never change: {_some(constant)}"
+        notes.append(QualityNote("constant_channel", Severity.INFO, "channels", message))
+    if silent:
+        message = f"no unit is stated for {len(silent)} of {total} channels: {_some(silent)}"
+        if len(silent) == total:
+            message = "the export states no units; the protocol must"
+        notes.append(QualityNote("units_not_stated", Severity.INFO, "channels", message))
     if shared:
-        listed = ", ".join(shared[:_NOTED])
-        told["names_not_unique"] = f"of {total} channels {listed}: tell them apart by path"
-    return [QualityNote(code, Severity.INFO, "channels", text) for code, text in told.items()]
+        message = f"of {total} channels {', '.join(shared[:_NOTED])}: tell them apart by path"
+        notes.append(QualityNote("names_not_unique", Severity.INFO, "channels", message))
+    return notes
 
 
 def _some(paths: list[str]) -> str:
