@@ -27,7 +27,6 @@ from pathlib import Path
 import numpy as np
 
 from labpipe.readers.channels import Wanted
-from labpipe.readers.motive_rows import parse_rows
 from labpipe.readers.motive_table import (
     Columns,
     Header,
@@ -38,7 +37,6 @@ from labpipe.readers.motive_table import (
 )
 from labpipe.readers.number_rows import Body, read_columns, rows_note
 from labpipe.readers.raw_files import BROKEN, read_head, reading, unreadable
-from labpipe.readers.sheet_cells import as_text, sheet_columns
 from labpipe.readers.time_axes import clock_notes
 from labpipe.readers.tracking import track_notes
 from labpipe.readers.workbooks import is_workbook, opened_workbook
@@ -66,14 +64,10 @@ def _is_saved_take(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as parts:
             inside = [name for name in _SHEETS if name in parts.namelist()]
-            return any(b"Format Version" in _part_head(parts, name) for name in inside)
+            heads = (parts.open(name).read(_SHEET_HEAD) for name in inside)
+            return any(b"Format Version" in head for head in heads)
     except BROKEN:
         return False
-
-
-def _part_head(parts: zipfile.ZipFile, name: str) -> bytes:
-    with parts.open(name) as part:
-        return part.read(_SHEET_HEAD)
 
 
 def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording:  # noqa: ARG001
@@ -100,6 +94,10 @@ def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: 
         content = path.read_bytes().removeprefix(_BOM)
     if content.startswith(_ROWS):
         return _read_row_style(content.decode("utf-8", errors="replace"), path)
+    return _read_table_style(content, path)
+
+
+def _read_table_style(content: bytes, path: Path) -> Recording:
     lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
     with reading(path, "header rows of cells parted by commas"):
         text = b"\n".join(lines).decode("utf-8", errors="replace")
@@ -122,6 +120,8 @@ def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: 
 
 
 def _read_workbook(path: Path) -> Recording:
+    from labpipe.readers.sheet_cells import as_text, sheet_columns
+
     name, rows = _sheet(path)
     header = parse_header([[as_text(cell) for cell in row] for row in rows[:_HEADER_LINES]], path)
     wanted = {column: header.names[column] for column in needed_columns(header)}
@@ -153,6 +153,8 @@ def _recording(
 
 
 def _read_row_style(text: str, path: Path) -> Recording:
+    from labpipe.readers.motive_rows import parse_rows
+
     with reading(path, "lines of a row-style export"):
         export = parse_rows(text, path)
     return Recording(

@@ -189,7 +189,11 @@ def _parsed(shape: Shape, path: Path) -> dict[int, Floats]:
     extra = range(len(body.names), shape.width)  # blank cells behind the last separator
     wanted = [*body.columns, *extra]
     try:
-        table = _straight(shape, path) if _can_read_straight(shape) else None
+        table = (
+            _table(shape, path, shape.body.first_line - 1, None)
+            if _can_read_straight(shape)
+            else None
+        )
     except (ValueError, OverflowError):  # perhaps in a column that nobody asked for
         table = None
     try:
@@ -211,10 +215,6 @@ def _from_memory(shape: Shape, wanted: list[int]) -> dict[int, Floats]:
             message = "a line has more cells than the first one"
             raise ValueError(message)
     return _table(shape, io.BytesIO(data), 0, wanted)
-
-
-def _straight(shape: Shape, path: Path) -> dict[int, Floats]:
-    return _table(shape, path, shape.body.first_line - 1, None)
 
 
 def _table(
@@ -251,12 +251,9 @@ def _can_read_straight(shape: Shape) -> bool:
     is_whole = not body.data[shape.end :].strip()
     known = len(body.columns) == len(body.names) or body.some_only
     worth = shape.end - body.start > _WORTH
-    return body.as_in_file and is_whole and known and worth and not _odd_quotes(body)
-
-
-def _odd_quotes(body: Body) -> bool:
-    above = body.data[: body.start].split(b"\n")
-    return any(line.count(b'"') % 2 for line in above)
+    if not (body.as_in_file and is_whole and known and worth):
+        return False
+    return not any(line.count(b'"') % 2 for line in body.data[: body.start].split(b"\n"))
 
 
 def filled_rows(columns: Mapping[int, Floats]) -> int:

@@ -72,7 +72,7 @@ def reading(
     try:
         yield
     except FileNotFoundError as error:
-        raise ReadError(_absent(path)) from error
+        raise unreadable(path, "", "a file", "none of that name", _LOOK) from error
     except PermissionError as error:
         found = "one that may not be read"
         raise unreadable(path, "", "a file", found, "Check its permissions.") from error
@@ -103,15 +103,16 @@ def read_head(path: Path, size: int = 65536) -> bytes:
         empty.
     """
     with reading(path, "a readable file"):
-        kind = _odd_kind(path)
-        head = b"" if kind else _beginning(path, size)
+        kind, head = _odd_kind(path), b""
+        if not kind:
+            with path.open("rb") as stream:
+                head = stream.read(size)
     if kind:
         remedy = "Name one of the files in it." if kind == "a folder" else "Name a plain file."
         raise unreadable(path, "", "a file", kind, remedy)
     if not head:
-        found, remedy = "an empty file (0 bytes)", "Save or export it again."
-        expected = "a file with content"
-        raise unreadable(path, "", expected, found, remedy)
+        remedy = "Save or export it again."
+        raise unreadable(path, "", "a file with content", "an empty file (0 bytes)", remedy)
     return head
 
 
@@ -120,15 +121,6 @@ def _odd_kind(path: Path) -> str:
     if path.is_dir():
         return "a folder"
     return "a pipe or a device" if path.exists() and not path.is_file() else ""
-
-
-def _beginning(path: Path, size: int) -> bytes:
-    with path.open("rb") as stream:
-        return stream.read(size)
-
-
-def _absent(path: Path) -> str:
-    return complaint(path, "", expected="a file", found="none of that name", remedy=_LOOK)
 
 
 def _first_line(error: BaseException) -> str:
