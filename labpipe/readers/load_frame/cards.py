@@ -11,7 +11,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final
+from typing import Any, Final
 
 from labpipe.errors import ReadError, nearest
 from labpipe.readers.raw_files import reading, unreadable
@@ -119,7 +119,8 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
     Raises
     ------
     ReadError
-        If the text is no TOML, a key is unknown, missing or of the wrong kind, or keys contradict.
+        If the text is no TOML, keys are unknown, missing or of the wrong kind (all are told at
+        once), or keys contradict.
     """
     if not _NAME.fullmatch(name):
         expected = "a name of small letters, digits and hyphens"
@@ -131,22 +132,37 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
         raise _fault(
             source, "", "a card in TOML", f"text that is none ({error})", remedy
         ) from error
-    _refuse_unknown(keys, source)
-    values = {key: _CHECKS[key](value, key, source) for key, value in keys.items()}
-    card = Card(name=name, source=str(source), **values)  # type: ignore[arg-type]
+    return _card(keys, name, source)
+
+
+def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
+    values, told = _checked(keys, source)
+    if told:
+        raise ReadError("\n".join(told))
+    card = Card(name=name, source=str(source), **values)
     _refuse_contradictions(card, source)
     return card
 
 
-def _refuse_unknown(keys: Mapping[str, object], source: object) -> None:
-    for key in keys:
-        if key not in _CHECKS:
-            close = ", ".join(nearest(key, list(_CHECKS), most=3))
-            raise _fault(source, key, "a key of a card", "none", f"Nearest: {close}.")
+def _checked(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
+    """The values of the keys, and what is wrong with them."""
+    values: dict[str, Any] = {}
+    told = []
+    for key, value in keys.items():
+        try:
+            values[key] = _CHECKS.get(key, _unknown)(value, key, source)
+        except ReadError as fault:
+            told.append(str(fault))
     for needed in fields(Card):
         must = needed.default is MISSING and needed.default_factory is MISSING
         if must and needed.name not in keys and needed.name != "name":
-            raise _fault(source, needed.name, "this key", "none", "Add it to the card.")
+            told.append(str(_fault(source, needed.name, "this key", "none", "Add it to the card.")))
+    return values, told
+
+
+def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001
+    close = ", ".join(nearest(key, list(_CHECKS), most=3))
+    raise _fault(source, key, "a key of a card", "none", f"Nearest: {close}.")
 
 
 def _refuse_contradictions(card: Card, source: object) -> None:
@@ -157,11 +173,8 @@ def _refuse_contradictions(card: Card, source: object) -> None:
     }
     key, has = needs.get(card.names, ("", True))
     if not has:
-        expected = (
-            f"this key (and `start`), as names = '{card.names}'"
-            if key == "listed"
-            else (f"this key, as names = '{card.names}'")
-        )
+        also = " (and `start`)" if key == "listed" else ""
+        expected = f"this key{also}, as names = '{card.names}'"
         raise _fault(source, key, expected, "none", "Add it to the card.")
     if not card.recognise and not card.blank:
         remedy = "Give words that stand in every export of the program."
@@ -302,26 +315,25 @@ def shipped_cards(kind: str | None = None) -> Mapping[str, Card]:
     kind : of the exports, ``text`` or ``workbook``; None for all
     """
     return {
-        name: parse_card(text, name=name, source=f"{name}.toml")
-        for name, text in _shipped_texts().items()
-        if kind is None or tomllib.loads(text).get("kind", "text") == kind
+        name: _card(keys, name, f"{name}.toml")
+        for name, keys in _shipped_keys().items()
+        if kind is None or keys.get("kind", "text") == kind
     }
 
 
 def shipped_names() -> tuple[str, ...]:
     """Names of the cards that come with labpipe, in order."""
-    return tuple(_shipped_texts())
+    return tuple(_shipped_keys())
 
 
 @cache
-def _shipped_texts() -> Mapping[str, str]:
+def _shipped_keys() -> Mapping[str, Mapping[str, object]]:
     folder = resources.files("labpipe.readers.load_frame") / "dialects"
-    texts = {
-        file.name.removesuffix(".toml"): file.read_text(encoding="utf-8")
-        for file in folder.iterdir()
-        if file.name.endswith(".toml")
+    files = {file.name: file for file in folder.iterdir() if file.name.endswith(".toml")}
+    return {
+        name.removesuffix(".toml"): tomllib.loads(file.read_text(encoding="utf-8"))
+        for name, file in sorted(files.items())
     }
-    return dict(sorted(texts.items()))
 
 
 def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:

@@ -58,3 +58,11 @@ def test_the_name_of_a_card() -> None:
         ReadError, match=r"expected a name of small letters, digits and hyphens, fo"
     ):
         parse_card(GOOD, name="Acme Frame", source="Acme Frame.toml")
+
+
+def test_all_faults_of_a_card_are_told_at_once() -> None:
+    with pytest.raises(ReadError) as refused:
+        parse_card("about = 1\nseperators = []\nnames = 'x'", name="acme", source="acme.toml")
+    assert [line.partition(":")[0] for line in str(refused.value).split("\n")] == [
+        f"acme.toml, key {key}" for key in ("about", "seperators", "names", "recognise", "time")
+    ]
