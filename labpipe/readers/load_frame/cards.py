@@ -329,11 +329,9 @@ def shipped_names() -> tuple[str, ...]:
 @cache
 def _shipped_keys() -> Mapping[str, Mapping[str, object]]:
     folder = resources.files("labpipe.readers.load_frame") / "dialects"
-    files = {file.name: file for file in folder.iterdir() if file.name.endswith(".toml")}
-    return {
-        name.removesuffix(".toml"): tomllib.loads(file.read_text(encoding="utf-8"))
-        for name, file in sorted(files.items())
-    }
+    cards = [file for file in folder.iterdir() if file.name.endswith(".toml")]
+    files = {file.name.removesuffix(".toml"): file for file in cards}
+    return {name: tomllib.loads(files[name].read_text(encoding="utf-8")) for name in sorted(files)}
 
 
 def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
