@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
@@ -255,48 +258,26 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
     """Indices of the pairs that make the cheapest assignment."""
     chosen: list[int] = []
     for group in _groups(pairs):
-        if len(group) == 1:
-            chosen.append(group[0])
-            continue
         ends, row = np.unique(pairs.end[group], return_inverse=True)
         starts, column = np.unique(pairs.start[group], return_inverse=True)
         saving = np.zeros((len(ends), len(starts)))
         saving[row, column] = unlinked - pairs.cost[group]
         index = np.full(saving.shape, -1)
         index[row, column] = group
-        best = index[_best_matching(saving)]
+        best = index[linear_sum_assignment(saving, maximize=True)]
         chosen.extend(int(pair) for pair in best if pair >= 0)
     return chosen
 
 
-def _best_matching(saving: Floats) -> tuple[Ints, Ints]:
-    """Rows and columns, each used once, of the largest sum."""
-    if saving.shape == (2, 2):  # two labels that switch: the one case that nearly every take has
-        straight = saving[0, 0] + saving[1, 1] >= saving[0, 1] + saving[1, 0]
-        return np.array([0, 1]), np.array([0, 1] if straight else [1, 0])
-    from scipy.optimize import linear_sum_assignment
-
-    rows, columns = linear_sum_assignment(saving, maximize=True)
-    return np.asarray(rows), np.asarray(columns)
-
-
-def _groups(pairs: _Pairs) -> list[list[int]]:
+def _groups(pairs: _Pairs) -> list[Ints]:
     """Pairs that compete with each other, directly or through others."""
-    leader: dict[tuple[str, int], tuple[str, int]] = {}
-
-    def find(key: tuple[str, int]) -> tuple[str, int]:
-        while leader.setdefault(key, key) != key:
-            key = leader[key]
-        return key
-
-    ends = [("end", end) for end in pairs.end.tolist()]
-    starts = [("start", start) for start in pairs.start.tolist()]
-    for end, start in zip(ends, starts, strict=True):
-        leader[find(start)] = find(end)
-    groups: dict[tuple[str, int], list[int]] = {}
-    for number, end in enumerate(ends):
-        groups.setdefault(find(end), []).append(number)
-    return list(groups.values())
+    ends, starts = np.unique(pairs.end), np.unique(pairs.start)
+    row, column = np.searchsorted(ends, pairs.end), np.searchsorted(starts, pairs.start)
+    nodes = len(ends) + len(starts)
+    graph = coo_array((np.ones(len(row)), (row, len(ends) + column)), shape=(nodes, nodes))
+    group = connected_components(graph, directed=False)[1][row]
+    order = np.argsort(group, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(group[order])) + 1) if len(order) else []
 
 
 def _rivals(

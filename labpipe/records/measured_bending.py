@@ -121,12 +121,3 @@ class Bending:
     cloud: BendingCloud
     law: MeasuredLaw | None
     reason: Reason | None = None
-
-
-def _numbers(values: Ints, name: str, count: int) -> Ints:
-    numbers: Ints = np.asarray(values, dtype=np.int64).view()
-    if numbers.shape != (count,):
-        message = f"expected {name} of shape {(count,)}, found {numbers.shape}"
-        raise ValueError(message)
-    numbers.flags.writeable = False
-    return numbers

@@ -111,7 +111,7 @@ def zero_error(time: Floats, values: Floats, over: float | None) -> float:
 
     Notes
     -----
-    Long-run variance of the whole rest (`fitting.noise`) over the number of values in the part.
+    Long-run variance of the whole rest (`long_run_variance`) over the number of values in the part.
     """
     known = values[~np.isnan(values)]
     variance = long_run_variance(known, parameters=1)

@@ -24,7 +24,6 @@ from labpipe.readers.workbooks import Sheets
 from labpipe.records.quality import QualityNote, Severity
 
 _HEAD_ROWS = 60
-_AGAIN = "Export the test again; the cell may have been edited."
 _KEPT_ROWS = 50
 """A sheet that holds no samples is kept as metadata if it is no longer than this."""
 

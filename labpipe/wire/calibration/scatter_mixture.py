@@ -4,7 +4,7 @@ Two or three samples say little of how samples scatter, and how much a parameter
 mean rather than on the shape of the curves depends on it. So the scatter is not taken for known:
 in the linear model at the least of the objective every scatter has its restricted likelihood, its
 estimate of the parameters and its covariance, and a parameter's distribution is the mixture of
-Student's t over them (the thought of the intervals of `fitting.correlated`). Where the interval
+Student's t over them (as in `uncertainty.linear_fits`). Where the interval
 leans on the samples' mean alone this is Student's t with one degree of freedom less than samples.
 """
 
