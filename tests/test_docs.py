@@ -24,6 +24,11 @@ DOCS = ROOT / "docs"
 PAGES = sorted([*ROOT.glob("*.md"), *DOCS.rglob("*.md"), *ROOT.glob("*/README.md")])
 IMAGES = sorted((DOCS / "images").iterdir())
 MOST_BYTES = 200_000
+MEASURING = (
+    *("readers", "signal", "markers", "fits", "bending", "law", "uncertainty", "wire", "results"),
+    *("process", "campaign", "studies"),
+)
+"""Folders whose code makes notes on a test, and reasons of its results."""
 
 
 def name_of(path: Path) -> str:
@@ -215,7 +220,7 @@ class Spelled(ast.NodeTransformer):
 
 
 def trees(*layers: str) -> Iterator[ast.AST]:
-    for layer in layers or ("readers", "processing", "fitting", "pipeline", "wire"):
+    for layer in layers or MEASURING:
         for path in sorted((ROOT / "labpipe" / layer).rglob("*.py")):
             tree = ast.parse(path.read_text(encoding="utf-8"))
             yield from ast.walk(Spelled(constants_of(path)).visit(tree))
@@ -230,6 +235,15 @@ def severity_of(node: ast.expr) -> str | None:
     return ast.unparse(node).partition(".")[2].lower() if is_one else None
 
 
+SEVERITIES = {
+    "worth_knowing": "info",
+    "warning": "warning",
+    "not_available": "error",
+    "blocking": "error",
+}
+"""Of the findings of a test, by the function that makes them."""
+
+
 def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, str | None]]:
     """Code and severity of each note that an expression makes or names."""
     if isinstance(node, ast.Tuple) and len(node.elts) > 1:
@@ -240,10 +254,12 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
     match name:
         case "QualityNote" | "note":
             yield text_of(given[0]), severity_of(given[1])
-        case "doubt":
-            yield text_of(given[1]), "warning"
-        case "block":
-            yield text_of(given[0]), "error"
+        case "worth_knowing" | "warning" | "not_available" | "blocking":
+            yield text_of(given[0]), SEVERITIES[name]
+        case "doubtful":
+            yield from (
+                (text_of(each.value), "warning") for each in node.keywords if each.arg == "code"
+            )
         case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":
@@ -251,9 +267,9 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
 
 
 def test_codes_behind_a_constant_are_seen() -> None:
-    path = ROOT / "labpipe" / "pipeline" / "settings.py"
+    path = ROOT / "labpipe" / "statistics" / "group_notes.py"
     assert constants_of(path)["PROTOCOLS_DIFFER"] == "protocols_differ"
-    assert ("protocols_differ", "warning") in {pair for n in trees("pipeline") for pair in noted(n)}
+    assert ("protocols_differ", "warning") in {pair for n in trees("campaign") for pair in noted(n)}
 
 
 def test_every_quality_note_is_documented_and_no_other() -> None:
@@ -262,6 +278,7 @@ def test_every_quality_note_is_documented_and_no_other() -> None:
     in_code = {pair for node in trees() for pair in noted(node)}
     in_code |= {pair for node in trees("statistics") for pair in noted(node, usual="info")}
     in_code |= {(f"slip_{decision}", "warning") for decision in SlipDecision}
+    in_code |= {(f"{quantity}_reversed", "warning") for quantity in ("force", "displacement")}
     assert set(table) == {pair for pair in in_code if None not in pair}
 
 
