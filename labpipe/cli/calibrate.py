@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from labpipe.cli.terminal import from_here, reading
-from labpipe.records.curve_comparison import CurveMatch, ThirdCurveComparison
+from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
@@ -125,7 +125,7 @@ def _source(done: Calibrated) -> list[str]:
     ]
 
 
-def comparison_lines(comparisons: Sequence[ThirdCurveComparison]) -> list[str]:
+def comparison_lines(comparisons: Sequence[ExternalCurveComparison]) -> list[str]:
     """Lay out external curves for a terminal.
 
     Parameters

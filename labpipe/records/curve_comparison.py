@@ -79,7 +79,7 @@ class CurveErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThirdCurve(ArrayRecord):
+class ExternalCurve(ArrayRecord):
     """A loading curve that is neither test nor model: finite elements, a paper, another lab.
 
     Parameters
@@ -124,7 +124,7 @@ class CurveMatch(ArrayRecord):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ThirdCurveComparison:
+class ExternalCurveComparison:
     """An external curve compared with the mean of the tests and with the calibrated model.
 
     Parameters
@@ -136,7 +136,7 @@ class ThirdCurveComparison:
     notes : what was not compared, and why
     """
 
-    curve: ThirdCurve
+    curve: ExternalCurve
     tests: CurveMatch | None
     model: CurveMatch
     prediction: Prediction | None

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import CurveMatch, Prediction, ThirdCurveComparison
+from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison, Prediction
 from labpipe.report.calibration_shown import (
     BAND,
     DEFLECTION,
@@ -53,7 +53,7 @@ MEASURED_LOOK: dict[str, Any] = {"color": "#bbbbbb", "alpha": 0.7, "linewidth": 
 MODEL_LOOK: dict[str, Any] = {
     "color": MODEL, "linewidth": 1.4, "linestyle": (0, (5, 1.4)), "zorder": 5
 }  # fmt: skip
-FORETOLD_LOOK: dict[str, Any] = {"color": BAND, "alpha": 0.5, "linewidth": 0, "zorder": 1.5}
+PREDICTED_LOOK: dict[str, Any] = {"color": BAND, "alpha": 0.5, "linewidth": 0, "zorder": 1.5}
 """The mean of samples, its band, the model, and its band."""
 _EDGE: dict[str, Any] = {"color": MODEL, "linewidth": 0.5, "zorder": 3}
 _BINS, _ROOM, _LINE = 100, 1.08, 48
@@ -72,14 +72,14 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
         If there is no group, or there are more than fit on a page.
     """
     require_room(len(groups), MOST_GROUPS, "groups")
-    words = Words("Measured and foretold first loadings", _note(groups), _keys(groups))
+    words = Words("Measured and predicted first loadings", _note(groups), _keys(groups))
     page = keyed_page(
         words, height_mm=_ROW * math.ceil(len(groups) / _COLUMNS), width_mm=DOUBLE_COLUMN
     )
     panels = panel_grid(page, len(groups), columns=_COLUMNS)
     for letter, group, axes in zip("abcdef", groups, panels, strict=False):
         plot_group(group, axes)
-        use = "calibrated" if group.is_calibrated else "foretold"
+        use = "calibrated" if group.is_calibrated else "predicted"
         panel_letter(axes, letter, f"{group.wire}, {length_words(group.length)}: {use}")
     return page
 
@@ -139,7 +139,7 @@ def agreement_words(group: ValidationGroup) -> str:
 def _draw_prediction(prediction: Prediction, axes: Axes) -> None:
     x = DEFLECTION.factor * prediction.deflection
     lower, upper = FORCE.factor * prediction.lower, FORCE.factor * prediction.upper
-    axes.fill_between(x, lower, upper, **FORETOLD_LOOK)
+    axes.fill_between(x, lower, upper, **PREDICTED_LOOK)
     for edge in (lower, upper):
         axes.plot(x, edge, **_EDGE)
     axes.plot(x, FORCE.factor * prediction.force, **MODEL_LOOK)
@@ -157,11 +157,11 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
     said = ["Grey band: the mean of all such samples by Student's t, n - 1 degrees of freedom."]
     if any(len(group.samples) < 2 for group in groups):
         said.append("One sample has no band.")
-    foretold = sorted({group.foretold for group in groups if group.prediction is not None})
-    for number in foretold:
+    counts = sorted({group.mean_of for group in groups if group.prediction is not None})
+    for number in counts:
         what = "one more sample" if number == 1 else f"the mean of {number} samples"
         of = ""
-        if len(foretold) > 1:
+        if len(counts) > 1:
             of = f" ({', '.join(_names(groups, number))})"
         said.append(f"Blue band: the model's for {what}{of}.")
     notes = {
@@ -173,11 +173,11 @@ def _note(groups: Sequence[ValidationGroup]) -> str:
     return " ".join([*said, *(f"{text[:1].upper()}{text[1:]}." for text in notes)])
 
 
-def _names(groups: Sequence[ValidationGroup], foretold: int) -> list[str]:
+def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
     return [
         f"{group.wire} {length_words(group.length)}"
         for group in groups
-        if group.foretold == foretold and group.prediction is not None
+        if group.mean_of == mean_of and group.prediction is not None
     ]
 
 
@@ -190,21 +190,21 @@ def _keys(groups: Sequence[ValidationGroup]) -> list[Artist]:
         keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
     if any(group.prediction is not None for group in groups):
         keys.append(line_key("model", **MODEL_LOOK))
-        keys.append(area_key("95 % band of the model", **FORETOLD_LOOK))
+        keys.append(area_key("95 % band of the model", **PREDICTED_LOOK))
     return keys
 
 
 MOST_PANELS = 6
 """Panels on a page."""
-_THIRD_COLUMNS, _THIRD_ROW = 2, 70.0
+_COLUMNS, _EXTERNAL_ROW = 2, 70.0
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
-_THIRD_ROOM, _KEY_LETTERS, _MARKED = 1.08, 44, 14
+_EXTERNAL_ROOM, _KEY_LETTERS, _MARKED = 1.08, 44, 14
 _FREE_ROWS, _ROOM_PER_ROW, _ROW_PER_ROW = 4, 0.06, 4.0
 """Rows of a key that fit above most curves, and the room that each further one takes."""
 
 
-class ThirdPanel(NamedTuple):
+class ExternalPanel(NamedTuple):
     """What one pair of axes shows.
 
     Parameters
@@ -212,14 +212,14 @@ class ThirdPanel(NamedTuple):
     wire, length : name, m
     is_normal : the load stays normal to the undeformed axis, in the model too
     group : tests of that wire and length; None where there are none
-    comparisons : third curves
+    comparisons : external curves
     """
 
     wire: str
     length: float
     is_normal: bool
     group: ValidationGroup | None
-    comparisons: tuple[ThirdCurveComparison, ...]
+    comparisons: tuple[ExternalCurveComparison, ...]
 
     @property
     def prediction(self) -> Prediction | None:
@@ -228,25 +228,27 @@ class ThirdPanel(NamedTuple):
         return max(known, key=lambda found: float(found.deflection[-1]), default=None)
 
 
-def third_pages(report: CalibrationReport) -> list[Sequence[ThirdPanel]]:
-    """Sort third curves by wire, length and load, and share them out to pages of `MOST_PANELS`.
+def external_pages(report: CalibrationReport) -> list[Sequence[ExternalPanel]]:
+    """Sort external curves by wire, length and load, and share them out to pages of `MOST_PANELS`.
 
     Parameters
     ----------
     report : of a calibration
     """
-    found: dict[tuple[str, float, bool], list[ThirdCurveComparison]] = {}
+    found: dict[tuple[str, float, bool], list[ExternalCurveComparison]] = {}
     for each in report.comparisons:
         curve = each.curve
         key = (curve.wire, round(curve.length, 6), curve.is_normal)
         found.setdefault(key, []).append(each)
     groups = {(group.wire, round(group.length, 6)): group for group in report.groups}
-    panels = [ThirdPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in found.items()]
+    panels = [
+        ExternalPanel(*key, groups.get(key[:2]), tuple(curves)) for key, curves in found.items()
+    ]
     return in_pages(panels, MOST_PANELS)
 
 
-def third_figure(panels: Sequence[ThirdPanel]) -> Figure:
-    """Draw third curves beside tests and model, a panel for each wire, length and kind of load.
+def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
+    """Draw external curves beside tests and model, a panel for each wire, length and kind of load.
 
     Parameters
     ----------
@@ -258,27 +260,27 @@ def third_figure(panels: Sequence[ThirdPanel]) -> Figure:
         If there is no panel, or there are more than fit on a page.
     """
     require_room(len(panels), MOST_PANELS, "panels")
-    rows = math.ceil(len(panels) / _THIRD_COLUMNS)
+    rows = math.ceil(len(panels) / _COLUMNS)
     words = Words(
-        "Curves from elsewhere, tests and model", _third_note(panels), _third_keys(panels)
+        "Curves from elsewhere, tests and model", _external_note(panels), _external_keys(panels)
     )
-    row = _THIRD_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
+    row = _EXTERNAL_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
     page = keyed_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
-    drawn = panel_grid(page, len(panels), columns=_THIRD_COLUMNS)
+    drawn = panel_grid(page, len(panels), columns=_COLUMNS)
     for letter, panel, axes in zip("abcdef", panels, drawn, strict=False):
-        plot_third(panel, axes)
+        plot_external(panel, axes)
         load = ", load normal to the axis" if panel.is_normal else ""
         panel_letter(axes, letter, f"{panel.wire}, {length_words(panel.length)}{load}")
     return page
 
 
-def plot_third(panel: ThirdPanel, axes: Axes) -> None:
-    """Draw the mean of the tests and the model with their bands, and third curves on top.
+def plot_external(panel: ExternalPanel, axes: Axes) -> None:
+    """Draw the mean of the tests and the model with their bands, and external curves on top.
 
     Parameters
     ----------
     panel : of one wire, length and kind of load
-    axes : to draw on; its key gives the RMSE of each third curve to the tests and to the model
+    axes : to draw on; its key gives the RMSE of each external curve to the tests and to the model
     """
     if panel.group is not None:
         band = panel.group.band
@@ -289,23 +291,23 @@ def plot_third(panel: ThirdPanel, axes: Axes) -> None:
     model = panel.prediction
     if model is not None:
         across = DEFLECTION.factor * model.deflection
-        axes.fill_between(across, model.lower_mean, model.upper_mean, **FORETOLD_LOOK)
+        axes.fill_between(across, model.lower_mean, model.upper_mean, **PREDICTED_LOOK)
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
     lines = [_draw(each, number, axes) for number, each in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
-    room = _THIRD_ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
+    room = _EXTERNAL_ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
     axes.legend(handles=lines, loc="upper left", fontsize=7, handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(FORCE.label("Force"))
 
 
-def _key_rows(panel: ThirdPanel) -> int:
+def _key_rows(panel: ExternalPanel) -> int:
     """Lines of text in the key of a panel."""
     return sum(1 + match_words(each).count("\n") for each in panel.comparisons)
 
 
-def _draw(each: ThirdCurveComparison, number: int, axes: Axes) -> Artist:
+def _draw(each: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
     curve = each.curve
     (line,) = axes.plot(
         DEFLECTION.factor * curve.deflection,
@@ -321,12 +323,12 @@ def _draw(each: ThirdCurveComparison, number: int, axes: Axes) -> Artist:
     return line
 
 
-def match_words(each: ThirdCurveComparison) -> str:
-    """Name a third curve and say in a line each how far it is from tests and from the model.
+def match_words(each: ExternalCurveComparison) -> str:
+    """Name a external curve and say in a line each how far it is from tests and from the model.
 
     Parameters
     ----------
-    each : held against both
+    each : compared with both
     """
     lines = textwrap.wrap(each.curve.name, _KEY_LETTERS)
     lines.append("no tests to compare" if each.tests is None else _rmse("tests", each.tests))
@@ -343,7 +345,7 @@ def _rmse(other: str, found: CurveMatch) -> str:
     )
 
 
-def _third_note(panels: Sequence[ThirdPanel]) -> str:
+def _external_note(panels: Sequence[ExternalPanel]) -> str:
     """What the bands are of, and which points were not compared."""
     said = []
     if any(panel.group is not None for panel in panels):
@@ -352,16 +354,16 @@ def _third_note(panels: Sequence[ThirdPanel]) -> str:
         said.append("Blue band: the model's for the mean sample.")
     said.append("Peak: the largest force of what a curve is compared with, at the points compared.")
     notes = [note for panel in panels for each in panel.comparisons for note in each.notes]
-    if any(note.code == "third_curve_load" for note in notes):
+    if any(note.code == "external_curve_load" for note in notes):
         said.append("Where the load is normal to the axis, that of the tests is not.")
     for panel in panels:
         for each in panel.comparisons:
-            told = [note for note in each.notes if note.code != "third_curve_load"]
+            told = [note for note in each.notes if note.code != "external_curve_load"]
             said += [f"'{each.curve.name}': {note.message}." for note in told]
     return " ".join(said)
 
 
-def _third_keys(panels: Sequence[ThirdPanel]) -> list[Artist]:
+def _external_keys(panels: Sequence[ExternalPanel]) -> list[Artist]:
     keys: list[Artist] = []
     groups = [panel.group for panel in panels if panel.group is not None]
     if groups:
@@ -370,5 +372,5 @@ def _third_keys(panels: Sequence[ThirdPanel]) -> list[Artist]:
         keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
     if any(panel.prediction is not None for panel in panels):
         keys.append(line_key("model", **MODEL_LOOK))
-        keys.append(area_key("95 % band of the model", **FORETOLD_LOOK))
+        keys.append(area_key("95 % band of the model", **PREDICTED_LOOK))
     return keys

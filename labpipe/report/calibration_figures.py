@@ -12,8 +12,8 @@ import numpy as np
 from labpipe.records.arrays import Floats
 from labpipe.report.calibration_agreement import (
     MOST_GROUPS,
-    third_figure,
-    third_pages,
+    external_figure,
+    external_pages,
     validation_figure,
 )
 from labpipe.report.calibration_card import calibration_card
@@ -140,7 +140,7 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
     Yields
     ------
     ``calibration``, the card; ``validation-1``, ``validation-2`` ... with six wires and lengths
-    each; ``third-curves``, ``third-curves-2`` ... if curves from elsewhere are compared;
+    each; ``external-curves``, ``external-curves-2`` ... if curves from elsewhere are compared;
     ``shapes-1`` ... for each sample whose shapes are there.
     """
     card = partial(
@@ -149,9 +149,9 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
     yield FigureToSave("calibration", card)
     for number, groups in enumerate(in_pages(report.groups, MOST_GROUPS), start=1):
         yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))
-    for number, panels in enumerate(third_pages(report), start=1):
-        name = "third-curves" if number == 1 else f"third-curves-{number}"
-        yield FigureToSave(name, partial(third_figure, panels))
+    for number, panels in enumerate(external_pages(report), start=1):
+        name = "external-curves" if number == 1 else f"external-curves-{number}"
+        yield FigureToSave(name, partial(external_figure, panels))
     for number, (name, shapes) in enumerate(report.shapes.items(), start=1):
         yield FigureToSave(f"shapes-{number}", partial(shapes_figure, name, shapes))
 

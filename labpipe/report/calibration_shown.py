@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from labpipe.records.arrays import Floats, frozen
-from labpipe.records.curve_comparison import CurveErrors, Prediction, ThirdCurveComparison
+from labpipe.records.curve_comparison import CurveErrors, ExternalCurveComparison, Prediction
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
@@ -150,11 +150,11 @@ class ValidationGroup:
     ----------
     wire : name
     length : free length, m
-    is_calibrated : the calibration rests on these samples; else the model foretells them
+    is_calibrated : the calibration rests on these samples; else the model predicts them
     samples : first loading of each, by the name of its test
     band : mean of the samples with its 95 % bands; with one sample a mean without bands
     prediction : of the model; None where it has none
-    foretold : number of samples of which `lower` and `upper` of the prediction foretell the mean
+    mean_of : number of samples whose mean lies between `lower` and `upper` of the prediction
     errors : of the model against all points of the samples; None without a prediction
     reason : why there is no prediction; else None
     """
@@ -165,7 +165,7 @@ class ValidationGroup:
     samples: Mapping[str, SampleCurve]
     band: Band
     prediction: Prediction | None = None
-    foretold: int = 1
+    mean_of: int = 1
     errors: CurveErrors | None = None
     reason: Reason | None = None
 
@@ -202,14 +202,14 @@ class CalibrationReport:
     groups : wires and lengths that it is compared with, its own among them
     shapes : by what they are of, such as ``A2, 85 mm``
     source : what `method: source` makes of the same tests; None where it was not run
-    comparisons : curves from elsewhere, held against tests and model
+    comparisons : curves from elsewhere, compared with tests and model
     """
 
     calibration: Calibration
     groups: tuple[ValidationGroup, ...] = ()
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
     source: SourceCalibration | None = None
-    comparisons: tuple[ThirdCurveComparison, ...] = ()
+    comparisons: tuple[ExternalCurveComparison, ...] = ()
 
     @property
     def predictions(self) -> dict[float, Prediction]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.records.curve_comparison import CurveMatch, ThirdCurveComparison
+from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -37,35 +37,38 @@ from labpipe.report.report_workbook import (
     sheet_of_columns,
 )
 
-THIRD_CURVES, THIRD_POINTS = "third curves", "third curves, points"
+EXTERNAL_CURVES, EXTERNAL_POINTS = "external curves", "external curves, points"
 
 
-def comparison_tables(comparisons: Sequence[ThirdCurveComparison]) -> list[Sheet]:
-    """Make the tables of third curves.
+def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sheet]:
+    """Make the tables of external curves.
 
     Parameters
     ----------
-    comparisons : third curves held against tests and model
+    comparisons : external curves compared with tests and model
 
     Returns
     -------
-    ``third curves``, two rows for each, and ``third curves, points``; none without any.
+    ``external curves``, two rows for each, and ``external curves, points``; none without any.
     """
     if not comparisons:
         return []
     heads = (
-        "name", "wire", DEFLECTION.label("length"), "load", "held against", "points compared",
+        "name", "wire", DEFLECTION.label("length"), "load", "compared with", "points compared",
         "points left out", FORCE.label("RMSE"), "RMSE over the largest force (%)",
         "points inside the band (%)", "reason", "file", "from",
     )  # fmt: skip
-    rows = [row for each in comparisons for row in _third_agreement(each)]
+    rows = [row for each in comparisons for row in _external_agreement(each)]
     points = [row for each in comparisons for row in _points(each)]
     across, up = DEFLECTION.label("deflection"), FORCE.label("force")
     columns = ("name", across, up, FORCE.label("mean of the tests"), FORCE.label("model"))
-    return [Sheet(THIRD_CURVES, heads, rows, "B2"), Sheet(THIRD_POINTS, columns, points, "B2")]
+    return [
+        Sheet(EXTERNAL_CURVES, heads, rows, "B2"),
+        Sheet(EXTERNAL_POINTS, columns, points, "B2"),
+    ]
 
 
-def _third_agreement(each: ThirdCurveComparison) -> Iterator[tuple[Value, ...]]:
+def _external_agreement(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
     curve = each.curve
     load = "normal" if curve.is_normal else "as tested"
     head = (curve.name, curve.wire, DEFLECTION.factor * curve.length, load)
@@ -86,7 +89,7 @@ def _errors(found: CurveMatch) -> tuple[Value, ...]:
     return (errors.n, found.left_out, rmse, 100.0 * errors.rmse_share, inside, found.words)
 
 
-def _points(each: ThirdCurveComparison) -> Iterator[tuple[Value, ...]]:
+def _points(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
     curve, nothing = each.curve, [math.nan] * len(each.curve.force)
     tests = nothing if each.tests is None else each.tests.reference.tolist()
     columns = (curve.deflection.tolist(), curve.force.tolist(), tests, each.model.reference)
@@ -238,13 +241,13 @@ def _agreement(groups: Sequence[ValidationGroup]) -> Sheet:
     heads = (
         "wire", DEFLECTION.label("length"), "samples", "model is", "points", "SSE (N²)",
         FORCE.label("RMSE"), "RMSE over the largest force (%)", "points inside the band (%)",
-        "band foretells the mean of (samples)", "reason",
+        "band predicts the mean of (samples)", "reason",
     )  # fmt: skip
     return Sheet(AGREEMENT, heads, [_agreement_row(group) for group in groups], "C2")
 
 
 def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
-    use = "calibrated by these samples" if group.is_calibrated else "foretold"
+    use = "calibrated by these samples" if group.is_calibrated else "predicted"
     head = (group.wire, DEFLECTION.factor * group.length, len(group.samples), use)
     errors = group.errors
     if errors is None:
@@ -253,7 +256,7 @@ def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
     rmse = FORCE.factor * errors.rmse
     has_band = bool(np.isfinite(group.band.lower).any())
     why = "" if has_band else str(group.band.reason or "")
-    return (*head, errors.n, errors.sse, rmse, *shares, group.foretold, why)
+    return (*head, errors.n, errors.sse, rmse, *shares, group.mean_of, why)
 
 
 def _curves(calibration: Calibration) -> Sheet:
@@ -274,7 +277,7 @@ def _curves(calibration: Calibration) -> Sheet:
 
 
 def _notes(report: CalibrationReport) -> Sheet:
-    """Notes of the calibration and of what it foretells, those of one wording once, worst first."""
+    """Notes of the calibration and of what it predicts, those of one wording once, worst first."""
     told: dict[tuple[str, str], QualityNote] = {}
     for note in report.calibration.notes:
         told["calibration", note.message] = note
@@ -283,7 +286,7 @@ def _notes(report: CalibrationReport) -> Sheet:
             told["prediction", note.message] = note
     for each in report.comparisons:
         for note in each.notes:
-            told[f"third curve '{each.curve.name}'", note.message] = note
+            told[f"external curve '{each.curve.name}'", note.message] = note
     rows = [
         (of, note.severity.value, note.where, note.message, note.code)
         for severity in reversed(Severity)
@@ -354,13 +357,13 @@ _ABOUT = (
     "Sheet 'identified': a combination with singular value s is known to 1 / s in logarithms; below"
     " 1 the tests do not determine it.",
     "Sheet 'agreement': model against all points of the samples, for wires and lengths that it was"
-    " calibrated by and for others that it foretells. SSE grows with the number of points; the band"
+    " calibrated by and for others that it predicts. SSE grows with the number of points; the band"
     " is that of one more sample.",
     "Sheet 'curves': each test against the model without the sample's own factor. A sheet for each"
     " wire and length holds mean, model and samples; 'lower' and 'upper' of the mean are its 95 %"
     " band by Student's t with n - 1 degrees of freedom.",
-    "Sheets 'third curves': curves from elsewhere, if the plan names some, against the mean of the"
-    " tests and against the model, at their own deflections and never beyond either.",
+    "Sheets 'external curves': those that the plan names, compared with the mean of the tests and"
+    " with the model, at their own deflections and never beyond either.",
 )
 
 

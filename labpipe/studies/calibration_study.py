@@ -17,7 +17,7 @@ from labpipe.process.targets import find_results, refuse_repeated, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import CurveAgreement, CurveMatch, ThirdCurveComparison
+from labpipe.records.curve_comparison import CurveAgreement, CurveMatch, ExternalCurveComparison
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
@@ -35,7 +35,7 @@ from labpipe.report.calibration_figures import save_calibration_figures
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
 from labpipe.store.replace import locked, replacing_together
-from labpipe.studies.external_curves import hold_third_curves, read_third_curves
+from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading, read_first_loadings
 from labpipe.studies.validation import (
     bent_shapes,
@@ -52,12 +52,12 @@ from labpipe.wire.calibration.source_method import calibrate_as_source
 from labpipe.wire.wire_table import wire_table
 
 
-def comparison_json(each: ThirdCurveComparison) -> dict[str, object]:
+def comparison_json(each: ExternalCurveComparison) -> dict[str, object]:
     """Lay out a comparison in lists and plain SI numbers; None where there is no number.
 
     Parameters
     ----------
-    each : a third curve with what it was held against
+    each : a external curve with what it was held against
     """
     curve = each.curve
     return {
@@ -263,7 +263,7 @@ class Calibrated:
     groups: tuple[ValidationGroup, ...]
     left_out: Mapping[str, str]
     files: tuple[Path, ...]
-    comparisons: tuple[ThirdCurveComparison, ...] = ()
+    comparisons: tuple[ExternalCurveComparison, ...] = ()
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
 
 
@@ -301,7 +301,7 @@ def calibrate_tests(
     asked = load_calibration_plan(plan) if plan is not None else CalibrationPlan(version=1)
     wires = usual_sheet() if wires is None else wires
     specs = {spec.name: spec for spec in read_wire_sheet(wires)}
-    curves = read_third_curves(asked, plan, specs, wires)
+    curves = read_external_curves(asked, plan, specs, wires)
     files = find_results(targets)
     loadings, left_out = read_first_loadings(files, points=asked.points, up_to=asked.up_to, say=say)
     if not loadings:
@@ -324,7 +324,7 @@ def calibrate_tests(
         groups=groups,
         left_out=left_out | copies,
         files=(),
-        comparisons=hold_third_curves(curves, calibration, built, groups, own + loadings),
+        comparisons=compare_external_curves(curves, calibration, built, groups, own + loadings),
     )
     if figures:
         wire = built_wire(calibrated_spec(specs[name], calibration), wires)

@@ -13,9 +13,9 @@ from labpipe.protocol.plans import COPY_IT, CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.curve_comparison import (
     CurveMatch,
+    ExternalCurve,
+    ExternalCurveComparison,
     Prediction,
-    ThirdCurve,
-    ThirdCurveComparison,
 )
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import WireSpec
@@ -33,9 +33,9 @@ _SAME_LENGTH = 1e-6
 """m, that two lengths may differ by and still be one."""
 
 
-def read_third_curves(
+def read_external_curves(
     asked: CalibrationPlan, plan: Path | None, specs: Mapping[str, WireSpec], wires: Path
-) -> tuple[ThirdCurve, ...]:
+) -> tuple[ExternalCurve, ...]:
     """Read all curves that a plan names.
 
     Parameters
@@ -77,7 +77,7 @@ def _unknown_wire(
     )
 
 
-def _read(each: Comparison, folder: Path) -> ThirdCurve:
+def _read(each: Comparison, folder: Path) -> ExternalCurve:
     path = folder / each.file
     if not path.resolve().is_relative_to(folder.resolve()):
         expected, found = "a file inside the folder of the plan", "a link out of it"
@@ -89,18 +89,18 @@ def _read(each: Comparison, folder: Path) -> ThirdCurve:
         CurveColumn("force", "N", up.column, up.unit, up.sign),
     )
     is_normal = each.load == "normal"
-    return ThirdCurve(
+    return ExternalCurve(
         each.name, each.file, each.wire, each.length, deflection, force, is_normal, each.because
     )
 
 
-def hold_third_curves(
-    curves: Sequence[ThirdCurve],
+def compare_external_curves(
+    curves: Sequence[ExternalCurve],
     calibration: Calibration,
     wires: Mapping[str, Wire],
     groups: Sequence[ValidationGroup],
     loadings: Sequence[FirstLoading],
-) -> tuple[ThirdCurveComparison, ...]:
+) -> tuple[ExternalCurveComparison, ...]:
     """Hold curves from elsewhere against the mean of the tests and against the model.
 
     Parameters
@@ -117,15 +117,15 @@ def hold_third_curves(
     )
 
 
-def _group(curve: ThirdCurve, groups: Sequence[ValidationGroup]) -> ValidationGroup | None:
+def _group(curve: ExternalCurve, groups: Sequence[ValidationGroup]) -> ValidationGroup | None:
     return next((g for g in groups if _is_of(curve, g.wire, g.length)), None)
 
 
-def _is_of(curve: ThirdCurve, wire: str, length: float) -> bool:
+def _is_of(curve: ExternalCurve, wire: str, length: float) -> bool:
     return curve.wire == wire and abs(curve.length - length) < _SAME_LENGTH
 
 
-def _string(curve: ThirdCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
+def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig | None:
     """String of the tests of that wire and length, else that of the first test, over the tip."""
     own = [each.curve for each in loadings if _is_of(curve, each.curve.wire, each.curve.length)]
     if own:
@@ -135,12 +135,12 @@ def _string(curve: ThirdCurve, loadings: Sequence[FirstLoading]) -> StringRig | 
 
 
 def _held(
-    curve: ThirdCurve,
+    curve: ExternalCurve,
     calibration: Calibration,
     wire: Wire,
     group: ValidationGroup | None,
     loadings: Sequence[FirstLoading],
-) -> ThirdCurveComparison:
+) -> ExternalCurveComparison:
     tests, prediction, reason = None, None, ""
     string = _string(curve, loadings)
     rig = None if curve.is_normal else string
@@ -160,11 +160,11 @@ def _held(
     notes = list(_notes(curve, tests, model))
     if rig is not string:
         notes += _load_notes(curve, group, prediction)
-    return ThirdCurveComparison(curve, tests, model, prediction, tuple(notes))
+    return ExternalCurveComparison(curve, tests, model, prediction, tuple(notes))
 
 
 def _prediction(
-    curve: ThirdCurve,
+    curve: ExternalCurve,
     calibration: Calibration,
     wire: Wire,
     group: ValidationGroup | None,
@@ -178,7 +178,7 @@ def _prediction(
 
 
 def _load_notes(
-    curve: ThirdCurve, group: ValidationGroup | None, prediction: Prediction | None
+    curve: ExternalCurve, group: ValidationGroup | None, prediction: Prediction | None
 ) -> Iterator[QualityNote]:
     """Say what a load that is not that of the tests makes, by the model."""
     pulled = None if group is None else group.prediction
@@ -193,20 +193,22 @@ def _load_notes(
         f"its load stays normal to the axis, the tests' does not: at {1e3 * at:.4g} mm the model's "
         f"force is {1e3 * one:.4g} mN as tested and {1e3 * other:.4g} mN normal to the axis"
     )
-    yield QualityNote("third_curve_load", Severity.INFO, curve.name, message)
+    yield QualityNote("external_curve_load", Severity.INFO, curve.name, message)
 
 
-def _notes(curve: ThirdCurve, tests: CurveMatch | None, model: CurveMatch) -> Iterator[QualityNote]:
+def _notes(
+    curve: ExternalCurve, tests: CurveMatch | None, model: CurveMatch
+) -> Iterator[QualityNote]:
     if tests is None:
         message = (
             f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: held against the model alone"
         )
-        yield QualityNote("third_curve_untested", Severity.INFO, curve.name, message)
+        yield QualityNote("external_curve_untested", Severity.INFO, curve.name, message)
     for found in (tests, model):
         if found is None or not found.words:
             continue
         if found.errors is None:
             words = found.words
-            yield QualityNote("third_curve_not_compared", Severity.WARNING, curve.name, words)
+            yield QualityNote("external_curve_not_compared", Severity.WARNING, curve.name, words)
         else:
-            yield QualityNote("third_curve_cut", Severity.INFO, curve.name, found.words)
+            yield QualityNote("external_curve_cut", Severity.INFO, curve.name, found.words)

@@ -40,7 +40,7 @@ from labpipe.wire.calibration.calibrate_wire import Wire
 
 CALIBRATED = "A2"
 UNUSED = (("A1", 0.085), ("B1", 0.1))
-"""Wires and lengths that are foretold; one sample of each is tested."""
+"""Wires and lengths that are predicted; one sample of each is tested."""
 SAMPLES = 3
 POINTS = 272
 """Of each curve, as a calibration takes them where nothing else is said."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from labpipe.cli.calibrate import comparison_lines
-from tests.builders.third_curves import third_comparison, unmodelled, untested
+from tests.builders.external_curves import external_comparison, unmodelled, untested
 
 
 def test_a_line_for_each_curve_and_what_it_is_compared_with() -> None:
-    blank, heading, tests, model, alone, *notes = comparison_lines([third_comparison(), untested()])
+    blank, heading, tests, model, alone, *notes = comparison_lines(
+        [external_comparison(), untested()]
+    )
     assert not blank
     words = [" ".join(line.split()) for line in (heading, tests, model)]
     assert words == [
@@ -29,7 +31,7 @@ def test_what_was_not_compared_has_no_numbers() -> None:
 
 
 def test_a_long_name_is_cut() -> None:
-    lines = comparison_lines([third_comparison("n" * 40)])
+    lines = comparison_lines([external_comparison("n" * 40)])
     assert lines[2].startswith(f"  {'n' * 27}…  tests of A2, 85 mm")
 
 

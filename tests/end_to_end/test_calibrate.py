@@ -1,4 +1,4 @@
-"""``labpipe calibrate``: from processed tests to a calibrated wire and what it foretells."""
+"""``labpipe calibrate``: from processed tests to a calibrated wire and what it predicts."""
 
 from __future__ import annotations
 
@@ -223,7 +223,7 @@ def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
         assert each["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
     assert "elements tests of A2, 85 mm" in " ".join(done.out.split())
     assert "its load stays normal to the axis, the tests' does not" in done.out
-    assert (out / "figures" / "third-curves.png").is_file()
+    assert (out / "figures" / "external-curves.png").is_file()
 
 
 def test_a_curve_that_cannot_be_read_ends_a_calibration_before_it_begins(

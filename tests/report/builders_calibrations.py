@@ -59,7 +59,7 @@ def source() -> SourceCalibration:
 
 
 @cache
-def foretold(name: str = "A2", length: float = 0.085) -> Prediction:
+def predicted(name: str = "A2", length: float = 0.085) -> Prediction:
     return predict(
         usual(), wire_of(name), length, GRID, rig=rig_of(length), noise=0.002, n_samples=2
     )
@@ -69,7 +69,7 @@ def foretold(name: str = "A2", length: float = 0.085) -> Prediction:
 def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> ValidationGroup:
     tests = measured(name, (length,), samples=samples, n=90, seed=3)
     band = mean_band(common_curves([(test.deflection, test.force) for test in tests]))
-    model = foretold(name, length)
+    model = predicted(name, length)
     force, lower, upper = (
         np.interp(band.displacement, GRID, each) for each in (model.force, model.lower, model.upper)
     )
@@ -80,7 +80,7 @@ def group(name: str = "A2", length: float = 0.085, *, samples: int = 2) -> Valid
         samples={test.test: SampleCurve(test.deflection, test.force, test.force) for test in tests},
         band=band,
         prediction=model,
-        foretold=2,
+        mean_of=2,
         errors=curve_errors(band.mean, force, lower, upper),
     )
 

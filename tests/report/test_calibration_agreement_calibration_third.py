@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from labpipe.records.curve_comparison import ThirdCurveComparison
+from labpipe.records.curve_comparison import ExternalCurveComparison
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_agreement import (
-    ThirdPanel,
+    ExternalPanel,
+    external_figure,
+    external_pages,
     match_words,
-    plot_third,
-    third_figure,
-    third_pages,
+    plot_external,
 )
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.figure_page import style
-from tests.builders.third_curves import (
+from tests.builders.external_curves import (
     FORCE,
     GRID,
-    third_comparison,
+    external_comparison,
     third_group,
     third_model,
     unmodelled,
@@ -36,13 +36,13 @@ def _in_style() -> Iterator[None]:
         yield
 
 
-def report(*comparisons: ThirdCurveComparison) -> CalibrationReport:
+def report(*comparisons: ExternalCurveComparison) -> CalibrationReport:
     return CalibrationReport(usual(), (third_group(),), comparisons=comparisons)
 
 
-def page_of(*comparisons: ThirdCurveComparison) -> Figure:
-    (panels,) = third_pages(report(*comparisons))
-    return third_figure(panels)
+def page_of(*comparisons: ExternalCurveComparison) -> Figure:
+    (panels,) = external_pages(report(*comparisons))
+    return external_figure(panels)
 
 
 def note(page: Figure) -> str:
@@ -50,8 +50,8 @@ def note(page: Figure) -> str:
 
 
 def test_a_panel_for_each_wire_length_and_load() -> None:
-    normal = third_comparison("normal", is_normal=True)
-    page = page_of(third_comparison(), untested(), normal, third_comparison("other"))
+    normal = external_comparison("normal", is_normal=True)
+    page = page_of(external_comparison(), untested(), normal, external_comparison("other"))
     titles = [axes.get_title(loc="left") for axes in page.axes if axes.axison]
     assert titles == [
         "(a) A2, 85 mm",
@@ -62,8 +62,8 @@ def test_a_panel_for_each_wire_length_and_load() -> None:
 
 
 def test_curves_bands_and_model_are_drawn() -> None:
-    axes, one = Figure().subplots(), third_comparison()
-    plot_third(ThirdPanel("A2", 0.085, False, third_group(), (one,)), axes)
+    axes, one = Figure().subplots(), external_comparison()
+    plot_external(ExternalPanel("A2", 0.085, False, third_group(), (one,)), axes)
     mean, model, curve = axes.lines
     np.testing.assert_allclose(np.asarray(mean.get_data()), [1e3 * GRID, FORCE])
     np.testing.assert_allclose(np.asarray(model.get_ydata()), third_model().force)
@@ -78,34 +78,34 @@ def test_curves_bands_and_model_are_drawn() -> None:
 
 
 def test_how_far_it_is_stands_in_the_key() -> None:
-    assert match_words(third_comparison()).splitlines() == [
+    assert match_words(external_comparison()).splitlines() == [
         "finite elements",
         "tests: RMSE 1 mN, 1 % of peak",
         "model: RMSE 3 mN, 3.1 % of peak",
     ]
     assert match_words(untested()).splitlines()[1] == "no tests to compare"
-    assert match_words(third_comparison("_fe")).startswith(" _fe\n")
+    assert match_words(external_comparison("_fe")).startswith(" _fe\n")
     assert match_words(unmodelled()).splitlines()[2] == "model: not compared"
 
 
 def test_footnote_says_what_was_left_out() -> None:
-    said = note(page_of(third_comparison(), untested()))
+    said = note(page_of(external_comparison(), untested()))
     assert "'finite elements': 1 of 6 points left out, outside of 0 to 50 mm, the range" in said
     assert "'paper': no test of B2 at 100 mm." in said
     assert "Grey band: the mean of the tests" in said
 
 
 def test_a_load_that_is_not_that_of_the_tests_is_said_once() -> None:
-    load = QualityNote("third_curve_load", Severity.INFO, "a", "the model's force is larger")
-    normal = replace(third_comparison("a", is_normal=True), notes=(load,))
+    load = QualityNote("external_curve_load", Severity.INFO, "a", "the model's force is larger")
+    normal = replace(external_comparison("a", is_normal=True), notes=(load,))
     said = note(page_of(normal, normal))
     assert said.count("Where the load is normal to the axis, that of the tests is not.") == 1
-    assert "Where the load" not in note(page_of(third_comparison()))
+    assert "Where the load" not in note(page_of(external_comparison()))
 
 
 def test_a_long_key_has_room_above_the_curves() -> None:
     tops = [
-        page_of(*(third_comparison(f"curve {i}") for i in range(n))).axes[0].get_ylim()[1]
+        page_of(*(external_comparison(f"curve {i}") for i in range(n))).axes[0].get_ylim()[1]
         for n in (1, 3)
     ]
     assert tops[1] > 1.2 * tops[0]
@@ -125,12 +125,12 @@ def test_pages_of_six() -> None:
         replace(each, curve=replace(each.curve, length=0.08 + 0.01 * number))
         for number, each in enumerate([untested()] * 8)
     ]
-    assert [len(page) for page in third_pages(report(*many))] == [6, 2]
-    assert third_pages(report()) == []
+    assert [len(page) for page in external_pages(report(*many))] == [6, 2]
+    assert external_pages(report()) == []
 
 
 @pytest.mark.parametrize("count", [0, 7])
 def test_number_of_panels(count: int) -> None:
-    panel = ThirdPanel("A2", 0.085, False, None, (untested(),))
+    panel = ExternalPanel("A2", 0.085, False, None, (untested(),))
     with pytest.raises(ValueError, match=rf"{count} panels: allowed are 1 to 6 on a page"):
-        third_figure([panel] * count)
+        external_figure([panel] * count)

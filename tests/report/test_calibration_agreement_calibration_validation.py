@@ -14,7 +14,7 @@ from labpipe.report.calibration_agreement import (
     validation_figure,
 )
 from labpipe.report.figure_page import style
-from tests.report.builders_calibrations import foretold, group, report
+from tests.report.builders_calibrations import group, predicted, report
 
 REASON = Reason("deflection_too_large", "the curve ends at 40 mm")
 LOST = replace(group(), prediction=None, errors=None, reason=REASON)
@@ -44,8 +44,8 @@ def test_samples_mean_and_model_with_their_bands() -> None:
     np.testing.assert_allclose(
         np.asarray(mean.get_data()), [1e3 * shown.band.displacement, shown.band.mean]
     )
-    np.testing.assert_allclose(np.asarray(model.get_ydata()), foretold().force)
-    np.testing.assert_allclose(np.asarray(lower.get_ydata()), foretold().lower)
+    np.testing.assert_allclose(np.asarray(model.get_ydata()), predicted().force)
+    np.testing.assert_allclose(np.asarray(lower.get_ydata()), predicted().lower)
     assert len(axes.collections) == 2
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Tip deflection (mm)", "Force (N)")
 
@@ -82,8 +82,8 @@ def test_figure_names_wires_lengths_and_use() -> None:
     assert [axes.get_title(loc="left") for axes in page.axes] == [
         "(a) A2, 85 mm: calibrated",
         "(b) A2, 120 mm: calibrated",
-        "(c) A1, 85 mm: foretold",
-        "(d) A3, 120 mm: foretold",
+        "(c) A1, 85 mm: predicted",
+        "(d) A3, 120 mm: predicted",
     ]
     assert keys(page)[-2:] == ["model", "95 % band of the model"]
     assert "Blue band: the model's for the mean of 2 samples." in note(page)
@@ -91,8 +91,8 @@ def test_figure_names_wires_lengths_and_use() -> None:
 
 def test_footnote_tells_bands_apart_and_what_they_leave_out() -> None:
     left_out = QualityNote("one_sample", Severity.WARNING, "A2", "the bands leave it out")
-    doubtful = replace(foretold("A1"), notes=(left_out,))
-    other = replace(group("A1"), foretold=1, prediction=doubtful)
+    doubtful = replace(predicted("A1"), notes=(left_out,))
+    other = replace(group("A1"), mean_of=1, prediction=doubtful)
     said = note(validation_figure([group(), other, LOST]))
     assert "Blue band: the model's for one more sample (A1 85 mm)." in said
     assert "for the mean of 2 samples (A2 85 mm)." in said

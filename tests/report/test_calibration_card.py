@@ -10,7 +10,7 @@ from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import Calibration
 from labpipe.report.calibration_card import calibration_card
 from labpipe.report.figure_page import finish_layout, style
-from tests.report.builders_calibrations import foretold, source, troubled, usual
+from tests.report.builders_calibrations import predicted, source, troubled, usual
 
 A4_MM = 270.0
 """Height of a page between its margins."""
@@ -27,7 +27,7 @@ def keys(page: Figure) -> list[str]:
 
 
 def test_panels_keys_and_words() -> None:
-    page = calibration_card(usual(), source(), predictions={0.085: foretold()})
+    page = calibration_card(usual(), source(), predictions={0.085: predicted()})
     headings = [axes.get_title(loc="left") for axes in page.axes[:6]]
     assert headings == [
         "(a) first loadings",

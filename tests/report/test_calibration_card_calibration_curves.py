@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from labpipe.report.calibration_card import plot_loadings, plot_residuals, source_curves
 from labpipe.report.figure_page import style
-from tests.report.builders_calibrations import foretold, one_sample, source, usual
+from tests.report.builders_calibrations import one_sample, predicted, source, usual
 
 
 @pytest.fixture(autouse=True)
@@ -24,7 +24,7 @@ def panel() -> Axes:
 
 def test_samples_and_the_model_once_for_each_length() -> None:
     calibration, axes = usual(), panel()
-    plot_loadings(calibration, axes, predictions={0.085: foretold()})
+    plot_loadings(calibration, axes, predictions={0.085: predicted()})
     assert len(axes.lines) == 4 + 2
     first = calibration.curves[0]
     np.testing.assert_allclose(np.asarray(axes.lines[0].get_ydata()), first.force)
@@ -33,7 +33,7 @@ def test_samples_and_the_model_once_for_each_length() -> None:
     )
     assert [text.get_text() for text in axes.texts] == ["85 mm", "120 mm"]
     (band,) = axes.collections
-    assert band.get_paths()[0].get_extents().y1 == pytest.approx(foretold().upper_mean.max())
+    assert band.get_paths()[0].get_extents().y1 == pytest.approx(predicted().upper_mean.max())
 
 
 def test_residuals_with_and_without_the_factors_of_samples() -> None:

@@ -9,8 +9,8 @@ import pytest
 from labpipe.records.quality import Reason
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_workbook import tables_of
-from tests.builders.third_curves import UNTESTED, untested
-from tests.report.builders_calibrations import foretold, group, report, source, troubled, usual
+from tests.builders.external_curves import UNTESTED, untested
+from tests.report.builders_calibrations import group, predicted, report, source, troubled, usual
 
 LOST = replace(
     group("A1"), prediction=None, errors=None, reason=Reason("no_wire", "not in the sheet")
@@ -93,7 +93,7 @@ def test_agreement_of_each_wire_and_length() -> None:
     assert first["RMSE over the largest force (%)"] == pytest.approx(100.0 * errors.rmse_share)
     assert first["points inside the band (%)"] == pytest.approx(100.0 * errors.inside)
     assert first["model is"] == "calibrated by these samples"
-    assert (single["model is"], single["samples"]) == ("foretold", 1)
+    assert (single["model is"], single["samples"]) == ("predicted", 1)
     assert (first["reason"], single["reason"][:11]) == ("", "one_curve: ")
     (lost,) = rows(CalibrationReport(usual(), (LOST,)), "agreement")
     assert (lost["SSE (N²)"], lost["reason"]) == (None, "no_wire: not in the sheet")
@@ -112,7 +112,7 @@ def test_notes_worst_first_and_what_is_told_apart() -> None:
         row["code"] for row in found
     }
     assert found[-1]["code"] == "told_apart"
-    warned = replace(foretold(), notes=(troubled().notes[0],))
+    warned = replace(predicted(), notes=(troubled().notes[0],))
     both = CalibrationReport(usual(), (replace(group(), prediction=warned),))
     assert "prediction" in [row["of"] for row in rows(both, "notes")]
 
@@ -123,7 +123,7 @@ def test_curves_of_a_wire_and_length() -> None:
     mean = [row["mean (N)"] for row in found if row.get("mean (N)") is not None]
     np.testing.assert_allclose(mean, shown.band.mean)
     upper = [row["model, upper (N)"] for row in found if row["model, upper (N)"] is not None]
-    np.testing.assert_allclose(upper, foretold().upper)
+    np.testing.assert_allclose(upper, predicted().upper)
     name = next(iter(shown.samples))
     force = [row[f"{name}, force (N)"] for row in found[:90]]
     np.testing.assert_allclose(force, shown.samples[name].force)
@@ -131,9 +131,9 @@ def test_curves_of_a_wire_and_length() -> None:
     assert "model (N)" not in bare[0]
 
 
-def test_third_curves_have_sheets_and_notes() -> None:
+def test_external_curves_have_sheets_and_notes() -> None:
     own = replace(report(), comparisons=(untested(),))
-    assert len(rows(own, "third curves")) == 2
-    assert len(rows(own, "third curves, points")) == 6
-    (told,) = [row for row in rows(own, "notes") if row["code"] == "third_curve_untested"]
-    assert (told["of"], told["what"]) == ("third curve 'paper'", UNTESTED.message)
+    assert len(rows(own, "external curves")) == 2
+    assert len(rows(own, "external curves, points")) == 6
+    (told,) = [row for row in rows(own, "notes") if row["code"] == "external_curve_untested"]
+    assert (told["of"], told["what"]) == ("external curve 'paper'", UNTESTED.message)

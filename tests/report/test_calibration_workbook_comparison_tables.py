@@ -3,14 +3,14 @@ from __future__ import annotations
 import pytest
 
 from labpipe.report.calibration_workbook import comparison_tables
-from tests.builders.third_curves import third_comparison, unmodelled, untested
+from tests.builders.external_curves import external_comparison, unmodelled, untested
 
 
 def test_two_rows_for_each_curve() -> None:
-    sheet, _ = comparison_tables([third_comparison(is_normal=True), untested(), unmodelled()])
-    assert sheet.name == "third curves"
+    sheet, _ = comparison_tables([external_comparison(is_normal=True), untested(), unmodelled()])
+    assert sheet.name == "external curves"
     rows = [dict(zip(sheet.heads, row, strict=True)) for row in sheet.rows]
-    assert [row["held against"] for row in rows] == ["tests", "model"] * 3
+    assert [row["compared with"] for row in rows] == ["tests", "model"] * 3
     first, second, third, _, _, last = rows
     assert (first["name"], first["wire"], first["load"]) == ("finite elements", "A2", "normal")
     assert (first["points compared"], first["points left out"]) == (5, 1)
@@ -25,8 +25,8 @@ def test_two_rows_for_each_curve() -> None:
 
 
 def test_points_beside_what_they_are_held_against() -> None:
-    _, sheet = comparison_tables([third_comparison(), untested()])
-    assert sheet.name == "third curves, points"
+    _, sheet = comparison_tables([external_comparison(), untested()])
+    assert sheet.name == "external curves, points"
     rows = list(sheet.rows)
     assert len(rows) == 12
     assert rows[0] == ("finite elements", *(pytest.approx(v) for v in (10, 0.021, 0.02, 0.018)))

@@ -12,11 +12,11 @@ import pytest
 
 from labpipe.errors import UsageError
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.records.curve_comparison import ThirdCurve, ThirdCurveComparison
+from labpipe.records.curve_comparison import ExternalCurve, ExternalCurveComparison
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import Calibration
 from labpipe.studies.calibration_study import comparison_json
-from labpipe.studies.external_curves import hold_third_curves, read_third_curves
+from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.studies.validation import compare
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
@@ -44,17 +44,17 @@ def third(
     *,
     is_normal: bool = False,
     deepest: float = 0.045,
-) -> ThirdCurve:
+) -> ExternalCurve:
     """What the station-by-station path makes of the wire as the tests are made of it."""
     at = np.linspace(0.001, deepest, 16)
     force = exact_curve(wire, length, has_string=not is_normal)(np.minimum(at, 0.045))
-    return ThirdCurve("fe", "fe.csv", wire, length, at, force, is_normal, "synthetic")
+    return ExternalCurve("fe", "fe.csv", wire, length, at, force, is_normal, "synthetic")
 
 
-def held(calibration: Calibration, curve: ThirdCurve) -> ThirdCurveComparison:
+def held(calibration: Calibration, curve: ExternalCurve) -> ExternalCurveComparison:
     loadings = [FirstLoading(each, 0.0, ()) for each in CURVES]
     groups = compare(calibration, WIRES, loadings)
-    (found,) = hold_third_curves([curve], calibration, WIRES, groups, loadings)
+    (found,) = compare_external_curves([curve], calibration, WIRES, groups, loadings)
     return found
 
 
@@ -79,7 +79,7 @@ def test_a_normal_load_is_held_against_a_model_of_such_a_load(calibration: Calib
     assert normal.model.errors is not None
     assert pulled.model.errors is not None
     (note,) = normal.notes
-    assert note.code == "third_curve_load"
+    assert note.code == "external_curve_load"
     assert not pulled.notes
     assert "normal to the axis, the tests' does not: at 45 mm the model's force is" in note.message
     exact = (exact_curve("A2", 0.085)(0.045), exact_curve("A2", 0.085, has_string=False)(0.045))
@@ -92,7 +92,7 @@ def test_tests_without_a_string_are_loaded_alike(calibration: Calibration) -> No
     loadings = [FirstLoading(replace(curve, rig=None), 0.0, ()) for curve in CURVES]
     groups = compare(calibration, WIRES, loadings)
     curve = third(is_normal=True)
-    (found,) = hold_third_curves([curve], calibration, WIRES, groups, loadings)
+    (found,) = compare_external_curves([curve], calibration, WIRES, groups, loadings)
     assert not found.notes
 
 
@@ -103,7 +103,7 @@ def test_without_tests_the_model_alone(calibration: Calibration, wire: str, leng
     assert found.model.errors is not None
     assert found.model.errors.rmse_share < 0.03
     (note,) = found.notes
-    assert note.code == "third_curve_untested"
+    assert note.code == "external_curve_untested"
     said = f"no test of {wire} at {1e3 * length:.4g} mm: held against the model alone"
     assert note.message == said
 
@@ -112,7 +112,7 @@ def test_what_lies_beyond_is_left_out_and_told(calibration: Calibration) -> None
     found = held(calibration, third(deepest=0.08))
     assert found.tests is not None
     assert (found.tests.left_out, found.model.left_out) == (6, 5)
-    assert [note.code for note in found.notes] == ["third_curve_cut", "third_curve_cut"]
+    assert [note.code for note in found.notes] == ["external_curve_cut", "external_curve_cut"]
     tests, model = (note.message for note in found.notes)
     assert tests.startswith("6 of 16 points left out, outside of 0.")
     assert tests.endswith(" mm, the range of the tests")
@@ -123,7 +123,7 @@ def test_units_mistaken_leave_nothing_to_compare(calibration: Calibration) -> No
     wrong = replace(third(), deflection=1e3 * third().deflection + 1.0)
     found = held(calibration, wrong)
     assert found.model.errors is None
-    assert {note.code for note in found.notes} == {"third_curve_not_compared"}
+    assert {note.code for note in found.notes} == {"external_curve_not_compared"}
     assert "0 of 16 points, from 2000 to 4.6e+04 mm, lie within" in found.notes[0].message
 
 
@@ -151,8 +151,8 @@ def plan_of(folder: Path, text: str = PLAN) -> Path:
     return path
 
 
-def read(plan: Path) -> tuple[ThirdCurve, ...]:
-    return read_third_curves(load_calibration_plan(plan), plan, specs(), Path("wires.xlsx"))
+def read(plan: Path) -> tuple[ExternalCurve, ...]:
+    return read_external_curves(load_calibration_plan(plan), plan, specs(), Path("wires.xlsx"))
 
 
 def test_curves_are_read_beside_the_plan(tmp_path: Path) -> None:

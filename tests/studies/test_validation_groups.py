@@ -1,4 +1,4 @@
-"""Tests by wire and length, held against what the model foretells."""
+"""Tests by wire and length, held against what the model predicts."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_errors_are_of_all_points(calibration: Calibration) -> None:
     assert group.errors.sse == pytest.approx(float(left @ left))
 
 
-def test_what_cannot_be_foretold_says_why(calibration: Calibration) -> None:
+def test_what_cannot_be_predicted_says_why(calibration: Calibration) -> None:
     deep = replace(
         CURVES[0],
         deflection=np.linspace(1e-3, 0.95 * CURVES[0].length, 50),

@@ -2,7 +2,7 @@
 
 Seeded campaigns of the virtual lab go through the same reduction as exports do: force in volts on
 a clock of its own, markers at 25 frames per second with gaps and mistaken labels. Three samples of
-A2 calibrate; a sample of A1, and one of B1 on another length, are foretold. Counts are held
+A2 calibrate; a sample of A1, and one of B1 on another length, are predicted. Counts are held
 against 95 % by an exact two-sided binomial test at 1 %, which the numbers of the study share. A
 campaign of which a test is refused, as the command would with a reason, is not counted; hardly any
 may be.

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from labpipe.records.arrays import Flags, Floats, frozen
-from labpipe.records.curve_comparison import CurveAgreement, CurveErrors, CurveMatch, ThirdCurve
+from labpipe.records.curve_comparison import CurveAgreement, CurveErrors, CurveMatch, ExternalCurve
 from labpipe.records.wire_calibration import CalibrationFailure
 from labpipe.wire.cantilever import StringRig
 
@@ -248,13 +248,13 @@ FEWEST = 3
 
 
 def match(
-    curve: ThirdCurve,
+    curve: ExternalCurve,
     deflection: Floats,
     force: Floats,
     band: tuple[Floats, Floats] | None,
     of: str,
 ) -> CurveMatch:
-    """Hold a third curve against another one.
+    """Hold a external curve against another one.
 
     Parameters
     ----------
@@ -265,8 +265,8 @@ def match(
 
     Returns
     -------
-    Errors at those points of the third curve that lie within the deflections of the other, which is
-    interpolated linearly there; each point weighs the same. None for fewer than 3 points.
+    Errors at those points of the external curve that lie within the deflections of the other, which
+    is interpolated linearly there; each point weighs the same. None for fewer than 3 points.
 
     Notes
     -----
@@ -288,19 +288,19 @@ def match(
     return CurveMatch(reference, replace(errors, rmse_share=share), left_out, words)
 
 
-def _shared(curve: ThirdCurve, deflection: Floats) -> Flags:
+def _shared(curve: ExternalCurve, deflection: Floats) -> Flags:
     if not len(deflection):
         return np.zeros(len(curve.deflection), dtype=np.bool_)
     shared: Flags = (deflection[0] <= curve.deflection) & (curve.deflection <= deflection[-1])
     return shared
 
 
-def _at(curve: ThirdCurve, deflection: Floats, values: Floats) -> Floats:
+def _at(curve: ExternalCurve, deflection: Floats, values: Floats) -> Floats:
     found: Floats = np.interp(curve.deflection, deflection, values)
     return found
 
 
-def _words(curve: ThirdCurve, shared: Flags, deflection: Floats, of: str) -> str:
+def _words(curve: ExternalCurve, shared: Flags, deflection: Floats, of: str) -> str:
     """Which points were left out."""
     total, kept = len(shared), int(shared.sum())
     if not len(deflection):

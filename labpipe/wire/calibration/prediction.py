@@ -1,4 +1,4 @@
-"""What a calibration foretells of another wire, or another length."""
+"""What a calibration predicts of another wire, or another length."""
 
 from __future__ import annotations
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import ThirdCurve
+from labpipe.records.curve_comparison import ExternalCurve
 from labpipe.wire.calibration.measured_curves import match
 
 OTHER = np.linspace(0.001, 0.05, 50)
@@ -12,8 +12,8 @@ LINE = 2.0 * OTHER
 BAND = (LINE - 0.004, LINE + 0.004)
 
 
-def third(deflection: Floats, force: Floats) -> ThirdCurve:
-    return ThirdCurve("fe", "fe.csv", "A2", 0.085, deflection, force)
+def third(deflection: Floats, force: Floats) -> ExternalCurve:
+    return ExternalCurve("fe", "fe.csv", "A2", 0.085, deflection, force)
 
 
 def test_errors_over_the_largest_force_of_the_other_curve() -> None:

@@ -1,4 +1,4 @@
-"""Third curves held against tests and model, of straight lines: their numbers are known by head."""
+"""External curves compared with tests and model, of straight lines: numbers known by head."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 
 from labpipe.records.curve_comparison import (
     CurveMatch,
+    ExternalCurve,
+    ExternalCurveComparison,
     Prediction,
-    ThirdCurve,
-    ThirdCurveComparison,
 )
 from labpipe.records.group import Band
 from labpipe.records.quality import QualityNote, Severity
@@ -20,7 +20,7 @@ from labpipe.wire.calibration.measured_curves import match
 GRID = np.linspace(0.0, 0.05, 51)
 FORCE = 2.0 * GRID
 """Of the mean of the tests; the model lies 2 mN below."""
-UNTESTED = QualityNote("third_curve_untested", Severity.INFO, "paper", "no test of B2 at 100 mm")
+UNTESTED = QualityNote("external_curve_untested", Severity.INFO, "paper", "no test of B2 at 100 mm")
 
 
 def third_group(wire: str = "A2", length: float = 0.085) -> ValidationGroup:
@@ -34,31 +34,31 @@ def third_model() -> Prediction:
     return Prediction(GRID, force, *ends)
 
 
-def third_comparison(
+def external_comparison(
     name: str = "finite elements", *, offset: float = 0.001, is_normal: bool = False
-) -> ThirdCurveComparison:
+) -> ExternalCurveComparison:
     """A curve above the mean of the tests by an offset in N, one of its points out of range."""
     at = np.linspace(0.01, 0.06, 6)
-    curve = ThirdCurve(
+    curve = ExternalCurve(
         name, "fe.csv", "A2", 0.085, at, 2.0 * at + offset, is_normal, "synthetic elements"
     )
     band, model = third_group().band, third_model()
     ends = (model.lower_mean, model.upper_mean)
     tests = match(curve, band.displacement, band.mean, (band.lower, band.upper), "the tests")
-    note = QualityNote("third_curve_cut", Severity.INFO, name, tests.words)
-    return ThirdCurveComparison(
+    note = QualityNote("external_curve_cut", Severity.INFO, name, tests.words)
+    return ExternalCurveComparison(
         curve, tests, match(curve, GRID, model.force, ends, "the model"), model, (note,)
     )
 
 
-def untested(name: str = "paper") -> ThirdCurveComparison:
+def untested(name: str = "paper") -> ExternalCurveComparison:
     """A curve without tests."""
-    whole = third_comparison(name)
+    whole = external_comparison(name)
     curve = replace(whole.curve, wire="B2", length=0.1)
     return replace(whole, curve=curve, tests=None, notes=(UNTESTED,))
 
 
-def unmodelled() -> ThirdCurveComparison:
+def unmodelled() -> ExternalCurveComparison:
     """A curve that the model does not reach."""
     lost = CurveMatch(np.full(6, np.nan), None, 6, "the model has no such curve: it ends earlier")
-    return replace(third_comparison(), model=lost, prediction=None)
+    return replace(external_comparison(), model=lost, prediction=None)
