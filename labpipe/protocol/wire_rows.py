@@ -78,7 +78,7 @@ class Column:
     def allowed(self) -> str:
         """What a cell may hold, such as ``a number from 0.05 to 200 mm``."""
         kind = f"{'whole ' * self.whole}number"
-        kind, parted = (f"{kind}s", ", parted by ';'") if self.several else (f"a {kind}", "")
+        kind, parted = (f"{kind}s", ", separated by ';'") if self.several else (f"a {kind}", "")
         return f"{kind} from {self.least:.10g} to {self.most:.10g} {self.unit}".rstrip() + parted
 
     def parse(self, text: object) -> float | Numbers:
@@ -117,9 +117,9 @@ def _comma_remedy(part: str, *, alone: bool) -> str:
     """What to do about a comma in a number; it may part numbers where no semicolon does."""
     point, listed = part.replace(",", "."), ";".join(each.strip() for each in part.split(","))
     if alone and _DECIMAL_COMMA.fullmatch(part):
-        return f"Part numbers by ';': write {listed} for two, {point} for one."
+        return f"Separate numbers by ';': write {listed} for two, {point} for one."
     if alone and "," in part:
-        return f"Part them by ';': {listed}."
+        return f"Separate them by ';': {listed}."
     if _THOUSANDS.fullmatch(part):
         whole = part.replace(",", "")
         return f"Write {whole} or {point}, as meant." if part.count(",") == 1 else f"Write {whole}."
@@ -501,7 +501,7 @@ def _unknown(name: str, heading: str) -> tuple[str, Fault]:
 
 
 def _is_in_another_unit(name: str, column: str) -> bool:
-    """Tell wire_diameter_in, or wire_diameter alone, for wire_diameter_mm."""
+    """Recognise wire_diameter_in, or wire_diameter alone, for wire_diameter_mm."""
     stem = field_of(column)
     rest = name.removeprefix(stem)
     return stem != column and rest != name and bool(re.fullmatch(r"(_per)?(_[a-z0-9]{1,8})?", rest))

@@ -40,7 +40,7 @@ class Reader:
         return self.format.name
 
     def recognise(self, path: Path) -> bool:
-        """Tell from the content whether a file is of this format."""
+        """Check by the content whether a file is of this format."""
         is_of_kind = self.format.is_workbook if is_workbook(path) else self.format.is_text
         return is_of_kind and self._module.recognise(path)
 

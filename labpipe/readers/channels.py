@@ -138,7 +138,7 @@ def find_channel(wanted: Wanted, known: Sequence[tuple[str, str]], file: object)
 
 
 def is_as_written(wanted: Wanted, channel: Channel) -> bool:
-    """Tell whether a channel has one of the names as they are written, not just nearly.
+    """Check whether a channel has one of the names as they are written, not just nearly.
 
     Parameters
     ----------
@@ -257,6 +257,6 @@ def _some(paths: list[str]) -> str:
 
 
 def _is_constant(values: Floats) -> bool:
-    """Tell whether at least two samples are all alike; the ends spare a look at most channels."""
+    """Check whether at least two samples are all alike; the ends spare a look at most channels."""
     alike = len(values) > 1 and values[0] == values[-1]
     return alike and bool(values.min() == values.max())

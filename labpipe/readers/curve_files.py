@@ -3,12 +3,12 @@
 Writes these files: a finite-element program, a program that digitises figures, another lab.
 
 Units: in the heading (``deflection / mm``, ``force [N]``, ``deflection_mm``), in a row of units
-below it, or told by whoever asks. Two that differ are refused.
+below it, or stated by the caller. Two that differ are refused.
 
 Missing data: a row in which both cells are blank is passed over, as in files that hold curves of
 different lengths side by side. One blank cell is refused.
 
-File structure: cells parted by tabulator, semicolon, comma or blanks, whichever parts the first
+File structure: cells separated by tabulator, semicolon, comma or blanks, whichever splits the first
 rows into numbers; decimal point or comma, one of them in a file. Rows above the names are passed
 over. A file without names is read where its columns are numbered. Of a workbook, the first sheet.
 
@@ -64,7 +64,7 @@ _USUAL = {
     "deflection": ("deflection", "tip deflection", "displacement", "tip displacement"),
     "force": ("force", "tip force"),
 }
-"""What a column is called that nobody has to name."""
+"""Usual names of the columns."""
 HALF = "HALF"
 """What the name of a set ends with whose force is of a half model."""
 _HEADING = re.compile(r"\s*(\S.*?)\s*\((\w+,\w+,\w+)\) for set (\S+) and time\s+(\S+)\s*")
@@ -348,7 +348,7 @@ def unit_factor(table: CurveTable, at: int, asked: CurveColumn) -> float:
     Raises
     ------
     ReadError
-        If nobody says the unit, it is of another dimension, or plan and heading differ.
+        If the unit is not stated, is of another dimension, or plan and heading differ.
     """
     head = table.names[at].text if at < len(table.names) else ""
     said = _parted(head, asked.si_unit)[1] or table.units[at]
@@ -381,7 +381,7 @@ class _Block:
 
 
 def is_calculix(lines: Sequence[str]) -> bool:
-    """Tell whether the first line that is not blank is a heading of CalculiX.
+    """Check whether the first line that is not blank is a heading of CalculiX.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ _OF_TRACES = (
 
 
 def recognise(path: Path) -> bool:
-    """Tell whether a file is a ControlDesk CSV, by the words in its first cells."""
+    """Check whether a file is a ControlDesk CSV, by the words in its first cells."""
     lines = read_head(path).removeprefix(_BOM).splitlines()
     return any(line.startswith((b"descriptions,", b"trace_")) for line in lines)
 

@@ -57,7 +57,7 @@ _DEFLATE_LIMIT = 1100
 
 
 def recognise(path: Path) -> bool:
-    """Tell whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
+    """Check whether a file is a MAT file of version 5 or 7.3, by its first bytes."""
     head = read_head(path, 1024)
     return head.startswith((_V5, _V73)) or head[512:520] == _HDF5
 

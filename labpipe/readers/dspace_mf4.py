@@ -40,7 +40,7 @@ _WHAT = "a whole MDF 4 file"
 
 
 def recognise(path: Path) -> bool:
-    """Tell whether a file is an MDF file of version 4, by its first bytes."""
+    """Check whether a file is an MDF file of version 4, by its first bytes."""
     head = read_head(path, 64)
     return head.startswith(b"MDF     4")
 

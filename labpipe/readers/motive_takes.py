@@ -53,14 +53,14 @@ _HEADER_LINES = 40
 
 
 def recognise(path: Path) -> bool:
-    """Tell whether a file is a Motive export of either style, or a workbook that holds one."""
+    """Check whether a file is a Motive export of either style, or a workbook that holds one."""
     if is_workbook(path):
         return _is_saved_take(path)
     return read_head(path, 64).removeprefix(_BOM).startswith(_TABLE + _ROWS)
 
 
 def _is_saved_take(path: Path) -> bool:
-    """Tell at little cost whether a workbook holds a take, by its first cell."""
+    """Check at little cost whether a workbook holds a take, by its first cell."""
     try:
         with zipfile.ZipFile(path) as parts:
             inside = [name for name in _SHEETS if name in parts.namelist()]
@@ -99,7 +99,7 @@ def read(path: Path, *, channels: Sequence[Wanted] | None = None) -> Recording: 
 
 def _read_table_style(content: bytes, path: Path) -> Recording:
     lines = content.split(b"\n", _HEADER_LINES)[:_HEADER_LINES]
-    with reading(path, "header rows of cells parted by commas"):
+    with reading(path, "header rows of cells separated by commas"):
         text = b"\n".join(lines).decode("utf-8", errors="replace")
         rows = [next(csv.reader([line]), []) for line in text.split("\n")]
     header = parse_header(rows, path)

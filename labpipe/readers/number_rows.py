@@ -52,7 +52,7 @@ class Body:
     first_line : line number of the first row
     start : where in `data` the first row begins
     as_in_file : whether the file holds just these bytes (but for a byte order mark)
-    some_only : whether the other columns hold numbers too, but nobody asked for them
+    some_only : whether the other columns hold numbers too, but are not asked for
     separator : between cells, a blank for any number of blanks
     decimal : decimal sign, or ``auto``
     stated_rows : number of rows that the header promises, None if it does not
@@ -194,7 +194,7 @@ def _parsed(shape: Shape, path: Path) -> dict[int, Floats]:
             if _can_read_straight(shape)
             else None
         )
-    except (ValueError, OverflowError):  # perhaps in a column that nobody asked for
+    except (ValueError, OverflowError):  # perhaps in a column that is not asked for
         table = None
     try:
         columns = _from_memory(shape, wanted) if table is None else table
@@ -206,7 +206,7 @@ def _parsed(shape: Shape, path: Path) -> dict[int, Floats]:
 
 
 def _from_memory(shape: Shape, wanted: list[int]) -> dict[int, Floats]:
-    """Read the rows, and refuse those with more cells: pandas leaves out what nobody asked for."""
+    """Read the rows, and refuse those with more cells: pandas leaves out the others."""
     data = shape.data
     starts, counts = shape.separators
     for i in np.flatnonzero(counts >= shape.width):
@@ -242,7 +242,7 @@ def _table(
 
 
 def _can_read_straight(shape: Shape) -> bool:
-    """Tell whether pandas may read the file itself, which it does on several cores.
+    """Check whether pandas may read the file itself, which it does on several cores.
 
     Not if some column holds words, the last line was left out, or quotes above the samples could
     keep pandas from counting lines as we do. Small files gain nothing.

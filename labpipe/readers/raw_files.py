@@ -193,7 +193,7 @@ def as_content(data: bytes) -> Content:
 
 
 def _utf16(head: bytes) -> str:
-    """Tell UTF-16 without a byte order mark: nearly every second byte is NUL."""
+    """Detect UTF-16 without a byte order mark: nearly every second byte is NUL."""
     half = len(head) // 2
     if half < 2 or b"\0" not in head:
         return ""
@@ -205,12 +205,12 @@ def _utf16(head: bytes) -> str:
 
 
 def is_blank(data: bytes) -> bool:
-    """Tell whether there is nothing but white space."""
+    """Check whether there is nothing but white space."""
     return not data[:HEAD].strip() and not data.strip()
 
 
 def is_binary(content: Content) -> bool:
-    """Tell whether the head cannot be text."""
+    """Check whether the head cannot be text."""
     return b"\0" in content.data[:HEAD]
 
 

@@ -1,6 +1,6 @@
 """Cells of the tables that people keep in a spreadsheet: text, each with its place for messages.
 
-Writes these files: a person, with a spreadsheet program (xlsx) or a text editor (csv parted by
+Writes these files: a person, with a spreadsheet program (xlsx) or a text editor (csv separated by
 comma, semicolon or tab, UTF-8).
 """
 
@@ -171,7 +171,7 @@ def _why_unread(formula: Any, value: Any) -> str:
 
 
 def csv_cells(path: Path) -> list[list[Cell]]:
-    """All cells of a csv, parted by what its first line has most of, or names as ``sep=;``.
+    """All cells of a csv, separated by what its first line has most of, or names as ``sep=;``.
 
     Raises
     ------
@@ -191,12 +191,12 @@ def csv_cells(path: Path) -> list[list[Cell]]:
 
 
 def _lines(text: str) -> io.StringIO:
-    """Lines parted as csv parts them; str.splitlines also parts at U+0085 and U+2028."""
+    """Lines split as csv splits them; str.splitlines also splits at U+0085 and U+2028."""
     return io.StringIO(text, newline="")
 
 
 def as_table(cells: list[list[Cell]], path: Path, *, rows_of: str, place: str = "") -> Table:
-    """Part cells into a heading and the rows below it.
+    """Split cells into a heading and the rows below it.
 
     Parameters
     ----------

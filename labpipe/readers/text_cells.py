@@ -53,7 +53,7 @@ _LOOK = 1000
 
 
 def is_number(cell: str) -> bool:
-    """Tell whether a cell holds a number, whatever its decimal sign."""
+    """Check whether a cell holds a number, whatever its decimal sign."""
     return _NUMBER.fullmatch(cell.strip()) is not None
 
 
@@ -69,18 +69,18 @@ def split_line(line: str, separator: str) -> list[str]:
 
 
 def is_unit(text: str) -> bool:
-    """Tell whether labpipe knows a text as a unit."""
+    """Check whether labpipe knows a text as a unit."""
     known = text in _COMMON or text in _NO_DIMENSION
     return known or any(is_like(text, unit) for unit in _SI)
 
 
 def hold_units(cells: Sequence[str]) -> bool:
-    """Tell whether one at least of some cells is a unit; the quick ones are tried first."""
+    """Check whether one at least of some cells is a unit; the quick ones are tried first."""
     return any(cell in _COMMON for cell in cells) or any(is_unit(cell) for cell in cells if cell)
 
 
 def is_like(text: str, unit: str) -> bool:
-    """Tell whether a text is a unit of the dimension of another."""
+    """Check whether a text is a unit of the dimension of another."""
     try:
         si_factor(text, unit)
     except ValueError:
@@ -89,7 +89,7 @@ def is_like(text: str, unit: str) -> bool:
 
 
 def are_units(cells: Sequence[str]) -> bool:
-    """Tell whether all filled cells, and one at least, hold units, in brackets or not."""
+    """Check whether all filled cells, and one at least, hold units, in brackets or not."""
     bare = [without_brackets(cell) for cell in cells if cell]
     return bool(bare) and all(is_unit(cell) for cell in bare)
 
@@ -109,7 +109,7 @@ def without_brackets(cell: str) -> str:
 
 
 def name_and_unit(cell: str, brackets: str = "") -> tuple[str, str] | None:
-    """Part a cell into a name and a unit.
+    """Split a cell into a name and a unit.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def quoted(cells: Sequence[str]) -> str:
 
 
 def is_grouped(cell: str) -> bool:
-    """Tell whether a cell has two signs between thousands: no number is written so."""
+    """Check whether a cell has two signs between thousands: no number is written so."""
     return _GROUPED.fullmatch(cell) is not None
 
 
@@ -203,7 +203,7 @@ def _first_jump(values: Floats, factor: float) -> int | None:
 
 
 def _returns(run: Floats, factor: float) -> bool:
-    """Tell whether the inner numbers, once scaled, fall among the first and the last one."""
+    """Check whether the inner numbers, once scaled, fall among the first and the last one."""
     ends, inner = run[[0, -1]], run[1:-1]
     scaled = inner / factor if inner[0] > ends[0] else inner * factor
     spread = abs(ends[1] - ends[0]) + _SPREAD * ends.max()

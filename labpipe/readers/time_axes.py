@@ -100,7 +100,7 @@ def clock_notes(clock: Clock, *, is_variable: bool = False) -> list[QualityNote]
 
 
 def _is_even(steps: Floats) -> bool:
-    """Tell whether all steps are so alike that neither holes nor jitter can be among them.
+    """Check whether all steps are so alike that neither holes nor jitter can be among them.
 
     This spares the median of millions of steps on the axes of most recordings.
     """

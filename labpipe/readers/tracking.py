@@ -53,7 +53,7 @@ def runs(flags: Flags) -> list[Run]:
 
 
 def blank(positions: Floats) -> Flags:
-    """Tell in which frames an object has no position.
+    """Find the frames in which an object has no position.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def blank(positions: Floats) -> Flags:
 
 
 def unchanged(positions: Floats) -> Flags:
-    """Tell over which steps a position stays the same to the last digit.
+    """Find the steps over which a position stays the same to the last digit.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def longest(stretches: list[Run]) -> int:
 
 
 def is_unlabelled(name: str) -> bool:
-    """Tell whether a marker has no label of its own.
+    """Check whether a marker has no label of its own.
 
     Such are called ``Unlabeled 2379`` (1.23), ``Unlabeled:108`` (1.21), ``Marker-1718`` (row 1.1).
     """

@@ -94,7 +94,7 @@ def _table(lines: Sequence[str]) -> UnknownFile | None:
         first = next((i for i in range(len(rows)) if _are_samples(rows[i : i + _ROWS])), None)
         if first is not None:
             above = next((row for row in reversed(rows[:first]) if any(row)), [])
-            what = f"a table of {len(rows[first])} columns parted by {parted}, {_called(above)}"
+            what = f"a table of {len(rows[first])} columns separated by {parted}, {_called(above)}"
             return UnknownFile(what, f"{_KNOWN_BY} {_CARD}")
     return None
 

@@ -64,7 +64,7 @@ _OTHERS = {
 
 
 def is_workbook(path: Path) -> bool:
-    """Tell whether a file is a zip archive or an old binary document, by its first bytes."""
+    """Check whether a file is a zip archive or an old binary document, by its first bytes."""
     return read_head(path, 8).startswith((_XLSX, _XLS))
 
 
@@ -283,7 +283,7 @@ class _Reach:
 
 
 def is_large(path: Path) -> bool:
-    """Tell whether a workbook is so large that `check_extent` takes long; needs a whole archive."""
+    """Whether a workbook is so large that `check_extent` takes long; needs a whole archive."""
     with zipfile.ZipFile(path) as parts:
         return sum(part.file_size for part in parts.infolist()) > _LARGE
 

@@ -58,11 +58,11 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
     _refuse(path, ((table.heading[number].place, fault) for number, fault in wrong))
     names = [column_name(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
-    told = _worded(path, _repeated([row["wire"] for row in rows]))
+    messages = _worded(path, _repeated([row["wire"] for row in rows]))
     curves: dict[str, Curve] = {}
-    specs = [_spec(row, path, curves, told) for row in rows]
-    if told:
-        raise ReadError("\n".join(dict.fromkeys(told)))
+    specs = [_spec(row, path, curves, messages) for row in rows]
+    if messages:
+        raise ReadError("\n".join(dict.fromkeys(messages)))
     return tuple(spec for spec in specs if spec is not None)
 
 
@@ -74,8 +74,8 @@ def _worded(path: Path, faults: Iterable[Placed]) -> list[str]:
 
 
 def _refuse(path: Path, faults: Iterable[Placed]) -> None:
-    if told := _worded(path, faults):
-        raise ReadError("\n".join(told))
+    if messages := _worded(path, faults):
+        raise ReadError("\n".join(messages))
 
 
 def _cells(path: Path) -> tuple[list[list[Cell]], str]:
@@ -130,19 +130,19 @@ def _repeated(names: Sequence[Cell]) -> Iterator[Placed]:
 
 
 def _spec(
-    row: Mapping[str, Cell], path: Path, curves: dict[str, Curve], told: list[str]
+    row: Mapping[str, Cell], path: Path, curves: dict[str, Curve], messages: list[str]
 ) -> WireSpec | None:
-    """One wire; none where anything is wrong, which is added to what is told."""
-    before = len(told)
+    """One wire; none where anything is wrong, which is added to the messages."""
+    before = len(messages)
     read = parse_row(WireRow, _texts(row))
-    told += _worded(path, _placed(read, row)) if isinstance(read, list) else []
+    messages += _worded(path, _placed(read, row)) if isinstance(read, list) else []
     table = row.get("stress_table")
     if table is not None and table.text and table.text not in curves:
         try:
             curves[table.text] = _curve(table, path)
         except ReadError as error:
-            told.append(str(error))
-    if isinstance(read, list) or len(told) > before:
+            messages.append(str(error))
+    if isinstance(read, list) or len(messages) > before:
         return None
     blank = [name for name, cell in row.items() if not cell.text]
     place = re.sub(r", column \d+$", "", row["wire"].place)

@@ -194,7 +194,7 @@ def test_nul_bytes_in_the_middle(write: Written, dialect: str) -> None:
     [
         (b"Dear Sir,\r\nthe force was 12 N at the time, see page 3.\r\n", "Dear Sir,"),
         (b"name,street,town\r\nsynthetic,1,nowhere\r\n", "name,street,town"),
-        (b"1,2,3\r\n4,5,6\r\n", "a table of 3 columns parted by commas, without names"),
+        (b"1,2,3\r\n4,5,6\r\n", "a table of 3 columns separated by commas, without names"),
         (b"\r\n \r\n\r\n", "nothing but blanks"),
         ("time,force\r\nnever,none\r\n".encode("utf-16"), "text that begins with 'time,force'"),
         (bytes(range(256)) * 4, "binary"),

@@ -183,7 +183,7 @@ ENGLISH_NAMES = {
 
 @pytest.mark.parametrize("names", ENGLISH_NAMES)
 def test_793_english_with_a_counter(write: Written, names: str) -> None:
-    """Names are parted by single blanks and hold blanks; there are as many as units."""
+    """Names are separated by single blanks and hold blanks; there are as many as units."""
     lines = frames.mts_793_english(names).decode().splitlines()
     at = lines.index(names)
     lines[at + 1] = f"segments        {lines[at + 1]}"

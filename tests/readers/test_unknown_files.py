@@ -39,11 +39,13 @@ def test_what_a_file_appears_to_be(tmp_path: Path, content: bytes, words: str, r
 
 
 TABLES = {
-    "a table of 2 columns parted by commas, called 'a', 'b'": "a,b\n1,2\n3,4\n",
-    "a table of 3 columns parted by semicolons, called 'x', 'y', 'z'": "p\n\nx;y;z\n1,5;2;\n3;4;5",
-    "a table of 2 columns parted by tabs, without names": "1\t2\n3\t4\n",
-    "a table of 3 columns parted by blanks, without names": "  1  2 3\n 4 5  6\n",
-    "a table of 5 columns parted by commas, called 'a', 'b', 'c', 'd' ...": (
+    "a table of 2 columns separated by commas, called 'a', 'b'": "a,b\n1,2\n3,4\n",
+    "a table of 3 columns separated by semicolons, called 'x', 'y', 'z'": (
+        "p\n\nx;y;z\n1,5;2;\n3;4;5"
+    ),
+    "a table of 2 columns separated by tabs, without names": "1\t2\n3\t4\n",
+    "a table of 3 columns separated by blanks, without names": "  1  2 3\n 4 5  6\n",
+    "a table of 5 columns separated by commas, called 'a', 'b', 'c', 'd' ...": (
         "a,b,c,d,e\n1,2,3,4,5\n1,2,3,4,5\n"
     ),
 }

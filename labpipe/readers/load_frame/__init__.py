@@ -14,7 +14,7 @@ catman, Deben Microtest, TA Instruments DMA Q800, TestResources; a lab adds its 
 
 **File structure**: as the card says; see docs/how-to/new-dialect.md.
 
-**Known versions**: as told in the cards.
+**Known versions**: as the cards say.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ __all__ = ["read", "recognise"]
 
 
 def recognise(path: Path) -> bool:
-    """Tell whether a file is a load-frame export that some card fits, by its content."""
+    """Check whether a file is a load-frame export that some card fits, by its content."""
     return recognised(path) is not None
 
 

@@ -43,7 +43,7 @@ class Card:
     program : what wrote the export, empty in a card of last resort
     kind : ``text`` or ``workbook`` (xlsx, xls)
     recognise : patterns that must all be found in the head of the text, or of one sheet whose
-        cells are parted by tabs
+        cells are separated by tabs
     fallback : whether it is only tried when no other card recognises the export
     blank : whether a file with nothing but a byte order mark is an export without samples
     version, model : patterns whose group is the version, or belongs behind the program's name
@@ -119,8 +119,8 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
     Raises
     ------
     ReadError
-        If the text is no TOML, keys are unknown, missing or of the wrong kind (all are told at
-        once), or keys contradict.
+        If the text is no TOML, keys are unknown, missing or of the wrong kind (all are
+        reported at once), or keys contradict.
     """
     if not _NAME.fullmatch(name):
         expected = "a name of small letters, digits and hyphens"
@@ -136,9 +136,9 @@ def parse_card(text: str, *, name: str, source: object) -> Card:
 
 
 def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
-    values, told = _checked(keys, source)
-    if told:
-        raise ReadError("\n".join(told))
+    values, messages = _checked(keys, source)
+    if messages:
+        raise ReadError("\n".join(messages))
     card = Card(name=name, source=str(source), **values)
     _refuse_contradictions(card, source)
     return card
@@ -147,17 +147,19 @@ def _card(keys: Mapping[str, object], name: str, source: object) -> Card:
 def _checked(keys: Mapping[str, object], source: object) -> tuple[dict[str, Any], list[str]]:
     """The values of the keys, and what is wrong with them."""
     values: dict[str, Any] = {}
-    told = []
+    messages = []
     for key, value in keys.items():
         try:
             values[key] = _CHECKS.get(key, _unknown)(value, key, source)
         except ReadError as fault:
-            told.append(str(fault))
+            messages.append(str(fault))
     for needed in fields(Card):
         must = needed.default is MISSING and needed.default_factory is MISSING
         if must and needed.name not in keys and needed.name != "name":
-            told.append(str(_fault(source, needed.name, "this key", "none", "Add it to the card.")))
-    return values, told
+            messages.append(
+                str(_fault(source, needed.name, "this key", "none", "Add it to the card."))
+            )
+    return values, messages
 
 
 def _unknown(value: object, key: str, source: object) -> object:  # noqa: ARG001

@@ -64,7 +64,7 @@ def _rows_of(lines: Sequence[str], separator: str, card: Card) -> list[list[str]
     """Cells of the lines up to the first one with samples."""
     rows: list[list[str]] = []
     for line in lines:
-        is_plain = separator not in line and '"' not in line  # quickly told of hundreds of lines
+        is_plain = separator not in line and '"' not in line  # quick for hundreds of lines
         rows.append([line] if is_plain else split_line(line, separator))
         if card.names != "alone" and _is_sample(rows[-1]):
             break
@@ -94,7 +94,7 @@ def header_of_rows(
 
     filled = [i for i, row in enumerate(rows[:first]) if any(cell.strip() for cell in row)]
 
-    def telling(remedy: str) -> Fault:
+    def fault_with(remedy: str) -> Fault:
         def fault(row: int, expected: str, found: str) -> ReadError:
             at = filled[max(row, 0)] if filled else 0
             return unreadable(path, f"{place} {first_line + at}", expected, found, remedy)
@@ -104,8 +104,8 @@ def header_of_rows(
     # A blank row between title, names, units and numbers says nothing.
     rows = [*(rows[i] for i in filled), *rows[first:]]
     if separator == " ":
-        rows = put_names_together(rows, len(filled), card, telling(_CARD))
-    header = find_titles(rows, len(filled), card, telling(_AGAIN))
+        rows = put_names_together(rows, len(filled), card, fault_with(_CARD))
+    header = find_titles(rows, len(filled), card, fault_with(_AGAIN))
     return replace(header, separator=separator, first=first)
 
 
@@ -256,12 +256,12 @@ def _above_units(rows: Rows, first: int, card: Card, fault: Fault) -> Header:
         expected = "a row of names, then a row of units, above the numbers"
         raise fault(first - 1, expected, f"{quoted(names)} above {quoted(units)}")
     width = max(len(names), len(units))
-    told = tuple(
+    stated = tuple(
         bare_unit(cell, card.brackets) or ""
         for cell in _without_names(_padded(units, width), names)
     )
     specimens, above = _specimens(rows, first - 2, card)
-    return Header(_padded(names, width), told, first, above, specimens=specimens)
+    return Header(_padded(names, width), stated, first, above, specimens=specimens)
 
 
 def _without_names(units: tuple[str, ...], names: tuple[str, ...]) -> tuple[str, ...]:
@@ -271,7 +271,7 @@ def _without_names(units: tuple[str, ...], names: tuple[str, ...]) -> tuple[str,
 
 
 def _lacks_names(names: tuple[str, ...], units: tuple[str, ...]) -> bool:
-    """Tell whether some unit has no name, or one word stands in the place of all names."""
+    """Check whether some unit has no name, or one word stands in the place of all names."""
     beside = zip(_padded(names, len(units)), units, strict=False)
     unnamed = any(unit and not name for name, unit in beside)
     same = len(names) > 1 and len(set(names)) == 1
@@ -292,17 +292,17 @@ def _anyhow(rows: Rows, first: int, fault: Fault) -> Header:
         raise fault(first - 1, "a row of names above the numbers", quoted(cells))
     has_both = any(_is_name_with_unit(cell) for cell in cells)
     above = _stripped(rows[first - 2]) if first > 1 else ()
-    told = _without_names(cells, above)
-    if not has_both and are_units(told) and not _lacks_names(above, cells):
+    stated = _without_names(cells, above)
+    if not has_both and are_units(stated) and not _lacks_names(above, cells):
         width = max(len(above), len(cells))
-        units = tuple(without_brackets(cell) for cell in _padded(told, width))
+        units = tuple(without_brackets(cell) for cell in _padded(stated, width))
         return Header(_padded(above, width), units, first, rows[: first - 2])
     pairs = [name_and_unit(cell) or (cell, "") for cell in cells]
-    names, told = zip(*pairs, strict=True)
-    return Header(names, told, first, rows[: first - 1])
+    names, stated = zip(*pairs, strict=True)
+    return Header(names, stated, first, rows[: first - 1])
 
 
 def _is_name_with_unit(cell: str) -> bool:
-    """Tell whether a cell holds a name and behind it a unit in brackets."""
+    """Check whether a cell holds a name and behind it a unit in brackets."""
     pairs = (name_and_unit(cell, brackets) for brackets in ("()", "[]"))
     return any(pair is not None and pair[0] for pair in pairs)

@@ -191,7 +191,7 @@ class Table:
     ----------
     part : specimen or sheet, empty where the export holds one
     names, units : of the columns
-    columns : by number of the column, all of shape (rows,); what nobody asked for is absent
+    columns : by number of the column, all of shape (rows,); columns not asked for are absent
     also : another name of the part, such as that of the sheet
     notes : what reading them brought up
     """
@@ -299,7 +299,7 @@ def preamble(rows: Rows) -> dict[str, object]:
     Returns
     -------
     Values by key, a list where a key stands several times; rows without a key under ``lines``. A
-    line ``sep=;``, by which a spreadsheet is told the separator, says nothing and is left out.
+    line ``sep=;``, by which a spreadsheet learns the separator, says nothing and is left out.
     """
     found: dict[str, list[str]] = {}
     for row in rows:

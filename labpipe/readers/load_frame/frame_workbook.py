@@ -29,7 +29,7 @@ _KEPT_ROWS = 50
 
 
 def sheet_head(rows: Sequence[Sequence[object]]) -> str:
-    """Give the first rows of a sheet as text, cells parted by tabs."""
+    """Give the first rows of a sheet as text, cells separated by tabs."""
     return "\n".join("\t".join(as_text(cell) for cell in row) for row in rows[:_HEAD_ROWS])
 
 

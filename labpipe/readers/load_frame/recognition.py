@@ -27,7 +27,7 @@ _LOOKED_AT = 16384
 """Signs in which the patterns of a card are looked for; the longest real header has 3300."""
 
 _SEPARATOR = re.compile(r"\A\"?sep=.\"?\n")
-"""A first line by which a spreadsheet is told the separator."""
+"""A first line by which a spreadsheet learns the separator."""
 
 Named = str | Sequence[str] | None
 
@@ -92,9 +92,9 @@ def chosen_card(path: Path, dialect: Named) -> Card:
     if len(allowed) == 1 and (found is None or found.fallback):
         return own.get(allowed[0]) or shipped_cards()[allowed[0]]
     expected = f"an export of the dialect {' or '.join(allowed or known)}"
-    told = "one that no card recognises" if found is None else f"one of the dialect {found.name}"
+    what = "one that no card recognises" if found is None else f"one of the dialect {found.name}"
     remedy = "Name the right file, or change `dialect` in the protocol."
-    raise unreadable(path, "", expected, told, remedy)
+    raise unreadable(path, "", expected, what, remedy)
 
 
 def _refuse_unknown(allowed: Sequence[str], known: Sequence[str], path: Path) -> None:
@@ -130,7 +130,7 @@ class _Heads:
         self.decoded: dict[tuple[str, ...], str] = {}
 
     def fit(self, card: Card) -> bool:
-        """Tell whether the head fits a card."""
+        """Check whether the head fits a card."""
         if (card.kind == "workbook") is not self.is_workbook:
             return False
         if self.is_workbook:
@@ -154,12 +154,12 @@ class _Heads:
         return self.decoded[card.encodings]
 
     def _reads(self, card: Card, text: str) -> bool:
-        """Tell whether a card of last resort finds names: words somewhere do not do."""
+        """Check whether a card of last resort finds names: words somewhere do not do."""
         try:
             header = find_header(text.split("\n"), card, self.path)
         except ReadError:
             return False
-        return _are_told(header, card)
+        return _are_of_a_test(header, card)
 
     def _fit_sheets(self, card: Card) -> bool:
         try:
@@ -177,11 +177,11 @@ class _Heads:
             header = header_of_rows(text, card, self.path)
         except ReadError:
             return False
-        return _are_told(header, card)
+        return _are_of_a_test(header, card)
 
 
-def _are_told(header: Header, card: Card) -> bool:
-    """Tell whether there is time, and a unit beside that of time or a name that is telling."""
+def _are_of_a_test(header: Header, card: Card) -> bool:
+    """Check whether there is time, and a unit beside that of time or a name of force or travel."""
     time = time_column(header.names, header.units, card)
     if time is None:
         return False

@@ -96,7 +96,7 @@ def _read_one(content: Content, header: Header, head: str, place: Place) -> Expo
 
 
 def _is_column(header: Header, i: int) -> bool:
-    """Tell a column from the blank one that parts two specimens."""
+    """Check that a column is not the blank one between two specimens."""
     return bool(header.names[i] or header.units[i])
 
 
@@ -304,7 +304,7 @@ def _without_summaries(
 
 
 def _are_summaries(tables: Sequence[Table], card: Card) -> list[bool]:
-    """Tell which blocks are summaries; where none has time, those of extremes.
+    """Find the blocks that are summaries; where none has time, those of extremes.
 
     Extremes are two rows, of which the first is nowhere the smaller one.
     """
