@@ -338,7 +338,7 @@ def with_results(test: Evidence, protocol: Protocol) -> Reduced:
     protocol : its results, in order
     """
     if any(isinstance(entry, MomentCurvature) for entry in protocol.results):
-        from labpipe.process.moment_curvature import measured  # loaded by these tests alone
+        from labpipe.results.moment_curvature import measured  # loaded by these tests alone
 
         bending, found = measured(test)
         test = replace(test, bending=bending, findings=test.findings + found)

@@ -6,14 +6,12 @@ module; grammar, checks, JSON Schema, words and reference page derive from `KIND
 
 from __future__ import annotations
 
-from labpipe.results import beam, clock, cycle_stiffness, cycles, failures, peaks, shapes, stiffness
+from labpipe.results import beam, cycles, failures, kinds, shapes, stiffness
 from labpipe.results.kinds import Kind
 
 KINDS: tuple[type[Kind], ...] = (
-    *clock.KINDS,
-    *peaks.KINDS,
+    *kinds.KINDS,
     *stiffness.KINDS,
-    *cycle_stiffness.KINDS,
     *cycles.KINDS,
     *failures.KINDS,
     *beam.KINDS,

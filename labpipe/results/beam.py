@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal, TypeAlias, TypeVar
+from functools import partial
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 
 from labpipe.errors import Fault
 from labpipe.fits.beam_stiffness import Rollers, beam_stiffness, stiffness_ratio
-from labpipe.fits.plateau import EndSlope, Onset, find_onset, fit_end_slope
-from labpipe.fits.two_segments import Kink as FittedKink
+from labpipe.fits.plateau import find_onset, fit_end_slope
 from labpipe.fits.two_segments import fit_kink
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, FittedLine
@@ -31,7 +31,6 @@ from labpipe.records.result import Result
 from labpipe.results.cycles import cut_short, rectangle
 from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
-    NO_LOADING,
     Computed,
     Errors,
     Kind,
@@ -42,23 +41,22 @@ from labpipe.results.kinds import (
     marked_slips,
     to_result,
 )
-from labpipe.results.stiffness import OfStiffness, Window
+from labpipe.results.stiffness import OfStiffness, Window, in_first_loading
 
 _LOST = 3
 """Samples at the end of a branch that the joining of two clocks may cost."""
 _Found = TypeVar("_Found")
-_Fit: TypeAlias = Callable[[Floats, Floats], _Found | Failure]
-"""What is found in displacement and force of the first loading."""
 
 
-def _both(test: Evidence, fit: _Fit[_Found]) -> tuple[_Found | Failure, _Found | Failure | None]:
-    """What is found in the first loading, and with the displacement of another assumption."""
-    if not test.cycles:
-        return blocked_or(test, NO_LOADING), None
-    curve, stretch = test.known_curve, test.loading_stretch
-    other = test.displacement.alternative
-    found = fit(curve.displacement[stretch], curve.force[stretch])
-    return found, None if other is None else fit(other[stretch], curve.force[stretch])
+def _with_other(
+    test: Evidence, fit: Callable[[Floats | None], _Found | Failure]
+) -> tuple[_Found, _Found] | Failure:
+    """Fit with the displacement, and with that of another assumption where there is one."""
+    found, other = fit(None), test.displacement.alternative
+    if isinstance(found, Failure):
+        return found
+    moved = found if other is None else fit(other)
+    return found, found if isinstance(moved, Failure) else moved
 
 
 def _place_errors(test: Evidence, found: Estimate, other: Estimate) -> Errors:
@@ -73,7 +71,7 @@ def _level_errors(test: Evidence, found: Estimate, other: Estimate) -> Errors:
     return {
         **rectangle(found, other),
         "zero of the force": test.raw_force.zero_error,
-        **force_scale(test, found.value),
+        **force_scale(test, found),
     }
 
 
@@ -90,35 +88,36 @@ class Kink(Window):
     def compute(self, test: Evidence) -> Computed:
         """Where the slope of the first loading falls."""
         method = f"two segments that meet, {self.in_words}, all breaks tried"
-        found, other = _both(test, self._fit)
-        if isinstance(found, Failure):
-            return self.not_available(found, method)
+        fits = _with_other(test, lambda other: self.fitted(test, fit_kink, other))
+        if isinstance(fits, Failure):
+            return self.not_available(fits, method)
+        found, moved = fits
         at = found.displacement.value
         before = found.force.value - found.first.value * (at - found.start)
-        moved = other if isinstance(other, FittedKink) else found
-        outcomes = (found.displacement, found.force)
-        errors = (
-            _place_errors(test, found.displacement, moved.displacement),
-            _level_errors(test, found.force, moved.force),
-        )
         doubts = marked_slips(test, (found.start, found.stop))
         during = test.while_loading(found.start, found.stop)
+        place = self.number(
+            found.displacement,
+            method,
+            _place_errors(test, found.displacement, moved.displacement),
+            during=during,
+            doubts=doubts,
+        )
+        level = self.number(
+            found.force,
+            method,
+            _level_errors(test, found.force, moved.force),
+            output=1,
+            during=during,
+            doubts=doubts,
+        )
         return Computed(
-            tuple(
-                self.number(output, outcome, method, error, during=during, doubts=doubts)
-                for output, outcome, error in zip(self.outputs, outcomes, errors, strict=True)
-            ),
+            (place, level),
             lines=(
                 FittedLine("before_kink", found.first.value, before, found.start, at),
                 FittedLine("behind_kink", found.second.value, found.force.value, at, found.stop),
             ),
         )
-
-    def _fit(self, displacement: Floats, force: Floats) -> FittedKink | Failure:
-        window = self.inside(displacement)
-        if isinstance(window, Failure):
-            return window
-        return fit_kink(displacement[window], force[window])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,33 +138,25 @@ class Plateau(Kind):
 
     def compute(self, test: Evidence) -> Computed:
         """Slope at the end of the first loading, and where it levels off."""
-        share, initial = self.outputs[0], test.stiffnesses.get(self.of)
+        initial = test.stiffnesses.get(self.of)
         method = f"slope over the last {1e3 * self.over:g} mm of first loading / {self.of}"
         if initial is None:
             missing = Failure("no_stiffness", f"{self.of} is not available")
-            return Computed((self.number(share, blocked_or(test, missing), method),))
-
-        def fit(displacement: Floats, force: Floats) -> EndSlope | Failure:
-            return fit_end_slope(displacement, force, initial=initial.estimate, over=self.over)
-
-        end, other = _both(test, fit)
-        if isinstance(end, Failure):
-            return Computed((self.number(share, end, method),))
-        moved = other if isinstance(other, EndSlope) else end
+            return Computed((self.number(blocked_or(test, missing), method),))
+        fit = partial(fit_end_slope, initial=initial.estimate, over=self.over)
+        fits = _with_other(test, lambda other: in_first_loading(test, fit, other))
+        if isinstance(fits, Failure):
+            return Computed((self.number(fits, method),))
+        end, moved = fits
         first = test.cycles[0][:1]
         doubts = (
             marked_slips(test, initial.bends_with)
             or cut_short(test, first, CURVE)
             or _unseen_end(test, first[0])
         )
-        number = self.number(
-            share,
-            end.share,
-            method,
-            rectangle(end.share, moved.share),
-            during=test.while_loading(),
-            doubts=doubts,
-        )
+        errors = rectangle(end.share, moved.share)
+        during = test.while_loading()
+        number = self.number(end.share, method, errors, during=during, doubts=doubts)
         onset, findings = self._onset(test, initial, to_result(test, number))
         line = FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop)
         return Computed((number, *onset), lines=(line,), findings=findings)
@@ -174,41 +165,26 @@ class Plateau(Kind):
         self, test: Evidence, initial: Stiffness, end: Result
     ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
         """Where the plateau begins; a note where there is none, which is a finding, no failure."""
-
-        def fit(displacement: Floats, force: Floats) -> Onset | Failure:
-            return find_onset(
-                displacement,
-                force,
-                initial=initial.estimate,
-                over=self.over,
-                slope_below=self.slope_below,
-            )
-
-        onset, other = _both(test, fit)
+        fit = partial(
+            find_onset, initial=initial.estimate, over=self.over, slope_below=self.slope_below
+        )
+        fits = _with_other(test, lambda other: in_first_loading(test, fit, other))
         surely = end.interval is not None and end.interval.upper < self.slope_below
-        if isinstance(onset, Failure) or not surely:
+        if isinstance(fits, Failure) or not surely:
             return (), (self._no_plateau(test, end),)
-        moved = other if isinstance(other, Onset) else onset
+        onset, moved = fits
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
         doubts = marked_slips(test, initial.bends_with) or _unseen_end(test, test.cycles[0][0])
-        outcomes = (onset.displacement, onset.force)
-        errors = (
-            _place_errors(test, onset.displacement, moved.displacement),
-            _level_errors(test, onset.force, moved.force),
+        found = (
+            (onset.displacement, _place_errors(test, onset.displacement, moved.displacement)),
+            (onset.force, _level_errors(test, onset.force, moved.force)),
         )
-        numbers = (
-            self.number(
-                output,
-                outcome,
-                f"{method} loading",
-                error,
-                during=test.while_loading(),
-                doubts=doubts,
-            )
-            for output, outcome, error in zip(self.outputs[1:], outcomes, errors, strict=True)
-        )
-        return tuple(numbers), ()
+        during, method = test.while_loading(), f"{method} loading"
+        return tuple(
+            self.number(outcome, method, errors, output=place, during=during, doubts=doubts)
+            for place, (outcome, errors) in enumerate(found, start=1)
+        ), ()
 
     def _no_plateau(self, test: Evidence, end: Result) -> Finding:
         reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))
@@ -293,16 +269,14 @@ class BendingStiffness(OfStiffness):
         else:
             estimate = stiffness.estimate
             outcome = beam_stiffness(
-                widened(estimate, *force_scale(test, estimate.value).values()),
+                widened(estimate, *force_scale(test, estimate).values()),
                 length=length,
                 length_error=self.length_uncertainty,
                 support=self.support,
             )
             outcome, said = self._corrected(outcome, test, stiffness.window)
         doubts = marked_slips(test, stiffness.bends_with)
-        number = self.number(
-            self.outputs[0], outcome, method, during=stiffness.during, doubts=doubts, remark=said
-        )
+        number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=said)
         return Computed((number,))
 
     def _corrected(

@@ -1,19 +1,20 @@
-"""Numbers of every cycle: where it is in the curve, its energy and residual displacement."""
+"""Numbers of every cycle: its peaks, its energy, its residual displacement."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.loops import loop_energy, residual_after_unloading
+from labpipe.fits.loops import largest_sample, loop_energy, noise_power, residual_after_unloading
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.evidence import Evidence
@@ -27,78 +28,69 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
+from labpipe.signal.filters import power_passed
+from labpipe.signal.turning_points import noise_level
 
 _PAST = 0.9
 """Share of its largest value that a force has fallen below when its peak is over."""
+NumberOfCycle: TypeAlias = Callable[[Evidence, list[Branch], Floats], Outcome]
+"""A number of one cycle, from a displacement that may be that of another shape."""
 NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
 
 
-class NumberOfCycle(Protocol):
-    """A number of one cycle, from a displacement that may be that of another shape."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PerCycle(Kind):
+    """A kind of result of one number for every cycle: `value`, its `errors`, its `method`."""
 
-    def __call__(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-        """Compute the number with the standard error of its fit, or say why not."""
+    whole: ClassVar[int] = 0
+    """Branches of a cycle that must have been recorded to their end."""
+    reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
+    """What of a cycle the number is read from, from and to, counted in branches: 0.9 is when nine
+    tenths of the loading are over, 1 its end, 2 the end of unloading."""
+    gap: ClassVar[str] = ""
+    """Quantity whose samples beside its largest one must be known; empty for none."""
 
+    @property
+    def method(self) -> str:
+        """How the number is made, in words."""
+        raise NotImplementedError
 
-class ErrorsOfCycle(Protocol):
-    """Standard errors of a number of one cycle from outside its fit."""
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        """Compute the number of a cycle with the standard error of its fit, or say why not.
 
-    def __call__(self, test: Evidence, branches: list[Branch], value: float) -> Errors:
-        """Tell the errors by what they come from."""
+        Parameters
+        ----------
+        test : with a curve
+        branches : of the cycle
+        displacement : shape (n,), m, of the curve, or what it is under another assumption
+        """
+        raise NotImplementedError
 
+    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
+        """Tell the standard errors of the number of a cycle from outside its fit."""
+        del branches
+        return force_scale(test, found)
 
-@dataclass(frozen=True, slots=True)
-class CycleNumber:
-    """How a number of every cycle is made.
+    def compute(self, test: Evidence) -> Computed:
+        """A number for every cycle; one failure where there is no cycle."""
+        if not test.cycles:
+            return self.not_available(blocked_or(test, NO_CYCLE), self.method)
+        return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
 
-    Parameters
-    ----------
-    value, errors : of one cycle
-    method : in words
-    needs : branches of a cycle that must have been recorded to their end
-    reads : what of a cycle it is read from, from and to, counted in branches: 0.9 is when nine
-        tenths of the loading are over, 1 its end, 2 the end of unloading
-    gap : quantity whose samples beside its largest one must be known; empty for none
-    """
-
-    value: NumberOfCycle
-    errors: ErrorsOfCycle
-    method: str
-    needs: int = 0
-    reads: tuple[float, float] = (0.0, 2.0)
-    gap: str = ""
-
-
-def per_cycle(kind: Kind, test: Evidence, made: CycleNumber) -> Computed:
-    """Compute a number for all cycles; one failure where there is no cycle.
-
-    Parameters
-    ----------
-    kind : with one output
-    test : with its curve
-    made : how one cycle gives its number
-    """
-    if not test.cycles:
-        return kind.not_available(blocked_or(test, NO_CYCLE), made.method)
-    return Computed(tuple(_of_cycle(kind, test, made, branches) for branches in test.cycles))
-
-
-def _of_cycle(kind: Kind, test: Evidence, made: CycleNumber, branches: list[Branch]) -> Number:
-    (output,) = kind.outputs
-    found = made.value(test, branches, test.displacement.values)
-    errors = {} if isinstance(found, Failure) else made.errors(test, branches, found.value)
-    doubts = cut_short(test, branches[: made.needs], output.rests_on)
-    if made.gap:
-        doubts += gap_at_peak(test, branches, made.gap)
-    return kind.number(
-        output,
-        found,
-        made.method,
-        {**errors, **other_shape(test, branches, made.value, found)},
-        during=_when(branches, made.reads),
-        doubts=doubts,
-        part=f".{branches[0].cycle}",
-    )
+    def _of_cycle(self, test: Evidence, branches: list[Branch]) -> Number:
+        found = self.value(test, branches, test.displacement.values)
+        errors = {} if isinstance(found, Failure) else self.errors(test, branches, found)
+        doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
+        if self.gap:
+            doubts += gap_at_peak(test, branches, self.gap)
+        return self.number(
+            found,
+            self.method,
+            {**errors, **other_shape(test, branches, self.value, found)},
+            during=_when(branches, self.reads),
+            doubts=doubts,
+            part=f".{branches[0].cycle}",
+        )
 
 
 def other_shape(
@@ -108,8 +100,8 @@ def other_shape(
 
     Parameters
     ----------
-    test, branches : as for `value`
-    value : of one cycle
+    test, branches : the cycle
+    value : of one cycle, such as `PerCycle.value`
     found : with the displacement as it is taken
     """
     other = test.displacement.alternative
@@ -218,7 +210,7 @@ def _turn_before(test: Evidence, number: int) -> int:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Energy(Kind):
+class Energy(PerCycle):
     """``energy.<cycle>`` (J): dissipated over one cycle."""
 
     result: ClassVar = "energy"
@@ -232,33 +224,34 @@ class Energy(Kind):
             is_raised_by_slips=True,
         ),
     )
+    whole: ClassVar = 2
 
-    def compute(self, test: Evidence) -> Computed:
+    @property
+    def method(self) -> str:
+        """Of all cycles."""
+        return "integral of force, trapezoids"
+
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
         """Integral of the force over a cycle."""
-        how = CycleNumber(_energy, _energy_errors, "integral of force, trapezoids", needs=2)
-        return per_cycle(self, test, how)
+        if len(branches) < 2:
+            return NO_UNLOADING
+        curve, stretch = test.known_curve, stretch_of_cycle(test, branches)
+        return loop_energy(
+            curve.time[stretch],
+            displacement[stretch],
+            curve.force[stretch],
+            clock_error=test.clocks.error,
+        )
 
-
-def _energy(test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-    if len(branches) < 2:
-        return NO_UNLOADING
-    curve, stretch = test.known_curve, stretch_of_cycle(test, branches)
-    return loop_energy(
-        curve.time[stretch],
-        displacement[stretch],
-        curve.force[stretch],
-        clock_error=test.clocks.error,
-    )
-
-
-def _energy_errors(test: Evidence, branches: list[Branch], value: float) -> Errors:
-    over = test.displacement.values[stretch_of_cycle(test, branches)]
-    opened = test.raw_force.zero_error * float(over[-1] - over[0])
-    return {"zero of the force": opened, **force_scale(test, value)}
+    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
+        """Zero of the force, where the loop does not close, and its scale."""
+        over = test.displacement.values[stretch_of_cycle(test, branches)]
+        opened = test.raw_force.zero_error * float(over[-1] - over[0])
+        return {"zero of the force": opened, **force_scale(test, found)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualDisplacement(Kind):
+class ResidualDisplacement(PerCycle):
     """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
 
     result: ClassVar = "residual-displacement"
@@ -266,16 +259,15 @@ class ResidualDisplacement(Kind):
         Output("residual_displacement", "m", "Residual displacement", CURVE, first=1),
     )
     force_below: Force
+    reads: ClassVar = (1.0, 2.0)
 
-    def compute(self, test: Evidence) -> Computed:
+    @property
+    def method(self) -> str:
+        """With the force below which it is read."""
+        return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
+
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
         """Displacement at zero force after unloading."""
-        method = (
-            f"displacement once the force is back at zero, within {self.force_below:g} N or less"
-        )
-        how = CycleNumber(self._value, _zero_of_displacement, method, reads=(1, 2))
-        return per_cycle(self, test, how)
-
-    def _value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
         if len(branches) < 2:
             return NO_UNLOADING
         curve = test.known_curve
@@ -289,10 +281,121 @@ class ResidualDisplacement(Kind):
             clock_error=test.clocks.error,
         )
 
+    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
+        """Zero of the displacement."""
+        del branches, found
+        return {"zero of the displacement": test.displacement.zero_error}
 
-def _zero_of_displacement(test: Evidence, branches: list[Branch], value: float) -> Errors:
-    del branches, value
-    return {"zero of the displacement": test.displacement.zero_error}
+
+_FEW = 16
+"""Samples below which nobody can tell how far the noise remembers."""
+_NOISE = 100_000
+"""Samples before a turn that say what the noise of the force is like."""
 
 
-KINDS = (Energy, ResidualDisplacement)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeakForce(PerCycle):
+    """``peak_force.<cycle>`` (N)."""
+
+    result: ClassVar = "peak-force"
+    outputs: ClassVar = (
+        Output("peak_force", "N", "Peak force", ("force",), first=1, is_raised_by_slips=True),
+    )
+    whole: ClassVar = 1
+    reads: ClassVar = (0.0, 1.25)
+    gap: ClassVar = "force"
+
+    @property
+    def method(self) -> str:
+        """Of all cycles."""
+        return "largest force of the cycle after the filter, in the sense of loading"
+
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        """Largest sample of the force."""
+        del displacement
+        return peak_of_cycle(test, branches)
+
+    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
+        """Zero and scale of the force."""
+        del branches
+        return {"zero of the force": test.raw_force.zero_error, **force_scale(test, found)}
+
+
+def peak_of_cycle(test: Evidence, branches: list[Branch]) -> Outcome:
+    """Largest force of a cycle, N, without the uncertainty of zero and scale.
+
+    Parameters
+    ----------
+    test : with its curve
+    branches : of the cycle
+    """
+    sense = test.sense_of(test.known_curve.force)
+    values = sense * _force_of_cycle(test, branches)
+    peak = largest_sample(values, noise=_force_noise(test, branches[0]))
+    if isinstance(peak, Failure):
+        return peak
+    peak = widened(peak, test.repair_error(before=branches[0].stop))
+    return replace(peak, value=sense * peak.value)
+
+
+def _force_of_cycle(test: Evidence, branches: list[Branch]) -> Floats:
+    """All samples of the force over a cycle: on its own clock where that is another one."""
+    curve, signal = test.known_curve, test.force
+    stretch = stretch_of_cycle(test, branches)
+    if signal.clock == test.clocks.curve:
+        return curve.force[stretch]
+    ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
+    first, last = (test.clocks.from_curve(float(at), signal.clock) for at in ends)
+    return signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
+
+
+def _force_noise(test: Evidence, loading: Branch) -> float:
+    """Standard deviation that the noise of the force has left after its filters, N."""
+    raw = test.unfiltered or test.raw_force
+    ends = (loading.start_time, loading.stop_time)
+    first, last = (test.clocks.from_curve(at, raw.clock) for at in ends)
+    start, stop = np.searchsorted(raw.time, [first, last])
+    values = raw.values[max(int(start), int(stop) - _NOISE) : int(stop)]
+    values = values[~np.isnan(values)]
+    filters = test.signals.filters.get(test.signals.force, ())
+    if not filters or len(values) < _FEW:
+        return noise_level(values)
+    passed = min(power_passed(act, len(values)) for act, _ in filters)
+    return float(min(np.sqrt(passed * noise_power(values)), noise_level(values)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PeakDisplacement(PerCycle):
+    """``peak_displacement.<cycle>`` (m)."""
+
+    result: ClassVar = "peak-displacement"
+    outputs: ClassVar = (
+        Output("peak_displacement", "m", "Displacement at the peak", ("displacement",), first=1),
+    )
+    whole: ClassVar = 1
+    reads: ClassVar = (0.9, 1.1)
+    gap: ClassVar = "displacement"
+
+    @property
+    def method(self) -> str:
+        """Of all cycles."""
+        return "largest displacement of the cycle, in the sense of loading"
+
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        """Largest sample of the displacement."""
+        sense = test.sense_of(displacement)
+        values = sense * displacement[stretch_of_cycle(test, branches)]
+        found = largest_sample(values, noise=noise_level(values))
+        return found if isinstance(found, Failure) else replace(found, value=sense * found.value)
+
+    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
+        """Zero and scale of the displacement."""
+        del branches
+        signal = test.displacement
+        return {
+            "zero of the displacement": signal.zero_error,
+            "scale of the displacement": signal.relative_error * found.value,
+        }
+
+
+KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

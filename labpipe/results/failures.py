@@ -47,31 +47,25 @@ class FailureResult(Kind):
         failure = _failure(test)
         if isinstance(failure, Failure):
             return self.not_available(failure, *methods)
-        place, force = failure.displacement, failure.force
-        zero = {"zero of the displacement": test.displacement.zero_error}
+        zero = {"zero of the displacement": test.displacement.zero_error, "slack": test.slack_error}
         zero_of_force = {"zero of the force": test.raw_force.zero_error}
         doubts, during = _in_steps(failure), _up_to(test, failure)
-        at = (during[1], during[1])
-        return Computed(
-            (
-                self.number(
-                    self.outputs[0],
-                    place,
-                    methods[0],
-                    {**zero, "slack": test.slack_error},
-                    during=at,
-                    doubts=doubts,
-                ),
-                self.number(
-                    self.outputs[1],
-                    force,
-                    methods[1],
-                    {**zero_of_force, **force_scale(test, force.value)},
-                    during=during,
-                    doubts=doubts,
-                ),
-            )
+        place = self.number(
+            failure.displacement,
+            methods[0],
+            zero,
+            during=(during[1], during[1]),
+            doubts=doubts,
         )
+        force = self.number(
+            failure.force,
+            methods[1],
+            {**zero_of_force, **force_scale(test, failure.force)},
+            output=1,
+            during=during,
+            doubts=doubts,
+        )
+        return Computed((place, force))
 
 
 def _failure(test: Evidence) -> FailurePoint | Failure:
@@ -130,10 +124,10 @@ class EnergyToBreak(Kind):
         errors = {
             "zero of the force": test.raw_force.zero_error * float(way),
             "slips added back": _repaired_work(test, curve.displacement, failure.sample),
-            **force_scale(test, found.value),
+            **force_scale(test, found),
         }
         doubts, during = _in_steps(failure), _up_to(test, failure)
-        number = self.number(self.outputs[0], found, method, errors, during=during, doubts=doubts)
+        number = self.number(found, method, errors, during=during, doubts=doubts)
         return Computed((number,))
 
 
@@ -163,15 +157,14 @@ class SlipResults(Kind):
         numbers = []
         for count, slip in enumerate(test.slips, start=1):
             method = f"two parallel lines around a sudden fall of the force; {slip.decision}"
-            at = slip.position_interval
+            time, at, drop = test.known_curve.time, slip.position_interval, slip.drop_interval
             place = Estimate(slip.position, at.standard_error, 1, at)
-            lost = Estimate(slip.drop, slip.drop_interval.standard_error, 1, slip.drop_interval)
-            errors = ({"slack": test.slack_error}, force_scale(test, slip.drop))
-            time = test.known_curve.time
+            lost = Estimate(slip.drop, drop.standard_error, 1, drop)
             during = (float(time[slip.start]), float(time[slip.stop]))
+            part, slack, scale = f".{count}", {"slack": test.slack_error}, force_scale(test, lost)
             numbers += [
-                self.number(output, outcome, method, error, during=during, part=f".{count}")
-                for output, outcome, error in zip(self.outputs, (place, lost), errors, strict=True)
+                self.number(place, method, slack, during=during, part=part),
+                self.number(lost, method, scale, output=1, during=during, part=part),
             ]
         return Computed(tuple(numbers))
 
@@ -186,13 +179,10 @@ class SlackResult(Kind):
 
     def compute(self, test: Evidence) -> Computed:
         """Displacement at which the line of the linear region meets zero force."""
-        slack = test.slack or blocked_or(test, NO_LOADING)
-        errors = {"zero of the displacement": test.displacement.zero_error}
         number = self.number(
-            self.outputs[0],
-            slack,
+            test.slack or blocked_or(test, NO_LOADING),
             "toe compensation, ASTM D638 annex A1",
-            {} if isinstance(slack, Failure) else errors,
+            {"zero of the displacement": test.displacement.zero_error},
             during=test.while_loading(),
         )
         return Computed((number,))

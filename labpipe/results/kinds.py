@@ -94,19 +94,25 @@ class Kind:
 
     def number(
         self,
-        output: Output,
         outcome: Outcome,
         method: str,
         errors: Errors | None = None,
         *,
+        output: int = 0,
         during: Stretch | None = None,
         doubts: tuple[Reason, ...] = (),
         part: str = "",
         remark: str = "",
     ) -> Number:
-        """Make a number of an output, with the settings in its name."""
+        """Make the number of an output, with the settings in its name.
+
+        Parameters
+        ----------
+        outcome, method, errors, during, doubts, part, remark : as `Number` has them
+        output : place in `outputs`
+        """
         said = {each.name: getattr(self, each.name) for each in fields(self)}
-        named = replace(output, name=output.name.format_map(said))
+        named = replace(self.outputs[output], name=self.outputs[output].name.format_map(said))
         made_of = getattr(self, "of", "")
         return Number(named, outcome, method, errors or {}, during, doubts, part, made_of, remark)
 
@@ -119,12 +125,11 @@ class Kind:
         methods : of the outputs; one for all, or one for each
         """
         said = methods if len(methods) > 1 else methods * len(self.outputs)
+        parts = ["" if each.first is None else f".{each.first}" for each in self.outputs]
         return Computed(
             tuple(
-                self.number(
-                    output, why, method, part="" if output.first is None else f".{output.first}"
-                )
-                for output, method in zip(self.outputs, said, strict=True)
+                self.number(why, method, output=place, part=part)
+                for place, (method, part) in enumerate(zip(said, parts, strict=True))
             )
         )
 
@@ -135,9 +140,11 @@ def blocked_or(test: Evidence, otherwise: Failure) -> Failure:
     return otherwise if blocked is None else Failure(blocked.code, blocked.message)
 
 
-def force_scale(test: Evidence, value: float) -> Errors:
-    """Error from the scale of the force, of a number in proportion to it."""
-    return {"scale of the force": test.raw_force.relative_error * abs(value)}
+def force_scale(test: Evidence, found: Outcome) -> Errors:
+    """Error from the scale of the force, of a number in proportion to it; none of a failure."""
+    if isinstance(found, Failure):
+        return {}
+    return {"scale of the force": test.raw_force.relative_error * abs(found.value)}
 
 
 _BOTH_SIGNS: tuple[str, ...] = ("force_sign", "displacement_sign")
@@ -187,7 +194,9 @@ def to_result(test: Evidence, number: Number) -> Result:
             made_of=number.made_of,
         )
     reasons = tuple(dict.fromkeys([*doubts, *number.doubts]))
-    added_back = _added_back(test) if output.is_raised_by_slips else ""
+    drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
+    is_raised = drops and output.is_raised_by_slips
+    added_back = f"{sum(drops):.3g} N of slips added back" if is_raised else ""
     return Result(
         name=name,
         value=outcome.value,
@@ -200,12 +209,6 @@ def to_result(test: Evidence, number: Number) -> Result:
         made_of=number.made_of,
         remark="; ".join(filter(None, (number.remark, added_back))),
     )
-
-
-def _added_back(test: Evidence) -> str:
-    """What repaired slips have added to the force."""
-    drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
-    return f"{sum(drops):.3g} N of slips added back" if drops else ""
 
 
 def marked_slips(test: Evidence, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:
@@ -223,3 +226,31 @@ def marked_slips(test: Evidence, stretch: tuple[float, float] | None) -> tuple[R
     at = ", ".join(f"{1e3 * slip.position:.4g} mm" for slip in inside)
     message = f"slipped in the grips at {at}, and the curve stays as measured"
     return (Reason("slip_in_window", message),)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClockResult(Kind):
+    """``clock_offset`` (s) and ``clock_drift`` (1) of the two clocks."""
+
+    result: ClassVar = "clock"
+    outputs: ClassVar = (
+        Output("clock_offset", "s", "Offset of the clocks", ("clock",)),
+        Output("clock_drift", "1", "Drift of the clocks", ("clock",)),
+    )
+    needs: ClassVar = Needs(clocks=True)
+
+    def compute(self, test: Evidence) -> Computed:
+        """Force time against marker time, as the clocks were joined."""
+        fit = test.clocks.force
+        if fit is None:
+            why = blocked_or(test, Failure("one_clock", "there is only one clock"))
+            return self.not_available(why, "how the clocks of force and motion were joined")
+        events = len(fit.event_times_motion)
+        offset = Estimate(fit.offset, fit.offset_interval.standard_error, events)
+        drift: Outcome = Estimate(fit.drift, fit.drift_interval.standard_error, events)
+        if np.isnan(fit.drift_interval.lower):
+            drift = Failure("one_event", "one turning point gives an offset but no drift")
+        return Computed((self.number(offset, fit.method), self.number(drift, fit.method, output=1)))
+
+
+KINDS: tuple[type[Kind], ...] = (ClockResult,)

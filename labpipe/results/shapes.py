@@ -53,7 +53,7 @@ class TipTravel(Kind):
     def compute(self, test: Evidence) -> Computed:
         """How far the last point of the shape gets from where it began."""
         method = "largest distance of the last point of the shape from its mean over five frames"
-        return Computed((self.number(self.outputs[0], _tip_travel(test), method),))
+        return Computed((self.number(_tip_travel(test), method),))
 
 
 def _tip_travel(test: Evidence) -> Outcome:
@@ -97,7 +97,6 @@ class MomentCurvature(Kind):
             why = bending.reason or Failure("no_law", "no law was found")
             return self.not_available(why, method)
         number = self.number(
-            self.outputs[0],
             _stiffness(law, self),
             method,
             during=test.while_loading(),
@@ -201,22 +200,18 @@ class MidSpan(Window):
         if isinstance(parts, Failure):
             return self.not_available(parts, *methods)
         bend, _, branch, time = parts
-        found = (
-            self._stiffness(parts, bend.shape.bent.mid_span),
-            _at_turn(bend.shape.bent.mid_span, bend.rest, branch, time),
-        )
-        other = (
-            self._stiffness(parts, bend.shape.fewer_terms),
-            _at_turn(bend.shape.fewer_terms, bend.rest, branch, time),
+        found, other = (
+            (self._stiffness(parts, each), _at_turn(each, bend.rest, branch, time))
+            for each in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
         errors = [_shape_errors(bend, *each) for each in zip(found, other, strict=True)]
-        if isinstance(found[0], Estimate) and errors[0]:
-            errors[0] = {**errors[0], **force_scale(test, found[0].value)}
+        if errors[0]:
+            errors[0] = {**errors[0], **force_scale(test, found[0])}
         return Computed(
             tuple(
-                self.number(output, outcome, method, error, during=test.while_loading())
-                for output, outcome, method, error in zip(
-                    self.outputs, found, methods, errors, strict=True
+                self.number(outcome, method, error, output=place, during=test.while_loading())
+                for place, (outcome, method, error) in enumerate(
+                    zip(found, methods, errors, strict=True)
                 )
             )
         )
@@ -307,7 +302,7 @@ class Twist(Kind):
         if isinstance(turned, Estimate) and turned.value < 0.0:
             # which way it turns is only a matter of which end of the conduit is called the first
             turned = _at_turn(-shape.twist[:, section], bend.rest, branch, time)
-        number = self.number(self.outputs[0], turned, method, during=test.while_loading())
+        number = self.number(turned, method, during=test.while_loading())
         note = worth_knowing("twist_section", "markers", said)
         return Computed((number,), findings=(note,))
 

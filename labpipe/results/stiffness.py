@@ -1,13 +1,16 @@
-"""Stiffnesses of the first loading and what is made of them: lines, segments, per force, moduli."""
+"""Stiffnesses of the first loading and of every cycle, and what is made of them."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 
+from labpipe.fits.loops import secant_stiffness
+from labpipe.fits.slack import find_branch_slack
 from labpipe.fits.straight_lines import (
     annulus_area,
     fit_compliance,
@@ -17,24 +20,31 @@ from labpipe.fits.straight_lines import (
     stiffness_per_peak_force,
     thin_wall_area,
 )
-from labpipe.fits.two_segments import TwoSegments as FittedSegments
 from labpipe.fits.two_segments import fit_two_segments
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
+    CURVE,
     Above,
     Distance,
     Force,
     Key,
+    Length,
     Needs,
     Output,
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Reason
-from labpipe.results.cycle_stiffness import stiffness_over
-from labpipe.results.cycles import cut_short, other_shape, rectangle
+from labpipe.results.cycles import (
+    NO_UNLOADING,
+    PerCycle,
+    cut_short,
+    other_shape,
+    peak_of_cycle,
+    rectangle,
+)
 from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
     NO_CYCLE,
@@ -47,7 +57,184 @@ from labpipe.results.kinds import (
     force_scale,
     marked_slips,
 )
-from labpipe.results.peaks import peak_of_cycle
+from labpipe.signal.filters import moving_average
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class UnloadingStiffness(PerCycle):
+    """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
+
+    result: ClassVar = "unloading-stiffness"
+    outputs: ClassVar = (
+        Output("unloading_stiffness", "N/m", "Unloading stiffness", CURVE, first=1),
+    )
+    over: Length
+    reads: ClassVar = (1.0, 2.0)
+
+    @property
+    def method(self) -> str:
+        """With the stretch that it is read from."""
+        return (
+            f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
+        )
+
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        """Slope over the first stretch of the unloading branch, but for its first tenth."""
+        if len(branches) < 2:
+            return NO_UNLOADING
+        sense = test.sense_of(displacement)
+        turn = _value_at_start(test.known_curve.time, sense * displacement, branches[1])
+        off = turn - sense * displacement
+        found = stiffness_over(test, branches[1], off, 0.1 * self.over, self.over)
+        if isinstance(found, Failure):
+            return found
+        return Estimate(-sense * found.value, found.error, found.n)
+
+
+def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
+    """Value at the turning point a branch starts from, by a parabola through its beginning.
+
+    The samples from that moment on: a branch may hold some of the wait before it.
+    """
+    first = max(part.start, int(np.searchsorted(time, part.start_time)))
+    begin = slice(first, first + min(50, (part.stop - first) // 10))
+    known = ~np.isnan(values[begin])
+    t, y = time[begin][known] - part.start_time, values[begin][known]
+    if len(y) < 8:
+        return float(values[part.start])
+    return float(np.polynomial.Polynomial.fit(t, y, 2)(0.0))
+
+
+def stiffness_over(
+    test: Evidence, part: Branch, path_of_all: Floats, low: float, high: float
+) -> Outcome:
+    """Stiffness over the part of a branch whose path lies between two lengths.
+
+    Parameters
+    ----------
+    test : with a curve
+    part : the branch, or a stretch of it
+    path_of_all : shape (n,), m, on the clock of the curve, growing along the branch
+    low, high : m
+
+    Returns
+    -------
+    N/m, without the uncertainty of the scale of the force; a failure ``not_reached``,
+    ``too_few_samples`` or ``no_travel``.
+    """
+    curve, branch = test.known_curve, slice(part.start, part.stop)
+    time, force, path = curve.time[branch], curve.force[branch], path_of_all[branch]
+    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
+    inside = (travelled >= low) & (travelled <= high)
+    if not (travelled > high).any():
+        reached = float(np.nanmax(travelled))
+        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
+    inside[int(np.argmax(travelled > high)) :] = False
+    found = secant_stiffness(time, path, force, inside)
+    # Where the force bends over the window, a shift of the clocks changes its slope.
+    shifted = np.interp(time + test.clocks.error, time, force)
+    moved = secant_stiffness(time, path, shifted, inside)
+    if isinstance(found, Failure) or isinstance(moved, Failure):
+        return found
+    return widened(found, moved.value - found.value)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadingStiffness(PerCycle):
+    """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
+
+    result: ClassVar = "loading-stiffness"
+    outputs: ClassVar = (Output("loading_stiffness", "N/m", "Loading stiffness", CURVE, first=1),)
+    over: Length
+    reads: ClassVar = (0.0, 1.0)
+
+    @property
+    def method(self) -> str:
+        """With the stretch that it is read from."""
+        return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
+
+    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        """Slope over the first stretch behind the take-up, the scale of the force as exact."""
+        part = slice(branches[0].start, branches[0].stop)
+        zero = test.raw_force.zero_error
+        start = find_branch_slack(displacement[part], test.known_curve.force[part], zero_error=zero)
+        if isinstance(start, Failure):
+            return start
+        begin = start.displacement
+        taut = replace(branches[0], start=branches[0].start + start.sample)
+        found, later = (
+            stiffness_over(test, taut, displacement, low, low + self.over)
+            for low in (begin.value, begin.value + begin.error)
+        )
+        if isinstance(found, Failure) or isinstance(later, Failure):
+            return found
+        return widened(found, later.value - found.value)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Hardening(Kind):
+    """``hardening.<cycle>`` (1) of later cycles: ``loading_stiffness`` over that of the first."""
+
+    result: ClassVar = "hardening"
+    outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
+    over: Length
+
+    def compute(self, test: Evidence) -> Computed:
+        """Ratio to the first cycle; the scale cancels."""
+        method = (
+            f"slope over {1e3 * self.over:g} mm from the take-up / that of cycle 1, scale cancelled"
+        )
+        if not test.cycles:
+            return self.not_available(blocked_or(test, NO_LOADING), method)
+        numbers = []
+        for later in test.cycles[1:]:
+            found = self._value(test, later, test.displacement.values)
+            numbers.append(
+                self.number(
+                    found,
+                    method,
+                    other_shape(test, later, self._value, found),
+                    during=(test.cycles[0][0].start_time, later[0].stop_time),
+                    part=f".{later[0].cycle}",
+                )
+            )
+        return Computed(tuple(numbers))
+
+    def _value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        stiffness = LoadingStiffness(over=self.over)
+        before = stiffness.value(test, test.cycles[0], displacement)
+        after = stiffness.value(test, branches, displacement)
+        if isinstance(after, Failure):
+            return after
+        if isinstance(before, Failure):
+            message = f"that of cycle 1 is not available: {before.message}"
+            return Failure("no_stiffness", message)
+        if before.value <= 3.0 * before.error:
+            message = f"{before.value:.4g} N/m in cycle 1 is no more than noise"
+            return Failure("no_stiffness", message)
+        more = abs(after.value) * before.error / before.value
+        return scaled(after, 1.0 / before.value, more=more)
+
+
+_Found = TypeVar("_Found")
+
+
+def in_first_loading(
+    test: Evidence, fit: Callable[[Floats, Floats], _Found | Failure], other: Floats | None = None
+) -> _Found | Failure:
+    """Fit displacement and force of the first loading, up to the failure.
+
+    Parameters
+    ----------
+    test : with its curve, or without
+    fit : of displacement and force
+    other : shape (n,), m, a displacement under another assumption; None for that of the curve
+    """
+    if not test.cycles:
+        return blocked_or(test, NO_LOADING)
+    curve, stretch = test.known_curve, test.loading_stretch
+    displacement = curve.displacement if other is None else other
+    return fit(displacement[stretch], curve.force[stretch])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -85,35 +272,46 @@ class Window(Kind):
         stop = int(np.argmax(displacement > high)) or None
         return slice(int(np.argmax(displacement >= low)), stop)
 
+    def fitted(
+        self,
+        test: Evidence,
+        fit: Callable[[Floats, Floats], _Found | Failure],
+        other: Floats | None = None,
+    ) -> _Found | Failure:
+        """Fit displacement and force of the first loading within the stretch.
+
+        Parameters
+        ----------
+        test, fit, other : as for `in_first_loading`
+        """
+
+        def inside(displacement: Floats, force: Floats) -> _Found | Failure:
+            window = self.inside(displacement)
+            if isinstance(window, Failure):
+                return window
+            return fit(displacement[window], force[window])
+
+        return in_first_loading(test, inside, other)
+
 
 def _seen_by_cameras(kind: Window, test: Evidence, name: str) -> Computed:
     """Slope between two displacements that come from a shape, time as instrument."""
     method = (
         f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
     )
+
+    def secant(test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+        return stiffness_over(test, branches[0], displacement, kind.start, kind.stop)
+
     if not test.cycles:
         return kind.not_available(blocked_or(test, NO_CYCLE), method)
-    branches = test.cycles[0]
-    found = _secant(test, branches, test.displacement.values, kind)
+    found = secant(test, test.cycles[0], test.displacement.values)
     if isinstance(found, Failure):
         return kind.not_available(found, method)
-
-    def again(test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-        return _secant(test, branches, displacement, kind)
-
     during = test.while_loading(kind.start, kind.stop)
-    shaped = widened(found, *other_shape(test, branches, again, found).values())
-    number = kind.number(
-        kind.outputs[0], shaped, method, force_scale(test, found.value), during=during
-    )
-    made = Stiffness(shaped, during, (kind.start, kind.stop))
-    return Computed((number,), {name: made})
-
-
-def _secant(
-    test: Evidence, branches: list[Branch], displacement: Floats, window: Window
-) -> Outcome:
-    return stiffness_over(test, branches[0], displacement, window.start, window.stop)
+    shaped = widened(found, *other_shape(test, test.cycles[0], secant, found).values())
+    number = kind.number(shaped, method, force_scale(test, found), during=during)
+    return Computed((number,), {name: Stiffness(shaped, during, (kind.start, kind.stop))})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,50 +341,30 @@ class LineStiffness(Window):
         method = (
             f"straight line {self.in_words} of the first loading, interval for correlated noise"
         )
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        curve, stretch = test.known_curve, test.loading_stretch
-        displacement, force = curve.displacement[stretch], curve.force[stretch]
-        window = self.inside(displacement)
-        if isinstance(window, Failure):
-            return self.not_available(window, method)
-        line = fit_line(displacement[window], force[window])
+        line = self.fitted(test, fit_line)
         if isinstance(line, Failure):
             return self.not_available(line, method)
-        errors = _of_another_displacement(test, stretch, window, line.slope)
-        slope = widened(line.slope, *errors.values())
+        slope = widened(line.slope, *self._other_displacement(test, line.slope).values())
         level = line.intercept.value + line.slope.value * line.start
-        during = test.while_loading(line.start, line.stop)
-        doubts = _falls(slope) + marked_slips(test, (line.start, line.stop))
-        number = self.number(
-            self.outputs[0],
-            slope,
-            method,
-            force_scale(test, slope.value),
-            during=during,
-            doubts=doubts,
-        )
         read = (line.start, line.stop)
+        during, doubts = test.while_loading(*read), marked_slips(test, read)
+        if slope.value <= 0.0:
+            falls = Reason("negative_slope", "the force falls where the frame pulls")
+            doubts = (falls, *doubts)
+        errors = force_scale(test, slope)
+        number = self.number(slope, method, errors, during=during, doubts=doubts)
         made_of = Stiffness(slope, during, (max(line.start, 0.0), line.stop), bends_with=read)
         drawn = FittedLine(self.name, slope.value, level, line.start, line.stop)
         return Computed((number,), {self.name: made_of}, (drawn,))
 
-
-def _falls(slope: Estimate) -> tuple[Reason, ...]:
-    if slope.value > 0.0:
-        return ()
-    return (Reason("negative_slope", "the force falls where the frame pulls"),)
-
-
-def _of_another_displacement(
-    test: Evidence, stretch: slice, window: slice, slope: Estimate
-) -> Errors:
-    """Error from what a displacement under another assumption changes."""
-    other = test.displacement.alternative
-    if other is None:
-        return {}
-    line = fit_line(other[stretch][window], test.known_curve.force[stretch][window])
-    return {} if isinstance(line, Failure) else rectangle(slope, line.slope)
+    def _other_displacement(self, test: Evidence, slope: Estimate) -> Errors:
+        """Error from what a displacement under another assumption changes over these samples."""
+        other, stretch = test.displacement.alternative, test.loading_stretch
+        window = self.inside(test.known_curve.displacement[stretch])
+        if other is None or isinstance(window, Failure):
+            return {}
+        line = fit_line(other[stretch][window], test.known_curve.force[stretch][window])
+        return {} if isinstance(line, Failure) else rectangle(slope, line.slope)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -196,57 +374,39 @@ class TwoSegments(Window):
     result: ClassVar = "two-segments"
     outputs: ClassVar = (
         Output("segment_stiffness_first", "N/m", "Stiffness, first fitted segment"),
-        Output(
-            "segment_stiffness_second",
-            "N/m",
-            "Stiffness, second fitted segment",
-        ),
+        Output("segment_stiffness_second", "N/m", "Stiffness, second fitted segment"),
         Output("break_point", "m", "Break point of the two segments"),
     )
 
     def compute(self, test: Evidence) -> Computed:
         """Best two segments that meet."""
         method = f"two segments that meet, {self.in_words}, all breaks tried"
-        fit = self._fit(test)
+        fit = self.fitted(test, fit_two_segments)
         if isinstance(fit, Failure):
             return self.not_available(fit, method)
         first, second, at = fit.first, fit.second, fit.break_point
-        during = test.while_loading(fit.start, fit.stop)  # one break bends both
-        zero = test.displacement.zero_error
-        errors: tuple[Errors, ...] = (
-            force_scale(test, first.value),
-            force_scale(test, second.value),
-            {"zero of the displacement": zero, "slack": test.slack_error},
-        )
-        doubts, read = marked_slips(test, (fit.start, fit.stop)), (fit.start, fit.stop)
-        names = [each.name for each in self.outputs]
+        read = (fit.start, fit.stop)
+        during, doubts = test.while_loading(*read), marked_slips(test, read)  # one bends both
+        zero = {"zero of the displacement": test.displacement.zero_error, "slack": test.slack_error}
+        errors = (force_scale(test, first), force_scale(test, second), zero)
+        one, other = (each.name for each in self.outputs[:2])
         left = fit.level - first.value * (at.value - fit.start)
         return Computed(
             tuple(
-                self.number(output, outcome, method, error, during=during, doubts=doubts)
-                for output, outcome, error in zip(
-                    self.outputs, (first, second, at), errors, strict=True
+                self.number(outcome, method, error, output=place, during=during, doubts=doubts)
+                for place, (outcome, error) in enumerate(
+                    zip((first, second, at), errors, strict=True)
                 )
             ),
             {
-                names[0]: Stiffness(first, during, (max(fit.start, 0.0), at.value), read),
-                names[1]: Stiffness(second, during, (max(at.value, 0.0), fit.stop), read),
+                one: Stiffness(first, during, (max(fit.start, 0.0), at.value), read),
+                other: Stiffness(second, during, (max(at.value, 0.0), fit.stop), read),
             },
             (
-                FittedLine(names[0], first.value, left, fit.start, at.value),
-                FittedLine(names[1], second.value, fit.level, at.value, fit.stop),
+                FittedLine(one, first.value, left, fit.start, at.value),
+                FittedLine(other, second.value, fit.level, at.value, fit.stop),
             ),
         )
-
-    def _fit(self, test: Evidence) -> FittedSegments | Failure:
-        if not test.cycles:
-            return blocked_or(test, NO_LOADING)
-        curve, stretch = test.known_curve, test.loading_stretch
-        displacement, force = curve.displacement[stretch], curve.force[stretch]
-        window = self.inside(displacement)
-        if isinstance(window, Failure):
-            return window
-        return fit_two_segments(displacement[window], force[window])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,8 +430,9 @@ class NormalisedStiffness(OfStiffness):
 
     def compute(self, test: Evidence) -> Computed:
         """A gain error cancels."""
-        method = f"{self.of} / peak force of the same sample, errors independent, scale error"
-        method += " cancelled"
+        method = (
+            f"{self.of} / peak force of the same sample, errors independent, scale error cancelled"
+        )
         stiffness, cycles = test.stiffnesses.get(self.of), test.cycles
         if stiffness is None:
             return self.not_available(self.missing(test), method)
@@ -279,9 +440,7 @@ class NormalisedStiffness(OfStiffness):
         during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window else None
         doubts = marked_slips(test, stiffness.bends_with) + cut_short(test, cycles[-1][:1])
         outcome = _per_peak(test, stiffness.estimate)
-        return Computed(
-            (self.number(self.outputs[0], outcome, method, during=during, doubts=doubts),)
-        )
+        return Computed((self.number(outcome, method, during=during, doubts=doubts),))
 
 
 def _per_peak(test: Evidence, stiffness: Estimate) -> Outcome:
@@ -321,15 +480,11 @@ class Modulus(OfStiffness):
         elif isinstance(area, Failure):
             outcome = area
         else:
-            scaled = widened(
-                stiffness.estimate, *force_scale(test, stiffness.estimate.value).values()
-            )
-            outcome = modulus(scaled, gauge_length=test.setup.length, area=area)
+            scale = force_scale(test, stiffness.estimate).values()
+            known = widened(stiffness.estimate, *scale)
+            outcome = modulus(known, gauge_length=test.setup.length, area=area)
         doubts = marked_slips(test, stiffness.bends_with)
-        number = self.number(
-            self.outputs[0], outcome, method, during=stiffness.during, doubts=doubts
-        )
-        return Computed((number,))
+        return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
 
 
 def _area(kind: str, section: Mapping[str, float]) -> float | Failure:
@@ -366,17 +521,15 @@ class ComplianceResult(Kind):
             f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "
             "for rigid"
         )
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_LOADING), method)
-        curve, stretch = test.known_curve, test.loading_stretch
-        displacement, force = curve.displacement[stretch], curve.force[stretch]
-        found = fit_compliance(displacement, force, start=self.start, stop=self.stop)
-        errors = {} if isinstance(found, Failure) else force_scale(test, found.value)
-        number = self.number(self.outputs[0], found, method, errors, during=test.while_loading())
+        found = in_first_loading(test, partial(fit_compliance, start=self.start, stop=self.stop))
+        number = self.number(found, method, force_scale(test, found), during=test.while_loading())
         return Computed((number,))
 
 
 KINDS = (
+    UnloadingStiffness,
+    LoadingStiffness,
+    Hardening,
     InitialStiffness,
     LineStiffness,
     TwoSegments,

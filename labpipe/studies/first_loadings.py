@@ -24,7 +24,7 @@ from labpipe.records.estimates import Failure
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.records.step_settings import FitShape, SpecimenFrame, Zero
-from labpipe.results.string_at_rest import at_rest, notes_of
+from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.signal.turning_points import noise_level
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages

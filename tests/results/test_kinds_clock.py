@@ -8,9 +8,8 @@ import pytest
 from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.result import Status
 from labpipe.records.signals import Clocks, Signals
-from labpipe.results.clock import ClockResult
 from labpipe.results.evidence import Evidence
-from labpipe.results.kinds import to_result
+from labpipe.results.kinds import ClockResult, to_result
 from tests.builders.reduced import loop, reduced
 
 AT = np.array([20.0])

@@ -7,8 +7,8 @@ import pytest
 
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.result import Result, Status
+from labpipe.results.cycles import PeakDisplacement, PeakForce, peak_of_cycle
 from labpipe.results.kinds import to_result
-from labpipe.results.peaks import PeakDisplacement, PeakForce, peak_of_cycle
 from tests.builders.reduced import loop, reduced
 
 PEAKS = "results:\n  - {result: peak-force}\n  - {result: peak-displacement}\n"

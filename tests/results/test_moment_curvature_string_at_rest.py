@@ -10,7 +10,7 @@ import pytest
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, PointFlag, Series, Shape
 from labpipe.records.quality import Severity
 from labpipe.records.result import Specimen, TestResult
-from labpipe.results.string_at_rest import AtRest, at_rest, held, notes_of, stated
+from labpipe.results.moment_curvature import AtRest, at_rest, held, notes_of, stated
 
 WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05
 TIME = np.arange(COUNT) / 10.0

@@ -10,8 +10,8 @@ from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.estimates import Estimate
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signal, Signals
-from labpipe.results.cycle_stiffness import UnloadingStiffness
 from labpipe.results.evidence import Evidence
+from labpipe.results.stiffness import UnloadingStiffness
 from tests.builders.bundle_loops import LATER, NOISE, cycles, first_loading, holds, width
 from tests.builders.reduced import reduced
 
