@@ -25,10 +25,7 @@ _B = TypeVar("_B", bound=Block)
 
 AREAS_AGREE = 0.02
 """Share by which a conductor area may differ from that of the strands' diameters."""
-FIRST_SLOPES = (1e9, 1e12)
-"""Slopes (Pa) between which the first one is: a wrong unit of strain or stress is outside."""
 _TOUCHING = 1e-3  # of the bore: less is rounding of the sheet
-_ROUNDING = 1e-6  # of the first slope
 _UNITS = {
     "mm": ("_mm", 1e-3),
     "mm^2": ("_mm2", 1e-6),
@@ -373,80 +370,18 @@ def default_words(name: str) -> str:
     return f"{field.replace('_', ' ')} {shown}".rstrip()
 
 
-class StressPoint(Block):
-    """One point of a measured stress-strain curve."""
-
-    strain: Annotated[float, Column("", 0.0, 0.6)]
-    stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
-
-
 def parse_row(kind: type[_B], texts: Mapping[str, str]) -> _B | list[Fault]:
     """Read the texts of a row by column, or find all that is wrong with them.
 
     Parameters
     ----------
-    kind : `WireRow` or `StressPoint`
+    kind : `WireRow`, or `labpipe.protocol.stress_curve.StressPoint`
     texts : by column; a blank cell is an empty text
     """
     try:
         return kind.model_validate(texts)
     except ValidationError as error:
         return faults_of(error, data=texts, keys=kind.keys())
-
-
-def curve_fault(points: Sequence[StressPoint]) -> tuple[int, Fault] | None:
-    """Find the first point that makes no curve: strains grow, stresses never fall, nor stiffen.
-
-    Parameters
-    ----------
-    points : in the order of the table; one at zero may come first
-
-    Returns
-    -------
-    Number of the point, counted from 0, and what is wrong with it.
-    """
-    last, first_slope = (0.0, 0.0), 0.0
-    for number, point in enumerate(points):
-        here = (point.strain, point.stress_mpa)
-        if number == 0 and not any(here):
-            continue
-        if wrong := _step_fault(last, here, first_slope):
-            return number, wrong
-        first_slope = first_slope or (here[1] - last[1]) / (here[0] - last[0])
-        last = here
-    if not first_slope:
-        return 0, Fault((), "a point beyond zero", "none", "Fill in the table.")
-    low, high = FIRST_SLOPES
-    if low <= first_slope * 1e6 <= high:
-        return None
-    expected = f"a first slope of {low / 1e9:g} to {high / 1e9:g} GPa"
-    remedy = "Give the strain as a plain number, not in per cent, and the stress in MPa."
-    first = next(number for number, point in enumerate(points) if point.strain)
-    return first, Fault((), expected, f"{first_slope / 1e3:.4g} GPa", remedy)
-
-
-def _step_fault(
-    last: tuple[float, float], here: tuple[float, float], first_slope: float
-) -> Fault | None:
-    """What is wrong with a point behind another one, both of strain and stress in MPa."""
-    remedy = "Put the rows in order and correct them."
-    step, rise = here[0] - last[0], here[1] - last[1]
-    if step <= 0.0:
-        return Fault((), f"a strain above {last[0]:g}", f"{here[0]:g}", remedy)
-    if rise < 0.0 or not (rise or first_slope):
-        expected = f"a stress of {last[1]:g} MPa or more, and more than zero"
-        return Fault((), expected, f"{here[1]:g} MPa", remedy)
-    if first_slope and rise / step > first_slope * (1.0 + _ROUNDING):
-        expected = f"a slope up to the first, {first_slope / 1e3:.4g} GPa"
-        return Fault((), expected, f"{rise / step / 1e3:.4g} GPa", remedy)
-    return None
-
-
-def curve_of(points: Sequence[StressPoint]) -> Curve:
-    """Strains and stresses (Pa) beyond zero."""
-    stress = StressPoint.model_fields["stress_mpa"].metadata[0].in_si
-    beyond = [point for point in points if point.strain > 0.0]
-    return tuple(each.strain for each in beyond), tuple(stress(each.stress_mpa) for each in beyond)
 
 
 def column_name(heading: str) -> str:

@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import TypeAlias
 
 from labpipe.errors import Fault, ReadError, complaint, nearest
+from labpipe.protocol.stress_curve import StressPoint, curve_fault, curve_of
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     Curve,
-    StressPoint,
     WireRow,
     column_name,
-    curve_fault,
-    curve_of,
     heading_faults,
     parse_row,
     wire_spec,

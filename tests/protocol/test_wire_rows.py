@@ -13,11 +13,8 @@ from labpipe.protocol.wire_rows import (
     COLUMNS,
     NEEDED,
     SIZES,
-    StressPoint,
     WireRow,
     column_name,
-    curve_fault,
-    curve_of,
     default_words,
     field_of,
     heading_faults,
@@ -196,34 +193,3 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
 def test_a_size_is_needed_once() -> None:
     assert fault(strand_diameter_mm="").path == ("strand_diameter_mm",)
     assert {name for name in SIZES if name in HEADING} == {"strand_diameter_mm"}
-
-
-def points(*pairs: tuple[float, float]) -> list[StressPoint]:
-    return [StressPoint.model_validate({"strain": str(a), "stress_mpa": str(b)}) for a, b in pairs]
-
-
-def test_a_curve_in_si_without_its_zero() -> None:
-    curve = points((0.0, 0.0), (0.001, 110.0), (0.1, 150.0))
-    assert curve_fault(curve) is None
-    assert curve_of(curve) == ((0.001, 0.1), (110e6, 150e6))
-
-
-@pytest.mark.parametrize(
-    ("pairs", "number", "expected", "found"),
-    [
-        ([(0.002, 110), (0.001, 120)], 1, "a strain above 0.002", "0.001"),
-        ([(0.001, 110), (0.002, 100)], 1, "a stress of 110 MPa or more, and more", "100 MPa"),
-        ([(0.001, 0), (0.002, 100)], 0, "a stress of 0 MPa or more, and more", "0 MPa"),
-        ([(0.001, 50), (0.002, 150)], 1, "a slope up to the first, 50 GPa", "100 GPa"),
-        ([(0, 0)], 0, "a point beyond zero", "none"),
-        ([(0, 0), (0.2, 110)], 1, "a first slope of 1 to 1000 GPa", "0.55 GPa"),
-        ([(1e-5, 90000)], 0, "a first slope of 1 to 1000 GPa", "9e+06 GPa"),
-    ],
-)
-def test_points_that_make_no_curve(
-    pairs: list[tuple[float, float]], number: int, expected: str, found: str
-) -> None:
-    wrong = curve_fault(points(*pairs))
-    assert wrong is not None
-    assert (wrong[0], wrong[1].found) == (number, found)
-    assert wrong[1].expected.startswith(expected)
