@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sysconfig
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -133,7 +134,16 @@ def parse_protocol(text: str, name: str) -> Protocol:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    return checked(Protocol, parse_yaml(text, name))
+    return _sound_protocol(text) or checked(Protocol, parse_yaml(text, name))
+
+
+@lru_cache(maxsize=64)
+def _sound_protocol(text: str) -> Protocol | None:
+    """Read a protocol once for all results that hold it; None if anything is wrong with it."""
+    try:
+        return checked(Protocol, parse_yaml(text, ""))
+    except ProtocolError:
+        return None
 
 
 def load_test_sheet(path: Path) -> TestSheet:

@@ -2,13 +2,15 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.errors import Fault, ProtocolError
-from labpipe.protocol.yaml_text import Spot, parse_yaml, read_text
+from labpipe.protocol.yaml_text import Spot, _quickly_composed, parse_yaml, read_text
 
 
 def test_unquoted_words_stay_text() -> None:
@@ -170,3 +172,54 @@ def test_what_nobody_wrote_by_hand(tmp_path: Path) -> None:
         ProtocolError, match=r"x\.yaml: expected a YAML file, found one of 3 megabytes\."
     ):
         read_text(tmp_path / "x.yaml")
+
+
+MANY_WAYS = [
+    *(
+        path.read_text(encoding="utf-8")
+        for path in sorted((Path(__file__).parents[2] / "protocols").glob("*.yaml"))
+    ),
+    "",
+    "# a comment alone\n",
+    "a: 1\nb:\n  - {c: 2, d: ~}\n  - 'quoted: é'\n",
+    "a: |\n  two\n  lines\nb: null\n",
+    "a: {b: }\n",
+    "a: [b,\tc]\n",
+    "a: {b: 0.?5}\n",
+    "a: wh\u2028at\nb: 1\n",
+    "a: b\ufeffc\nd: [e, f]\n",
+    "a: [!x , b]\n",
+]
+
+
+def outcomes(text: str) -> list[object]:
+    """What comes of a text by either parser."""
+
+    def outcome() -> object:
+        try:
+            return parse_yaml(text, "p.yaml")
+        except ProtocolError as error:
+            return str(error)
+
+    with patch("labpipe.protocol.yaml_text._quickly_composed", lambda _: None):
+        slow = outcome()
+    return [outcome(), slow]
+
+
+@pytest.mark.parametrize("text", MANY_WAYS)
+def test_libyaml_makes_of_a_text_what_pythons_parser_makes(text: str) -> None:
+    quick, slow = outcomes(text)
+    assert quick == slow
+
+
+@given(st.text(alphabet="ab:-[]{}'\"#&*!|>?,\n\t \r%@`~=1é", max_size=30))
+def test_libyaml_makes_of_any_text_what_pythons_parser_makes(text: str) -> None:
+    quick, slow = outcomes(text)
+    assert quick == slow
+
+
+def test_a_protocol_of_labpipe_is_read_by_libyaml() -> None:
+    if not yaml.__with_libyaml__:
+        pytest.skip("PyYAML without libyaml")
+    assert _quickly_composed(MANY_WAYS[0]) is not None
+    assert _quickly_composed(MANY_WAYS[0]) is _quickly_composed(MANY_WAYS[0])
