@@ -67,7 +67,7 @@ def plot_cloud(result: TestResult, axes: Axes) -> None:
     bending = result.bending
     if bending is None:
         return
-    across, up = _curvature(result), _moment(result)
+    across, up = _curvature(result), _shown(scale(result, "moment", "N*m"))
     x, y = _points(bending)
     every = -(-x.size // _MOST_POINTS)
     for branch, look in _looks(result, bending.cloud).items():
@@ -114,7 +114,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
         return
     from matplotlib.ticker import LogFormatter
 
-    across, up = _curvature(result), _stiffness(result)
+    across, up = _curvature(result), _shown(scale(result, "bending_stiffness", "N*m^2"))
     x = law.curvature[1:] * across.factor
     for name, look in _STIFFNESSES.items():
         ends = [getattr(law, f"{name}_{end}")[1:] * up.factor for end in ("lower", "upper")]
@@ -190,14 +190,6 @@ def _handles(bending: Bending) -> list[Any]:
 
 def _curvature(result: TestResult) -> Scale:
     return _shown(scale(result, "curvature", "1/m"))
-
-
-def _moment(result: TestResult) -> Scale:
-    return _shown(scale(result, "moment", "N*m"))
-
-
-def _stiffness(result: TestResult) -> Scale:
-    return _shown(scale(result, "bending_stiffness", "N*m^2"))
 
 
 def _shown(unit: Scale) -> Scale:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.group import BundlePlace, Campaign, Group
+from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.harness_bundle import BundleModel
 from labpipe.report.concerns import sentences
 from labpipe.report.figure_page import (
@@ -77,11 +77,7 @@ def place_table(campaign: Campaign) -> Table | None:
 
 def place_scales(campaign: Campaign) -> dict[str, Scale]:
     """Unit of bending stiffness by group."""
-    return {group.name: _scale(group) for group in campaign.groups}
-
-
-def _scale(group: Group) -> Scale:
-    return shown_in("", UNIT, display_of(group))
+    return {group.name: shown_in("", UNIT, display_of(group)) for group in campaign.groups}
 
 
 def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
@@ -113,7 +109,8 @@ def _row(place: BundlePlace, scale: Scale) -> tuple[Cell, ...]:
 MOST_ROWS = 36
 """Rows of a figure, unless one group has more."""
 _ROW, _REST = 4.2, 16.0
-_LONGEST = 44
+_LONGEST = 88
+"""Characters of a reason in a row."""
 _BOUNDS: dict[str, Any] = {
     "color": "#d5d5d5", "linewidth": 5.0, "solid_capstyle": "butt", "zorder": 1
 }  # fmt: skip
@@ -181,7 +178,9 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_xlim(low, high)
     for row, place in enumerate(places):
         _plot_row(place, row, scale.factor, axes)
-    axes.set_yticks(range(len(places)), [_label(place) for place in places])
+    axes.set_yticks(
+        range(len(places)), [place.test or f"mean of {place.group}" for place in places]
+    )
     axes.tick_params(axis="y", length=0, labelsize=7)
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.set_xlabel(f"Bending stiffness ({unit_words(scale.unit)})")
@@ -197,18 +196,10 @@ def _plain(value: float, _: object = None) -> str:
 
 def _ends(places: Sequence[BundlePlace], factor: float) -> tuple[float, float]:
     """Ends of the axis: all bounds and values, and their intervals where they are above zero."""
-    known = [
-        factor * each
-        for place in places
-        for each in (place.low, place.high, place.value or 0.0, *_interval(place))
-        if each > 0.0  # not NaN either
-    ]
-    values = known or [1.0, 10.0]
+    every = [each for place in places for each in (place.low, place.high, place.value or 0.0)]
+    every += [place.interval.upper for place in places if place.interval is not None]
+    values = [factor * each for each in every if each > 0.0] or [1.0, 10.0]  # not NaN either
     return 0.7 * min(values), 1.4 * max(values)
-
-
-def _interval(place: BundlePlace) -> tuple[float, ...]:
-    return () if place.interval is None else (place.interval.upper,)
 
 
 def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
@@ -224,14 +215,9 @@ def _plot_row(place: BundlePlace, row: int, factor: float, axes: Axes) -> None:
         axes.plot([factor * place.value], [row], linestyle="", zorder=3, **look)
     why = sentences(place.reasons)
     if why:
-        shown = why if len(why) <= 2 * _LONGEST else f"{why[: 2 * _LONGEST]}\u2026"
+        shown = why if len(why) <= _LONGEST else f"{why[:_LONGEST]}\u2026"
         axes.text(0.99, row, shown, transform=axes.get_yaxis_transform(), ha="right", va="center",
                   size=6, color=GREY)  # fmt: skip
-
-
-def _label(place: BundlePlace) -> str:
-    words = place.test or f"mean of {place.group}"
-    return words if len(words) <= _LONGEST else f"{words[: _LONGEST - 1]}\u2026"
 
 
 def _place_keys() -> list[Artist]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison, Prediction
+from labpipe.records.group import Band
 from labpipe.report.calibration_shown import (
     BAND,
     DEFLECTION,
@@ -44,7 +45,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-MOST_GROUPS = 6
+MOST_PANELS = 6
 """Panels on a page."""
 _COLUMNS, _ROW = 2, 66.0
 _SAMPLE: dict[str, Any] = {"color": GREY, "linewidth": 0.45, "alpha": 0.75, "zorder": 2}
@@ -71,8 +72,10 @@ def validation_figure(groups: Sequence[ValidationGroup]) -> Figure:
     ValueError
         If there is no group, or there are more than fit on a page.
     """
-    require_room(len(groups), MOST_GROUPS, "groups")
-    words = Words("Measured and predicted first loadings", _note(groups), _keys(groups))
+    require_room(len(groups), MOST_PANELS, "groups")
+    has_model = any(group.prediction is not None for group in groups)
+    keys = [line_key("sample", **_SAMPLE), *_keys(groups, has_model=has_model)]
+    words = Words("Measured and predicted first loadings", _note(groups), keys)
     page = keyed_page(
         words, height_mm=_ROW * math.ceil(len(groups) / _COLUMNS), width_mm=DOUBLE_COLUMN
     )
@@ -97,10 +100,7 @@ def plot_group(group: ValidationGroup, axes: Axes) -> None:
         kept = extremes(sample.force, bins=_BINS)
         across = DEFLECTION.factor * sample.displacement[kept]
         axes.plot(across, FORCE.factor * sample.force[kept], **_SAMPLE)
-    band, x = group.band, DEFLECTION.factor * group.band.displacement
-    if np.isfinite(band.lower).any():
-        axes.fill_between(x, FORCE.factor * band.lower, FORCE.factor * band.upper, **MEASURED_LOOK)
-    axes.plot(x, FORCE.factor * band.mean, **MEAN_LOOK)
+    _draw_measured(group.band, axes)
     if group.prediction is not None:
         _draw_prediction(group.prediction, axes)
     axes.text(
@@ -134,6 +134,13 @@ def agreement_words(group: ValidationGroup) -> str:
     if math.isfinite(errors.inside):
         lines.append(f"{percent(errors.inside)} of the points inside the band")
     return "\n".join(lines)
+
+
+def _draw_measured(band: Band, axes: Axes) -> None:
+    x = DEFLECTION.factor * band.displacement
+    if np.isfinite(band.lower).any():
+        axes.fill_between(x, FORCE.factor * band.lower, FORCE.factor * band.upper, **MEASURED_LOOK)
+    axes.plot(x, FORCE.factor * band.mean, **MEAN_LOOK)
 
 
 def _draw_prediction(prediction: Prediction, axes: Axes) -> None:
@@ -181,25 +188,21 @@ def _names(groups: Sequence[ValidationGroup], mean_of: int) -> list[str]:
     ]
 
 
-def _keys(groups: Sequence[ValidationGroup]) -> list[Artist]:
-    keys: list[Artist] = [
-        line_key("sample", **_SAMPLE),
-        line_key("mean of samples", **MEAN_LOOK),
-    ]
+def _keys(groups: Sequence[ValidationGroup], *, has_model: bool) -> list[Artist]:
+    """What there is of the mean of samples, its band, the model, and its band."""
+    keys = [line_key("mean of samples", **MEAN_LOOK)] if groups else []
     if any(np.isfinite(group.band.lower).any() for group in groups):
         keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
-    if any(group.prediction is not None for group in groups):
+    if has_model:
         keys.append(line_key("model", **MODEL_LOOK))
         keys.append(area_key("95 % band of the model", **PREDICTED_LOOK))
     return keys
 
 
-MOST_PANELS = 6
-"""Panels on a page."""
-_COLUMNS, _EXTERNAL_ROW = 2, 70.0
+_EXTERNAL_ROW = 70.0
 _COLOURS = ("#D55E00", "#009E73", "#CC79A7", "#E69F00")
 _MARKS = ("o", "s", "^", "D", "v")
-_EXTERNAL_ROOM, _KEY_LETTERS, _MARKED = 1.08, 44, 14
+_KEY_LETTERS, _MARKED = 44, 14
 _FREE_ROWS, _ROOM_PER_ROW, _ROW_PER_ROW = 4, 0.06, 4.0
 """Rows of a key that fit above most curves, and the room that each further one takes."""
 
@@ -261,9 +264,9 @@ def external_figure(panels: Sequence[ExternalPanel]) -> Figure:
     """
     require_room(len(panels), MOST_PANELS, "panels")
     rows = math.ceil(len(panels) / _COLUMNS)
-    words = Words(
-        "Curves from elsewhere, tests and model", _external_note(panels), _external_keys(panels)
-    )
+    groups = [panel.group for panel in panels if panel.group is not None]
+    keys = _keys(groups, has_model=any(panel.prediction is not None for panel in panels))
+    words = Words("External curves, tests and model", _external_note(panels), keys)
     row = _EXTERNAL_ROW + _ROW_PER_ROW * max(0, max(map(_key_rows, panels)) - _FREE_ROWS)
     page = keyed_page(words, height_mm=row * rows, width_mm=DOUBLE_COLUMN)
     drawn = panel_grid(page, len(panels), columns=_COLUMNS)
@@ -283,19 +286,16 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
     axes : to draw on; its key gives the RMSE of each external curve to the tests and to the model
     """
     if panel.group is not None:
-        band = panel.group.band
-        across = DEFLECTION.factor * band.displacement
-        if np.isfinite(band.lower).any():
-            axes.fill_between(across, band.lower, band.upper, **MEASURED_LOOK)
-        axes.plot(across, FORCE.factor * band.mean, **MEAN_LOOK)
+        _draw_measured(panel.group.band, axes)
     model = panel.prediction
     if model is not None:
         across = DEFLECTION.factor * model.deflection
-        axes.fill_between(across, model.lower_mean, model.upper_mean, **PREDICTED_LOOK)
+        edges = (FORCE.factor * model.lower_mean, FORCE.factor * model.upper_mean)
+        axes.fill_between(across, *edges, **PREDICTED_LOOK)
         axes.plot(across, FORCE.factor * model.force, **MODEL_LOOK)
     lines = [_draw(each, number, axes) for number, each in enumerate(panel.comparisons)]
     axes.set_xlim(left=0.0)
-    room = _EXTERNAL_ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
+    room = _ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
     axes.legend(handles=lines, loc="upper left", fontsize=7, handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
@@ -324,7 +324,7 @@ def _draw(each: ExternalCurveComparison, number: int, axes: Axes) -> Artist:
 
 
 def match_words(each: ExternalCurveComparison) -> str:
-    """Name a external curve and say in a line each how far it is from tests and from the model.
+    """Name an external curve and say in a line each how far it is from tests and from the model.
 
     Parameters
     ----------
@@ -361,16 +361,3 @@ def _external_note(panels: Sequence[ExternalPanel]) -> str:
             told = [note for note in each.notes if note.code != "external_curve_load"]
             said += [f"'{each.curve.name}': {note.message}." for note in told]
     return " ".join(said)
-
-
-def _external_keys(panels: Sequence[ExternalPanel]) -> list[Artist]:
-    keys: list[Artist] = []
-    groups = [panel.group for panel in panels if panel.group is not None]
-    if groups:
-        keys.append(line_key("mean of tests", **MEAN_LOOK))
-    if any(np.isfinite(group.band.lower).any() for group in groups):
-        keys.append(area_key("95 % band of the mean", **MEASURED_LOOK))
-    if any(panel.prediction is not None for panel in panels):
-        keys.append(line_key("model", **MODEL_LOOK))
-        keys.append(area_key("95 % band of the model", **PREDICTED_LOOK))
-    return keys

@@ -264,7 +264,11 @@ def seen(parameter: CalibratedParameter, elsewhere: float | None = None) -> tupl
         return parameter.value, parameter.value
     inside = profile.deviance <= _HEIGHT * max(profile.threshold_below, profile.threshold_above)
     wanted = [*profile.value[inside], parameter.value]
-    wanted += [end for end in (interval.lower, interval.upper) if _within(end, profile)]
+    wanted += [
+        end
+        for end in (interval.lower, interval.upper)
+        if profile.value[0] <= end <= profile.value[-1]
+    ]
     if elsewhere is not None and elsewhere > 0.0:
         wanted.append(elsewhere)
     if parameter.conflict is not None:
@@ -299,10 +303,6 @@ def _say(axes: Axes, sentence: str) -> None:
         0.5, 0.5, textwrap.fill(sentence, _NARROW_LINE), transform=axes.transAxes, ha="center",
         va="center", color=GREY,
     )  # fmt: skip
-
-
-def _within(end: float, profile: Profile) -> bool:
-    return bool(profile.value[0] <= end <= profile.value[-1])
 
 
 def _draw_prior(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
@@ -372,7 +372,11 @@ def calibration_card(
     words.
     """
     rows = [HEADS, *(parameter_row(parameter) for parameter in calibration.parameters)]
-    lines = [line for each in sentences(calibration, source) for line in _wrapped(each)]
+    lines = [
+        line
+        for each in sentences(calibration, source)
+        for line in textwrap.wrap(each, _LETTERS, subsequent_indent="   ")
+    ]
     heights = _heights(len(rows) + len(lines) + 1.3)
     note = _RESIDUALS if predictions else f"{_RESIDUALS} {_NO_BAND}"
     page = keyed_page(
@@ -420,10 +424,6 @@ def _draw_profiles(
         plot_profile(parameter, axes, elsewhere=None if number else elsewhere)
         panel_letter(axes, "def"[number], _OF_PARAMETERS[number])
     panels[0].set_ylabel("Deviance")
-
-
-def _wrapped(sentence: str) -> list[str]:
-    return textwrap.wrap(sentence, _LETTERS, subsequent_indent="   ")
 
 
 def _write(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.report.calibration_agreement import (
-    MOST_GROUPS,
+    MOST_PANELS,
     external_figure,
     external_pages,
     validation_figure,
@@ -147,7 +147,7 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
         calibration_card, report.calibration, report.source, predictions=report.predictions
     )
     yield FigureToSave("calibration", card)
-    for number, groups in enumerate(in_pages(report.groups, MOST_GROUPS), start=1):
+    for number, groups in enumerate(in_pages(report.groups, MOST_PANELS), start=1):
         yield FigureToSave(f"validation-{number}", partial(validation_figure, groups))
     for number, panels in enumerate(external_pages(report), start=1):
         name = "external-curves" if number == 1 else f"external-curves-{number}"

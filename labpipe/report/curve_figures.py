@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, ClockFit, Curve, Direction, FittedLine
+from labpipe.records.curve import Branch, ClockFit, Curve, Direction
 from labpipe.records.result import Result, TestResult
 from labpipe.report.drawn_points import extremes
 from labpipe.report.figure_page import (
@@ -322,7 +322,8 @@ def plot_lines(result: TestResult, axes: Axes) -> None:
         x = np.array([line.start, line.stop])
         y = line.level + line.slope * (x - line.start)
         style = (0, (1, 1)) if line.result.startswith("segment") else "-"
-        words = f"{_in_words(line)} {line.slope * stiffness.factor:.4g} {stiffness.unit}"
+        name = line.result.replace("_", " ")
+        words = f"{name} {line.slope * stiffness.factor:.4g} {stiffness.unit}"
         axes.plot(
             x * across.factor, y * up.factor, linestyle=style, linewidth=1.8, alpha=0.8, label=words
         )
@@ -353,10 +354,6 @@ def mark_points(result: TestResult, axes: Axes) -> None:
     at, force = _value(result, "failure_displacement"), _value(result, "failure_force")
     if at is not None and force is not None:
         axes.plot(at * across.factor, force * up.factor, "x", color="#b2182b", label="failure")
-
-
-def _in_words(line: FittedLine) -> str:
-    return line.result.replace("_", " ")
 
 
 def _value(result: TestResult, name: str) -> float | None:

@@ -114,7 +114,7 @@ def test_a_long_key_has_room_above_the_curves() -> None:
 def test_without_a_model() -> None:
     page = page_of(unmodelled())
     assert [text.get_text() for text in page.legends[0].get_texts()] == [
-        "mean of tests",
+        "mean of samples",
         "95 % band of the mean",
     ]
     assert "Blue band" not in note(page)
