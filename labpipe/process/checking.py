@@ -166,7 +166,7 @@ def _refusals(
 
 
 def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
-    """Find a test on two supports whose distance nobody says."""
+    """Find a test on two supports whose distance is missing."""
     asked = [
         entry.result
         for entry in protocol.results

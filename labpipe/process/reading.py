@@ -60,7 +60,7 @@ def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
 
     Returns
     -------
-    The message: nobody says a unit, the export's is unknown or of another quantity, or `unit`
+    The message: no unit is stated, the export's is unknown or of another quantity, or `unit`
     contradicts it and `wrong_unit_in_file` does not name it.
     """
     stated, said = channel.unit_in_file, source.unit

@@ -55,7 +55,7 @@ class Processed:
 
     @property
     def n_failed(self) -> int:
-        """Number of results that could not be had."""
+        """Number of results that are not available."""
         return sum(result.status is Status.FAILED for result in self.result.results)
 
 

@@ -117,7 +117,7 @@ def test_a_process_that_is_killed_costs_one_test(
     killed = There(
         "lambda test, *how, **more: __import__('os').kill(__import__('os').getpid(), 9)"
         " if test.parent.name == 'P-1' else"
-        " __import__('labpipe.campaign.runs').pipeline.many._process(test, *how, **more)"
+        " __import__('labpipe.campaign.runs').campaign.runs._process(test, *how, **more)"
     )
     monkeypatch.setattr("labpipe.campaign.runs._process_one_of_many", killed)
     first, second, third = process_tests(tests, figures=lambda _: False, jobs=2)
@@ -143,7 +143,7 @@ def test_a_process_that_is_killed_costs_one_test(
         (
             ZeroDivisionError("of\nall"),
             r"expected to get through, found a fault of labpipe itself \(ZeroDivisionError: of all"
-            r"\)\. Report it \(many.py, line \d+\) with the exports of the test; processed alone",
+            r"\)\. Report it \(runs.py, line \d+\) with the exports of the test; processed alone",
         ),
     ],
 )

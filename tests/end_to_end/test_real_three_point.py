@@ -113,5 +113,5 @@ def test_no_span_is_said(realdata: Path, tmp_path: Path) -> None:
     )
     assert main(["process", str(lab.raw)]) == 1
     assert why(lab.results["bending_stiffness"]) == (
-        "no_span: nobody says specimen.span: write it into the test sheet, such as 'span: 152.4 mm'"
+        "no_span: specimen.span is missing: write it into the test sheet, such as 'span: 152.4 mm'"
     )

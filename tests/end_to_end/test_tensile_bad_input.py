@@ -212,7 +212,7 @@ def test_a_window_beyond_the_travel(told: Told) -> None:
     assert (found["value"], found["status"]) == (None, "failed")
     assert why(found) == "not_reached: the branch reaches 24.9 mm, 80 mm is asked"
     found = lab.results["stiffness_second_per_peak_force"]
-    assert why(found) == "no_stiffness: stiffness_second could not be had"
+    assert why(found) == "no_stiffness: stiffness_second is not available"
     assert lab.results["stiffness_first"]["status"] == "ok"
 
 

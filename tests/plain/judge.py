@@ -135,7 +135,7 @@ def _value(
         off = f" ({100 * (given / plainly - 1):+.2f} %)" if plainly else ""
         yield f"{name}: {value:.6g} is {result['status']}, plainly {_shown(plain)}{off}"
     if expected.sign_free and value < 0 and not _sign_said(ran):
-        yield f"{name}: {value:.6g} is negative, and nobody says why"
+        yield f"{name}: {value:.6g} is negative, and no reason is given"
 
 
 def _sign_said(ran: Ran) -> bool:

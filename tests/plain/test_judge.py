@@ -110,7 +110,7 @@ def test_what_is_right_passes() -> None:
         (ran("failed", 0.0, "partial_cycle: nan s"), CUT, "no sentence"),
         (ran(value=50.0), CUT, "is ok, plainly"),
         (ran("doubtful", 50.0, "partial_cycle: x"), replace(CUT, own=True), "is doubtful, plainly"),
-        (ran(value=-100.0), replace(FINE, sign_free=True), "negative, and nobody says why"),
+        (ran(value=-100.0), replace(FINE, sign_free=True), "negative, and no reason is given"),
         (ran(), Expected({"peak_force.1": None}), "there is no such number"),
         (ran(), Expected({}), "there is no such number"),
         (ran(), Expected({"energy.1": Plain(1.0, 1.0)}), "energy.1: not in the summary"),

@@ -110,8 +110,8 @@ def test_tests_that_were_not_processed_alike_come_before_all_numbers() -> None:
 
 
 def test_names_of_results_in_a_sentence_are_words() -> None:
-    assert sentence("stiffness_second could not be had") == (
-        "Stiffness, second region could not be had."
+    assert sentence("stiffness_second is not available") == (
+        "Stiffness, second region is not available."
     )
     assert sentence("doubtful values are in the means of: peak_force.1 (tt-a)") == (
         "Doubtful values are in the means of: peak force, cycle 1 (tt-a)."
