@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.track_repair import RepairedTracks
 from labpipe.markers.tracklets import in_sight
-from labpipe.records.arrays import Flags, Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote, Severity
 
@@ -151,7 +152,7 @@ _APART = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sections:
+class Sections(ArrayRecord):
     """Markers in the frame of the specimen, and which of them share a section.
 
     The frame: x along the specimen at rest, y where mid-span moves, z out of the plane of bending.
@@ -165,16 +166,11 @@ class Sections:
     rotation_lab_to_specimen : shape (3, 3)
     """
 
-    markers: Floats
-    at_rest: Floats
-    section: Ints
-    columns: Ints
-    rotation_lab_to_specimen: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "markers", frozen(self.markers, shape=(None, None, 3)))
-        object.__setattr__(self, "at_rest", frozen(self.at_rest, shape=(None, 3)))
-        object.__setattr__(self, "section", np.asarray(self.section, dtype=np.int64))
+    markers: Annotated[Floats, "frames", "markers", 3]
+    at_rest: Annotated[Floats, "markers", 3]
+    section: Annotated[Ints, "markers"]
+    columns: Annotated[Ints, "markers"]
+    rotation_lab_to_specimen: Annotated[Floats, 3, 3]
 
     @property
     def count(self) -> int:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Annotated, TypeAlias
 
 import numpy as np
 
-from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Flags, Floats
 from labpipe.records.quality import QualityNote, Severity
 
 Selection: TypeAlias = slice | Flags
@@ -15,7 +15,7 @@ Selection: TypeAlias = slice | Flags
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpecimenFrame:
+class SpecimenFrame(ArrayRecord):
     """Where the specimen lies in the frame of the motion-capture system.
 
     Parameters
@@ -29,17 +29,12 @@ class SpecimenFrame:
     notes : what is doubtful
     """
 
-    rotation_lab_to_specimen: Floats
-    origin_lab: Floats
+    rotation_lab_to_specimen: Annotated[Floats, 3, 3]
+    origin_lab: Annotated[Floats, 3]
     order: tuple[int, ...]
     out_of_plane: float
     travel_residual: float
     notes: tuple[QualityNote, ...] = ()
-
-    def __post_init__(self) -> None:
-        rotation = frozen(self.rotation_lab_to_specimen, shape=(3, 3))
-        object.__setattr__(self, "rotation_lab_to_specimen", rotation)
-        object.__setattr__(self, "origin_lab", frozen(self.origin_lab, shape=(3,)))
 
     def to_specimen(self, positions_lab: Floats) -> Floats:
         """Turn positions of shape (..., 3) from the lab into the specimen frame; NaN stays NaN."""

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from labpipe.markers.rings import SIDES, Sections, axis_at_rest, section_centres, section_twist
-from labpipe.records.arrays import Flags, Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Flags, Floats
 
 TERMS = 3
 _GRID = 161
@@ -93,7 +94,7 @@ class BentAxis:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpanShape:
+class SpanShape(ArrayRecord):
     """Shapes of a specimen with sections of markers.
 
     Parameters
@@ -109,14 +110,11 @@ class SpanShape:
 
     bent: BentAxis
     mid_span: float
-    centres: Floats
-    twist: Floats
-    lever: Floats
-    fewer_terms: Floats
+    centres: Annotated[Floats, "frames", "sections", 3]
+    twist: Annotated[Floats, "frames", "sections"]
+    lever: Annotated[Floats, "sections"]
+    fewer_terms: Annotated[Floats, "frames"]
     side_share: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "centres", frozen(self.centres, shape=(None, None, 3)))
 
 
 def fit_span(

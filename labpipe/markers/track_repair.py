@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,7 @@ from labpipe.markers.tracklets import (
     frozen_samples,
     link_tracklets,
 )
-from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.arrays import frozen as read_only
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote
 from labpipe.records.recording import MarkerTracks
@@ -31,7 +31,7 @@ _SPEED_FRAMES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RepairedTracks:
+class RepairedTracks(ArrayRecord):
     """Tracks of the markers along the specimen, every sample with its origin.
 
     Parameters
@@ -43,19 +43,9 @@ class RepairedTracks:
     """
 
     names: tuple[str, ...]
-    positions: Floats
-    flags: NDArray[np.uint8]
+    positions: Annotated[Floats, "frames", "names", 3]
+    flags: Annotated[NDArray[np.uint8], "frames", "names"]
     notes: tuple[QualityNote, ...]
-
-    def __post_init__(self) -> None:
-        positions = read_only(self.positions, shape=(None, len(self.names), 3))
-        object.__setattr__(self, "positions", positions)
-        flags: NDArray[np.uint8] = np.asarray(self.flags, dtype=np.uint8).view()
-        if flags.shape != positions.shape[:2]:
-            message = f"expected flags of shape {positions.shape[:2]}, found {flags.shape}"
-            raise ValueError(message)
-        flags.flags.writeable = False
-        object.__setattr__(self, "flags", flags)
 
 
 def repair_tracks(
