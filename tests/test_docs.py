@@ -13,11 +13,11 @@ from typing import Any, get_args
 import pytest
 
 from labpipe.cli import main
-from labpipe.protocol import results
 from labpipe.protocol.load import load_calibration_plan, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.outline import RESULTS
 from labpipe.readers import READERS
 from labpipe.records.curve import SlipDecision
-from labpipe.records.step_settings import Step
+from labpipe.records.declarations import Step
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -170,7 +170,7 @@ def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path
 
 def result_units() -> dict[str, str]:
     """Unit of every result by name, without the cycle; where the protocol names it, the usual."""
-    kinds = results.RESULTS.values()
+    kinds = RESULTS.values()
     assert len(kinds) > 15
     named = (
         (each.name_in(kind, {"of": "<stiffness>"}), each) for kind in kinds for each in kind.outputs

@@ -18,6 +18,8 @@ from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.zeros import LEAST, mean_level
 from labpipe.protocol.schema import Markers
 from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.declarations import FitShape, RepairMarkers
+from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
 from labpipe.records.quality import (
     Finding,
     QualityNote,
@@ -29,8 +31,6 @@ from labpipe.records.quality import (
 )
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
-from labpipe.records.step_settings import FitShape, RepairMarkers
-from labpipe.records.step_settings import SpecimenFrame as SpecimenFrameStep
 from labpipe.signal.turning_points import find_strokes
 
 _MOVES = 0.1

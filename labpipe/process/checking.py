@@ -18,8 +18,8 @@ from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export, recognise_export
 from labpipe.readers.channels import NoChannelError, select_channel
+from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
 from labpipe.records.recording import MarkerTracks, Recording
-from labpipe.records.step_settings import Decimate, LowPass, Smooth, Zero
 from labpipe.results.beam import BendingStiffness
 from labpipe.results.shapes import MidSpan, Twist
 

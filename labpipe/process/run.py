@@ -27,8 +27,7 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.read import RawTest, read_name, read_raw, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
-from labpipe.store.summary import write_summary
-from labpipe.store.write import write_result
+from labpipe.store.write import write_result, write_summary
 
 SUMMARY_FILE, FIGURES = "summary.json", "figures"
 PROCESSING_VERSION = 1

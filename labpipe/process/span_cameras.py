@@ -15,10 +15,10 @@ from labpipe.process.motion_turns import turning_points
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
+from labpipe.records.declarations import ThreePointShape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, not_available, worth_knowing
 from labpipe.records.signals import Signal
-from labpipe.records.step_settings import ThreePointShape
 from labpipe.results.evidence import SpanBend
 from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes

@@ -14,21 +14,21 @@ from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.zeros import FEWEST, LEAST, line_zero, mean_level, needed
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.records.arrays import Floats, median
-from labpipe.records.declarations import Span
-from labpipe.records.quality import Finding, doubtful, worth_knowing
-from labpipe.records.signals import Filter, Signal, Signals
-from labpipe.records.step_settings import (
+from labpipe.records.declarations import (
     Decimate,
     FitShape,
     LowPass,
     RepairMarkers,
     Smooth,
+    Span,
     SpecimenFrame,
     Step,
     ThreePointShape,
     TravelFromSpeed,
     Zero,
 )
+from labpipe.records.quality import Finding, doubtful, worth_knowing
+from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.signal.corners import Corner, fit_corner
 from labpipe.signal.filters import (
     in_pieces,

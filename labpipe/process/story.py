@@ -43,12 +43,12 @@ from labpipe.protocol.schema import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Series
+from labpipe.records.declarations import FitShape
 from labpipe.records.estimates import Estimate
 from labpipe.records.quality import Finding, Findings, blocking
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks, Signal
-from labpipe.records.step_settings import FitShape
 from labpipe.results.evidence import Evidence, LoadString, Setup
 from labpipe.results.kinds import to_result
 from labpipe.results.shapes import MomentCurvature

@@ -8,11 +8,9 @@ from typing import TypeAlias
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet
 from labpipe.protocol.faults import did_you_mean, one_of
-from labpipe.protocol.outline import Outline, Values, source_faults
-from labpipe.protocol.results import RESULTS, result_names
+from labpipe.protocol.outline import RESULTS, Outline, Values, result_names, source_faults
 from labpipe.protocol.values import SI_UNITS
-from labpipe.records.declarations import Needs, defaults_of, existing_in
-from labpipe.records.step_settings import STEPS
+from labpipe.records.declarations import STEPS, Needs, defaults_of, existing_in
 from labpipe.units import si_factor
 
 Faults: TypeAlias = Iterator[Fault]

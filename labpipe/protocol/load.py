@@ -15,9 +15,14 @@ from labpipe.errors import Fault, ProtocolError
 from labpipe.protocol.faults import did_you_mean, faults_of, one_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.outline import Outline
-from labpipe.protocol.overrides import with_overrides
+from labpipe.protocol.overrides import (
+    absent_faults,
+    are_followed,
+    link_faults,
+    with_overrides,
+    without_absent,
+)
 from labpipe.protocol.schema import Protocol
-from labpipe.protocol.sheet_exports import absent_faults, are_followed, link_faults, without_absent
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text

@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, nearest
 from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES, si_unit_like
 from labpipe.protocol.values import SI_UNITS
-from labpipe.records.step_settings import STEPS
+from labpipe.records.declarations import STEPS
+from labpipe.results import KINDS
 from labpipe.units import parse_quantity, si_factor
 
 Values: TypeAlias = Mapping[str, object]
+RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
+"""The kinds of results by their word in YAML."""
 
 CHANNEL_KEYS = (
     *("channel", "unit", "wrong_unit_in_file", "calibration"),
@@ -167,6 +170,18 @@ class Outline:
     def joins_clocks(self) -> bool:
         """Say whether two clocks are joined."""
         return self.block("align").get("method") in ("turning-points", "common-start", "stated")
+
+
+def result_names(tag: str, entry: Values) -> tuple[str, ...]:
+    """List what an entry is called in the summary; of several cycles or slips, the first.
+
+    Parameters
+    ----------
+    tag : such as ``two-segments``
+    entry : the block as written, which may give a name of its own
+    """
+    kind = RESULTS.get(tag)
+    return () if kind is None else tuple(each.name_in(kind, entry) for each in kind.outputs)
 
 
 def source_faults(outline: Outline) -> Iterator[Fault]:

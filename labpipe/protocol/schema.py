@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Literal, TypeAlias
+from typing import TYPE_CHECKING, Annotated, Literal, TypeAlias, Union
 
 from pydantic import (
     BeforeValidator,
@@ -18,7 +18,6 @@ from labpipe.errors import Fault
 from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.results import ResultEntry
 from labpipe.protocol.source import ChannelSource, Role, Source
 from labpipe.protocol.values import FileStem, Remark, Text
 from labpipe.records.declarations import (
@@ -38,9 +37,17 @@ from labpipe.records.declarations import (
     Share,
     Snake,
     Speed,
+    Step,
+    Tagged,
     Whole,
 )
-from labpipe.records.step_settings import Step
+from labpipe.results import KINDS
+from labpipe.results.kinds import Kind
+
+if TYPE_CHECKING:
+    ResultEntry: TypeAlias = Kind
+else:
+    ResultEntry = Annotated[Union[KINDS], Tagged("result")]  # noqa: UP007 - of a list
 
 
 class Section(Block):

@@ -15,7 +15,7 @@ from pydantic import (
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.values import SI_UNITS, Text, one_or_several
 from labpipe.records.declarations import Ratio, Snake
-from labpipe.records.export_formats import EXPORT_FORMATS
+from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity, si_factor
 
 Role = Literal["force", "markers", "frame"]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol, cast
 from labpipe.errors import ReadError
 from labpipe.readers.raw_files import unreadable
 from labpipe.readers.workbooks import is_workbook, open_sheets
-from labpipe.records.export_formats import EXPORT_FORMATS, ExportFormat
+from labpipe.records.recording import EXPORT_FORMATS, ExportFormat
 
 if TYPE_CHECKING:
     from labpipe.readers.channels import Wanted

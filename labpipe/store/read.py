@@ -25,9 +25,14 @@ from labpipe.records.result import InputFile, Result, Specimen, Status, TestResu
 from labpipe.store import layout
 from labpipe.store.datasets import array, arrays, opened, strings, text, texts
 from labpipe.store.layout import Field
-from labpipe.store.reasons import read_reasons
-from labpipe.store.schema_1 import method_parts
-from labpipe.store.stored_parts import read_bending, read_notes, read_recording, read_specimen
+from labpipe.store.stored_parts import (
+    method_parts,
+    read_bending,
+    read_notes,
+    read_reasons,
+    read_recording,
+    read_specimen,
+)
 
 _R = TypeVar("_R")
 

@@ -1,22 +1,85 @@
-"""Parts of a result file, both ways: specimen, recordings with notes, measured bending."""
+"""Parts of a result file, both ways: reasons, specimen, recordings with notes, measured bending."""
 
 from __future__ import annotations
 
 import json
+import re
+from collections.abc import Collection, Iterable
 from math import isnan, nan
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from labpipe.records.harness_bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
 from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import Specimen
 from labpipe.store import layout
 from labpipe.store.datasets import Target, array, arrays, strings, text, texts
 from labpipe.store.layout import link_name
-from labpipe.store.reasons import read_reasons, write_reasons
+
+_OF_ONE_WORD: Final = "cut|drift|gap|saturation|truncated"
+_NEXT: Final = re.compile(rf"; (?=(?:[a-z0-9]+(?:_[a-z0-9]+)+|{_OF_ONE_WORD}): )")
+"""Where the next reason begins: a code and a colon."""
+_REMARK: Final = re.compile(r"(.*); ([^;]* of slips added back)")
+
+
+def reasons_in(glued: str) -> tuple[Reason, ...]:
+    """Take the text of all reasons apart; empty where there are none.
+
+    Examples
+    --------
+    >>> reasons_in("drift: the zero drifts; at last; gap: 4 samples are missing")[1]
+    Reason(code='gap', message='4 samples are missing')
+    """
+    parted = (each.partition(": ") for each in _NEXT.split(glued) if each)
+    return tuple(Reason(code, message) for code, _, message in parted)
+
+
+def method_parts(method: str, results: Collection[str]) -> dict[str, str]:
+    """Find what a method says of the test alone, and the result that a number is made of.
+
+    Parameters
+    ----------
+    method : of a result
+    results : names of the other results of the test
+
+    Examples
+    --------
+    >>> method_parts("stiffness x length; 3 N of slips added back", ["stiffness"])
+    {'method': 'stiffness x length', 'made_of': 'stiffness', 'remark': '3 N of slips added back'}
+    """
+    found = _REMARK.fullmatch(method)
+    plain, remark = found.groups() if found else (method, "")
+    made_of = next((word for word in re.findall(r"[\w.]+", plain) if word in results), "")
+    return {"method": plain, "made_of": made_of, "remark": remark}
+
+
+def write_reasons(target: Target, reasons: Iterable[Reason]) -> None:
+    """Write reasons.
+
+    Parameters
+    ----------
+    target : group of what they are the reasons of
+    reasons : any number
+    """
+    told = tuple(reasons)
+    target.texts(layout.REASON_CODES, tuple(each.code for each in told))
+    target.texts(layout.REASON_MESSAGES, tuple(each.message for each in told))
+
+
+def read_reasons(group: Any) -> tuple[Reason, ...]:
+    """Read reasons.
+
+    Parameters
+    ----------
+    group : open HDF5 group that `write_reasons` wrote to, or one of schema 1
+    """
+    if layout.REASON_CODES not in group.attrs:
+        return reasons_in(text(group, "reason"))
+    codes, messages = (texts(group, name) for name in (layout.REASON_CODES, layout.REASON_MESSAGES))
+    return tuple(Reason(*each) for each in zip(codes, messages, strict=True))
 
 
 def write_specimen(target: Target, specimen: Specimen) -> None:

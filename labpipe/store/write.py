@@ -1,4 +1,4 @@
-"""TestResult to HDF5: made in memory, written beside the old file, verified, renamed."""
+"""TestResult to result.h5 and summary.json: written beside the old files, verified, renamed."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import json
 import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +17,19 @@ from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
-from labpipe.records.result import InputFile, Result, TestResult
+from labpipe.records.harness_bundle import Bundle
+from labpipe.records.result import InputFile, Result, Specimen, TestResult
 from labpipe.store import layout
 from labpipe.store.datasets import Target, place_of, same_content
 from labpipe.store.layout import link_name
-from labpipe.store.reasons import write_reasons
 from labpipe.store.replace import replacing
-from labpipe.store.stored_parts import write_bending, write_notes, write_recording, write_specimen
+from labpipe.store.stored_parts import (
+    write_bending,
+    write_notes,
+    write_reasons,
+    write_recording,
+    write_specimen,
+)
 
 _BLOCK = 1 << 20
 
@@ -215,3 +223,106 @@ def _write_results(target: Target, results: tuple[Result, ...]) -> None:
         if result.interval is not None:
             for end in layout.INTERVAL_NUMBERS:
                 attributes[end] = float(getattr(result.interval, end))
+
+
+SUMMARY_SCHEMA = 2
+
+
+def summary(result: TestResult) -> dict[str, object]:
+    """Sum up a test in plain SI numbers.
+
+    Parameters
+    ----------
+    result : a processed test
+
+    Returns
+    -------
+    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or could not
+    be had, is None; the status and the reasons say why.
+    """
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "test": result.test,
+        "specimen": _specimen(result.specimen),
+        "protocol": result.protocol,
+        "labpipe": result.labpipe_version,
+        "inputs": [
+            {"role": given.role, "file": given.file, "sha256": given.sha256}
+            for given in result.inputs
+        ],
+        "run": result.run,
+        "results": [_entry(entry) for entry in result.results],
+        "quality": [
+            {"code": note.code, "severity": str(note.severity), "message": note.message}
+            for note in result.quality
+        ],
+    }
+
+
+def write_summary(result: TestResult, path: Path) -> None:
+    """Write ``summary.json``; an earlier one stays until the new one is whole.
+
+    Parameters
+    ----------
+    result : a processed test
+    path : the file
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written: full disk, no permission.
+    """
+    text = json.dumps(summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode())
+
+
+def _specimen(specimen: Specimen) -> dict[str, object]:
+    said: dict[str, object] = {
+        "type": specimen.type,
+        "spool": specimen.spool,
+        "sample": specimen.sample,
+        **{name: _number(value) for name, value in specimen.dimensions.items()},
+    }
+    if specimen.bundle is not None:
+        said["bundle"] = _bundle(specimen.bundle)
+    if specimen.labels:
+        said["labels"] = dict(specimen.labels)
+    return said
+
+
+def _bundle(bundle: Bundle) -> dict[str, object]:
+    return {
+        "composition": bundle.composition,
+        "number": bundle.number,
+        "wires": [
+            {"type": wire.type, "number": wire.number, "diameter": _number(wire.diameter)}
+            for wire in bundle.wires
+        ],
+        "arrangement": bundle.arrangement,
+        "positions": [list(place) for place in bundle.positions],
+        "tape": bundle.tape,
+        "taping": bundle.taping,
+        "conduit": bundle.conduit,
+        "conduit_bore": _number(bundle.conduit_bore),
+    }
+
+
+def _entry(result: Result) -> dict[str, object]:
+    interval = result.interval
+    return {
+        "name": result.name,
+        "value": _number(result.value),
+        "unit": result.unit,
+        "lower": _number(interval.lower) if interval else None,
+        "upper": _number(interval.upper) if interval else None,
+        "level": _number(interval.level) if interval else None,
+        "status": str(result.status),
+        "reasons": [asdict(reason) for reason in result.reasons],
+        "method": result.how,
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """The number itself; None for what JSON cannot say (NaN, infinities)."""
+    return float(value) if value is not None and isfinite(value) else None

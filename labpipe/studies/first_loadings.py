@@ -20,10 +20,10 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Curve, Direction
+from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
-from labpipe.records.step_settings import FitShape, SpecimenFrame, Zero
 from labpipe.results.moment_curvature import at_rest, notes_of
 from labpipe.signal.turning_points import noise_level
 from labpipe.statistics.mean_curves import block_means

@@ -14,7 +14,7 @@ from scipy.optimize import brentq
 
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.sheet_exports import without_absent
+from labpipe.protocol.overrides import without_absent
 from labpipe.records.arrays import Floats
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.result import Result

@@ -18,7 +18,7 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
-from labpipe.protocol.results import result_names
+from labpipe.protocol.outline import result_names
 from labpipe.protocol.schema import Protocol
 from labpipe.readers.channels import find_channel
 

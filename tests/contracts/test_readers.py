@@ -18,8 +18,7 @@ from hypothesis import strategies as st
 from labpipe.errors import LabpipeError, ReadError
 from labpipe.readers import READERS, read_export, recognise_export
 from labpipe.records.arrays import Floats
-from labpipe.records.export_formats import EXPORT_FORMATS
-from labpipe.records.recording import Recording
+from labpipe.records.recording import EXPORT_FORMATS, Recording
 from tests.builders import load_frames as frames
 from tests.builders.controldesk import (
     Axis,

@@ -10,8 +10,7 @@ from labpipe.protocol.schema import (
     MachineCompliance,
     Slips,
 )
-from labpipe.records.declarations import Span
-from labpipe.records.step_settings import Smooth
+from labpipe.records.declarations import Smooth, Span
 from tests.protocol.conftest import Told
 
 

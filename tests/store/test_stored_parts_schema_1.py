@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from labpipe.records.quality import Reason, worded
-from labpipe.store.schema_1 import method_parts, reasons_in
+from labpipe.store.stored_parts import method_parts, reasons_in
 
 
 def test_reasons_are_taken_apart_where_the_next_code_is() -> None:

@@ -5,7 +5,7 @@ from dataclasses import fields
 
 import pytest
 
-from labpipe.protocol.results import RESULTS, result_names
+from labpipe.protocol.outline import RESULTS, result_names
 from labpipe.results import KINDS
 from labpipe.results.kinds import Kind
 

@@ -14,8 +14,8 @@ from labpipe.protocol.load import (
     parse_protocol,
     resolve,
 )
+from labpipe.protocol.overrides import absent_faults, without_absent
 from labpipe.protocol.schema import AlignNone, Protocol
-from labpipe.protocol.sheet_exports import absent_faults, without_absent
 
 CONDUIT = Path(__file__).parents[2] / "protocols" / "conduit-bundle.yaml"
 SHEET = """\

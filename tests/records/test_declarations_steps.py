@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from labpipe.records.step_settings import STEPS, Decimate, Zero
+from labpipe.records.declarations import STEPS, Decimate, Zero
 
 
 def test_a_step_knows_its_place_which_is_no_setting() -> None:

@@ -10,7 +10,7 @@ from labpipe.errors import StoreError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
 from labpipe.records.result import Result, Specimen
-from labpipe.store.summary import summary, write_summary
+from labpipe.store.write import summary, write_summary
 from tests.store.builders_result import build_result
 
 

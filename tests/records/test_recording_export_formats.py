@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from labpipe.protocol.source import MARKER_READERS
 from labpipe.protocol.source import READERS as NAMED_READERS
 from labpipe.readers import READERS
-from labpipe.records.export_formats import EXPORT_FORMATS
+from labpipe.records.recording import EXPORT_FORMATS
 
 
 def test_each_name_is_one_format_with_a_module() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from labpipe.records.quality import Reason
 from labpipe.store.datasets import Target
-from labpipe.store.reasons import read_reasons, write_reasons
+from labpipe.store.stored_parts import read_reasons, write_reasons
 
 
 @pytest.mark.parametrize(
