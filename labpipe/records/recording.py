@@ -36,7 +36,13 @@ EXPORT_FORMATS: Final = (
     ExportFormat("dspace-csv", "labpipe.readers.dspace_csv"),
     ExportFormat("dspace-mf4", "labpipe.readers.dspace_mf4"),
     ExportFormat("motive-csv", "labpipe.readers.motive_takes", has_markers=True),
-    ExportFormat("motive-xlsx", "labpipe.readers.motive_takes", False, True, has_markers=True),
+    ExportFormat(
+        "motive-xlsx",
+        "labpipe.readers.motive_takes",
+        is_text=False,
+        is_workbook=True,
+        has_markers=True,
+    ),
     ExportFormat("load-frame", "labpipe.readers.load_frame", is_workbook=True),
 )
 """In the order in which a file is asked for them."""
