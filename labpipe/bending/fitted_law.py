@@ -16,6 +16,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 from scipy.optimize import nnls
 
 from labpipe.records.arrays import Flags, Floats, Ints
@@ -267,11 +268,7 @@ class Line:
 
     def integral(self, values: Floats) -> Floats:
         """Integral from the clamped end, trapezoids; values of shape (n, points, ...)."""
-        steps = np.diff(self.arc_length).reshape(-1, *([1] * (values.ndim - 2)))
-        parts = 0.5 * steps * (values[:, 1:] + values[:, :-1])
-        out = np.zeros_like(values)
-        np.cumsum(parts, axis=1, out=out[:, 1:])
-        return out
+        return cumulative_trapezoid(values, self.arc_length, axis=1, initial=0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -81,24 +81,21 @@ def loop_energy(
     if len(time) < _LEAST_OF_LOOP:
         message = f"{len(time)} samples in the cycle, {_LEAST_OF_LOOP} are needed"
         return Failure("too_few_samples", message)
-    work = _work(displacement, force)
+    work = float(np.trapezoid(force, displacement))
     steps, rises = np.gradient(displacement), np.gradient(force)
     force_noise, displacement_noise = noise_power(force), noise_power(displacement)
     # Noise makes the steps look longer; the noise of both is counted once, with the rises.
     squares = float(steps @ steps) - 0.5 * len(time) * displacement_noise
     squares = max(squares, float(np.ptp(displacement)) ** 2 / len(time))
-    later, earlier = _work(displacement[:-2], force[2:]), _work(displacement[2:], force[:-2])
-    per_second = (later - earlier) / (4.0 * float(np.median(np.diff(time))))
+    later = np.trapezoid(force[2:], displacement[:-2])
+    earlier = np.trapezoid(force[:-2], displacement[2:])
+    per_second = float(later - earlier) / (4.0 * float(np.median(np.diff(time))))
     variance = (
         force_noise * squares
         + displacement_noise * float(rises @ rises)
         + (per_second * clock_error) ** 2
     )
     return Estimate(work, float(np.sqrt(variance)), len(time))
-
-
-def _work(displacement: Floats, force: Floats) -> float:
-    return float(np.sum(0.5 * (force[1:] + force[:-1]) * np.diff(displacement)))
 
 
 def noise_power(values: Floats) -> float:
