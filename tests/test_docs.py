@@ -238,6 +238,7 @@ def severity_of(node: ast.expr) -> str | None:
 SEVERITIES = {
     "worth_knowing": "info",
     "warning": "warning",
+    "doubtful": "warning",
     "not_available": "error",
     "blocking": "error",
 }
@@ -254,12 +255,8 @@ def noted(node: ast.AST, usual: str = "warning") -> Iterator[tuple[str | None, s
     match name:
         case "QualityNote" | "note":
             yield text_of(given[0]), severity_of(given[1])
-        case "worth_knowing" | "warning" | "not_available" | "blocking":
+        case "worth_knowing" | "warning" | "doubtful" | "not_available" | "blocking":
             yield text_of(given[0]), SEVERITIES[name]
-        case "doubtful":
-            yield from (
-                (text_of(each.value), "warning") for each in node.keywords if each.arg == "code"
-            )
         case "_note" | "group_note":
             yield text_of(given[0]), severity_of(given[2]) if len(given) > 2 else usual
         case "_gap_notes":

@@ -1,8 +1,8 @@
-"""From recordings to signals: calibrated, in SI units, with the first findings."""
+"""From recordings to signals: calibrated, in SI units, with what a first look finds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ from labpipe.records.quality import (
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import SpanBend
+from labpipe.signal.bad_samples import Stuck, stuck_runs
 
 if TYPE_CHECKING:
     from labpipe.markers.specimen_frame import SpecimenFrame
@@ -162,7 +163,7 @@ def _peak(
         f"the largest value is {peak:.4g} {signal.unit}, plausible are {least:.4g} to "
         f"{most:.4g} {signal.unit}: is the unit right, and is it this channel?"
     )
-    return [doubtful(quantity, code="implausible_peak", message=message, where=name)]
+    return [doubtful("implausible_peak", name, message, quantity)]
 
 
 def _check_markers(tracks: MarkerTracks, role: str) -> None:
@@ -222,3 +223,65 @@ def _check_clock(time: Floats, role: str, *, fewest: int) -> None:
             remedy="Export the recording again.",
         )
         raise ProcessingError(message)
+
+
+def check_channels(signals: Signals, protocol: Protocol) -> Iterator[Finding]:
+    """Doubt channels that are full or frozen, there and then.
+
+    Parameters
+    ----------
+    signals : the raw ones are looked at
+    protocol : says which channel splits the branches, and which one joins the clocks
+    """
+    words = {} if protocol.curve is None else signals.quantities
+    others = dict(zip(words, reversed(words), strict=True))
+    for name, signal in signals.raw.items():
+        other = signals.raw.get(others.get(name, ""))
+        beside = other.values if other is not None and other.clock == signal.clock else None
+        runs = stuck_runs(signal.time, signal.values, beside)
+        quantity = words.get(name, name)
+        full = [run for run in runs if run.is_end]
+        if full:
+            yield _full(name, signal, full, quantity)
+            if getattr(protocol.align, "channel", "") == name:  # its peaks are not where they seem
+                yield _full(name, signal, full, "clock", anywhere=True)
+        for run in (each for each in runs if not each.is_end):
+            yield _frozen(name, signal, run, quantity)
+            if protocol.branches is not None and protocol.branches.channel == name:
+                yield _frozen(name, signal, run, "force")  # its branches are not where they were
+
+
+def _full(
+    name: str, signal: Signal, runs: list[Stuck], quantity: str, *, anywhere: bool = False
+) -> Finding:
+    count = sum(run.stop - run.start for run in runs)
+    at = " and ".join(
+        f"{level:.6g} {signal.unit}"
+        for level in sorted({float(signal.values[run.start]) for run in runs})
+    )
+    message = (
+        f"{count} samples stand at {at} to the last digit, in {len(runs)} stretches, and none lies "
+        "beyond: saturated? Look at the range of the amplifier"
+    )
+    if anywhere:
+        return doubtful("saturation", name, message, quantity)
+    when = tuple(_times(signal, run) for run in runs)
+    note = QualityNote("saturation", Severity.WARNING, name, message, when)
+    return doubtful_stretches(quantity, note, signal.clock)
+
+
+def _frozen(name: str, signal: Signal, run: Stuck, quantity: str) -> Finding:
+    when = _times(signal, run)
+    unit = "s" if signal.has_time else "of the samples"
+    message = (
+        f"stands at {float(signal.values[run.start]):.6g} {signal.unit} to the last digit from "
+        f"{when[0]:.3f} to {when[1]:.3f} {unit} while the test goes on: frozen"
+    )
+    note = QualityNote("frozen_channel", Severity.WARNING, name, message, (when,))
+    return doubtful_stretches(quantity, note, signal.clock)
+
+
+def _times(signal: Signal, run: Stuck) -> tuple[float, float]:
+    """From the last sample before a run to the first one behind it."""
+    first, last = max(run.start - 1, 0), min(run.stop, len(signal.time) - 1)
+    return float(signal.time[first]), float(signal.time[last])

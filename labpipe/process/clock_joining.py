@@ -1,25 +1,41 @@
-"""Joining the clock of the force to the clock of the motion."""
+"""Joining the clock of the force to that of the motion: by turns, by a common start, as stated."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass
 from itertools import pairwise
+from math import sqrt
+from typing import assert_never
 
 import numpy as np
 
 from labpipe.errors import in_test_sheet
-from labpipe.process.motion_turns import Turn
-from labpipe.protocol.schema import AlignTurningPoints
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import ClockFit
+from labpipe.process.motion import (
+    WORST_CORNER,
+    Turn,
+    check_turns,
+    match_strokes,
+    turn_events,
+    turning_points,
+    upright,
+)
+from labpipe.protocol.schema import (
+    Align,
+    AlignCommonStart,
+    AlignNone,
+    AlignStated,
+    AlignTurningPoints,
+)
+from labpipe.records.arrays import Floats, median
+from labpipe.records.curve import ClockFit, Interval
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, blocking, doubtful, worth_knowing
-from labpipe.records.signals import Signal
-from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, match_peaks, rough_peaks
+from labpipe.records.signals import Signal, Signals
+from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, rough_peaks
 from labpipe.signal.corners import Corner
-from labpipe.signal.reversals import Reversal, fit_reversal
-from labpipe.signal.turning_points import Stroke, goes_down, turn_near
+from labpipe.signal.reversals import Reversal
+from labpipe.signal.turning_points import Stroke, sharpest_turn
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""
@@ -28,12 +44,43 @@ _CONTRADICTED = 4.0
 _RELAXES = 0.01
 """Share of its range that a force loses in a dwell before the lag of the repeated cycle is doubted;
 with 0.04 the drift was off by two standard errors."""
-_RESTS = 0.2
-"""Share of its range above its lowest value below which a signal rests."""
-_ROUGH = 1.0
-"""s on each side of what a force was roughly seen to turn at, in which its corner is looked for."""
-_WORST_CORNER = 0.1
-"""s; a corner of the force known no better than this says nothing about a clock."""
+
+
+def join_clocks(
+    signals: Signals, align: Align, motion: Signal, strokes: tuple[Stroke, ...]
+) -> tuple[ClockFit | None, list[Turn], list[Finding]]:
+    """Join the clock of the force to that of the motion as the protocol says.
+
+    Parameters
+    ----------
+    signals : raw, with the channel that is to show the turns
+    align : of the protocol
+    motion, strokes : the travel and its strokes
+
+    Returns
+    -------
+    The fit, None where there is none; the turns of the motion that it was looked for at, and what
+    was found.
+    """
+    if not strokes or isinstance(align, AlignNone):
+        return None, [], []
+    force = signals.raw[align.channel or signals.force]
+    by_turns = isinstance(align, AlignTurningPoints)
+    if not by_turns and force.clock == signals.raw[signals.displacement].clock:
+        return None, [], []
+    turns = turning_points(motion, strokes, window=align.motion_window)
+    fit: ClockFit | None
+    match align:
+        case AlignStated():
+            fit, found = stated_clocks(force, align, motion, strokes)
+        case AlignCommonStart():
+            fit, found = start_together(force, align, motion, strokes, turns)
+        case AlignTurningPoints():
+            fit, found = align_clocks(force, align, motion, strokes, turns)
+        case _ as never:
+            assert_never(never)
+    for_clock = not isinstance(align, AlignStated)
+    return fit, turns, [*found, *check_turns(motion, strokes, turns, for_clock=for_clock)]
 
 
 def align_clocks(
@@ -55,20 +102,13 @@ def align_clocks(
     -------
     The fit, or None where there is none, and what was found on the way.
     """
-    if not np.nanmax(force.values) > np.nanmin(force.values):
+    if _is_constant(force):
         level = float(np.nanmean(force.values))
         message = f"the {align.channel} is constant at {level:.6g} {force.unit}"
         return None, [blocking("constant_channel", align.channel, message)]
-    if goes_down(force.values):  # a reversed bridge turns when any other does
-        force = replace(force, values=-force.values)
+    force = upright(force)
     pairs, is_ambiguous, counted = match_strokes(motion, force, strokes, sign=1)
-    seen = {turn.stroke: turn for turn in turns}
-    events = [
-        event
-        for stroke, near in pairs
-        if stroke in seen
-        and (event := turn_event(force, seen[stroke], near, window=align.force_window)) is not None
-    ]
+    events = turn_events(force, pairs, turns, align.force_window)
     if not events:
         why = _why_no_event(force, len(pairs), counted)
         return None, [blocking("no_common_peak", "align", why)]
@@ -79,116 +119,17 @@ def align_clocks(
     return fit, [*found, *_judged(fit, align)]
 
 
+def _is_constant(force: Signal) -> bool:
+    return not np.nanmax(force.values) > np.nanmin(force.values)
+
+
 def _ambiguous(counted: str) -> list[Finding]:
     message = (
         "another pairing of the peaks may be the right one, as not all of the test is in both "
         f"records ({counted}); if you know the offset, state it: "
         f"{in_test_sheet('align', '{method: stated, offset: ...}')}"
     )
-    return [doubtful("clock", code="alignment_ambiguous", message=message, where="align")]
-
-
-def match_strokes(
-    motion: Signal, force: Signal, strokes: tuple[Stroke, ...], *, sign: int
-) -> tuple[list[tuple[int, float]], bool, str]:
-    """Pair the upper turns of a motion with the peaks of a force: all of them, before any is used.
-
-    Parameters
-    ----------
-    motion, force : each on its own clock
-    strokes : of the motion
-    sign : of the strokes that load
-
-    Returns
-    -------
-    pairs : number of the stroke that ends at the turn, and s, where the force roughly turns
-    is_ambiguous : whether another pairing fits as well, or would have to be looked for beyond a
-        record that begins or ends in mid-test
-    counted : in words, how many peaks of each there are
-    """
-    tops = [
-        (number, 0.5 * float(motion.time[before.stop] + motion.time[after.start]))
-        for number, (before, after) in enumerate(pairwise(strokes))
-        if before.sign == sign
-    ]
-    seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
-    times = np.array([top for _, top in tops])
-    pairs, is_ambiguous = match_peaks(times, seen)
-    if len(pairs) and len(times) > 1 and not (_is_whole(motion) and _is_whole(force)):
-        lag = float(np.median(seen[pairs[:, 1]] - times[pairs[:, 0]]))
-        is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
-    matched = [(tops[first][0], float(seen[second])) for first, second in pairs.tolist()]
-    return matched, is_ambiguous, f"{len(tops)} peaks of the motion, {len(seen)} of the force"
-
-
-def _is_whole(signal: Signal) -> bool:
-    """Whether a record begins and ends at rest, far below its peaks."""
-    known = signal.values[~np.isnan(signal.values)]
-    size = max(1, len(known) // 200)
-    ends = float(known[:size].mean()), float(known[-size:].mean())
-    return max(ends) < float(known.min()) + _RESTS * float(np.ptp(known))
-
-
-def turn_event(
-    force: Signal, turn: Turn, near: float, *, window: float
-) -> tuple[Corner, Reversal] | None:
-    """Find where the force turns when a motion does.
-
-    Parameters
-    ----------
-    force : on its own clock
-    turn : of the motion
-    near : s, where the force was roughly seen to turn: anywhere in the dwell
-    window : s on each side of a corner
-
-    Returns
-    -------
-    The corner of the motion, and that of the force; None where that is not known to 0.1 s. With a
-    dwell both corners of the force make one event, for the motion says how far they are apart: of
-    two windows or less in one fit, so that none is taken for the other, else each for itself.
-    """
-    dwell = turn.dwell
-    reach = dwell + _ROUGH  # the force may have been seen to turn at either corner
-    first = turn_near(force.time, force.values, near=near, reach=reach, width=window, dwell=dwell)
-    if first is None:
-        return None
-    if dwell <= 2.0 * window:
-        known_to = max(corner.time_error for corner in turn.corners)
-        found = [(replace(turn.arrival, time_error=known_to), first, dwell)]
-    else:
-        found = [(turn.arrival, first, 0.0), (turn.departure, first + dwell, 0.0)]
-    events = []
-    for corner, at, wait in found:
-        inside = _around(force, at, window + wait)
-        pulled = fit_reversal(*inside, near=at, window=window, dwell=wait)
-        if pulled is not None and pulled.corner.time_error < _WORST_CORNER:
-            events.append((corner, pulled))
-    return _mean_event(events)
-
-
-def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal] | None:
-    """One event of the corners of a turn, weighted by what is known of each."""
-    if len(events) < 2:
-        return events[0] if events else None
-    seen, felt = [each for each, _ in events], [each for _, each in events]
-    times = np.array([[one.time, two.corner.time] for one, two in events])
-    errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
-    together = np.hypot(errors[:, 0], errors[:, 1])
-    weights = together**-2.0 / (together**-2.0).sum()
-    lags = times[:, 1] - times[:, 0]
-    apart = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
-    at, error = weights @ times, apart * np.sqrt(weights**2 @ errors**2)
-    shape_error = float(weights @ [each.shape_error for each in felt])
-    corner = replace(felt[0].corner, time=float(at[1]), time_error=float(error[1]))
-    return (
-        replace(seen[0], time=float(at[0]), time_error=float(error[0])),
-        Reversal(corner, shape_error),
-    )
-
-
-def _around(signal: Signal, at: float, window: float) -> tuple[Floats, Floats]:
-    span = slice(*np.searchsorted(signal.time, [at - window, at + window]))
-    return signal.time[span], signal.values[span]
+    return [doubtful("alignment_ambiguous", "align", message, "clock")]
 
 
 def _why_no_event(force: Signal, pairs: int, counted: str) -> str:
@@ -199,7 +140,7 @@ def _why_no_event(force: Signal, pairs: int, counted: str) -> str:
     if pairs:
         return (
             f"{pairs} peaks of the motion lie at peaks of the force, but none of these is a "
-            f"corner known to {_WORST_CORNER:g} s: noise or mains hum on the force?"
+            f"corner known to {WORST_CORNER:g} s: noise or mains hum on the force?"
         )
     return f"{counted}, no pair"
 
@@ -278,14 +219,13 @@ def _consistent(repeat: Repeat | None, fit: ClockFit) -> tuple[Repeat | None, li
 
 
 def _fitted(events: list[tuple[Corner, Reversal]], repeat: Repeat | None) -> ClockFit:
-    def column(values: list[float]) -> Floats:
-        return np.array(values, dtype=np.float64)
-
     method = "turning points: lines through the travel, smooth pieces of the force"
+    columns = [
+        [seen.time, felt.corner.time, _event_error(seen, felt, len(events))]
+        for seen, felt in events
+    ]
     return fit_clocks(
-        column([motion.time for motion, _ in events]),
-        column([force.corner.time for _, force in events]),
-        column([_event_error(motion, force, len(events)) for motion, force in events]),
+        *np.array(columns, dtype=np.float64).T,
         method=method if repeat is None else f"{method}; lag of the repeated cycle",
         repeat=repeat,
     )
@@ -306,14 +246,242 @@ def _judged(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
             f"the clocks agree to {1e3 * fit.residual:.3g} ms rms at the turning points, "
             f"the protocol allows {1e3 * align.max_residual:.3g} ms"
         )
-        yield doubtful("clock", code="alignment_residual", message=message, where="align")
+        yield doubtful("alignment_residual", "align", message, "clock")
     known_to = 0.5 * (fit.drift_interval.upper - fit.drift_interval.lower)
     if abs(fit.drift) - known_to > align.max_drift:  # more than chance would have it
         message = (
             f"the clocks drift by {1e6 * fit.drift:.4g} ppm, known to {1e6 * known_to:.3g} ppm, "
             f"the protocol allows {1e6 * align.max_drift:.4g} ppm"
         )
-        yield doubtful("clock", code="alignment_drift", message=message, where="align")
+        yield doubtful("alignment_drift", "align", message, "clock")
     if len(fit.event_times_motion) == 1:
         message = "only one turning point was seen by both: the drift is taken as zero"
-        yield doubtful("clock", code="alignment_one_event", message=message, where="align")
+        yield doubtful("alignment_one_event", "align", message, "clock")
+
+
+_RATE = 1e-4
+"""How far two recorders may differ in rate that nobody has compared."""
+_SMOOTH, _SHARE = 0.5, 0.3
+"""As for `rough_peaks`: s, and share of the range."""
+_FAR, _SURELY = 1.0, 3.0
+"""s by which a peak of the force may be off its turn by a rough look at it; and standard errors."""
+
+
+def stated_clocks(
+    force: Signal, align: AlignStated, motion: Signal, strokes: tuple[Stroke, ...]
+) -> tuple[ClockFit, list[Finding]]:
+    """Take an offset between the clocks of force and motion as it is stated.
+
+    Parameters
+    ----------
+    force : the raw channel whose peaks are to lie at the turns
+    align : offset, drift, uncertainty and reason of the protocol
+    motion, strokes : on the clock of the motion
+
+    Returns
+    -------
+    The fit, with the statement in place of an event; a note, and a doubt where the force peaks
+    elsewhere.
+
+    Notes
+    -----
+    Without a stated uncertainty the offset is taken as known to one sample of the slower recorder.
+    The drift is known to 100 ppm / sqrt(3), a rectangle (GUM, JCGM 100:2008, sec. 4.3.7).
+    """
+    known_to = align.uncertainty
+    if known_to is None:
+        known_to = max(median(np.diff(motion.time)), median(np.diff(force.time)))
+    fit = ClockFit(
+        offset=align.offset,
+        drift=align.drift,
+        offset_interval=Interval.normal_95(align.offset, known_to),
+        drift_interval=Interval.normal_95(align.drift, _RATE / sqrt(3.0)),
+        residual=0.0,
+        event_times_motion=np.zeros(1),
+        event_times_force=np.full(1, align.offset),
+        event_errors=np.full(1, known_to),
+        method=f"stated: {align.because}",
+    )
+    message = (
+        f"the offset of the clocks is stated, not measured: {align.offset:.6g} s, standard "
+        f"uncertainty {known_to:.3g} s"
+        f"{'' if align.uncertainty is not None else ' (one sample, as none is stated)'}, drift "
+        f"{1e6 * align.drift:.4g} ppm, because: {align.because}"
+    )
+    note = worth_knowing("clocks_stated", "align", message)
+    return fit, [note, *_contradicted(force, fit, motion, strokes)]
+
+
+def _contradicted(
+    force: Signal, fit: ClockFit, motion: Signal, strokes: tuple[Stroke, ...]
+) -> Iterator[Finding]:
+    """Doubt a statement by which the force peaks long before or after the motion turns."""
+    if not strokes or _is_constant(force):
+        return
+    force = upright(force)
+    peaks = rough_peaks(force.time, force.values, smoothing=_SMOOTH, share=_SHARE)
+    if not len(peaks):
+        return
+    ends = [motion.time[[before.stop, after.start]] for before, after in pairwise(strokes)]
+    tops = [fit.to_force_time(end) for end in ends[::2]]  # of the strokes that load
+    lags = [
+        max(0.0, float(np.abs(peaks - top.mean()).min()) - 0.5 * float(np.ptp(top)))
+        for top in tops
+        if force.time[0] <= top[0] and top[1] <= force.time[-1]
+    ]
+    known_to = float(fit.event_errors[0])
+    off = median(np.array(lags)) if lags else 0.0
+    if off <= _FAR + _SURELY * known_to:
+        return
+    message = (
+        f"by the stated offset the force peaks {off:.2f} s away from where the "
+        "motion turns: look at its sign (time of the force less time of the motion) and at the "
+        "files"
+    )
+    yield doubtful("clocks_stated_wrong", "align", message, "clock", "force")
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A turning point that both recorders have seen: their times, s, and the difference's error."""
+
+    motion: float
+    force: float
+    error: float
+
+
+def start_together(
+    force: Signal,
+    align: AlignCommonStart,
+    motion: Signal,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
+) -> tuple[ClockFit, list[Finding]]:
+    """Fit the force's clock to the motion's, both started by one trigger.
+
+    Parameters
+    ----------
+    force : the raw channel that is to show the turns
+    align : channel and limits of the protocol
+    motion, strokes, turns : the travel, its strokes, and the turns that were found between them
+
+    Returns
+    -------
+    The fit, and a doubt where the two did not start together.
+
+    Notes
+    -----
+    Three kinds of evidence in one weighted least-squares fit of offset and drift: the common start
+    says offset = 0 with the standard uncertainty max_offset / sqrt(3) of a rectangle, instruments
+    say drift = 0 with that of max_drift (GUM, JCGM 100:2008, sec. 4.3.7), every corner of the force
+    says what its difference to the turn of the motion is. A sharp corner so decides within the
+    limits of the start, a blurred one leaves what the start says. Where the corner contradicts the
+    start by more than its own 95 % interval, the start is left out and the clocks are doubtful.
+    """
+    found: list[Finding] = []
+    if _is_constant(force):
+        message = (
+            f"the {align.channel} is constant at {float(np.nanmean(force.values)):.6g} "
+            f"{force.unit}: is it the right channel, and is the cell connected?"
+        )
+        found.append(blocking("constant_channel", align.channel, message))
+    seen = _seen(force, align, motion, strokes, turns)
+    at_turn = _weighted(seen)
+    together = at_turn is None or abs(at_turn[0]) - 1.96 * at_turn[1] <= align.max_offset
+    fit = _fit_together(seen, align, together=together)
+    return fit, [*found, _finding(fit, align, at_turn, together=together)]
+
+
+def _seen(
+    force: Signal,
+    align: AlignCommonStart,
+    motion: Signal,
+    strokes: tuple[Stroke, ...],
+    turns: list[Turn],
+) -> list[Seen]:
+    """Turns at the top of loading that the force has seen as well."""
+    force = upright(force)
+    pairs = _paired(motion, force, strokes, align)
+    return [
+        Seen(seen.time, felt.corner.time, float(np.hypot(seen.time_error, felt.corner.time_error)))
+        for seen, felt in turn_events(force, pairs, turns, align.force_window)
+    ]
+
+
+def _paired(
+    motion: Signal, force: Signal, strokes: tuple[Stroke, ...], align: AlignCommonStart
+) -> list[tuple[int, float]]:
+    """Strokes that end at the top of loading, and where the force roughly turns there."""
+    loads = [each.sign == strokes[0].sign for each in strokes[:-1]]
+    if sum(loads) == 1:
+        near = sharpest_turn(force.time, force.values, width=align.force_window)
+        return [] if near is None else [(0, near)]
+    return match_strokes(motion, force, strokes, sign=strokes[0].sign)[0]
+
+
+def _weighted(seen: list[Seen]) -> tuple[float, float] | None:
+    """Mean difference at the turns and its standard error, s."""
+    if not seen:
+        return None
+    weights = np.array([each.error for each in seen]) ** -2.0
+    differences = np.array([each.force - each.motion for each in seen])
+    return float(np.average(differences, weights=weights)), float(weights.sum() ** -0.5)
+
+
+def _fit_together(seen: list[Seen], align: AlignCommonStart, *, together: bool) -> ClockFit:
+    design: Floats = np.array([[1.0, each.motion] for each in seen] + [[0.0, 1.0]])
+    says = np.array([each.force - each.motion for each in seen] + [0.0])
+    errors = np.array([each.error for each in seen] + [align.max_drift / sqrt(3.0)])
+    if together:
+        design = np.vstack([design, [1.0, 0.0]])
+        says = np.append(says, 0.0)
+        errors = np.append(errors, align.max_offset / sqrt(3.0))
+    weighted = design / errors[:, None]
+    covariance = np.linalg.inv(weighted.T @ weighted)
+    offset, drift = (float(each) for each in covariance @ weighted.T @ (says / errors))
+    offset_error, drift_error = (float(each) for each in np.sqrt(np.diag(covariance)))
+    events = seen or [Seen(0.0, 0.0, align.max_offset / sqrt(3.0))]  # the trigger itself
+    motion, force, spread = np.array([[e.motion, e.force, e.error] for e in events]).T
+    left = force - offset - (1.0 + drift) * motion
+    how = "the force's corner at the turn"
+    how = f"common start and {how}" if together else f"{how} alone"
+    return ClockFit(
+        offset=offset,
+        drift=drift,
+        offset_interval=Interval.normal_95(offset, offset_error),
+        drift_interval=Interval.normal_95(drift, drift_error),
+        residual=float(np.sqrt(np.mean(left**2))),
+        event_times_motion=motion,
+        event_times_force=force,
+        event_errors=spread,
+        method=f"{how}, drift taken as zero within a bound",
+    )
+
+
+def _finding(
+    fit: ClockFit,
+    align: AlignCommonStart,
+    at_turn: tuple[float, float] | None,
+    *,
+    together: bool,
+) -> Finding:
+    if at_turn is None:
+        message = (
+            f"the {align.channel} shows no corner at a turn of the motion: the common start, "
+            f"within {1e3 * align.max_offset:.3g} ms, is taken as it is"
+        )
+        return worth_knowing("start_unchecked", "align", message)
+    known, apart = 1.96e3 * at_turn[1], abs(at_turn[0])
+    far = f"{apart:.2f} s" if apart > 1.0 else f"{1e3 * apart:.4g} ms"
+    said = (
+        f"the {align.channel} turns {far} "
+        f"{'after' if at_turn[0] >= 0.0 else 'before'} the motion, known to {known:.2g} ms"
+    )
+    if together:
+        message = f"{said}; started together, so {1e3 * fit.offset:.4g} ms is taken at the start"
+        return worth_knowing("common_start", "align", message)
+    message = (
+        f"{said}: the recorders did not start within {1e3 * align.max_offset:.3g} ms of each "
+        "other; the difference at the turn is taken"
+    )
+    return doubtful("not_started_together", "align", message, "clock", "force")

@@ -1,4 +1,4 @@
-"""Corrections of the curve: what frame, grips and slack add to it, and where the specimen broke.
+"""The curve: force and displacement on one clock, and what frame, grips and slack add to it.
 
 They follow one another in the order of the protocol's keys, on the curve as it was split into
 branches; the aligned signals stay as measured.
@@ -18,19 +18,71 @@ from labpipe.fits.grip_slips import add_back, find_slips, samples_before
 from labpipe.fits.loops import sense_of_loading
 from labpipe.fits.slack import fit_slack
 from labpipe.fits.straight_lines import correct_displacement
+from labpipe.process.motion import Motion
 from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
 from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Curve, Direction, Slip, SlipDecision
+from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Estimate, Failure, scaled, widened
-from labpipe.records.quality import Finding, doubtful, warning, worth_knowing
+from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
+from labpipe.results.failures import loading_before
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
+from labpipe.signal.turning_points import branch_numbers
 
 Corrected: TypeAlias = tuple[Evidence, list[Finding]]
+
+
+def aligned(test: Evidence) -> Aligned:
+    """Sample all raw signals at the times of the displacement; the curve's own by its words."""
+    time = test.displacement.time
+    series = {
+        test.signals.quantities.get(name, name): Series(
+            test.clocks.sampled(signal, time), signal.unit
+        )
+        for name, signal in test.signals.raw.items()
+    }
+    return Aligned(time, series, test.clocks.force, test.displacement.time_unit)
+
+
+def put_together(
+    test: Evidence, unfiltered: Signal, motion: Motion
+) -> tuple[Curve | None, list[Finding]]:
+    """Put force and displacement on one clock: the curve; none where the records do not overlap.
+
+    Parameters
+    ----------
+    test : with clocks that are joined
+    unfiltered : the force, outliers bridged
+    motion : its branches
+    """
+    displacement = test.displacement
+    time = displacement.time
+    force = test.clocks.sampled(unfiltered, time)  # filtered once its corners are known
+    if np.isnan(force).all():
+        force_time = test.force.time
+        message = (
+            f"force from {force_time[0]:.3f} s to {force_time[-1]:.3f} s and motion from "
+            f"{time[0]:.3f} s to {time[-1]:.3f} s do not overlap"
+        )
+        return None, [blocking("no_overlap", "align", message)]
+    moved = tuple(_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
+    branch, cycle = branch_numbers(len(time), moved)
+    return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
+
+
+def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
+    """Count a branch in samples of another time axis on the same clock."""
+    if len(motion_time) == len(time):
+        return branch
+    last = min(branch.stop, len(motion_time)) - 1
+    start, stop = np.searchsorted(time, [motion_time[branch.start], motion_time[last]])
+    return Branch(
+        int(start), int(stop), branch.cycle, branch.direction, branch.start_time, branch.stop_time
+    )
 
 
 def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
@@ -166,12 +218,6 @@ def _sense(curve: Curve) -> float:
     return sense_of_loading(curve.force[first.start : first.stop])
 
 
-def loading_before(curve: Curve, sample: int) -> Branch:
-    """The last loading branch that begins at a sample or before it; the first one before all."""
-    loading = [each for each in curve.branches if each.direction is Direction.LOADING]
-    return [each for each in loading if each.start <= sample or each is loading[0]][-1]
-
-
 def _filtered_in_pieces(test: Evidence, lost: int | Failure | None) -> Evidence:
     """Filter force and displacement anew, each branch by itself: their corners are known now."""
     curve, signals = test.curve, test.signals
@@ -269,7 +315,7 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
         if slack.code == "no_toe":
             return test, [warning("no_toe", where, slack.message)]
         message = f"slack not found, so not taken off ({slack.message})"
-        return test, [doubtful("displacement", code="slack_unknown", message=message, where=where)]
+        return test, [doubtful("slack_unknown", where, message, "displacement")]
     off, alternative = slack.value, test.displacement.alternative
     other = None if alternative is None else alternative - off
     made = replace(

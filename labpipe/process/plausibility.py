@@ -1,9 +1,10 @@
-"""Whether a test went as its protocol takes for granted; what did not makes numbers doubtful."""
+"""Whether a test went as its protocol takes for granted, and its record holds all of it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,11 +12,19 @@ from labpipe.errors import in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Branch, Shape
+from labpipe.records.curve import Branch, Direction, Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.quality import Finding, doubtful, not_available, warning
+from labpipe.records.quality import (
+    Finding,
+    Findings,
+    doubtful,
+    not_available,
+    warning,
+    worth_knowing,
+)
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.signal.filters import moving_average, seconds_to_window
+from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
 from labpipe.signal.turning_points import noise_level
 from labpipe.units import GRAVITY
 
@@ -101,12 +110,7 @@ def _speed(motion: Signal, expected: float, first: Branch) -> Iterator[Finding]:
             f"{1e3 * speed:.4g} mm/s measured over the first branch, {1e3 * expected:.4g} mm/s "
             "expected: look at rig.crosshead_speed, and at unit and name of the displacement"
         )
-        yield doubtful(  # it may be the other one's column
-            *("displacement", "force"),
-            code="speed_unexpected",
-            message=message,
-            where="rig.crosshead_speed",
-        )
+        yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
 
 
 def _pull(force: Signal, weight: float) -> Iterator[Finding]:
@@ -118,7 +122,7 @@ def _pull(force: Signal, weight: float) -> Iterator[Finding]:
             f"the force falls to {lowest:.4g} N, but a string cannot push: the zero is wrong or "
             "drifts"
         )
-        yield doubtful("force", code="force_negative", message=message, where="force")
+        yield doubtful("force_negative", "force", message, "force")
 
 
 def _push(force: Signal) -> Iterator[Finding]:
@@ -130,7 +134,7 @@ def _push(force: Signal) -> Iterator[Finding]:
             f"the force falls to {lowest:.4g} N, but what presses on a specimen between supports "
             "cannot pull at it: the zero is wrong or drifts"
         )
-        yield doubtful("force", code="force_negative", message=message, where="force")
+        yield doubtful("force_negative", "force", message, "force")
 
 
 def _per_second(force: Signal) -> Floats:
@@ -149,9 +153,7 @@ def _length(shape: Shape, expected: float) -> Iterator[Finding]:
             f"{1e3 * expected:.4g} mm: look at specimen.length, grip_offset, pull_offset and at "
             "the outermost marker"
         )
-        yield doubtful(
-            "displacement", code="length_unexpected", message=message, where="specimen.length"
-        )
+        yield doubtful("length_unexpected", "specimen.length", message, "displacement")
 
 
 def check_rest(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> Iterator[Finding]:
@@ -174,7 +176,7 @@ def check_rest(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -
                 f"moves from {begins:.2f} s to {ends:.2f} s"
             )
             quantity = "force" if name == signals.force else "displacement"
-            yield doubtful(quantity, code="zero_not_at_rest", message=message, where=name)
+            yield doubtful("zero_not_at_rest", name, message, quantity)
 
 
 def check_mid_span(
@@ -212,9 +214,7 @@ def check_mid_span(
         "exports, at rig.crosshead_speed and rig.stroke where no frame measured it, and at how far "
         "the load was from the specimen"
     )
-    return prepared, [
-        doubtful("displacement", code="mid_span_differs", message=message, where="mid_span")
-    ]
+    return prepared, [doubtful("mid_span_differs", "mid_span", message, "displacement")]
 
 
 _BLOCKS = 200
@@ -322,6 +322,172 @@ def _reversed(
     names = {"force": signals.force, "displacement": signals.displacement}
     for name in wrong:
         quantity = f"{name}_sign" if len(wrong) > 1 else name
-        yield doubtful(quantity, code=f"{name}_reversed", message=message, where=names[name])
+        yield doubtful(f"{name}_reversed", names[name], message, quantity)
     if joined and "force" in wrong:  # clocks are joined at its peaks
-        yield doubtful("clock", code="force_reversed", message=message, where=signals.force)
+        yield doubtful("force_reversed", signals.force, message, "clock")
+
+
+_CUT_FILES = {"truncated", "rows_differ"}
+"""Notes of readers after which rows may be missing at the end."""
+_ARRIVED = {Direction.LOADING: 0.005, Direction.UNLOADING: 0.02}
+"""Share of the stroke within which a branch has come to where those before it ended: near the peak
+the force is steep, at the end of unloading it is small."""
+_PARTS = 40
+"""Parts of a branch that a motion is averaged over, to see where it stands."""
+_BACK = 0.1
+"""Share of the stroke within which a motion is back where it began; of a hold between two."""
+_AT_HOME = 0.02
+"""Share of the stroke within which a motion has not left yet, or has come home."""
+_SHORTEST, _ROWS = 0.25, 5.0
+"""s, or rows without times, that a motion stands at least to be told of."""
+_MISSED = 0.02
+"""Share of a branch that the record of the force may lack at its end."""
+
+
+def cut_at(
+    signals: Signals,
+    clocks: Clocks,
+    motion: Signal,
+    branches: tuple[Branch, ...],
+    *,
+    is_full_stroke: bool,
+    is_cut_file: bool,
+) -> dict[str, float]:
+    """Find where the record ends in the middle of a branch.
+
+    Parameters
+    ----------
+    signals, clocks : of the test
+    motion : that the branches were split by
+    branches : of the motion
+    is_full_stroke : whether the motion went as far as the rig was told to
+    is_cut_file : whether a reader saw that the end of an export may be missing
+
+    Returns
+    -------
+    By quantity, s on the clock of the curve; nothing where the record goes on to its end.
+    """
+    if not branches:
+        return {}
+    last, ends = branches[-1], dict[str, float]()
+    if _is_unfinished(motion, branches, is_full_stroke=is_full_stroke, is_cut_file=is_cut_file):
+        end = float(motion.time[~np.isnan(motion.values)][-1])
+        ends = {"force": end, "displacement": end}
+    force = signals.raw[signals.force]
+    known = force.time[~np.isnan(force.values)]
+    until = clocks.to_curve(float(known[-1]), force.clock)
+    apart = float(motion.time[-1] - motion.time[0]) / max(1, len(motion.time) - 1)
+    missing = max(_MISSED * (last.stop_time - last.start_time), 2.0 * apart)
+    return ends | {"force": until} if until < last.stop_time - missing else ends
+
+
+def file_is_cut(findings: Findings) -> bool:
+    """Whether a reader saw that rows may be missing at the end of an export."""
+    return any(each.code in _CUT_FILES for each in findings.found)
+
+
+def holds(where: str, motion: Signal, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+    """Say where the motion stands in the middle of the test, and for how long.
+
+    Parameters
+    ----------
+    where : name of the displacement
+    motion : that the branches were split by
+    branches : of the motion; the rests before the first and where it began are no part of it
+    """
+    unit, least = ("s", _SHORTEST) if motion.has_time else ("rows", _ROWS)
+    seen = _holds(motion, branches) if branches else []
+    held = [each for each in seen if each[1] - each[0] >= least]
+    if not held:
+        return
+    lasts = sorted({f"{stop - start:.4g}" for start, stop in held}, key=float)
+    how_long = lasts[0] if len(lasts) == 1 else f"{lasts[0]} to {lasts[-1]}"
+    often = "once" if len(held) == 1 else f"{len(held)} times"
+    place = float(np.interp(sum(held[0]) / 2.0, motion.time, motion.values))
+    message = (
+        f"the motion stands {often} in the middle of the test, for {how_long} {unit}; first at "
+        f"{1e3 * place:.4g} mm, from {held[0][0]:.4g} {unit} on"
+    )
+    yield worth_knowing("hold", where, message)
+
+
+def _holds(motion: Signal, branches: tuple[Branch, ...]) -> list[tuple[float, float]]:
+    """Begin and end, s, of what stands between branches, on their way, and behind the last one."""
+    found = [(before.stop_time, after.start_time) for before, after in pairwise(branches)]
+    size = max(1, int(np.median([each.stop - each.start for each in branches])) // _PARTS)
+    speed = float(np.median([_branch_speed(motion, each) for each in branches]))
+    stroke, began = np.ptp(motion.values[~np.isnan(motion.values)]), branches[0].start
+    for branch in branches:
+        goes_on = branch is branches[-1] and not _is_back(motion, branches[0])
+        part = slice(branch.start, None if goes_on else branch.stop)
+        outer = branch in (branches[0], branches[-1])
+        known = ~np.isnan(motion.values[part])
+        time, values = motion.time[part][known], motion.values[part][known]
+        for start, stop in standing_stretches(time, values, size=size, speed=speed):
+            away = abs(float(np.median(values[start:stop]) - motion.values[began]))
+            if not outer or away > _AT_HOME * stroke:  # a rest before or behind the test is none
+                found.append((float(time[start]), float(time[stop - 1])))
+    return _merged(found)
+
+
+def _branch_speed(motion: Signal, branch: Branch) -> float:
+    """Speed over the faster half of a branch, m/s."""
+    part = motion.values[branch.start : branch.stop : max(1, (branch.stop - branch.start) // 10)]
+    lasts = (branch.stop_time - branch.start_time) / max(1, len(part) - 1)
+    steps = np.abs(np.diff(part))
+    steps = np.sort(steps[~np.isnan(steps)])
+    return float(np.median(steps[len(steps) // 2 :])) / lasts if len(steps) and lasts else 0.0
+
+
+def _merged(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Stretches in order; those that nearly touch are one."""
+    merged: list[tuple[float, float]] = []
+    for start, stop in sorted(found):
+        if merged and start - merged[-1][1] <= _BACK * (stop - start):
+            merged[-1] = (merged[-1][0], max(stop, merged[-1][1]))
+        else:
+            merged.append((start, stop))
+    return merged
+
+
+def _is_back(motion: Signal, first: Branch) -> bool:
+    """Whether the motion ends about where it began, so that it rests there."""
+    known = motion.values[~np.isnan(motion.values)]
+    away = abs(float(known[-1] - motion.values[first.start]))
+    return away <= _BACK * float(np.ptp(known))
+
+
+def _is_unfinished(
+    motion: Signal, branches: tuple[Branch, ...], *, is_full_stroke: bool, is_cut_file: bool
+) -> bool:
+    """Whether the motion goes on at the last sample, and is not where it was to go."""
+    last = branches[-1]
+    known = ~np.isnan(motion.values[last.start :])
+    time, values = motion.time[last.start :][known], motion.values[last.start :][known]
+    if not moves_at_end(time, values):
+        return False
+    if is_cut_file:
+        return True
+    if len(branches) == 1:
+        return not is_full_stroke
+    return not _arrived(motion, branches, float(values[-1]))
+
+
+def _arrived(motion: Signal, branches: tuple[Branch, ...], end: float) -> bool:
+    """Whether the last branch ends where the one before it did, or beyond."""
+    last = branches[-1]
+    sense = 1.0 if end > motion.values[last.start] else -1.0
+    path = sense * motion.values
+    turns = [
+        float(np.nanmax(path[each.start : each.stop + 1]))
+        for each in branches[:-1]
+        if each.direction is last.direction
+    ]
+    if last.direction is Direction.UNLOADING:
+        turns.insert(0, float(path[branches[0].start]))
+    if not turns:
+        return False
+    step = abs(end - float(motion.values[last.start])) / max(1, last.stop - last.start)
+    stroke = float(np.nanmax(path) - np.nanmin(path))
+    near = max(_ARRIVED[last.direction] * stroke, step, 5.0 * noise_level(motion.values))
+    return sense * end >= turns[-1] - near

@@ -11,6 +11,7 @@ import numpy as np
 
 from labpipe.errors import ProcessingError, in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
+from labpipe.process.motion import upright
 from labpipe.process.zeros import FEWEST, LEAST, line_zero, mean_level, needed
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.records.arrays import Floats, median
@@ -39,7 +40,7 @@ from labpipe.signal.filters import (
     window_length,
 )
 from labpipe.signal.reversals import fit_reversal
-from labpipe.signal.turning_points import goes_down, noise_level, sharpest_turn
+from labpipe.signal.turning_points import noise_level, sharpest_turn
 
 _WORST = 0.5
 """s; a turn known no better than this makes no displacement."""
@@ -100,9 +101,7 @@ def travel_from_speed(
     if rig.crosshead_speed is None or rig.stroke is None:
         message = "expected rig.crosshead_speed and rig.stroke"
         raise ValueError(message)
-    force, lasts = signals.raw[step.force], rig.stroke / rig.crosshead_speed
-    if goes_down(force.values):  # a reversed bridge turns when any other does
-        force = replace(force, values=-force.values)
+    force, lasts = upright(signals.raw[step.force]), rig.stroke / rig.crosshead_speed
     corner = _turn(force, step)
     drive = Drive(corner.time - lasts, corner.time, rig.crosshead_speed)
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
@@ -158,12 +157,7 @@ def _start(force: Signal, drive: Drive, channel: str) -> Iterator[Finding]:
         f"the force rises for {drive.turn - seen.time:.2f} s before it turns, speed and stroke of "
         f"the rig say {lasts:.2f} s: look at rig.crosshead_speed and rig.stroke"
     )
-    yield doubtful(
-        *("displacement", "force"),
-        code="speed_unexpected",
-        message=message,
-        where="rig.crosshead_speed",
-    )
+    yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
 
 
 def _rest(force: Signal, drive: Drive, known_to: float) -> Iterator[Finding]:
@@ -174,7 +168,7 @@ def _rest(force: Signal, drive: Drive, known_to: float) -> Iterator[Finding]:
             f"the record of the force begins {missed:.2f} s after the motion, known to "
             f"{known_to:.2f} s: its zero was taken under load, so that forces are too small"
         )
-        yield doubtful("force", code="start_missed", message=message, where="force")
+        yield doubtful("start_missed", "force", message, "force")
 
 
 def _take_off(force: Signal, turn: float) -> Corner | None:
@@ -308,7 +302,7 @@ def _take_marker_step(
         case FitShape():
             return fit_shapes(prepared, step, protocol.markers)
         case ThreePointShape():
-            from labpipe.process.span_cameras import bend_between_supports
+            from labpipe.process.camera_steps import bend_between_supports
 
             return bend_between_supports(prepared, step, protocol)
 

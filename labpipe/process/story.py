@@ -13,71 +13,39 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import assert_never
 
-import numpy as np
-
-from labpipe.process.calibrated_signals import Prepared, calibrated
-from labpipe.process.clock_joining import align_clocks
-from labpipe.process.clock_offsets import start_together, stated_clocks
-from labpipe.process.curve_corrections import correct_curve, without_outliers
-from labpipe.process.motion_turns import Turn, check_turns, turning_points
+from labpipe.process.calibrated_signals import Prepared, calibrated, check_channels
+from labpipe.process.clock_joining import join_clocks
+from labpipe.process.curve_corrections import (
+    aligned,
+    correct_curve,
+    put_together,
+    without_outliers,
+)
+from labpipe.process.motion import Motion, branches_between, strokes_of
 from labpipe.process.plausibility import (
     check_mid_span,
     check_rest,
     check_rig,
     check_signs,
+    cut_at,
+    file_is_cut,
+    holds,
     is_full_stroke,
 )
-from labpipe.process.recording_checks import check_channels, cut_at, file_is_cut, holds
 from labpipe.process.steps import all_steps
 from labpipe.process.zeros import check_begin, check_break, check_zeros, use_rest_there_is
-from labpipe.protocol.schema import (
-    AlignCommonStart,
-    AlignNone,
-    AlignStated,
-    AlignTurningPoints,
-    Branches,
-    CurveBlock,
-    Protocol,
-)
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import Aligned, Branch, ClockFit, Curve, FittedLine, Series
+from labpipe.protocol.schema import Branches, CurveBlock, Protocol
+from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape
 from labpipe.records.estimates import Estimate
-from labpipe.records.quality import Finding, Findings, blocking
+from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
-from labpipe.records.signals import Clocks, Signal
+from labpipe.records.signals import Clocks
 from labpipe.results.evidence import Evidence, LoadString, Setup
 from labpipe.results.kinds import to_result
 from labpipe.results.shapes import MomentCurvature
-from labpipe.signal.turning_points import (
-    Stroke,
-    branch_numbers,
-    find_strokes,
-    noise_level,
-    split_branches,
-)
-
-_FAR_OFF = 5.0
-"""Standard deviations that noise alone may reach."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """The motion of a test, split where it turns.
-
-    Parameters
-    ----------
-    signal : the channel that the branches are split by
-    branches : of it
-    clocks : joined where it turns
-    """
-
-    signal: Signal
-    branches: tuple[Branch, ...]
-    clocks: Clocks
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,64 +105,19 @@ def split_motion(
     """
     signals = prepared.signals
     motion = signals.raw[block.channel]
-    strokes, found = _strokes(motion, block)
-    clocks = Clocks(signals.raw[signals.displacement].clock)
-    times = np.full((len(strokes), 2), np.nan)
-    align = protocol.align
-    if strokes and not isinstance(align, AlignNone):
-        channel = signals.raw[align.channel or signals.force]
-        if isinstance(align, AlignTurningPoints) or channel.clock != clocks.curve:
-            turns = turning_points(motion, strokes, window=align.motion_window)
-            for turn in turns:
-                times[turn.stroke, 1] = turn.arrival.time
-                times[turn.stroke + 1, 0] = turn.departure.time
-            fit, more = _joined(channel, align, motion, strokes, turns)
-            clocks = replace(clocks, force=fit)
-            is_stated = isinstance(align, AlignStated)
-            found += [*more, *check_turns(motion, strokes, turns, for_clock=not is_stated)]
-    branches = split_branches(motion.time, strokes, turning_times=times)
+    strokes, found = strokes_of(motion, block)
+    fit, turns, more = join_clocks(signals, protocol.align, motion, strokes)
+    clocks = Clocks(signals.raw[signals.displacement].clock, force=fit)
+    branches = branches_between(motion, strokes, turns)
+    found += more
     if prepared.span is not None:
-        from labpipe.process.span_cameras import align_cameras  # loaded by these tests alone
+        from labpipe.process.camera_steps import align_cameras  # loaded by these tests alone
 
         least = block.min_stroke
         prepared, others, more = align_cameras(prepared, motion, strokes, min_stroke=least)
         clocks = replace(clocks, others=others)
         found += more
     return prepared, Motion(motion, branches, clocks), found
-
-
-def _strokes(motion: Signal, block: Branches) -> tuple[tuple[Stroke, ...], list[Finding]]:
-    least, noise = block.min_stroke, noise_level(motion.values)
-    strokes = find_strokes(motion.time, motion.values, min_stroke=least)
-    if _FAR_OFF * noise > least:
-        message = (
-            f"the motion scatters by {1e3 * noise:.3g} mm from sample to sample, too much to tell "
-            f"strokes of min_stroke, {1e3 * least:.3g} mm: is it the right channel?"
-        )
-        return (), [blocking("no_motion", block.channel, message)]
-    if not strokes:
-        span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
-        message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
-        return (), [blocking("no_motion", block.channel, message)]
-    return strokes, []
-
-
-def _joined(
-    channel: Signal,
-    align: AlignTurningPoints | AlignCommonStart | AlignStated,
-    motion: Signal,
-    strokes: tuple[Stroke, ...],
-    turns: list[Turn],
-) -> tuple[ClockFit | None, list[Finding]]:
-    match align:
-        case AlignStated():
-            return stated_clocks(channel, align, motion, strokes)
-        case AlignCommonStart():
-            return start_together(channel, align, motion, strokes, turns)
-        case AlignTurningPoints():
-            return align_clocks(channel, align, motion, strokes, turns)
-        case _ as never:
-            assert_never(never)
 
 
 def at_rest(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[Finding]]:
@@ -246,8 +169,8 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
     if test.findings.blocked:
         return test
     unfiltered, found = without_outliers(test.signals)
-    test = replace(test, aligned=_aligned(test), unfiltered=unfiltered)
-    curve, more = _curve(test, unfiltered, motion)
+    test = replace(test, aligned=aligned(test), unfiltered=unfiltered)
+    curve, more = put_together(test, unfiltered, motion)
     findings = test.findings + found + more
     if curve is None:
         return replace(test, findings=findings)
@@ -259,47 +182,6 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
     if test.curve is not None:
         findings += check_break(test.signals.force, test.curve, test.failure)
     return replace(test, findings=findings)
-
-
-def _aligned(test: Evidence) -> Aligned:
-    """All raw signals at the times of the displacement; the curve's own under the words for it."""
-    time = test.displacement.time
-    series = {
-        test.signals.quantities.get(name, name): Series(
-            test.clocks.sampled(signal, time), signal.unit
-        )
-        for name, signal in test.signals.raw.items()
-    }
-    return Aligned(time, series, test.clocks.force, test.displacement.time_unit)
-
-
-def _curve(
-    test: Evidence, unfiltered: Signal, motion: Motion
-) -> tuple[Curve | None, list[Finding]]:
-    displacement = test.displacement
-    time = displacement.time
-    force = test.clocks.sampled(unfiltered, time)  # filtered once its corners are known
-    if np.isnan(force).all():
-        force_time = test.force.time
-        message = (
-            f"force from {force_time[0]:.3f} s to {force_time[-1]:.3f} s and motion from "
-            f"{time[0]:.3f} s to {time[-1]:.3f} s do not overlap"
-        )
-        return None, [blocking("no_overlap", "align", message)]
-    moved = tuple(_on_clock(branch, motion.signal.time, time) for branch in motion.branches)
-    branch, cycle = branch_numbers(len(time), moved)
-    return Curve(time, displacement.values, force, branch, cycle, moved, displacement.time_unit), []
-
-
-def _on_clock(branch: Branch, motion_time: Floats, time: Floats) -> Branch:
-    """Count a branch in samples of another time axis on the same clock."""
-    if len(motion_time) == len(time):
-        return branch
-    last = min(branch.stop, len(motion_time)) - 1
-    start, stop = np.searchsorted(time, [motion_time[branch.start], motion_time[last]])
-    return Branch(
-        int(start), int(stop), branch.cycle, branch.direction, branch.start_time, branch.stop_time
-    )
 
 
 def _evidence(

@@ -234,7 +234,7 @@ def _displacement_jump(where: str, curve: Curve, thawed: list[float]) -> Iterato
         f"{_at(curve, sample)}: zeroed in mid-record? Branches are not where they seem to be; "
         "export the test without what came before"
     )
-    yield doubtful(*("displacement", "force"), code="zero_jump", message=message, where=where)
+    yield doubtful("zero_jump", where, message, "displacement", "force")
 
 
 def _force_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Finding]:
@@ -251,7 +251,7 @@ def _force_jump(where: str, curve: Curve, thawed: list[float]) -> Iterator[Findi
         "a zero does and no specimen: look at the cable and at the tare of the load cell"
     )
     during = (float(curve.time[sample]), float(curve.time[-1]))
-    yield doubtful("force", code="zero_jump", message=message, where=where, during=during)
+    yield doubtful("zero_jump", where, message, "force", during=during)
 
 
 def _jumps(curve: Curve, values: Floats, thawed: list[float]) -> tuple[tuple[int, float], ...]:
@@ -304,7 +304,7 @@ def _drift(where: str, curve: Curve) -> Iterator[Finding]:
         f"{abs(change) / most:.0%} of the largest force apart: the zero drifted, or the specimen "
         "is held under load"
     )
-    yield doubtful("force", code="zero_drift", message=message, where=where)
+    yield doubtful("zero_drift", where, message, "force")
 
 
 def check_break(
@@ -332,7 +332,7 @@ def check_break(
         f"the force stands at {sense * level:.4g} N once the specimen is broken, "
         f"{-level / most:.0%} of its peak below zero: its zero was taken under load, or drifted"
     )
-    yield doubtful("force", code="zero_drift", message=message, where=where)
+    yield doubtful("zero_drift", where, message, "force")
 
 
 def _grows(curve: Curve, limit: float) -> bool:
@@ -480,7 +480,7 @@ def _unloading(where: str, force: float) -> Finding:
         f"the record begins at {force:.4g} N, and the force falls over its first stroke: it begins "
         "under load, with an unloading, so that cycles are counted from the wrong turn"
     )
-    return doubtful(*("force", "displacement", "start"), code=_CODE, message=message, where=where)
+    return doubtful(_CODE, where, message, "force", "displacement", "start")
 
 
 def _loaded(
@@ -495,8 +495,8 @@ def _loaded(
         f"range, at {1e3 * path:.4g} mm in the first sample"
     )
     message += f"; {' and '.join(lined)} zeroed there" if lined else ""
-    yield doubtful("start", code=_CODE, message=message, where=signals.force, during=during)
+    yield doubtful(_CODE, signals.force, message, "start", during=during)
     touched = ["force"] if signals.force in lined else []
     touched += ["displacement"] if signals.displacement in lined and not found else []
     if touched:
-        yield doubtful(*touched, code=_CODE, message=message, where=signals.force)
+        yield doubtful(_CODE, signals.force, message, *touched)

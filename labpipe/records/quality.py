@@ -123,10 +123,10 @@ def not_available(code: str, where: str, message: str) -> Finding:
 
 
 def doubtful(
-    *quantities: str,
     code: str,
-    message: str,
     where: str,
+    message: str,
+    *quantities: str,
     during: tuple[float, float] | None = None,
     clock: str = "",
 ) -> Finding:
@@ -134,8 +134,8 @@ def doubtful(
 
     Parameters
     ----------
+    code, where, message : of the note
     quantities, during, clock : as `Doubt` has them
-    code, message, where : of the note
     """
     note = QualityNote(code, Severity.WARNING, where, message)
     reason = Reason(code, message)

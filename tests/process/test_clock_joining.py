@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.process.clock_joining import align_clocks
-from labpipe.process.motion_turns import check_turns, turning_points
+from labpipe.process.motion import check_turns, turning_points
 from labpipe.protocol.schema import AlignTurningPoints
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import ClockFit

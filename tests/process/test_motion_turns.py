@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.process.motion_turns import Turn, check_turns, turning_points
+from labpipe.process.motion import Turn, check_turns, turning_points
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Findings
 from labpipe.records.signals import Signal

@@ -47,9 +47,7 @@ def test_what_kinds_of_findings_there_are() -> None:
 
 
 def test_a_doubt_of_several_quantities_is_one_note() -> None:
-    found = doubtful(
-        "force", "clock", code="a", message="b", where="align", during=(1.0, 2.0), clock="force"
-    )
+    found = doubtful("a", "align", "b", "force", "clock", during=(1.0, 2.0), clock="force")
     assert found.note == QualityNote("a", Severity.WARNING, "align", "b")
     reason = Reason("a", "b")
     assert found.doubts == tuple(
@@ -77,8 +75,8 @@ def test_doubts_of_stretches(
 
 
 def test_notes_and_doubts_count_once() -> None:
-    each = doubtful("force", code="a", message="b", where="c")
-    other = doubtful("clock", code="a", message="b", where="c")
+    each = doubtful("a", "c", "b", "force")
+    other = doubtful("a", "c", "b", "clock")
     found = Findings((each, each)) + iter((other,))
     assert len(found.found) == 3
     assert found.notes == (each.note,)

@@ -25,9 +25,7 @@ def located(clocks: Clocks = APART) -> Evidence:
     signals = Signals()
     for name, clock in (("force", "force"), ("displacement", "markers")):
         signals = signals.with_new(name, Signal(time, time, "N", clock))
-    found = doubtful(
-        "force", code="frozen", message="stands", where="force", during=(40.0, 42.0), clock="force"
-    )
+    found = doubtful("frozen", "force", "stands", "force", during=(40.0, 42.0), clock="force")
     return Evidence(signals, clocks, findings=Findings((found,)))
 
 
@@ -60,8 +58,8 @@ def test_an_event_in_the_stretch_of_the_zero_touches_all(taken: str) -> None:
 
 
 def test_of_each_code_the_first_reason_counts() -> None:
-    more = doubtful("force", code="frozen", message="again", where="force")
-    other = doubtful("force", code="drift", message="the zero drifts", where="force")
+    more = doubtful("frozen", "force", "again", "force")
+    other = doubtful("drift", "force", "the zero drifts", "force")
     test = located()
     test = replace(test, findings=test.findings + iter((more, other)))
     assert test.why_doubtful("force") == (*FROZEN, Reason("drift", "the zero drifts"))

@@ -65,8 +65,8 @@ def test_a_number_that_is_none(outcome: Estimate) -> None:
 
 def test_doubts_of_its_quantities() -> None:
     test = evidence(
-        doubtful("force", code="drift", message="the zero drifts", where="force"),
-        doubtful("clock", code="drift", message="the clock drifts", where="clock"),
+        doubtful("drift", "force", "the zero drifts", "force"),
+        doubtful("drift", "clock", "the clock drifts", "clock"),
     )
     found = to_result(test, asked(Estimate(10.0, 1.0, 50), Reason("slip_in_window", "at 6 mm")))
     assert found.status is Status.DOUBTFUL
@@ -74,9 +74,7 @@ def test_doubts_of_its_quantities() -> None:
 
 
 def test_one_doubt_is_reported_once() -> None:
-    test = evidence(
-        doubtful("force", "displacement", code="turn", message="not seen", where="travel")
-    )
+    test = evidence(doubtful("turn", "travel", "not seen", "force", "displacement"))
     assert to_result(test, asked(Estimate(1.0, 0.1, 5))).why == "turn: not seen"
 
 

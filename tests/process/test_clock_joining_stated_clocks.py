@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.process.clock_offsets import stated_clocks
+from labpipe.process.clock_joining import stated_clocks
 from labpipe.protocol.schema import AlignStated
 from labpipe.records.curve import ClockFit
 from labpipe.records.quality import Findings

@@ -1,19 +1,34 @@
-"""Where a motion turns: at once, or after it has stood still for a while."""
+"""The motion of a test: its strokes, where it turns, and where the force turns with it."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
 
+from labpipe.protocol.schema import Branches
 from labpipe.records.arrays import Floats, median
-from labpipe.records.quality import Finding, doubtful
-from labpipe.records.signals import Signal, Stretch
+from labpipe.records.curve import Branch
+from labpipe.records.quality import (
+    Finding,
+    blocking,
+    doubtful,
+)
+from labpipe.records.signals import Clocks, Signal, Stretch
+from labpipe.signal.clock_alignment import match_peaks, rough_peaks
 from labpipe.signal.corners import Corner, fit_corner, fit_stop
-from labpipe.signal.turning_points import Stroke, noise_level
+from labpipe.signal.reversals import Reversal, fit_reversal
+from labpipe.signal.turning_points import (
+    Stroke,
+    find_strokes,
+    goes_down,
+    noise_level,
+    split_branches,
+    turn_near,
+)
 
 _SEEN = 0.5
 """s on each side of a turning point in which the motion must have been seen."""
@@ -34,6 +49,49 @@ _SLOWS, _TRIED = (0.4, 1.5), 23
 """Half lengths of slowing down that are tried, in waits, and how many."""
 _CUT = 5e-6
 """m that a corner may be cut by."""
+
+
+_FAR_OFF = 5.0
+"""Standard deviations that noise alone may reach."""
+
+
+def strokes_of(motion: Signal, block: Branches) -> tuple[tuple[Stroke, ...], list[Finding]]:
+    """Find the strokes of a motion; what blocks the test where it shows none.
+
+    Parameters
+    ----------
+    motion : the channel that branches are split by
+    block : of the protocol: its name, and how long a stroke is at least
+    """
+    least, noise = block.min_stroke, noise_level(motion.values)
+    strokes = find_strokes(motion.time, motion.values, min_stroke=least)
+    if _FAR_OFF * noise > least:
+        message = (
+            f"the motion scatters by {1e3 * noise:.3g} mm from sample to sample, too much to tell "
+            f"strokes of min_stroke, {1e3 * least:.3g} mm: is it the right channel?"
+        )
+        return (), [blocking("no_motion", block.channel, message)]
+    if not strokes:
+        span = float(np.nanmax(motion.values) - np.nanmin(motion.values))
+        message = f"the motion spans {1e3 * span:.3g} mm, less than min_stroke"
+        return (), [blocking("no_motion", block.channel, message)]
+    return strokes, []
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """The motion of a test, split where it turns.
+
+    Parameters
+    ----------
+    signal : the channel that the branches are split by
+    branches : of it
+    clocks : joined where it turns
+    """
+
+    signal: Signal
+    branches: tuple[Branch, ...]
+    clocks: Clocks
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +163,22 @@ def turning_points(motion: Signal, strokes: tuple[Stroke, ...], *, window: float
     return turns
 
 
+def branches_between(
+    motion: Signal, strokes: tuple[Stroke, ...], turns: list[Turn]
+) -> tuple[Branch, ...]:
+    """Split a motion into branches, at its turns where these are known better than to a sample."""
+    times = np.full((len(strokes), 2), np.nan)
+    for turn in turns:
+        times[turn.stroke, 1] = turn.arrival.time
+        times[turn.stroke + 1, 0] = turn.departure.time
+    return split_branches(motion.time, strokes, turning_times=times)
+
+
+def upright(force: Signal) -> Signal:
+    """Turn a force that falls where others rise: a reversed bridge turns when any other does."""
+    return replace(force, values=-force.values) if goes_down(force.values) else force
+
+
 def _seen_turn(
     motion: Signal, number: int, near: tuple[float, float], window: float
 ) -> tuple[Turn | None, Turn | None] | None:
@@ -165,10 +239,12 @@ def check_turns(
         if number not in found:
             at = float(motion.time[before.stop])
             yield doubtful(
-                *("displacement", "force", *clock),
-                code="turn_not_seen",
-                message=f"the motion was not seen to turn near {at:.2f} s",
-                where="travel",
+                "turn_not_seen",
+                "travel",
+                f"the motion was not seen to turn near {at:.2f} s",
+                "displacement",
+                "force",
+                *clock,
                 during=_unseen(motion, at),
                 clock=motion.clock,
             )
@@ -180,10 +256,10 @@ def check_turns(
             *((each, None) for each in clock),
         ):
             yield doubtful(
+                "turn_rounded",
+                "travel",
+                message,
                 quantity,
-                code="turn_rounded",
-                message=message,
-                where="travel",
                 during=during,
                 clock=motion.clock if during else "",
             )
@@ -286,3 +362,135 @@ def _mean_near(motion: Signal, at: float) -> tuple[float, float]:
     if not near.any():
         return float("nan"), float("nan")
     return float(motion.time[near].mean()), float(motion.values[near].mean())
+
+
+_RESTS = 0.2
+"""Share of its range above its lowest value below which a signal rests."""
+_ROUGH = 1.0
+"""s on each side of what a force was roughly seen to turn at, in which its corner is looked for."""
+WORST_CORNER = 0.1
+"""s; a corner of the force known no better than this says nothing about a clock."""
+
+
+def match_strokes(
+    motion: Signal, force: Signal, strokes: tuple[Stroke, ...], *, sign: int
+) -> tuple[list[tuple[int, float]], bool, str]:
+    """Pair the upper turns of a motion with the peaks of a force: all of them, before any is used.
+
+    Parameters
+    ----------
+    motion, force : each on its own clock
+    strokes : of the motion
+    sign : of the strokes that load
+
+    Returns
+    -------
+    pairs : number of the stroke that ends at the turn, and s, where the force roughly turns
+    is_ambiguous : whether another pairing fits as well, or would have to be looked for beyond a
+        record that begins or ends in mid-test
+    counted : in words, how many peaks of each there are
+    """
+    tops = [
+        (number, 0.5 * float(motion.time[before.stop] + motion.time[after.start]))
+        for number, (before, after) in enumerate(pairwise(strokes))
+        if before.sign == sign
+    ]
+    seen = rough_peaks(force.time, force.values, smoothing=0.5, share=0.3)
+    times = np.array([top for _, top in tops])
+    pairs, is_ambiguous = match_peaks(times, seen)
+    if len(pairs) and len(times) > 1 and not (_is_whole(motion) and _is_whole(force)):
+        lag = float(np.median(seen[pairs[:, 1]] - times[pairs[:, 0]]))
+        is_ambiguous |= abs(lag) > 0.5 * float(np.diff(times).min())
+    matched = [(tops[first][0], float(seen[second])) for first, second in pairs.tolist()]
+    return matched, is_ambiguous, f"{len(tops)} peaks of the motion, {len(seen)} of the force"
+
+
+def _is_whole(signal: Signal) -> bool:
+    """Whether a record begins and ends at rest, far below its peaks."""
+    known = signal.values[~np.isnan(signal.values)]
+    size = max(1, len(known) // 200)
+    ends = float(known[:size].mean()), float(known[-size:].mean())
+    return max(ends) < float(known.min()) + _RESTS * float(np.ptp(known))
+
+
+def turn_event(
+    force: Signal, turn: Turn, near: float, *, window: float
+) -> tuple[Corner, Reversal] | None:
+    """Find where the force turns when a motion does.
+
+    Parameters
+    ----------
+    force : on its own clock
+    turn : of the motion
+    near : s, where the force was roughly seen to turn: anywhere in the dwell
+    window : s on each side of a corner
+
+    Returns
+    -------
+    The corner of the motion, and that of the force; None where that is not known to 0.1 s. With a
+    dwell both corners of the force make one event, for the motion says how far they are apart: of
+    two windows or less in one fit, so that none is taken for the other, else each for itself.
+    """
+    dwell = turn.dwell
+    reach = dwell + _ROUGH  # the force may have been seen to turn at either corner
+    first = turn_near(force.time, force.values, near=near, reach=reach, width=window, dwell=dwell)
+    if first is None:
+        return None
+    if dwell <= 2.0 * window:
+        known_to = max(corner.time_error for corner in turn.corners)
+        found = [(replace(turn.arrival, time_error=known_to), first, dwell)]
+    else:
+        found = [(turn.arrival, first, 0.0), (turn.departure, first + dwell, 0.0)]
+    events = []
+    for corner, at, wait in found:
+        inside = _beside(force, at, window + wait)
+        pulled = fit_reversal(*inside, near=at, window=window, dwell=wait)
+        if pulled is not None and pulled.corner.time_error < WORST_CORNER:
+            events.append((corner, pulled))
+    return _mean_event(events)
+
+
+def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal] | None:
+    """One event of the corners of a turn, weighted by what is known of each."""
+    if len(events) < 2:
+        return events[0] if events else None
+    seen, felt = [each for each, _ in events], [each for _, each in events]
+    times = np.array([[one.time, two.corner.time] for one, two in events])
+    errors = np.array([[one.time_error, two.corner.time_error] for one, two in events])
+    together = np.hypot(errors[:, 0], errors[:, 1])
+    weights = together**-2.0 / (together**-2.0).sum()
+    lags = times[:, 1] - times[:, 0]
+    apart = max(1.0, abs(float(lags[1] - lags[0])) / float(np.hypot(*together)))
+    at, error = weights @ times, apart * np.sqrt(weights**2 @ errors**2)
+    shape_error = float(weights @ [each.shape_error for each in felt])
+    corner = replace(felt[0].corner, time=float(at[1]), time_error=float(error[1]))
+    return (
+        replace(seen[0], time=float(at[0]), time_error=float(error[0])),
+        Reversal(corner, shape_error),
+    )
+
+
+def _beside(signal: Signal, at: float, window: float) -> tuple[Floats, Floats]:
+    span = slice(*np.searchsorted(signal.time, [at - window, at + window]))
+    return signal.time[span], signal.values[span]
+
+
+def turn_events(
+    force: Signal, pairs: list[tuple[int, float]], turns: list[Turn], window: float
+) -> list[tuple[Corner, Reversal]]:
+    """Find what a force shows of the turns of a motion that are paired with its peaks.
+
+    Parameters
+    ----------
+    force : on its own clock, upright
+    pairs : from `match_strokes`
+    turns : of the motion
+    window : s on each side of a corner
+    """
+    seen = {turn.stroke: turn for turn in turns}
+    events = (
+        turn_event(force, seen[stroke], near, window=window)
+        for stroke, near in pairs
+        if stroke in seen
+    )
+    return [event for event in events if event is not None]

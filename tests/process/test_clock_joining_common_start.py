@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.process.clock_offsets import start_together
-from labpipe.process.motion_turns import turning_points
+from labpipe.process.clock_joining import start_together
+from labpipe.process.motion import turning_points
 from labpipe.protocol.schema import AlignCommonStart
 from labpipe.records.curve import ClockFit
 from labpipe.records.quality import Findings

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.process.recording_checks import check_channels, cut_at, file_is_cut
+from labpipe.process.calibrated_signals import check_channels
+from labpipe.process.plausibility import cut_at, file_is_cut
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import Findings, warning
