@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
 from labpipe.records.arrays import Floats
 
@@ -219,6 +218,8 @@ def low_pass(values: Floats, *, cutoff: float, rate: float, order: int) -> Float
     The ends are padded by odd reflection; within about rate / cutoff samples of an end the result
     depends on that padding.
     """
+    from scipy.signal import butter, sosfiltfilt  # half a second that most tests need not wait
+
     if not 0 < cutoff < rate / 2:
         message = f"cutoff={cutoff}: expected a frequency between 0 and {rate / 2} 1/s"
         raise ValueError(message)

@@ -10,7 +10,7 @@ from itertools import permutations
 from math import factorial, prod
 
 import numpy as np
-from scipy import special, stats
+from scipy import special
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval
@@ -310,6 +310,8 @@ def equal_spools_p(spools: Sequence[Floats]) -> float:
     few ways to deal the samples out to the spools (20 for two spools of three), all are counted
     and p is exact; else it is read from their table, which ends at 0.001 and 0.25.
     """
+    from scipy import stats  # a third of a second that single tests need not wait
+
     counts = [len(values) for values in spools]
     if len(counts) < 2 or min(counts) < 2 or np.ptp(np.concatenate(spools)) == 0.0:
         return float("nan")
