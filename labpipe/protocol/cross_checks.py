@@ -8,7 +8,15 @@ from typing import TypeAlias
 
 from labpipe.errors import Fault, KeyPath, in_test_sheet
 from labpipe.protocol.faults import did_you_mean, one_of
-from labpipe.protocol.outline import RESULTS, Outline, Values, result_names, source_faults
+from labpipe.protocol.outline import (
+    RESULTS,
+    Entry,
+    Outline,
+    Values,
+    outline_of,
+    result_names,
+    source_faults,
+)
 from labpipe.protocol.values import SI_UNITS
 from labpipe.records.declarations import STEPS, Needs, defaults_of, existing_in
 from labpipe.units import si_factor
@@ -30,7 +38,7 @@ def cross_faults(data: Values) -> list[Fault]:
     -------
     The faults, with their paths in `data`.
     """
-    outline = Outline(data)
+    outline = outline_of(data)
     checks: tuple[Callable[[Outline], Faults], ...] = (
         source_faults,
         _step_faults,
@@ -48,22 +56,23 @@ def cross_faults(data: Values) -> list[Fault]:
 def _step_faults(outline: Outline) -> Faults:
     known = [channel.name for channel in outline.channels]
     before: list[str] = []
-    for number, tag, step in outline.entries("steps", "step"):
-        here: KeyPath = ("steps", number, "step")
-        kind = STEPS.get(tag)
+    for step in outline.steps:
+        kind = STEPS.get(step.tag)
         if kind is not None and kind.on_markers:
-            yield from _marker_step_faults(outline, tag, here, before)
+            yield from _marker_step_faults(outline, step, before)
         for key in existing_in(kind, "channel") if kind is not None else ("channel",):
-            yield from _channel_faults(step, ("steps", number, key), known, outline)
-        if tag == "travel-from-speed":
-            yield from _from_speed_faults(outline, step, number)
-        yield from _span_faults(outline, step, ("steps", number, "span"))
-        known = [*known, *outline.made_by(tag, step)]
-        before.append(tag)
+            yield from _channel_faults(step.values, ("steps", step.number, key), known, outline)
+        if step.tag == "travel-from-speed":
+            yield from _from_speed_faults(outline, step)
+        yield from _span_faults(outline, step)
+        known = [*known, *step.makes]
+        before.append(step.tag)
 
 
-def _marker_step_faults(outline: Outline, tag: str, here: KeyPath, before: list[str]) -> Faults:
-    if not outline.has_markers():
+def _marker_step_faults(outline: Outline, step: Entry, before: list[str]) -> Faults:
+    tag = step.tag
+    here: KeyPath = ("steps", step.number, "step")
+    if not outline.has_markers:
         yield Fault(here, f"a source of marker tracks for {tag!r}", "none", _ADD_MARKERS)
     elif not outline.block("markers"):
         yield Fault(here, f"a block 'markers' for {tag!r}", "none", "Add the block 'markers'.")
@@ -75,19 +84,20 @@ def _marker_step_faults(outline: Outline, tag: str, here: KeyPath, before: list[
         yield Fault(here, f"{needed!r} before {tag!r}", "no such step before", remedy)
 
 
-def _from_speed_faults(outline: Outline, step: Values, number: int) -> Faults:
+def _from_speed_faults(outline: Outline, step: Entry) -> Faults:
     """Find a travel that nothing can be made of, where no source can take its place."""
-    if outline.block("rig").get("cycles") not in (None, "1", 1):
+    rig = outline.block("rig")
+    if rig.get("cycles") not in (None, "1", 1):
         remedy = "Remove the step, or set 'rig.cycles' to 1."
-        found = f"{outline.block('rig').get('cycles')}"
+        found = f"{rig.get('cycles')}"
         yield Fault(("rig", "cycles"), "one cycle for 'travel-from-speed'", found, remedy)
-    if any(channel.name == step.get("channel") for channel in outline.channels):
+    if any(channel.name == step.values.get("channel") for channel in outline.channels):
         return
     for key in ("crosshead_speed", "stroke"):
-        if key not in outline.block("rig"):
+        if key not in rig:
             remedy = f"Add 'rig.{key}', or a source that measures the displacement."
             expected = f"'rig.{key}' for 'travel-from-speed'"
-            yield Fault(("steps", number, "step"), expected, "none", remedy)
+            yield Fault(("steps", step.number, "step"), expected, "none", remedy)
 
 
 _ADD_MARKERS = "Add the source 'markers'."
@@ -109,32 +119,24 @@ def _channel_faults(
     yield Fault(path, expected, repr(name), remedy)
 
 
-def _span_faults(outline: Outline, step: Values, path: KeyPath) -> Faults:
-    span = step.get("span")
+def _span_faults(outline: Outline, step: Entry) -> Faults:
+    span = step.values.get("span")
     if isinstance(span, str) and span.strip().endswith("%") and not outline.block("branches"):
         remedy = "Add the block 'branches', or give the span in s."
-        yield Fault(
-            path, "a span of time or samples where there are no branches", repr(span), remedy
-        )
-
-
-def _all_channels(outline: Outline) -> list[str]:
-    return [channel.name for channel in outline.channels] + outline.made
+        expected = "a span of time or samples where there are no branches"
+        yield Fault(("steps", step.number, "span"), expected, repr(span), remedy)
 
 
 def _align_faults(outline: Outline) -> Faults:
-    align = outline.block("align")
-    if not outline.joins_clocks:
-        return
-    sources = [channel.name for channel in outline.channels]
-    if align.get("channel") is not None:
+    align, here = outline.block("align"), ("align", "method")
+    if outline.joins_clocks and align.get("channel") is not None:
+        sources = [channel.name for channel in outline.channels]
         yield from _channel_faults(align, ("align", "channel"), sources)
-    here = ("align", "method")
-    if not outline.turning_points:
+    if align.get("method") != "turning-points":
         return
-    if not outline.has_markers():
+    if not outline.has_markers:
         yield Fault(here, "a source of marker tracks for 'turning-points'", "none", _ADD_MARKERS)
-    elif not outline.clamp:
+    elif not outline.has_clamp:
         remedy = "Name the rigid body at the clamp in 'markers.clamp'."
         yield Fault(here, "a clamp whose motion has the turning points", "none", remedy)
 
@@ -143,7 +145,7 @@ def _curve_faults(outline: Outline) -> Faults:
     curve = outline.block("curve")
     for key, unit in (("force", "N"), ("displacement", "m")):
         name = curve.get(key)
-        yield from _channel_faults(curve, ("curve", key), _all_channels(outline))
+        yield from _channel_faults(curve, ("curve", key), outline.names)
         found = outline.unit_of(name) if isinstance(name, str) else None
         if found not in (None, unit):
             expected = f"a channel in {unit}"
@@ -160,10 +162,10 @@ def _curve_faults(outline: Outline) -> Faults:
 def _reverse_faults(outline: Outline, curve: Values) -> Faults:
     """Find a sign to be turned of a channel that labpipe makes itself."""
     said = curve.get("reverse")
-    measured = [channel.name for channel in outline.channels]
+    measured, made = [channel.name for channel in outline.channels], outline.made
     for word in said if isinstance(said, list) else []:
         name = curve.get(word) if isinstance(word, str) else None
-        if name in outline.made and name not in measured:
+        if name in made and name not in measured:
             remedy = "Its sign is that of the specimen frame: take it out of 'curve.reverse'."
             found = f"{name!r}, which a step makes"
             yield Fault(("curve", "reverse"), "a channel that a source gives", found, remedy)
@@ -171,7 +173,7 @@ def _reverse_faults(outline: Outline, curve: Values) -> Faults:
 
 def _branch_faults(outline: Outline) -> Faults:
     branches = outline.block("branches")
-    yield from _channel_faults(branches, ("branches", "channel"), _all_channels(outline))
+    yield from _channel_faults(branches, ("branches", "channel"), outline.names)
     if branches and not outline.block("curve"):
         yield _lacking(("branches",), "curve", "'branches'")
 
@@ -179,15 +181,16 @@ def _branch_faults(outline: Outline) -> Faults:
 def _result_faults(outline: Outline) -> Faults:
     seen: dict[str, str] = {}
     stiffnesses: list[str] = []
-    for number, tag, entry in outline.entries("results", "result"):
-        kind, path = RESULTS.get(tag), ("results", number, "result")
+    for entry in outline.results:
+        tag, path = entry.tag, ("results", entry.number, "result")
+        kind = RESULTS.get(tag)
         if kind is None:
             continue
         yield from _need_faults(outline, tag, kind.needs, path)
-        said = {**defaults_of(kind), **entry}
+        said = {**defaults_of(kind), **entry.values}
         for key in existing_in(kind, "stiffness"):
             yield from _of_faults(said.get(key), (*path[:2], key), stiffnesses)
-        names = result_names(tag, entry)
+        names = result_names(tag, entry.values)
         yield from _twice_faults(names, tag, seen, path)
         seen |= dict.fromkeys(names, tag)
         made = zip(names, kind.outputs, strict=True)
@@ -200,19 +203,14 @@ def _twice_faults(names: tuple[str, ...], tag: str, seen: dict[str, str], path: 
     if again is None:
         return
     found = again
-    if _has_name(tag):
+    if "name" in defaults_of(RESULTS[tag]):
         remedy = "Give it another 'name'."
-    elif _has_name(seen[again]):
+    elif "name" in defaults_of(RESULTS[seen[again]]):
         remedy = f"Give the {seen[again]} of that name another 'name'."
     else:
         remedy = "Remove one of them."
         found = again if tag == "normalised-stiffness" else tag
     yield Fault(path, "each result once", f"a second {found!r}", remedy)
-
-
-def _has_name(tag: str) -> bool:
-    """Whether a protocol may name what a kind of result gives."""
-    return "name" in defaults_of(RESULTS[tag])
 
 
 def _of_faults(of: object, path: KeyPath, stiffnesses: list[str]) -> Faults:
@@ -236,7 +234,8 @@ def _need_faults(outline: Outline, tag: str, needs: Needs, path: KeyPath) -> Fau
         remedy = f"Add the block {needed!r} to 'curve', or take the result out: {out}."
         yield Fault(path, f"a block 'curve.{needed}' for {tag!r}", "none", remedy)
     if needs.clocks and not outline.joins_clocks:
-        yield _lacking_word(path, "align.method", "turning-points", repr(tag))
+        expected = f"'align.method' to be 'turning-points' for {tag!r}"
+        yield Fault(path, expected, "another", "Set 'align.method' to 'turning-points'.")
     if needs.shape:
         yield from _shape_faults(outline, tag, (needs.shape,), path)
     if needs.clamp:
@@ -245,14 +244,14 @@ def _need_faults(outline: Outline, tag: str, needs: Needs, path: KeyPath) -> Fau
 
 def _shape_faults(outline: Outline, tag: str, steps: tuple[str, ...], path: KeyPath) -> Faults:
     """Find a result or a figure of a shape that none of some steps makes."""
-    if not {step for _, step, _ in outline.entries("steps", "step")} & set(steps):
+    if not {step.tag for step in outline.steps} & set(steps):
         remedy = f"Add the step {steps[0]!r}."
         yield Fault(path, f"the step {steps[0]!r} for {tag!r}", "no such step", remedy)
 
 
 def _clamp_faults(outline: Outline, tag: str, path: KeyPath) -> Faults:
     """Find a moment without a clamped end, or with a force on another clock than the shape."""
-    if not outline.clamp:
+    if not outline.has_clamp:
         remedy = "Name the rigid body at the clamp in 'markers.clamp'."
         yield Fault(path, f"a clamped end for {tag!r}", "none", remedy)
     displacement = outline.block("curve").get("displacement")
@@ -273,17 +272,13 @@ def _figure_faults(outline: Outline) -> Faults:
             yield _lacking(path, "curve", repr(name))
         if name == "wire-shapes":
             yield from _shape_faults(outline, name, _DRAWS_SHAPES, path)
-        if name == "moment-curvature" and not _asks_for(outline, "moment-curvature"):
+        if name == "moment-curvature" and name not in [each.tag for each in outline.results]:
             remedy = "Add a result 'moment-curvature'."
             yield Fault(path, f"a result 'moment-curvature' for {name!r}", "none", remedy)
-        if name == "marker-quality" and not outline.has_markers():
+        if name == "marker-quality" and not outline.has_markers:
             yield Fault(path, f"a source of marker tracks for {name!r}", "none", _ADD_MARKERS)
         if name in names[:number]:
             yield Fault(path, "each figure once", f"{name!r} again", "Remove one of them.")
-
-
-def _asks_for(outline: Outline, tag: str) -> bool:
-    return tag in [found for _, found, _ in outline.entries("results", "result")]
 
 
 def _display_faults(outline: Outline) -> Faults:
@@ -303,8 +298,8 @@ def _display_faults(outline: Outline) -> Faults:
 
 def _group_faults(outline: Outline) -> Faults:
     """Find a number that the report is to show first and that no result gives."""
-    entries = outline.entries("results", "result")
-    known = [name for _, tag, entry in entries for name in result_names(tag, entry)]
+    entries = outline.results
+    known = [name for each in entries for name in result_names(each.tag, each.values)]
     said = outline.block("groups").get("main")
     for number, name in enumerate(said if isinstance(said, list) else []):
         if isinstance(name, str) and _of_any_cycle(name) not in map(_of_any_cycle, known):
@@ -320,8 +315,3 @@ def _of_any_cycle(name: str) -> str:
 def _lacking(path: KeyPath, block: str, needed_for: str) -> Fault:
     expected = f"a block {block!r} for {needed_for}"
     return Fault(path, expected, "none", f"Add the block {block!r}.")
-
-
-def _lacking_word(path: KeyPath, key: str, word: str, needed_for: str) -> Fault:
-    expected = f"{key!r} to be {word!r} for {needed_for}"
-    return Fault(path, expected, "another", f"Set {key!r} to {word!r}.")

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from labpipe.errors import Fault, ProtocolError
 from labpipe.protocol.faults import did_you_mean, faults_of, one_of
 from labpipe.protocol.grammar import Block
-from labpipe.protocol.outline import Outline
+from labpipe.protocol.outline import outline_of
 from labpipe.protocol.overrides import (
     absent_faults,
     are_followed,
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 
 _SUFFIXES = (".yaml", ".yml")
+_Dumper = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 
 
 def protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
@@ -263,7 +264,7 @@ def dump_protocol(protocol: Protocol) -> str:
     Text that `parse_protocol` reads into an equal protocol.
     """
     data = protocol.model_dump(mode="json", by_alias=True)
-    return yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=1000)
+    return str(yaml.dump(data, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=1000))
 
 
 def checked(model: type[_B], document: Document) -> _B:
@@ -305,7 +306,7 @@ def _is_sound(document: Document) -> bool:
 
 def _role_faults(sheet: TestSheet, protocol: Document) -> Iterable[Fault]:
     """Find roles that only one of test sheet and protocol has."""
-    outline = Outline(protocol.data if isinstance(protocol.data, Mapping) else {})
+    outline = outline_of(protocol.data if isinstance(protocol.data, Mapping) else {})
     roles = [str(role) for role in outline.sources]
     optional = {role for role in roles if outline.is_optional(role)}
     for role in sheet.files:

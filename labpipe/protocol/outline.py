@@ -6,8 +6,8 @@ models, so that a misspelt key in one place hides nothing that is wrong in anoth
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any, Final, TypeAlias
 
 from labpipe.errors import Fault, KeyPath, nearest
@@ -38,23 +38,34 @@ class ChannelOutline:
     role : of its source
     path : way to its block
     values : what the block says
+    quantity : what it measures; None if that is missing
+    unit : SI unit of what it measures; None if that is not known
     """
 
     name: str
     role: str
     path: KeyPath
     values: Values
+    quantity: str | None
+    unit: str | None
 
-    @property
-    def quantity(self) -> str | None:
-        """What it measures; None if that is missing."""
-        said = self.values.get("quantity")
-        return said if isinstance(said, str) else self.name if self.name in SI_UNITS else None
 
-    @property
-    def unit(self) -> str | None:
-        """SI unit of what it measures; None if that is not known."""
-        return SI_UNITS.get(self.quantity or "")
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One block of a list, as its tag calls it.
+
+    Parameters
+    ----------
+    number : in the list, from 0
+    tag : such as ``zero``; perhaps one that nobody knows
+    values : what the block says
+    makes : channels that a step adds to those of the sources
+    """
+
+    number: int
+    tag: str
+    values: Values
+    makes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,82 +75,50 @@ class Outline:
     Parameters
     ----------
     data : the protocol as plain values
+    sources : by role
+    readers : known readers that each source names, by role
+    channels : of all sources
+    steps, results : those that have a tag
+    has_markers : whether any source gives marker tracks
+    has_clamp : whether a rigid body marks the clamp
     """
 
     data: Values
+    sources: Mapping[str, Values]
+    readers: Mapping[str, Sequence[str]]
+    channels: Sequence[ChannelOutline]
+    steps: Sequence[Entry]
+    results: Sequence[Entry]
+    has_markers: bool
+    has_clamp: bool
 
     def block(self, *path: str) -> Values:
         """Find the block under a path; empty if there is none."""
-        node: object = self.data
-        for key in path:
-            node = node.get(key) if isinstance(node, Mapping) else None
-        return node if isinstance(node, Mapping) else {}
-
-    def entries(self, key: str, tag: str) -> Iterator[tuple[int, str, Values]]:
-        """List the blocks of a list that have a tag: number, tag, block."""
-        items = self.data.get(key)
-        for number, item in enumerate(items if isinstance(items, list) else []):
-            if isinstance(item, Mapping) and isinstance(item.get(tag), str):
-                yield number, item[tag], item
+        return _block(self.data, *path)
 
     @property
-    def sources(self) -> dict[str, Values]:
-        """The sources by role."""
-        return {role: self.block("sources", role) for role in self.block("sources")}
-
-    def readers(self, role: str) -> list[str]:
-        """Known readers that a source names."""
-        said = self.sources[role].get("reader")
-        words = said if isinstance(said, list) else [said]
-        return [word for word in words if word in READERS]
-
-    def has_markers(self) -> bool:
-        """Say whether any source gives marker tracks."""
-        roles = self.sources
-        return "markers" in roles or any(MARKER_READERS & set(self.readers(role)) for role in roles)
-
-    @property
-    def channels(self) -> list[ChannelOutline]:
-        """The channels of all sources."""
-        found = []
-        for role, source in self.sources.items():
-            if any(key in source for key in CHANNEL_KEYS):
-                name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
-                found.append(ChannelOutline(name, role, ("sources", role), source))
-            for name in self.block("sources", role, "channels"):
-                path = ("sources", role, "channels", name)
-                found.append(ChannelOutline(name, role, path, self.block(*path)))
-        return found
-
-    @property
-    def clamp(self) -> bool:
-        """Say whether a rigid body marks the clamp."""
-        return self.block("markers").get("clamp") is not None
-
-    def made_by(self, tag: str, step: Values) -> tuple[str, ...]:
-        """Channels that a step adds to those of the sources."""
-        if tag == "specimen-frame" and not self.clamp:
-            return ()
-        makes = STEPS[tag].makes if tag in STEPS else ()
-        return tuple(name.format_map({"channel": None, **step}) for name in makes)
+    def names(self) -> list[str]:
+        """All channels: those of the sources, then those that the steps add."""
+        return [channel.name for channel in self.channels] + self.made
 
     @property
     def made(self) -> list[str]:
         """Channels that the steps add, in order."""
-        return [
-            name
-            for _, tag, step in self.entries("steps", "step")
-            for name in self.made_by(tag, step)
-        ]
+        return [name for step in self.steps for name in step.makes]
 
     @property
     def from_speed(self) -> dict[str, str]:
         """Channels that are made from crosshead speed, and the force that each is made with."""
         return {
-            str(step.get("channel")): str(step.get("force"))
-            for _, tag, step in self.entries("steps", "step")
-            if tag == "travel-from-speed"
+            str(step.values.get("channel")): str(step.values.get("force"))
+            for step in self.steps
+            if step.tag == "travel-from-speed"
         }
+
+    @property
+    def joins_clocks(self) -> bool:
+        """Say whether two clocks are joined."""
+        return self.block("align").get("method") in ("turning-points", "common-start", "stated")
 
     def is_optional(self, role: str) -> bool:
         """Say whether a test may lack a source."""
@@ -147,12 +126,11 @@ class Outline:
 
     def clock_of(self, channel: str) -> str | None:
         """Role whose clock a channel is on; None for an unknown channel."""
-        own = next((each.role for each in self.channels if each.name == channel), None)
-        if own is not None:
-            return own
-        force = self.from_speed.get(channel)
-        if force is not None:
-            return next((each.role for each in self.channels if each.name == force), None)
+        clocks = {each.name: each.role for each in reversed(self.channels)}
+        if channel in clocks:
+            return clocks[channel]
+        if channel in self.from_speed:
+            return clocks.get(self.from_speed[channel])
         return "markers" if channel in self.made else None
 
     def unit_of(self, channel: str) -> str | None:
@@ -161,15 +139,69 @@ class Outline:
             return "m"
         return next((each.unit for each in self.channels if each.name == channel), None)
 
-    @property
-    def turning_points(self) -> bool:
-        """Say whether two clocks are joined at the turning points of a clamp."""
-        return self.block("align").get("method") == "turning-points"
 
-    @property
-    def joins_clocks(self) -> bool:
-        """Say whether two clocks are joined."""
-        return self.block("align").get("method") in ("turning-points", "common-start", "stated")
+def outline_of(data: Values) -> Outline:
+    """Read the outline of a protocol.
+
+    Parameters
+    ----------
+    data : the protocol as plain values, whether or not its details are valid
+    """
+    sources = {role: _block(data, "sources", role) for role in _block(data, "sources")}
+    readers: dict[str, list[str]] = {}
+    channels: list[ChannelOutline] = []
+    for role, source in sources.items():
+        said = source.get("reader")
+        words = said if isinstance(said, list) else [said]
+        readers[role] = [word for word in words if word in READERS]
+        if any(key in source for key in CHANNEL_KEYS):
+            name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
+            channels.append(_channel(name, role, ("sources", role), source))
+        for name in _block(source, "channels"):
+            path = ("sources", role, "channels", name)
+            channels.append(_channel(name, role, path, _block(source, "channels", name)))
+    has_clamp = _block(data, "markers").get("clamp") is not None
+    return Outline(
+        data,
+        sources,
+        readers,
+        channels,
+        [_with_channels(step, has_clamp=has_clamp) for step in _entries(data, "steps", "step")],
+        _entries(data, "results", "result"),
+        "markers" in sources or any(MARKER_READERS & {*known} for known in readers.values()),
+        has_clamp,
+    )
+
+
+def _block(data: Values, *path: str) -> Values:
+    node: object = data
+    for key in path:
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return node if isinstance(node, Mapping) else {}
+
+
+def _entries(data: Values, key: str, tag: str) -> list[Entry]:
+    """List the blocks of a list that have a tag."""
+    items = data.get(key)
+    return [
+        Entry(number, item[tag], item)
+        for number, item in enumerate(items if isinstance(items, list) else [])
+        if isinstance(item, Mapping) and isinstance(item.get(tag), str)
+    ]
+
+
+def _with_channels(step: Entry, *, has_clamp: bool) -> Entry:
+    """Say which channels a step makes; a frame without a clamp makes none."""
+    if step.tag not in STEPS or (step.tag == "specimen-frame" and not has_clamp):
+        return step
+    names = {"channel": None, **step.values}
+    return replace(step, makes=tuple(name.format_map(names) for name in STEPS[step.tag].makes))
+
+
+def _channel(name: str, role: str, path: KeyPath, values: Values) -> ChannelOutline:
+    said = values.get("quantity")
+    quantity = said if isinstance(said, str) else name if name in SI_UNITS else None
+    return ChannelOutline(name, role, path, values, quantity, SI_UNITS.get(quantity or ""))
 
 
 def result_names(tag: str, entry: Values) -> tuple[str, ...]:
@@ -201,12 +233,12 @@ def source_faults(outline: Outline) -> Iterator[Fault]:
 def _content_faults(outline: Outline, role: str) -> Iterator[Fault]:
     """Find a source that gives neither channels nor marker tracks, or both."""
     source, path = outline.sources[role], ("sources", role)
-    readers = set(outline.readers(role))
+    readers = set(outline.readers[role])
     has_markers, has_channels = bool(readers & MARKER_READERS), bool(readers - MARKER_READERS)
     if (role == "markers" and has_channels) or (role != "markers" and has_markers):
         valid = MARKER_READERS if role == "markers" else set(READERS) - MARKER_READERS
         expected = f"a reader of {'marker tracks' if role == 'markers' else 'channels'}"
-        found = ", ".join(repr(word) for word in outline.readers(role))
+        found = ", ".join(repr(word) for word in outline.readers[role])
         remedy = f"Use one of {one_of('', valid)}."
         yield Fault((*path, "reader"), expected, found, remedy)
         return
