@@ -16,8 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
-from scipy.optimize import nnls
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
@@ -200,6 +198,8 @@ def _solve(normal: Floats, right: Floats) -> Floats:
     plain: Floats = inverse @ right
     if (plain >= 0.0).all():
         return plain
+    from scipy.optimize import nnls  # pulls need not wait for it
+
     triangle = np.linalg.cholesky(normal / np.outer(scale, scale))
     return nnls(triangle.T, np.linalg.solve(triangle, right / scale))[0] / scale
 
@@ -268,6 +268,8 @@ class Line:
 
     def integral(self, values: Floats) -> Floats:
         """Integral from the clamped end, trapezoids; values of shape (n, points, ...)."""
+        from scipy.integrate import cumulative_trapezoid  # pulls need not wait for it
+
         return cumulative_trapezoid(values, self.arc_length, axis=1, initial=0)
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
-from scipy.integrate import cumulative_trapezoid
 
 from labpipe.markers.rings import SIDES, Sections, axis_at_rest, section_centres, section_twist
 from labpipe.records.arrays import ArrayRecord, Flags, Floats
@@ -325,6 +324,8 @@ def _linearised(unknown: Floats, columns: Floats, grid: Floats, x: Floats) -> tu
 
 def _summed(values: Floats, grid: Floats) -> Floats:
     """Integral from the middle of an even grid along the last axis, trapezoids."""
+    from scipy.integrate import cumulative_trapezoid  # pulls need not wait for it
+
     total = cumulative_trapezoid(values, dx=grid[1] - grid[0], initial=0)
     return np.asarray(total - total[..., [len(grid) // 2]], dtype=np.float64)
 

@@ -6,9 +6,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
@@ -256,6 +253,8 @@ def _distances(
 
 def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
     """Indices of the pairs that make the cheapest assignment."""
+    from scipy.optimize import linear_sum_assignment  # pulls need not wait for it
+
     chosen: list[int] = []
     for group in _groups(pairs):
         ends, row = np.unique(pairs.end[group], return_inverse=True)
@@ -271,6 +270,9 @@ def _assign(pairs: _Pairs, *, unlinked: float) -> list[int]:
 
 def _groups(pairs: _Pairs) -> list[Ints]:
     """Pairs that compete with each other, directly or through others."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     ends, starts = np.unique(pairs.end), np.unique(pairs.start)
     row, column = np.searchsorted(ends, pairs.end), np.searchsorted(starts, pairs.start)
     nodes = len(ends) + len(starts)
