@@ -273,10 +273,10 @@ def bundle_in_words(words: str, *, arrangement: str = PACKED) -> Bundle:
         return SheetBundle.model_validate(data).record
     except ValidationError as error:
         faults = faults_of(error, data=data, keys=())
-        raise UsageError("\n".join(_told(fault, words) for fault in faults)) from None
+        raise UsageError("\n".join(_worded(fault, words) for fault in faults)) from None
 
 
-def _told(fault: Fault, words: str) -> str:
+def _worded(fault: Fault, words: str) -> str:
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
     remedy = fault.remedy or "Write it like '10 B1 + 9 B2 (1.25 mm)', or give a test.yaml."
     return complaint(words, place, expected=fault.expected, found=fault.found, remedy=remedy)

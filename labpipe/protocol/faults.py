@@ -111,8 +111,8 @@ def _worded(line: ErrorDetails, data: object, keys: list[str]) -> Fault:
     path = _path_in(data, line["loc"])
     context = line.get("ctx", {})
     if line["type"] == "labpipe":
-        told = (context[part] for part in ("expected", "found", "remedy", "at", "missing"))
-        return Fault(path, *told)
+        parts = (context[part] for part in ("expected", "found", "remedy", "at", "missing"))
+        return Fault(path, *parts)
     if line["type"] in ("missing", "union_tag_not_found"):
         key = _quoted(context["discriminator"])[0] if context else str(line["loc"][-1])
         remedy = f"Add the key {key!r}."

@@ -105,8 +105,8 @@ class Block(BaseModel):
                 return block
         misspelt = {fault.path for fault in between if fault.at == "key"}
         within = [fault for fault in within if fault.path not in misspelt]
-        told = {fault.path for fault in within}
-        raise raised([*within, *(fault for fault in between if fault.path not in told)], data)
+        places = {fault.path for fault in within}
+        raise raised([*within, *(fault for fault in between if fault.path not in places)], data)
 
     @model_serializer(mode="wrap")
     def _without_unset(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:

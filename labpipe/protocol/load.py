@@ -25,7 +25,7 @@ from labpipe.protocol.overrides import (
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ROLES
-from labpipe.protocol.yaml_text import Document, Told, parse_yaml, read_text
+from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_text
 
 if TYPE_CHECKING:
     from labpipe.protocol.plans import CalibrationPlan
@@ -229,7 +229,7 @@ def resolve(
     merged = with_overrides(plain, said)
     followed = follow_links or are_followed(plain)
     links = link_faults(sheet, sheet_path.parent, followed=followed)
-    told = [*merged.told, *map(said.place, (*_role_faults(sheet, merged), *links))]
+    placed_faults = [*merged.faults, *map(said.place, (*_role_faults(sheet, merged), *links))]
     try:
         protocol = Protocol.model_validate(merged.data)
     except ValidationError as error:
@@ -238,17 +238,17 @@ def resolve(
         placed = [merged.place(fault) for fault in faults]
         again = [merged.place(fault, remark) for fault in faults]
         both = zip(placed, again, strict=True)
-        told += [bare if bare.file == str(sheet_path) else full for bare, full in both]
-        raise _complaint(told) from None
+        placed_faults += [bare if bare.file == str(sheet_path) else full for bare, full in both]
+        raise _complaint(placed_faults) from None
     numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
     steps = zip(protocol.steps, numbers, strict=True)
     protocol = protocol.model_copy(
         update={"steps": tuple(step.numbered(number) for step, number in steps)}
     )
     kept = without_absent(protocol, sheet.files)
-    told += [said.place(fault) for fault in absent_faults(kept, protocol)]
-    if told:
-        raise _complaint(told)
+    placed_faults += [said.place(fault) for fault in absent_faults(kept, protocol)]
+    if placed_faults:
+        raise _complaint(placed_faults)
     return kept
 
 
@@ -280,19 +280,19 @@ def checked(model: type[_B], document: Document) -> _B:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    told = list(document.told)
+    placed_faults = list(document.faults)
     try:
         block = model.model_validate(document.data)
     except ValidationError as error:
         faults = faults_of(error, data=document.data, keys=())
-        raise _complaint([*told, *map(document.place, faults)]) from None
-    if told:
-        raise _complaint(told)
+        raise _complaint([*placed_faults, *map(document.place, faults)]) from None
+    if placed_faults:
+        raise _complaint(placed_faults)
     return block
 
 
-def _complaint(told: list[Told]) -> ProtocolError:
-    lines = sorted({(each.file, each.mark, each.text) for each in told})
+def _complaint(placed_faults: list[PlacedFault]) -> ProtocolError:
+    lines = sorted({(each.file, each.mark, each.text) for each in placed_faults})
     return ProtocolError("\n".join(text for _, _, text in lines))
 
 

@@ -40,7 +40,7 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
     result also out of those that the report shows first.
     """
     merged = Document(
-        protocol.file, copy.deepcopy(protocol.data), dict(protocol.spots), list(protocol.told)
+        protocol.file, copy.deepcopy(protocol.data), dict(protocol.spots), list(protocol.faults)
     )
     gone: dict[KeyPath, object] = {}
     said = sheet.data if isinstance(sheet.data, Mapping) else {}
@@ -53,22 +53,17 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
         if key.removeprefix("specimen.") in SHEET_DIMENSIONS and specimen.get(key[9:]) is not None:
             found = f"{override['value']!r} beside {specimen[key[9:]]!r} in 'specimen'"
             fault = Fault(place, f"{key!r} once", found, "Keep the one in 'specimen'.")
-            merged.told.append(sheet.place(fault))
+            merged.faults.append(sheet.place(fault))
         elif key in _LEFT:
             expected, found = "a key that a test may change", repr(key)
-            merged.told.append(sheet.place(Fault(place[:2], expected, found, _LEFT[key], "key")))
+            merged.faults.append(sheet.place(Fault(place[:2], expected, found, _LEFT[key], "key")))
         else:
             _put(merged, key, sheet, place, gone)
-    _say_why(merged, overrides.get("align"))
+    align = merged.data.get("align") if isinstance(merged.data, Mapping) else None
+    if "align" in overrides and isinstance(align, dict) and align.get("method") == "stated":
+        align.setdefault("because", overrides["align"]["because"])
     _take_out(merged, gone)
     return merged
-
-
-def _say_why(merged: Document, override: Mapping[str, Any] | None) -> None:
-    """Give clocks that a sheet states the reason of the override, unless they have their own."""
-    align = merged.data.get("align") if isinstance(merged.data, Mapping) else None
-    if override and isinstance(align, dict) and align.get("method") == "stated":
-        align.setdefault("because", override["because"])
 
 
 def _take_out(merged: Document, gone: Mapping[KeyPath, object]) -> None:
@@ -118,13 +113,16 @@ def _put(
     for part in parts:
         key = _key_in(node, part)
         if key is None:
-            merged.told.append(sheet.place(_astray(node, part, source[:2])))
+            merged.faults.append(sheet.place(_astray(node, part, source[:2])))
             return
         path = (*path, key)
         if len(path) < len(parts):
             if isinstance(node, dict) and node.get(str(key)) is None:
                 if path in _LISTS:
-                    merged.told.append(sheet.place(_of_none(dotted, str(key), source[:2])))
+                    expected = f"a key of the protocol, which has no {key!r}"
+                    remedy = f"Override {key!r} as a whole."
+                    fault = Fault(source[:2], expected, repr(dotted), remedy, "key")
+                    merged.faults.append(sheet.place(fault))
                     return
                 node[str(key)] = {}  # a block that the protocol leaves out
                 merged.spots[path] = spot
@@ -169,12 +167,6 @@ def _names(item: object) -> list[str]:
     if not isinstance(item, Mapping) or not isinstance(item.get("result"), str):
         return []
     return [name.partition(".")[0] for name in result_names(item["result"], item)]
-
-
-def _of_none(dotted: str, key: str, path: KeyPath) -> Fault:
-    """Word the key of an item of a list that the protocol leaves out."""
-    expected = f"a key of the protocol, which has no {key!r}"
-    return Fault(path, expected, repr(dotted), f"Override {key!r} as a whole.", "key")
 
 
 def _astray(node: object, part: str, path: KeyPath) -> Fault:

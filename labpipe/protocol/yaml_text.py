@@ -48,7 +48,7 @@ class Spot:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class PlacedFault:
     """One fault, placed, ready to be listed with others.
 
     Parameters
@@ -72,7 +72,7 @@ class Document:
     file : its name, as in messages
     data : blocks as dict, lists as list, everything else as text or None
     spots : where each value stands
-    told : what is wrong with the YAML itself
+    faults : what is wrong with the YAML itself
     numbers : by path of a list from which items were taken out, the numbers that those left have
         where they were written
     """
@@ -80,7 +80,7 @@ class Document:
     file: str
     data: object = None
     spots: dict[KeyPath, Spot] = field(default_factory=dict)
-    told: list[Told] = field(default_factory=list)
+    faults: list[PlacedFault] = field(default_factory=list)
     numbers: dict[KeyPath, tuple[int, ...]] = field(default_factory=dict)
 
     def at(self, path: KeyPath) -> object:
@@ -95,7 +95,7 @@ class Document:
             node = node[part]
         return node
 
-    def place(self, fault: Fault, remark: str = "") -> Told:
+    def place(self, fault: Fault, remark: str = "") -> PlacedFault:
         """Say where a fault stands.
 
         Parameters
@@ -108,7 +108,9 @@ class Document:
             path = path[:-1]
         spot = self.spots[path]
         mark = spot.key if fault.at == "key" else spot.value
-        return tell(spot.file, mark, replace(fault, path=self._as_written(fault.path)), remark)
+        return place_fault(
+            spot.file, mark, replace(fault, path=self._as_written(fault.path)), remark
+        )
 
     def _as_written(self, path: KeyPath) -> KeyPath:
         """Give items of lists the numbers that they have where they were written."""
@@ -119,7 +121,7 @@ class Document:
         )
 
 
-def tell(file: str, mark: Mark, fault: Fault, remark: str = "") -> Told:
+def place_fault(file: str, mark: Mark, fault: Fault, remark: str = "") -> PlacedFault:
     """Word a fault with its line, column and dotted key.
 
     Parameters
@@ -133,7 +135,7 @@ def tell(file: str, mark: Mark, fault: Fault, remark: str = "") -> Told:
     place = f"line {mark[0]}, column {mark[1]}" + (f" ({key})" if key else "")
     remedy = " ".join(part for part in (fault.remedy, remark) if part)
     text = complaint(file, place, expected=fault.expected, found=fault.found, remedy=remedy)
-    return Told(file, mark, text.rstrip())
+    return PlacedFault(file, mark, text.rstrip())
 
 
 def read_text(path: Path) -> str:
@@ -258,7 +260,7 @@ def _compose(text: str, file: str) -> yaml.Node | None:
         return yaml.compose(text, Loader=_Loader)
     except _RiddleError as error:
         event, fault = error.args
-        raise ProtocolError(tell(file, _mark(event), fault).text) from error
+        raise ProtocolError(place_fault(file, _mark(event), fault).text) from error
     except yaml.YAMLError as error:
         raise ProtocolError(_syntax(error, text, file)) from error
 
@@ -281,18 +283,18 @@ def _syntax(error: yaml.YAMLError, text: str, file: str) -> str:
 def _value(node: yaml.Node, path: KeyPath, document: Document) -> object:
     if node.tag not in _PLAIN_TAGS:
         fault = Fault(path, "a plain value", f"the tag {node.tag!r}", "Leave the tag out.")
-        document.told.append(tell(document.file, _mark(node), fault))
+        document.faults.append(place_fault(document.file, _mark(node), fault))
     if isinstance(node, yaml.MappingNode):
         return _block(node, path, document)
     if isinstance(node, yaml.SequenceNode):
-        return [_item(each, (*path, i), document) for i, each in enumerate(node.value)]
+        items = []
+        for number, each in enumerate(node.value):
+            here = (*path, number)
+            document.spots[here] = Spot(document.file, _mark(each), _mark(each))
+            items.append(_value(each, here, document))
+        return items
     is_plain = isinstance(node, yaml.ScalarNode) and not node.style
     return None if is_plain and node.value in _NOTHING else node.value
-
-
-def _item(node: yaml.Node, path: KeyPath, document: Document) -> object:
-    document.spots[path] = Spot(document.file, _mark(node), _mark(node))
-    return _value(node, path, document)
 
 
 def _block(node: yaml.MappingNode, path: KeyPath, document: Document) -> dict[str, object]:
@@ -300,13 +302,13 @@ def _block(node: yaml.MappingNode, path: KeyPath, document: Document) -> dict[st
     for key, value in node.value:
         if not isinstance(key, yaml.ScalarNode):
             fault = Fault(path, "a word as key", shown(key.value), "Write 'key: value'.")
-            document.told.append(tell(document.file, _mark(key), fault))
+            document.faults.append(place_fault(document.file, _mark(key), fault))
             continue
         here = (*path, key.value)
         if key.value in block:
             first = document.spots[here].key[0]
             fault = Fault(here, "each key once", f"{key.value!r} again (first in line {first})")
-            document.told.append(tell(document.file, _mark(key), fault))
+            document.faults.append(place_fault(document.file, _mark(key), fault))
             continue
         document.spots[here] = Spot(document.file, _mark(key), _mark(value))
         block[key.value] = _value(value, here, document)

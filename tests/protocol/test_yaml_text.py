@@ -64,7 +64,7 @@ def test_a_fault_at_a_path_that_is_not_there_stands_at_the_block_around_it() -> 
     ],
 )
 def test_what_is_yaml_but_not_for_protocols_is_told(text: str, message: str) -> None:
-    assert [told.text for told in parse_yaml(text, "x").told] == [message]
+    assert [fault.text for fault in parse_yaml(text, "x").faults] == [message]
 
 
 LOOK = "Look at this line and the one before it: indentation, ':' and brackets."
