@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
     """
-    options = _parser().parse_args(arguments)
+    options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
     if arguments is not None:
         return _run(options)
     gc.disable()
@@ -100,7 +100,8 @@ def _spare_the_collector() -> None:
     gc.enable()
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(typed: Sequence[str]) -> argparse.ArgumentParser:
+    """Parser of all commands; only one that was typed has arguments."""
     parser = argparse.ArgumentParser(
         prog="labpipe",
         usage="labpipe [-h] [--version] COMMAND ...",
@@ -113,23 +114,13 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(
         dest="command", metavar="COMMAND ...", required=True, prog="labpipe"
     )
-    _demo(_command(commands, "demo", "a synthetic campaign in vendor formats, processed"))
-    _inspect(_command(commands, "inspect", "what an export holds: channels, rate, gaps, oddities"))
-    _new(_command(commands, "new", "write a test.yaml, or one per row of a campaign sheet"))
-    _check(_command(commands, "check", "protocols and tests against each other and the files"))
-    _process(_command(commands, "process", "exports to result.h5, summary.json and figures"))
-    _report(_command(commands, "report", "processed tests to one page, figures and a workbook"))
-    _model(_command(commands, "model", "wire dimensions to stiffness tables and simulation decks"))
-    _bundle(_command(commands, "bundle", "bounds of a harness bundle's bending stiffness"))
-    _calibrate(_command(commands, "calibrate", "cantilever tests to a calibrated wire model"))
-    _simulate(_command(commands, "simulate", "synthetic exports of a test, with known truth"))
+    for name, (about, add_arguments) in _COMMANDS.items():
+        command = commands.add_parser(
+            name, help=about, description=f"{about[0].upper()}{about[1:]}."
+        )
+        if name in typed:
+            add_arguments(command)
     return parser
-
-
-def _command(
-    commands: argparse._SubParsersAction[argparse.ArgumentParser], name: str, about: str
-) -> argparse.ArgumentParser:
-    return commands.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
 
 
 def _demo(parser: argparse.ArgumentParser) -> None:
@@ -283,3 +274,18 @@ def _simulate(parser: argparse.ArgumentParser) -> None:
     cycles = "of a cantilever test (default: 3); a conduit bundle is bent once"
     parser.add_argument("--cycles", type=int, default=None, help=cycles)
     parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")
+
+
+_COMMANDS = {
+    "demo": ("a synthetic campaign in vendor formats, processed", _demo),
+    "inspect": ("what an export holds: channels, rate, gaps, oddities", _inspect),
+    "new": ("write a test.yaml, or one per row of a campaign sheet", _new),
+    "check": ("protocols and tests against each other and the files", _check),
+    "process": ("exports to result.h5, summary.json and figures", _process),
+    "report": ("processed tests to one page, figures and a workbook", _report),
+    "model": ("wire dimensions to stiffness tables and simulation decks", _model),
+    "bundle": ("bounds of a harness bundle's bending stiffness", _bundle),
+    "calibrate": ("cantilever tests to a calibrated wire model", _calibrate),
+    "simulate": ("synthetic exports of a test, with known truth", _simulate),
+}
+"""What each command is for, and its arguments."""
