@@ -71,7 +71,7 @@ class Prepared:
     ----------
     signals, take : so far
     shape : of the specimen; None where no step fits one
-    span : the bent axis between two supports, or why there is none; None where nobody asked
+    span : the bent axis between two supports, or why there is none; None where not asked for
     """
 
     signals: Signals
@@ -104,7 +104,10 @@ def calibrated(
     take = Take()
     turned = [] if curve is None else [getattr(curve, word) for word in curve.reverse or ()]
     for role, recording in recordings.items():
-        found += [Finding(replace(note, where=_at(role, note.where))) for note in recording.notes]
+        found += [
+            Finding(replace(note, where=f"{role}: {note.where}" if note.where else role))
+            for note in recording.notes
+        ]
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, fewest=2)
             _check_markers(recording.markers, role)
@@ -120,10 +123,6 @@ def calibrated(
             found += _missing(channel.name, signal, quantity)
             found += _peak(channel.name, signal, quantity, source.peak_range)
     return Prepared(signals, take), found
-
-
-def _at(role: str, where: str) -> str:
-    return f"{role}: {where}" if where else role
 
 
 def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) -> Signal:

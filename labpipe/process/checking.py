@@ -256,9 +256,10 @@ def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
     """Find two tests of one campaign with one name: their results would overwrite each other."""
     seen: dict[tuple[Path, str], Path] = {}
     for path in tests:
-        sheet = _sheet_or_none(path)
-        if sheet is None:
-            continue
+        try:
+            sheet = load_test_sheet(path)
+        except ProtocolError:
+            continue  # reported already
         key = (path.resolve().parent.parent, sheet.test.casefold())
         if key in seen:
             expected, found = "a name that no other test of the campaign has", repr(sheet.test)
@@ -266,10 +267,3 @@ def _shared_names(tests: Sequence[Path]) -> Iterator[Finding]:
             text = complaint(path, "(test)", expected=expected, found=found, remedy=remedy)
             yield Finding(path, text)
         seen.setdefault(key, path)
-
-
-def _sheet_or_none(path: Path) -> TestSheet | None:
-    try:
-        return load_test_sheet(path)
-    except ProtocolError:
-        return None  # told already

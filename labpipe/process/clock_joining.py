@@ -260,7 +260,7 @@ def _judged(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
 
 
 _RATE = 1e-4
-"""How far two recorders may differ in rate that nobody has compared."""
+"""How far two recorders may differ in rate that were never compared."""
 _SMOOTH, _SHARE = 0.5, 0.3
 """As for `rough_peaks`: s, and share of the range."""
 _FAR, _SURELY = 1.0, 3.0

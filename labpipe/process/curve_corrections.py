@@ -187,7 +187,7 @@ def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: fl
 
 
 def _final_loss(test: Evidence, rule: LossOfForce | None) -> int | Failure | None:
-    """Sample of the curve at which the force begins to be lost; None where nobody asked."""
+    """Sample of the curve at which the force begins to be lost; None where not asked for."""
     curve, branch = test.curve, test.first_loading
     if curve is None or branch is None or rule is None:
         return None

@@ -32,6 +32,8 @@ from labpipe.signal.turning_points import (
 
 _SEEN = 0.5
 """s on each side of a turning point in which the motion must have been seen."""
+_UNSEEN = 0.3
+"""Share of the samples there that may be missing."""
 _FIRST_WAIT = 0.2
 """s; how long a wait is looked for where the strokes show none."""
 _WAITED, _TOGETHER = (2.4, 1.5), 3
@@ -183,7 +185,8 @@ def _seen_turn(
     motion: Signal, number: int, near: tuple[float, float], window: float
 ) -> tuple[Turn | None, Turn | None] | None:
     """A turn without a wait, where the strokes show none, and with one; None where unseen."""
-    if not all(_is_seen(motion, at) for at in near):
+    around = (np.abs(motion.time - at) <= _SEEN for at in near)
+    if not all(np.isnan(motion.values[each]).mean() <= _UNSEEN for each in around):
         return None
     at_once = None
     if near[0] == near[1]:
@@ -216,11 +219,6 @@ def _all_wait(motion: Signal, waits: list[Turn | None]) -> bool:
         for wait in waits
     ]
     return len(waits) >= _TOGETHER and median(np.array(shares)) > _WAITED[1]
-
-
-def _is_seen(motion: Signal, at: float) -> bool:
-    around = np.abs(motion.time - at) <= _SEEN
-    return bool(np.isnan(motion.values[around]).mean() <= 0.3)
 
 
 def check_turns(
@@ -443,7 +441,9 @@ def turn_event(
         found = [(turn.arrival, first, 0.0), (turn.departure, first + dwell, 0.0)]
     events = []
     for corner, at, wait in found:
-        inside = _beside(force, at, window + wait)
+        reach = window + wait
+        part = slice(*np.searchsorted(force.time, [at - reach, at + reach]))
+        inside = force.time[part], force.values[part]
         pulled = fit_reversal(*inside, near=at, window=window, dwell=wait)
         if pulled is not None and pulled.corner.time_error < WORST_CORNER:
             events.append((corner, pulled))
@@ -468,11 +468,6 @@ def _mean_event(events: list[tuple[Corner, Reversal]]) -> tuple[Corner, Reversal
         replace(seen[0], time=float(at[0]), time_error=float(error[0])),
         Reversal(corner, shape_error),
     )
-
-
-def _beside(signal: Signal, at: float, window: float) -> tuple[Floats, Floats]:
-    span = slice(*np.searchsorted(signal.time, [at - window, at + window]))
-    return signal.time[span], signal.values[span]
 
 
 def turn_events(

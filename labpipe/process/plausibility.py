@@ -61,10 +61,13 @@ def check_rig(
     force = signals.filtered.get(signals.force)
     if force is None or protocol.curve is None:
         return
-    if protocol.rig.string is not None:
-        yield from _pull(force, protocol.rig.string.counterweight * GRAVITY)
+    if protocol.rig.string is not None:  # by the counterweight the force can fall, no further
+        weight = protocol.rig.string.counterweight * GRAVITY
+        yield from _negative(_per_second(force), -1.2 * weight - 2e-3, "a string cannot push")
     if protocol.specimen.span is not None and force.has_time and not is_blocked:
-        yield from _push(force)
+        why = "what presses on a specimen between supports cannot pull at it"
+        smooth = _per_second(force)
+        yield from _negative(smooth, -_PULLED * float(np.nanmax(smooth)), why)
     length, words = protocol.specimen.length, protocol.markers
     if length is not None and words is not None and words.clamp is not None and shape is not None:
         yield from _length(shape, length)
@@ -75,14 +78,16 @@ def _motion(motion: Signal, rig: Rig, branches: tuple[Branch, ...]) -> Iterator[
     if rig.cycles is not None and cycles != rig.cycles:
         message = f"{cycles} cycles measured, the protocol expects {rig.cycles}"
         yield warning("cycles_unexpected", "rig.cycles", message)
-    if rig.stroke is not None:
-        yield from _stroke(motion, rig.stroke)
+    if rig.stroke is not None and not is_full_stroke(motion, rig.stroke):
+        stroke = 1e3 * float(np.nanmax(motion.values) - np.nanmin(motion.values))
+        message = f"a stroke of {stroke:.4g} mm measured, {1e3 * rig.stroke:.4g} mm expected"
+        yield warning("stroke_unexpected", "rig.stroke", message)
     if rig.crosshead_speed is not None and motion.has_time:
         yield from _speed(motion, rig.crosshead_speed, branches[0])
 
 
 def is_full_stroke(motion: Signal, expected: float | None) -> bool:
-    """Whether the motion went as far as the rig was told to; False where nobody told.
+    """Whether the motion went as far as the rig was set to; False where that is unknown.
 
     Parameters
     ----------
@@ -91,13 +96,6 @@ def is_full_stroke(motion: Signal, expected: float | None) -> bool:
     """
     stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
     return expected is not None and abs(stroke - expected) <= 0.02 * expected
-
-
-def _stroke(motion: Signal, expected: float) -> Iterator[Finding]:
-    if not is_full_stroke(motion, expected):
-        stroke = float(np.nanmax(motion.values) - np.nanmin(motion.values))
-        message = f"a stroke of {1e3 * stroke:.4g} mm measured, {1e3 * expected:.4g} mm expected"
-        yield warning("stroke_unexpected", "rig.stroke", message)
 
 
 def _speed(motion: Signal, expected: float, first: Branch) -> Iterator[Finding]:
@@ -113,27 +111,11 @@ def _speed(motion: Signal, expected: float, first: Branch) -> Iterator[Finding]:
         yield doubtful("speed_unexpected", "rig.crosshead_speed", message, "displacement", "force")
 
 
-def _pull(force: Signal, weight: float) -> Iterator[Finding]:
-    """A string does not push: below zero the force can fall by the counterweight, no further."""
-    smooth = _per_second(force)
+def _negative(smooth: Floats, least: float, why: str) -> Iterator[Finding]:
+    """Doubt a force whose means over a second fall below the least that its load can give."""
     lowest = float(np.nanmin(smooth))
-    if lowest < -1.2 * weight - 5.0 * noise_level(smooth) - 2e-3:
-        message = (
-            f"the force falls to {lowest:.4g} N, but a string cannot push: the zero is wrong or "
-            "drifts"
-        )
-        yield doubtful("force_negative", "force", message, "force")
-
-
-def _push(force: Signal) -> Iterator[Finding]:
-    """What presses on a specimen between two supports does not pull at it."""
-    smooth = _per_second(force)
-    lowest, highest = float(np.nanmin(smooth)), float(np.nanmax(smooth))
-    if lowest < -_PULLED * highest - 5.0 * noise_level(smooth):
-        message = (
-            f"the force falls to {lowest:.4g} N, but what presses on a specimen between supports "
-            "cannot pull at it: the zero is wrong or drifts"
-        )
+    if lowest < least - 5.0 * noise_level(smooth):
+        message = f"the force falls to {lowest:.4g} N, but {why}: the zero is wrong or drifts"
         yield doubtful("force_negative", "force", message, "force")
 
 
@@ -339,7 +321,7 @@ _BACK = 0.1
 _AT_HOME = 0.02
 """Share of the stroke within which a motion has not left yet, or has come home."""
 _SHORTEST, _ROWS = 0.25, 5.0
-"""s, or rows without times, that a motion stands at least to be told of."""
+"""s, or rows without times, that a motion stands at least to be noted."""
 _MISSED = 0.02
 """Share of a branch that the record of the force may lack at its end."""
 
@@ -360,7 +342,7 @@ def cut_at(
     signals, clocks : of the test
     motion : that the branches were split by
     branches : of the motion
-    is_full_stroke : whether the motion went as far as the rig was told to
+    is_full_stroke : whether the motion went as far as the rig was set to
     is_cut_file : whether a reader saw that the end of an export may be missing
 
     Returns

@@ -38,17 +38,6 @@ _SPELT = MappingProxyType(
 """Spellings that are no units to labpipe, and the units that they can only mean."""
 
 
-def unit_factor(channel: Channel, source: ChannelSource) -> float:
-    """Factor from the numbers of a channel to SI.
-
-    Parameters
-    ----------
-    channel : as a reader gives it; `unit_fault` finds nothing wrong with it
-    source : of the protocol
-    """
-    return si_factor(source.unit or channel.unit_in_file, _si_unit(source))
-
-
 def unit_fault(channel: Channel, source: ChannelSource, path: Path) -> str:
     """Word what is wrong with the unit of a channel; empty if nothing is.
 
@@ -123,7 +112,7 @@ def _another_channel(source: ChannelSource) -> str:
 
 
 def _contradicts(stated: str, said: str, si_unit: str) -> bool:
-    """Tell whether two units cannot both be right; one that nobody can make out says nothing."""
+    """Tell whether two units cannot both be right; one that is unknown says nothing."""
     if stated in _SILENT or _same(stated, said, si_unit):
         return False
     meant = _meant(stated)
@@ -172,19 +161,16 @@ def read_inputs(
     # Hashing runs beside reading: it takes as long and lets go of the interpreter.
     with ThreadPoolExecutor(max_workers=1) as beside:
         waiting = [beside.submit(_fingerprint, folder / name, role, name) for role, name in files]
-        recordings = _read_roles(folder, sheet, protocol)
+        recordings: dict[str, Recording] = {
+            role: joined(
+                [read_role(folder / name, source) for name in sheet.files[role]],
+                sheet.files[role],
+                folder,
+            )
+            for role, source in protocol.sources.items()
+        }
         inputs = tuple(each.result() for each in waiting)
     return recordings, inputs
-
-
-def _read_roles(folder: Path, sheet: TestSheet, protocol: Protocol) -> dict[str, Recording]:
-    recordings: dict[str, Recording] = {}
-    for role, source in protocol.sources.items():
-        names = sheet.files[role]
-        recordings[role] = joined(
-            [read_role(folder / name, source) for name in names], names, folder
-        )
-    return recordings
 
 
 def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
@@ -287,7 +273,7 @@ def name_channels(recording: Recording, source: Source, path: Path) -> Recording
 
     Returns
     -------
-    The recording without the channels, and the clocks, that nobody asked for.
+    The recording without the channels, and the clocks, that are not asked for.
 
     Raises
     ------
@@ -389,10 +375,10 @@ def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Ch
     """Rename a channel and turn its numbers into SI, once."""
     if fault := unit_fault(channel, source, path):
         raise ReadError(fault)
-    factor = unit_factor(channel, source)
+    factor = si_factor(source.unit or channel.unit_in_file, _si_unit(source))
     calibration = source.calibration.gain if source.calibration is not None else ""
     values = channel.values if factor == 1.0 else factor * channel.values
-    unit = source.channel_unit or source.target_unit
+    unit = _si_unit(source)
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
 
 

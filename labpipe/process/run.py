@@ -21,7 +21,6 @@ from labpipe.process.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import FigureName, Protocol
 from labpipe.protocol.values import is_name_of_a_test
-from labpipe.records.arrays import Floats
 from labpipe.records.measured_bending import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
@@ -76,7 +75,7 @@ def process_test(
     figures : whether to draw, as SVG
     png : whether figures are drawn as PNG, too
     follow_links : whether exports may be links out of the folder of the test
-    say : told the name of each stage as it begins
+    say : is given the name of each stage as it begins
 
     Returns
     -------
@@ -88,8 +87,10 @@ def process_test(
         If an input is bad; earlier results are then as they were.
     """
     say("read")
-    again = source.suffix == ".h5"
-    finished = again and out is None and _finished(source.parent)
+    again, finished = source.suffix == ".h5", False
+    if again and out is None and is_cut_off(source.parent):  # by a process that was killed
+        with locked(source.parent), storing(source.parent):
+            finished = finish_cut_off(source.parent)
     raw, protocol = _stored(source) if again else _exported(source, follow_links)
     say("process")
     result = reduce_test(raw, protocol)
@@ -100,7 +101,12 @@ def process_test(
         with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
             writing = beside.submit(write_result, result, stage / RESULT_FILE)
             write_summary(result, stage / SUMMARY_FILE)
-            drawn = _draw(result, stage / FIGURES, say, png=png) if figures else ()
+            drawn: tuple[Path, ...] = ()
+            if figures:
+                say("draw")
+                from labpipe.report.figures import save_figures
+
+                drawn = tuple(save_figures(result, stage / FIGURES, png=png))
             writing.result()
     files = tuple(folder / path.relative_to(stage) for path in drawn)
     return Processed(folder, result, files, finished)
@@ -183,14 +189,6 @@ def run_key(raw: RawTest) -> str:
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
-def _finished(folder: Path) -> bool:
-    """Finish what a killed process left half done in a folder; whether there was anything."""
-    if not is_cut_off(folder):
-        return False
-    with locked(folder), storing(folder):
-        return finish_cut_off(folder)
-
-
 def _figures_to_go(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
     """Figures of labpipe in a folder that would show other numbers than this run's result."""
     if not is_drawn:
@@ -245,7 +243,7 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         if missing or role not in raw.recordings:
             expected = " ".join(["the channels of its protocol,", *missing]).strip(", ")
             found = ", ".join(map(repr, names)) or "none"
-        elif not all(map(_goes_on, _times(recording))):
+        elif not _times_go_on(recording):
             expected, found = "times that go on", "some that go back, or are no numbers"
         else:
             continue
@@ -255,13 +253,10 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         raise StoreError(text)
 
 
-def _times(recording: Recording) -> list[Floats]:
+def _times_go_on(recording: Recording) -> bool:
     tracks = [] if recording.markers is None else [recording.markers.time]
-    return [*(clock.time for clock in recording.clocks), *tracks]
-
-
-def _goes_on(time: Floats) -> bool:
-    return bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all())
+    times = [*(clock.time for clock in recording.clocks), *tracks]
+    return all(bool(np.isfinite(time).all() and (np.diff(time) >= 0.0).all()) for time in times)
 
 
 def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
@@ -286,10 +281,3 @@ def goal_of(source: Path, out: Path | None, name: Callable[[], str]) -> Path:
     if not above:
         return Path("processed") / name()
     return above[0].parent / "processed" / folder.relative_to(above[0])
-
-
-def _draw(result: TestResult, folder: Path, say: Say, *, png: bool) -> tuple[Path, ...]:
-    say("draw")
-    from labpipe.report.figures import save_figures
-
-    return tuple(save_figures(result, folder, png=png))

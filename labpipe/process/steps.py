@@ -329,7 +329,13 @@ def zeroed(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     rest = signal.values[first:last]
     known = rest[~np.isnan(rest)]
     beside = signal.values[last:] if step.at == "start" else signal.values[:first]
-    _need_samples(signal, step, len(known), needed(beside), over)
+    if len(known) < (least := needed(beside)):
+        apart = median(np.diff(signal.time))
+        message = (
+            f"{step.channel}: {len(known)} samples in the {over:.4g} s to zero on, {least} are "
+            f"needed, and there are {1.0 / apart:.4g} per second"
+        )
+        raise ShortStretchError(message, (least + 0.5) * apart)
     stretch = {name: (start, start + over)}
     if step.by == "mean":
         signals = replace(signals, zeroed={**signals.zeroed, **stretch})
@@ -346,17 +352,6 @@ def zeroed(signals: Signals, step: Zero) -> tuple[Signals, list[Finding]]:
     if len(known) < LEAST:
         said += f", {len(known)} samples: their noise is judged by the rest of the record"
     return signals.without_level(name, level, error), [worth_knowing("zeroed", name, said)]
-
-
-def _need_samples(signal: Signal, step: Zero, known: int, least: int, over: float) -> None:
-    if known >= least:
-        return
-    apart = median(np.diff(signal.time))
-    message = (
-        f"{step.channel}: {known} samples in the {over:.4g} s to zero on, {least} are "
-        f"needed, and there are {1.0 / apart:.4g} per second"
-    )
-    raise ShortStretchError(message, (least + 0.5) * apart)
 
 
 def _stretch(signal: Signal, step: Zero) -> tuple[int, int]:

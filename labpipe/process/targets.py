@@ -156,7 +156,7 @@ def refuse_repeated(marked: Iterable[tuple[str, Path]], what: str) -> None:
     Raises
     ------
     UsageError
-        If one occurs twice; each repetition is told with both files.
+        If one occurs twice; each repetition is reported with both files.
     """
     first: dict[str, Path] = {}
     faults = []

@@ -188,7 +188,7 @@ _RETURNED = 0.02
 _DRIFT = 0.03
 """Share of the largest force by which the force at rest may differ before and after."""
 _SURE = 6.0
-"""Standard errors below which nobody can tell."""
+"""Standard errors below which a difference may be noise."""
 _FEWEST = 3
 """Samples of a rest."""
 _TAIL = 10
@@ -389,10 +389,6 @@ class _Record:
     force: Floats
     path: Floats
 
-    @property
-    def force_range(self) -> float:
-        return float(np.ptp(self.force))
-
 
 def check_begin(
     signals: Signals,
@@ -428,11 +424,15 @@ def check_begin(
     during = (float(record.time[0]), max(float(record.time[0]), branches[0].start_time))
     first = (record.time >= branches[0].start_time) & (record.time <= branches[0].stop_time)
     force = float(record.force[first][0])
-    share = force / record.force_range
+    share = force / float(np.ptp(record.force))
     if not force > _SURE_OF_LOAD * noise_level(record.force):
         return
     if share > 0.5 and float(record.force[first][-1]) < 0.5 * force:
-        yield _unloading(signals.force, force)
+        message = (
+            f"the record begins at {force:.4g} N, and the force falls over its first stroke: it "
+            "begins under load, with an unloading, so that cycles are counted from the wrong turn"
+        )
+        yield doubtful(_CODE, signals.force, message, "force", "displacement", "start")
         return
     if _comes_back(record, branches, force):
         return
@@ -473,14 +473,6 @@ def _comes_back(record: _Record, branches: tuple[Branch, ...], begin: float) -> 
     ends = [branch.stop_time for branch in branches[1::2]]
     forces = np.interp(ends, record.time, record.force)
     return len(ends) > 0 and bool((np.abs(forces - begin) <= _SAME * begin).all())
-
-
-def _unloading(where: str, force: float) -> Finding:
-    message = (
-        f"the record begins at {force:.4g} N, and the force falls over its first stroke: it begins "
-        "under load, with an unloading, so that cycles are counted from the wrong turn"
-    )
-    return doubtful(_CODE, where, message, "force", "displacement", "start")
 
 
 def _loaded(
