@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import IO, TYPE_CHECKING, Any, NamedTuple, TypeAlias, cast
+from zipfile import ZipFile
 
 from labpipe.errors import StoreError, complaint
 from labpipe.records.arrays import Floats
@@ -85,10 +87,12 @@ def save_sheets(sheets: Iterable[Sheet], path: Path, *, again: str, active: int 
             # cells go to disk as they come: hundreds of sheets take less time and memory
             book = Workbook(write_only=True)
             book.add_named_style(_heading())
-            for sheet in sheets:
-                _add(book, sheet)
+            numbers = [_add(book, sheet) for sheet in sheets]
             book.active = active
-            book.save(file)
+            frame = io.BytesIO()
+            book.save(frame)
+            paths = [page.path.lstrip("/") for page in book.worksheets]
+            _fill_in(frame, dict(zip(paths, numbers, strict=True)), file)
     except OSError as error:
         message = complaint(
             path,
@@ -153,8 +157,13 @@ def _begin(text: str, most: int) -> str:
     return text.encode("utf-16-le")[: 2 * most].decode("utf-16-le", "ignore")
 
 
-def _add(book: Workbook, sheet: Sheet) -> None:
-    """Write a sheet: bold headings that stay in view, columns as wide as their text."""
+def _add(book: Workbook, sheet: Sheet) -> str:
+    """Write a sheet: bold headings that stay in view, columns as wide as their text.
+
+    Returns
+    -------
+    Rows that are still to be filled in: all below the heading where they are numbers alone.
+    """
     from openpyxl.utils import get_column_letter
 
     page: Any = book.create_sheet(sheet.name)
@@ -165,9 +174,41 @@ def _add(book: Workbook, sheet: Sheet) -> None:
     for cell in heads:
         cell.style = _HEADING
     page.append(heads)
+    if not any(isinstance(value, str) for row in sheet.rows for value in row):
+        return _rows_of_numbers(sheet)
     for first, *others in sheet.rows:
         link = sheet.links.get(str(first), "")
         page.append([_cell(page, first, link), *(_cell(page, value) for value in others)])
+    return ""
+
+
+def _rows_of_numbers(sheet: Sheet) -> str:
+    """Rows below the heading, as they stand in a sheet's file: cell by cell is five times slower.
+
+    Office Open XML, ECMA-376 part 1, 18.3: rows ``row``, cells ``c``, values ``v``.
+    """
+    from openpyxl.utils import get_column_letter
+
+    columns = [get_column_letter(at) for at in range(1, len(sheet.heads) + 1)]
+    rows = cast("Sequence[Sequence[float | None]]", sheet.rows)
+    written = []
+    for number, row in enumerate(rows, start=2):
+        cells = [
+            f'<c r="{column}{number}"><v>{value:.16g}</v></c>'
+            for column, value in zip(columns, row, strict=True)
+            if value is not None and math.isfinite(value)
+        ]
+        written.append(f'<row r="{number}">{"".join(cells)}</row>')
+    return "".join(written)
+
+
+def _fill_in(frame: IO[bytes], rows: Mapping[str, str], file: IO[bytes]) -> None:
+    """Write a book again with the rows that its sheets still want, by the path of each sheet."""
+    with ZipFile(frame) as book, ZipFile(file, "w") as whole:
+        for part in book.infolist():
+            text = book.read(part)
+            wanted = rows.get(part.filename, "").encode()
+            whole.writestr(part, text.replace(b"</sheetData>", wanted + b"</sheetData>"))
 
 
 def _heading() -> NamedStyle:
