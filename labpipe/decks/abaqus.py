@@ -58,8 +58,8 @@ def abaqus_deck(
     lines = [f"** {line}" for line in _comments(table, law, label, mass_per_length)]
     lines += [_keyword(table, label, mass_per_length), _geometry(table), "0., 0., -1."]
     lines += ["*AXIAL, LINEAR", f"{table.axial_stiffness:.9g}"]
-    for keyword in ("*M1", "*M2"):
-        lines += [keyword, *_pairs(law)]
+    pairs = _pairs(law)
+    lines += ["*M1", *pairs, "*M2", *pairs]
     lines += ["*TORQUE, LINEAR", f"{table.torsional_stiffness:.9g}"]
     return "\n".join(lines) + "\n"
 

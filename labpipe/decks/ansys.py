@@ -68,7 +68,8 @@ def ansys_deck(table: WireTable, *, section: int = 1, mass_per_length: float | N
     lines = [f"! {line}" for line in _comments(table, law, mass_per_length)]
     lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]
     lines += _linear("BSAX", LARGEST_STRAIN, table.axial_stiffness)
-    lines += [*_bending("BSM1", law), *_bending("BSM2", law)]
+    points = _points(law)
+    lines += [f"{command},{point}" for command in ("BSM1", "BSM2") for point in points]
     lines += _linear("BSTQ", LARGEST_TWIST, table.torsional_stiffness)
     for command in ("BSS1", "BSS2"):
         lines += _linear(command, LARGEST_SHEAR, shear_stiffness(table))
@@ -108,8 +109,8 @@ def _linear(command: str, end: float, stiffness: float) -> list[str]:
     return [f"{command},{part:.9g},{stiffness * part:.9g}" for part in (0.1 * end, end)]
 
 
-def _bending(command: str, law: Thinned) -> list[str]:
+def _points(law: Thinned) -> list[str]:
     return [
-        f"{command},{curvature:.12g},{moment:.12g}"
+        f"{curvature:.12g},{moment:.12g}"
         for curvature, moment in zip(law.curvature[1:], law.moment[1:], strict=True)
     ]

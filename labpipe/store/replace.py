@@ -149,8 +149,7 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
     files = _files(stage / _FILES)
     gone = [name for name in owned if name not in files and (folder / name).is_file()]
     (stage / _GONE).write_text("\n".join(gone), encoding="utf-8")
-    for name in files:
-        _require_place(folder, name)
+    _require_places(folder, files)
     _flush_all(stage)
     moves: list[_Move] = []
     try:
@@ -198,8 +197,7 @@ def _moves(folder: Path) -> list[_Move]:
     commit = folder / _COMMIT
     gone = (commit / _GONE).read_text(encoding="utf-8").splitlines()
     names = [*gone, *sorted(_files(commit / _FILES), key=lambda name: name.endswith(".h5"))]
-    for name in names:
-        _require_place(folder, name)
+    _require_places(folder, names)
     return [_Move(commit / _FILES / name, folder / name, commit / _ASIDE / name) for name in names]
 
 
@@ -219,15 +217,16 @@ def _files(folder: Path) -> list[str]:
     return [path.relative_to(folder).as_posix() for path in found]
 
 
-def _require_place(folder: Path, name: str) -> None:
+def _require_places(folder: Path, names: Iterable[str]) -> None:
     """Refuse what would not go, or would go elsewhere, before anything is moved."""
-    goal = folder / name
-    if goal.is_dir():
+    goals = [folder / name for name in names]
+    for place in {goal.parent for goal in goals}:
+        if place.exists() and not place.is_dir():
+            raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
+        if not place.resolve().is_relative_to(folder.resolve()):
+            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+    if any(goal.is_dir() for goal in goals):
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-    if goal.parent.exists() and not goal.parent.is_dir():
-        raise OSError(errno.ENOTDIR, os.strerror(errno.ENOTDIR))
-    if not goal.parent.resolve().is_relative_to(folder.resolve()):
-        raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
 
 
 def _flush_all(folder: Path) -> None:

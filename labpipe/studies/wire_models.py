@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -158,7 +159,7 @@ def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
     if count <= _WORTH_SHARING:
         yield None
         return
-    pool = ProcessPoolExecutor(2, initializer=_leave_interrupts)
+    pool = ProcessPoolExecutor(2, initializer=_begin_helping)
     try:
         yield pool
     except BrokenProcessPool as error:
@@ -174,9 +175,13 @@ def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
         pool.shutdown(cancel_futures=True)
 
 
-def _leave_interrupts() -> None:
-    """Let the process that was started by a person answer to the keyboard, and end this one."""
+def _begin_helping() -> None:
+    """Let the process that was started by a person answer to the keyboard, and end this one.
+
+    A wire leaves nothing behind that refers to itself, so that the collector has nothing to find.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.disable()
 
 
 def _outcome(spec: WireSpec) -> MadeWire | str:
