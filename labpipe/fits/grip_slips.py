@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.ndimage import median_filter
 from scipy.special import stdtrit
 
 from labpipe.fits.load_drops import MAD, MAD_SHARE, LoadDrop, PullCurve, fit_load_drop
@@ -148,6 +147,8 @@ def _stands_alone(f: Floats) -> Flags:
         return np.zeros(len(f), dtype=np.bool_)
     steps = np.diff(f)
     usual = median(steps)
+    from scipy.ndimage import median_filter
+
     off = np.abs(f - median_filter(f, 5, mode="nearest"))
     spread = 1.4826 * median(np.abs(steps - usual))
     is_off: Flags = off > 6.0 * max(spread, 1e-9 * float(np.ptp(f)))
@@ -216,6 +217,8 @@ def _sizes(f: Floats, window: int) -> Floats:
     sums = np.concatenate([[0.0], np.cumsum(f - f.mean())])
     ends = np.arange(window, len(f) - window + 1)
     inner = (2.0 * sums[ends] - sums[ends - window] - sums[ends + window]) / window
+    from scipy.ndimage import median_filter
+
     inner = inner - median_filter(inner, 8 * window + 1, mode="nearest")
     sizes = np.zeros(len(f))
     sizes[ends - 1] = inner

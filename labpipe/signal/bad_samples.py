@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from math import log, pi, sqrt
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from labpipe.records.arrays import Flags, Floats, Ints, median, stretches_of
 from labpipe.signal.turning_points import noise_level
@@ -325,6 +324,8 @@ def find_spikes(force: Floats) -> Ints:
     f = force[known]
     if len(f) < 2 * _WINDOW or _is_smooth(f):
         return np.zeros(0, dtype=np.int64)
+    from scipy.ndimage import median_filter
+
     level = median_filter(f, _WINDOW, mode="nearest")
     off = f - level
     far = max(_FAR_OFF * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
