@@ -173,18 +173,19 @@ def _plot_thinned(
     result: TestResult, axes: Axes, x: Floats, y: Floats, *, bins: int = _BRANCH_BINS, **look: Any
 ) -> None:
     kept = extremes(y, bins=bins)
-    across, up = scale(result, "displacement", "m"), scale(result, "force", "N")
+    across, up = _scales(result)
     axes.plot(x[kept] * across.factor, y[kept] * up.factor, **look)
 
 
 def _label(result: TestResult, axes: Axes) -> None:
-    axes.set_xlabel(scale(result, "displacement", "m").label("Displacement"))
-    axes.set_ylabel(scale(result, "force", "N").label("Force"))
+    across, up = _scales(result)
+    axes.set_xlabel(across.label("Displacement"))
+    axes.set_ylabel(up.label("Force"))
 
 
 def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:
     """Put an open triangle on the highest force of each cycle."""
-    across, up = scale(result, "displacement", "m"), scale(result, "force", "N")
+    across, up = _scales(result)
     colours = cycle_colours(int(curve.cycle.max(initial=0)))
     for number, colour in enumerate(colours, start=1):
         inside = np.flatnonzero((curve.cycle == number) & ~np.isnan(curve.force))
@@ -276,9 +277,7 @@ def draw_stiffness_lines(result: TestResult) -> Figure:
     plot_branch(result, axes)
     plot_lines(result, axes)
     mark_points(result, axes)
-    across, up = _scales(result)
-    axes.set_xlabel(across.label("Displacement"))
-    axes.set_ylabel(up.label("Force"))
+    _label(result, axes)
     put_key(page, axes.get_legend_handles_labels()[0], columns=_COLUMNS)
     return page
 
@@ -368,6 +367,8 @@ def _scales(result: TestResult) -> tuple[Scale, Scale]:
 _TIME_BINS = 900
 _MOTIONS = {"travel": "Travel", "displacement": "Displacement"}
 """Series that show the motion, the better one first, and the word on the axis."""
+_AS_RECORDED: dict[str, Any] = {"color": "#9a9a9a", "linewidth": 0.6}
+_CURVE: dict[str, Any] = {"color": "C0", "linewidth": 0.8}
 _TWO_SIDED_95 = 1.96
 
 
@@ -393,26 +394,11 @@ def plot_force(result: TestResult, axes: Axes) -> None:
     up = scale(result, "force", "N")
     aligned, curve = result.aligned, result.curve
     if aligned is not None and "force" in aligned.series:
-        values = aligned.series["force"].values
-        _plot_over_time(
-            result,
-            axes,
-            aligned.time,
-            values * up.factor,
-            color="#9a9a9a",
-            linewidth=0.6,
-            label="raw",
-        )
+        shown = up.factor * aligned.series["force"].values
+        _plot_over_time(result, axes, aligned.time, shown, label="raw", **_AS_RECORDED)
     if curve is not None:
-        _plot_over_time(
-            result,
-            axes,
-            curve.time,
-            curve.force * up.factor,
-            color="C0",
-            linewidth=0.8,
-            label=treatment_of_force(result).value,
-        )
+        words = treatment_of_force(result).value
+        _plot_over_time(result, axes, curve.time, up.factor * curve.force, label=words, **_CURVE)
     if not axes.lines:
         say(axes, why_missing(result, "force"))
         return

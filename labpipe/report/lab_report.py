@@ -8,7 +8,6 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from labpipe.errors import StoreError, complaint
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
@@ -33,7 +32,7 @@ from labpipe.report.questions import (
     remarks_on_pairs,
 )
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.saving import SavedFigure, save_report_figures
+from labpipe.report.saving import SavedFigure, save_report_figures, written_to
 from labpipe.report.wording import count_of, printable, with_names_in_words
 
 if TYPE_CHECKING:
@@ -214,7 +213,7 @@ def write_report(campaign: Campaign, folder: Path) -> list[Path]:
     """
     figures = folder / FIGURES_FOLDER
     names = stems(group.name for group in campaign.groups)
-    try:
+    with written_to(folder, "a report", again="make the report"):
         figures.mkdir(parents=True, exist_ok=True)
         drawn = [
             save_drawings(group, figures, stem=name)
@@ -225,15 +224,6 @@ def write_report(campaign: Campaign, folder: Path) -> list[Path]:
         text = printable(render_page(campaign, names, drawn, between))
         page.write_text(text, encoding="utf-8")
         save_workbook(campaign, tables)
-    except OSError as error:
-        message = complaint(
-            folder,
-            "",
-            expected="a folder that a report can be written to",
-            found=str(error),
-            remedy="Make room, or change the permissions, and make the report again.",
-        )
-        raise StoreError(message) from error
     every = [*(figure for each in drawn for figure in each), *between.every]
     return [page, tables, *(file for figure in every for file in figure.files)]
 

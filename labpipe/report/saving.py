@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -234,7 +235,7 @@ def save_pages(
     The same figure gives the same bytes with the same version of matplotlib.
     """
     dpi = PNG_DPI if png else None
-    try:
+    with written_to(folder, what, again=again):
         folder.mkdir(parents=True, exist_ok=True)
         with style(), ThreadPoolExecutor(max_workers=1) as packer:
             saved = []
@@ -242,6 +243,24 @@ def save_pages(
                 say(each.name)
                 saved.append(save_page(each.draw(), folder, each.name, packer, dpi=dpi, run=run))
             return [path for each in saved for path in each.whole()]
+
+
+@contextmanager
+def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
+    """Say of a folder that cannot be written to what it was for, and what to do.
+
+    Parameters
+    ----------
+    folder : that is written to inside this block
+    what, again : what is written, and how to make it again
+
+    Raises
+    ------
+    StoreError
+        In place of what the operating system refuses.
+    """
+    try:
+        yield
     except OSError as error:
         message = complaint(
             folder,
