@@ -79,7 +79,7 @@ def setting_notes(settings: Mapping[str, Settings], told: Sequence[str] = ()) ->
     Parameters
     ----------
     settings : by test
-    told : results, or ``slips``, whose difference is told already
+    told : results, or ``slips``, whose difference is reported already
 
     Returns
     -------

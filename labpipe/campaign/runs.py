@@ -206,8 +206,8 @@ def process_tests(
     out, png, follow_links : see `process_test`
     figures : whether to draw those of a test
     jobs : how many at a time, each in a process of its own
-    begin : told each test, and gives what is told its stages; of several at a time, none but that
-        it is waited for
+    begin : called with each test as it begins, gives what is called with its stages; of several at
+        a time, with the stage that they are waited for alone
 
     Yields
     ------

@@ -36,7 +36,7 @@ class EquivalentMaterial:
     modulus : Pa, up to the first strain
     strain : shape (n,), total, increasing; the last belongs to the largest curvature
     stress : shape (n,), Pa, never falling
-    curvature : shape (m,), 1/m, where the law was held against the wire's
+    curvature : shape (m,), 1/m, where the law was compared with the wire's
     error : shape (m,), distance of the bar's moment from the wire's, as a share of the wire's
     """
 

@@ -11,7 +11,7 @@ unloading starts with EI0, loops follow Masing's rule and close, and curvature s
 moment is gone. It does not depend on rate. Moments are in N m, curvatures in 1/m.
 
 A law may end at a moment. Nothing here stops there, so that a search may pass it on its way; what
-it ends at is held against `require_within`.
+it ends at is checked by `require_within`.
 """
 
 from __future__ import annotations

@@ -68,7 +68,7 @@ class MeanInterval:
     Parameters
     ----------
     mean : in the unit of the values
-    interval : None where there is none to be had; `reason` then says why
+    interval : None where it is not available; `reason` then says why
     deviation : standard deviation of what was averaged; NaN for one value
     n : number of values averaged (samples, or spool means)
     reason : None when there is an interval
@@ -202,7 +202,7 @@ class Difference:
     ----------
     name, unit : of the result
     first, second : names of the groups
-    difference : second minus first; interval None when there is none to be had
+    difference : second minus first; interval None when it is not available
     margin : in `unit`, difference that does not matter in practice; None where it is not stated
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
     verdict : in words

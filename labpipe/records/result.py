@@ -30,7 +30,7 @@ class Result:
     name : stable, snake case, with a cycle after a dot: ``peak_force.1``
     value : in `unit`; None when it could not be computed
     unit : SI unit, ``1`` for a pure number
-    interval : None when there is none to be had; a reason then says why
+    interval : None when it is not available; a reason then says why
     status : ``failed`` exactly when `value` is None
     reasons : why a result is doubtful, failed, or lacks an interval; empty otherwise
     method : in words, how the value and the interval were made; the same in tests that were

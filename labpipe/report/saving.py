@@ -49,7 +49,7 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     ----------
     drawing : an SVG document
     prefix : begins every id, so that no two drawings of a page share one
-    title : what a person who cannot see it is told
+    title : what a person reads who cannot see it
 
     Returns
     -------
@@ -156,7 +156,7 @@ class FigureToSave(NamedTuple):
     name : of its files, without the ending
     draw : makes it
     caption : how to read it, for a page
-    alt : what a person who cannot see it is told
+    alt : what a person reads who cannot see it
     """
 
     name: str

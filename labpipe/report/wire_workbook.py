@@ -33,7 +33,7 @@ from labpipe.report.wire_sections import (
 from labpipe.report.wording import Scale
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
-"""Tip deflections at which the end load is told, m."""
+"""Tip deflections at which the end load is reported, m."""
 _AREA = LENGTH.factor**2
 
 

@@ -38,7 +38,7 @@ SLACK = 0.2e-3
 """m; a clamp that is ahead by more had travelled before the string pulled."""
 HANGS, LEANS = 0.5, 0.1
 """Shares of the deflection that the counterweight gives the wire: a tip that stands lower than the
-first hung, one that stands lower than the second is told, for wires are not quite straight."""
+first hung, one that stands lower than the second is reported, for wires are not quite straight."""
 STRAIGHT, LEAST_REACH = 0.25, 0.5e-3
 """Share of that deflection within which a wire is straight, for wires are curled; and m that it is
 at least, to be told from the direction of the clamp."""

@@ -237,8 +237,8 @@ def summary(result: TestResult) -> dict[str, object]:
 
     Returns
     -------
-    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or could not
-    be had, is None; the status and the reasons say why.
+    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or not
+    available, is None; the status and the reasons say why.
     """
     return {
         "schema": SUMMARY_SCHEMA,

@@ -215,7 +215,7 @@ def model_bundle(
     ----------
     what : a test sheet, the folder of one, or words such as ``10 B1 + 9 B2``
     wires : wire sheet that has the types of the bundle as its wires
-    arrangement : goes before that of the test sheet
+    arrangement : overrides that of the test sheet
     bores : m, inner diameters of conduits to choose from; go before that of the test sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
     figures : whether to draw

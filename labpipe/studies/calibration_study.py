@@ -57,7 +57,7 @@ def comparison_json(each: ExternalCurveComparison) -> dict[str, object]:
 
     Parameters
     ----------
-    each : a external curve with what it was held against
+    each : an external curve with what it was compared with
     """
     curve = each.curve
     return {
@@ -110,7 +110,7 @@ def calibration_json(
     Parameters
     ----------
     calibration : of one wire
-    groups : what it was held against
+    groups : what it was compared with
     source : the source's procedure, if it was asked for
     left_out : by file, why a test was not taken
     """
@@ -243,7 +243,7 @@ _REMEDY = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """A calibration, and what it was held against.
+    """A calibration, and what it was compared with.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ class Calibrated:
     groups : samples of one wire and length each, those of the calibrated wire first
     left_out : by file, why a test was not taken
     files : all that were written
-    comparisons : curves from elsewhere, held against tests and model
+    comparisons : external curves, compared with tests and model
     shapes : of one sample of the calibrated wire, and of the model, by what they are of
     """
 

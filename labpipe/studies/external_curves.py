@@ -1,4 +1,4 @@
-"""Curves from elsewhere that a plan names: read, then held against tests and model."""
+"""External curves that a plan names: read, then compared with tests and model."""
 
 from __future__ import annotations
 
@@ -201,7 +201,7 @@ def _notes(
 ) -> Iterator[QualityNote]:
     if tests is None:
         message = (
-            f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: held against the model alone"
+            f"no test of {curve.wire} at {1e3 * curve.length:.4g} mm: compared with the model alone"
         )
         yield QualityNote("external_curve_untested", Severity.INFO, curve.name, message)
     for found in (tests, model):

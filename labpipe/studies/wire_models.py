@@ -155,7 +155,7 @@ def make_tables(
 
 @contextmanager
 def _helpers(count: int, sheet: Path) -> Iterator[Executor | None]:
-    """Two processes for many wires, none for a few; what ends them from outside is told."""
+    """Two processes for many wires, none for a few; what ends them from outside is reported."""
     if count <= _WORTH_SHARING:
         yield None
         return
@@ -185,7 +185,7 @@ def _begin_helping() -> None:
 
 
 def _outcome(spec: WireSpec) -> MadeWire | str:
-    """A wire with its decks, or why it cannot be had."""
+    """A wire with its decks, or why it is not available."""
     try:
         table = wire_table(spec)
         return MadeWire(table, deck_texts(table))

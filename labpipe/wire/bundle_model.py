@@ -155,7 +155,7 @@ def _curvature(
     if longest.curvature[-1] <= curvature[-1]:
         return curvature, ()
     message = (
-        f"moments are told up to {curvature[-1]:.4g} 1/m, where {why}; the law of {longest.name} "
+        f"moments are given up to {curvature[-1]:.4g} 1/m, where {why}; the law of {longest.name} "
         f"goes to {longest.curvature[-1]:.4g} 1/m"
     )
     return curvature, (QualityNote("range_shortened", Severity.INFO, "bundle", message),)

@@ -47,7 +47,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     -------
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
     the end of the range, and those at which strands begin to slip; an onset below a millionth of
-    the range is told as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
+    the range is reported as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
     ``tension``, ``slips_at_once``, ``cantilever_cut``.
 
     Raises
@@ -219,7 +219,7 @@ def _cantilever(
     if deflection[-1] == wanted:
         return deflection, force, ()
     message = (
-        f"the cantilever of {spec.length * 1e3:.4g} mm is told up to a tip deflection of "
+        f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
         f"{deflection[-1] * 1e3:.4g} mm, not {wanted * 1e3:.4g} mm: beyond, the curvature at the "
         f"clamp leaves the range of the law, {curve.curvature[-1]:.4g} 1/m"
     )
@@ -440,7 +440,7 @@ def _yielding(spec: WireSpec, strain: float) -> tuple[QualityNote, ...]:
 
 
 def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[QualityNote, ...]]:
-    """Curvature up to which the law of a wire is told.
+    """Curvature up to which the law of a wire is tabulated.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Intervals of both bundle protocols cover the truth of the virtual lab as often as they say.
 
 Taped bundles of all eleven types, and conduit bundles of all eight with and without the frame's
-export, in memory. Hits are held against 95 % for each result by an exact binomial test at 1 % over
+export, in memory. Hits are compared with 95 % for each result by an exact binomial test at 1 % over
 the number of results: two-sided, but for results of which the interval is mostly a bound of what
 the model leaves open (the elbow of a curve without a corner, curvature between markers): these
 cover more often than they say, and must only not do so too seldom.

@@ -1,6 +1,6 @@
 """Every 95 % interval and band of a group covers the truth as often as it says.
 
-Seeded simulations of groups whose true mean is known; hits are held against 95 % by an exact
+Seeded simulations of groups whose true mean is known; hits are compared with 95 % by an exact
 binomial test, at 1 % shared out over the cases of each study, so that sound intervals fail a study
 once in a hundred. Intervals must agree with 95 %; a simultaneous band, whose chance is bounded from
 one side, and a difference after Welch must not cover less.

@@ -1,7 +1,7 @@
 """Intervals of stranded wires, which stick and slide, cover the truth as often as they say.
 
 Samples of the five wires of the virtual campaign, at 200 Hz, in memory, one wire and length after
-the other, each with a load cell off by another amount. Hits are held against 95 % for each result
+the other, each with a load cell off by another amount. Hits are compared with 95 % for each result
 by an exact two-sided binomial test at 1 % over the number of results.
 """
 

@@ -90,7 +90,7 @@ def counted(repository: Path, kind: str, runs: int) -> tuple[Counter[str], Count
         slips = {name for name in truth if name.startswith("slip_")}
         if slips != {each.name for each in found if each.name.startswith("slip_")}:
             astray.append(f"seed {seed}: slips")
-            continue  # each would be held against another one's truth
+            continue  # each would be compared with another one's truth
         for each in found:
             if each.status is not Status.OK or each.interval is None:
                 astray.append(f"seed {seed}: {each.name}: {each.why}")

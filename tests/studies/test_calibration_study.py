@@ -1,4 +1,4 @@
-"""What is made of a calibration: calibrated wires, groups held against it, and plain numbers."""
+"""What is made of a calibration: calibrated wires, groups compared with it, and plain numbers."""
 
 from __future__ import annotations
 

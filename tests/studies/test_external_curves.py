@@ -104,7 +104,7 @@ def test_without_tests_the_model_alone(calibration: Calibration, wire: str, leng
     assert found.model.errors.rmse_share < 0.03
     (note,) = found.notes
     assert note.code == "external_curve_untested"
-    said = f"no test of {wire} at {1e3 * length:.4g} mm: held against the model alone"
+    said = f"no test of {wire} at {1e3 * length:.4g} mm: compared with the model alone"
     assert note.message == said
 
 

@@ -1,4 +1,4 @@
-"""Tests by wire and length, held against what the model predicts."""
+"""Tests by wire and length, compared with what the model predicts."""
 
 from __future__ import annotations
 

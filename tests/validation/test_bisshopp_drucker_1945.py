@@ -6,7 +6,7 @@ With p^2 = (1 + sin(tip angle)) / 2 and sin(phi) = 1 / (p sqrt 2),
     deflection / L = 1 - 2 (E(p) - E(p, phi)) / sqrt(P L^2 / EI)
     1 - shortening / L = sqrt(2 sin(tip angle) / (P L^2 / EI)).
 
-The closed form is taken from scipy's elliptic integrals, and itself held against a printed table:
+The closed form is taken from scipy's elliptic integrals, and itself compared with a printed table:
 Mattiasson (1981), Table 1.
 """
 

@@ -1,7 +1,7 @@
 """Intervals of a calibration, and bands of wires that were not used, hold as often as they say.
 
 Seeded campaigns of synthetic tests, each with its own noise, samples and gain of the load cell,
-made by the path station by station; held against 95 % by an exact two-sided binomial test at 1 %,
+made by the path station by station; compared with 95 % by an exact two-sided binomial test at 1 %,
 which the numbers of one study share.
 """
 

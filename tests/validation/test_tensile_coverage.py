@@ -1,7 +1,7 @@
 """The 95 % intervals of the tensile fitters hold the truth 95 times in a hundred.
 
 Seeded runs, white noise and autoregressive noise with a correlation time of 1 to 10 % of the
-window, each held against 95 % by an exact two-sided binomial test: two hundred runs at 1 % by
+window, each compared with 95 % by an exact two-sided binomial test: two hundred runs at 1 % by
 default, a thousand in the slow study, whose cases share the 1 % among them.
 """
 

@@ -176,6 +176,6 @@ def test_moments_end_with_the_stress_table() -> None:
     assert np.isfinite(model.moment_stick).all()
     (note,) = model.notes
     assert note.message == (
-        "moments are told up to 2.5 1/m, where sticking wires 200 mm apart reach the last strain "
+        "moments are given up to 2.5 1/m, where sticking wires 200 mm apart reach the last strain "
         "of a stress table; the law of S goes to 50 1/m"
     )

@@ -73,7 +73,7 @@ def mix(
     Parameters
     ----------
     problem, fit, free, levels : what was fitted
-    is_scatter_known : given rather than estimated, or not to be had from one sample
+    is_scatter_known : given rather than estimated, or not available from one sample
 
     Notes
     -----
