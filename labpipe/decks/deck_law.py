@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe import __version__
-from labpipe.records.arrays import Floats, Ints, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 from labpipe.records.wire import WireTable
 
 _CORNER = 1e-6  # of a slope: what a later slope must at least be below the one before
@@ -19,7 +19,7 @@ _FIRST_CUT = 0.1  # of the tolerance, until one is found that is too small
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Thinned:
+class Thinned(ArrayRecord):
     """Points of a moment-curvature law, the slope between them always falling.
 
     Parameters
@@ -31,13 +31,9 @@ class Thinned:
         there
     """
 
-    curvature: Floats
-    moment: Floats
+    curvature: Vector
+    moment: Vector
     error: float
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "curvature", frozen(self.curvature, shape=(None,)))
-        object.__setattr__(self, "moment", frozen(self.moment, shape=self.curvature.shape))
 
 
 def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:

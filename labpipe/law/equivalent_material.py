@@ -11,12 +11,13 @@ is an integral equation of Abel's kind for sigma. It is solved for a curve of st
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
 from labpipe.law.plays import require_positive
-from labpipe.records.arrays import Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 N_KNOTS = 24
 """Points of the stress-strain curve."""
@@ -27,7 +28,7 @@ _MOST_ROUNDS = 20  # for each slope; one, as by default, ended some searches hal
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EquivalentMaterial:
+class EquivalentMaterial(ArrayRecord):
     """Stress against strain on first loading, of a material that hardens isotropically.
 
     Parameters
@@ -42,16 +43,10 @@ class EquivalentMaterial:
 
     diameter: float
     modulus: float
-    strain: Floats
-    stress: Floats
-    curvature: Floats
-    error: Floats
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "strain", frozen(self.strain, shape=(None,)))
-        object.__setattr__(self, "stress", frozen(self.stress, shape=self.strain.shape))
-        object.__setattr__(self, "curvature", frozen(self.curvature, shape=(None,)))
-        object.__setattr__(self, "error", frozen(self.error, shape=self.curvature.shape))
+    strain: Vector
+    stress: Vector
+    curvature: Annotated[Floats, "m"]
+    error: Annotated[Floats, "m"]
 
     @property
     def elastic_curvature(self) -> float:

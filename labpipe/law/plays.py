@@ -18,11 +18,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, frozen
+from labpipe.records.arrays import ArrayRecord, Floats
 
 _ROUNDING = 1e-6  # of the last moment: that at which a search for it ends
 
@@ -95,7 +95,7 @@ class LinearLaw:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlayLaw:
+class PlayLaw(ArrayRecord):
     """Many plays: any concave first-loading law, with Masing loops and residual curvature.
 
     Parameters
@@ -112,8 +112,8 @@ class PlayLaw:
     """
 
     stiffness: float
-    half_widths: Floats = field(repr=False)
-    compliances: Floats = field(repr=False)
+    half_widths: Annotated[Floats, "plays"] = field(repr=False)
+    compliances: Annotated[Floats, "plays"] = field(repr=False)
     largest_moment: float = np.inf
 
     def __post_init__(self) -> None:
@@ -121,16 +121,14 @@ class PlayLaw:
         if not self.largest_moment > 0.0:
             message = f"largest_moment={self.largest_moment!r}: allowed are numbers > 0"
             raise ValueError(message)
-        widths = frozen(self.half_widths, shape=(None,))
-        compliances = frozen(self.compliances, shape=widths.shape)
+        ArrayRecord.__post_init__(self)
+        widths, compliances = self.half_widths, self.compliances
         if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
             message = f"half_widths={widths}: allowed are positive, increasing numbers"
             raise ValueError(message)
         if not (np.all(np.isfinite(compliances)) and np.all(compliances >= 0.0)):
             message = f"compliances={compliances}: allowed are finite numbers >= 0"
             raise ValueError(message)
-        object.__setattr__(self, "half_widths", widths)
-        object.__setattr__(self, "compliances", compliances)
 
 
 def virgin_plays(law: MomentLaw, n_stations: int) -> Floats:

@@ -121,12 +121,8 @@ def fletcher32(data: bytes) -> int:
     first = int(words.sum())
     # the weights stay below 2**47 for a chunk: no overflow in the sum of products
     second = int(words @ np.arange(len(words), 0, -1))
-    return _folded(second) << 16 | _folded(first)
-
-
-def _folded(total: int) -> int:
-    """Residue modulo 65535, where a total that is not nothing is never 0."""
-    return total % _MODULUS or (_MODULUS if total else 0)
+    first, second = (total % _MODULUS or (_MODULUS if total else 0) for total in (first, second))
+    return second << 16 | first
 
 
 def string_array(texts: tuple[str, ...]) -> NDArray[Any]:

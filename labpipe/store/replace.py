@@ -150,7 +150,11 @@ def _commit(folder: Path, owned: Iterable[str]) -> None:
     gone = [name for name in owned if name not in files and (folder / name).is_file()]
     (stage / _GONE).write_text("\n".join(gone), encoding="utf-8")
     _require_places(folder, files)
-    _flush_all(stage)
+    every = list(stage.rglob("*"))
+    with ThreadPoolExecutor(max_workers=8) as pool:  # a disk takes several in one go
+        list(pool.map(_flush_to_disk, (path for path in every if path.is_file())))
+    for place in (*(path for path in every if path.is_dir()), stage):
+        _flush_folder(place)
     moves: list[_Move] = []
     try:
         stage.rename(folder / _COMMIT)
@@ -229,15 +233,6 @@ def _require_places(folder: Path, names: Iterable[str]) -> None:
         raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
 
 
-def _flush_all(folder: Path) -> None:
-    """Bring files and folders to the disk, several at a time: a disk takes them in one go."""
-    every = list(folder.rglob("*"))
-    with ThreadPoolExecutor(max_workers=8) as pool:
-        list(pool.map(_flush_to_disk, (path for path in every if path.is_file())))
-    for place in (*(path for path in every if path.is_dir()), folder):
-        _flush_folder(place)
-
-
 @contextmanager
 def storing(path: Path) -> Iterator[None]:
     """Say what the system refuses while `path` is written as a `StoreError`."""
@@ -313,16 +308,10 @@ def _own(path: Path) -> int:
                 remedy="Wait until it is done, or end it, and try again.",
             )
             raise StoreError(message)
-        if _is_still(handle, path):
-            return handle
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), path.stat()):
+                return handle
         os.close(handle)
-
-
-def _is_still(handle: int, path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(handle), path.stat())
-    except FileNotFoundError:
-        return False
 
 
 if sys.platform == "win32":

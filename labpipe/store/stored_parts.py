@@ -64,9 +64,9 @@ def write_reasons(target: Target, reasons: Iterable[Reason]) -> None:
     target : group of what they are the reasons of
     reasons : any number
     """
-    told = tuple(reasons)
-    target.texts(layout.REASON_CODES, tuple(each.code for each in told))
-    target.texts(layout.REASON_MESSAGES, tuple(each.message for each in told))
+    given = tuple(reasons)
+    target.texts(layout.REASON_CODES, tuple(each.code for each in given))
+    target.texts(layout.REASON_MESSAGES, tuple(each.message for each in given))
 
 
 def read_reasons(group: Any) -> tuple[Reason, ...]:
@@ -130,14 +130,12 @@ def read_specimen(root: Any) -> Specimen:
     values = (float(value) for value in group.attrs["values"])
     dimensions = dict(zip(texts(group, "dimensions"), values, strict=True))
     bundle = _bundle(group[layout.BUNDLE]) if layout.BUNDLE in group else None
-    nested = named["type"], named["spool"], named["sample"]
-    return Specimen(*nested, dimensions, bundle, _labels(group))
-
-
-def _labels(group: Any) -> dict[str, str]:
-    if layout.LABELS not in group.attrs:
-        return {}
-    return dict(zip(texts(group, layout.LABELS), texts(group, layout.LABEL_WORDS), strict=True))
+    kinds, words = (
+        texts(group, name) if layout.LABELS in group.attrs else ()
+        for name in (layout.LABELS, layout.LABEL_WORDS)
+    )
+    labels = dict(zip(kinds, words, strict=True))
+    return Specimen(**named, dimensions=dimensions, bundle=bundle, labels=labels)
 
 
 def _bundle(group: Any) -> Bundle:

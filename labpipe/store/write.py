@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from labpipe.errors import StoreError, complaint
 from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
 from labpipe.records.harness_bundle import Bundle
-from labpipe.records.result import InputFile, Result, Specimen, TestResult
+from labpipe.records.result import Result, Specimen, TestResult
 from labpipe.store import layout
 from labpipe.store.datasets import Target, place_of, same_content
 from labpipe.store.layout import link_name
@@ -122,24 +122,20 @@ def _write_root(target: Target, result: TestResult) -> None:
 
 
 def _write_raw(target: Target, result: TestResult) -> None:
+    """Recordings by role, with fingerprints of their exports and the place of each among all."""
     roles = dict.fromkeys([*result.recordings, *(given.role for given in result.inputs)])
     target.texts("roles", tuple(result.recordings))
     for role in roles:
         inside = target.inside(role)
-        _write_inputs(inside, role, result.inputs)
+        places = [place for place, given in enumerate(result.inputs) if given.role == role]
+        inputs = [result.inputs[place] for place in places]
+        inside.texts("file", tuple(given.file for given in inputs))
+        inside.texts("sha256", tuple(given.sha256 for given in inputs))
+        sizes = np.array([given.bytes for given in inputs], dtype=np.int64)
+        inside.group.attrs["bytes"] = sizes
+        inside.group.attrs[layout.INPUT_ORDER] = np.array(places, dtype=np.int64)
         if role in result.recordings:
             write_recording(inside, result.recordings[role])
-
-
-def _write_inputs(target: Target, role: str, inputs: tuple[InputFile, ...]) -> None:
-    """Fingerprints of the exports of one role, each with its place among all of them."""
-    mine = [(number, given) for number, given in enumerate(inputs) if given.role == role]
-    target.texts("file", tuple(given.file for _, given in mine))
-    target.texts("sha256", tuple(given.sha256 for _, given in mine))
-    target.group.attrs["bytes"] = np.array([given.bytes for _, given in mine], dtype=np.int64)
-    target.group.attrs[layout.INPUT_ORDER] = np.array(
-        [number for number, _ in mine], dtype=np.int64
-    )
 
 
 def _write_aligned(target: Target, aligned: Aligned) -> None:
@@ -183,19 +179,15 @@ def _write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 def _table(records: Iterable[object], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
     """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
     rows = [tuple(_cell(record, *column) for column in columns) for record in records]
-    kinds = [
-        (name, _wide_enough(kind, [row[place] for row in rows]))
-        for place, (name, kind) in enumerate(columns)
-    ]
+    kinds = list(columns)
+    for place, (name, kind) in enumerate(columns):
+        if kind.startswith("S"):  # numpy would cut words short that are longer than this
+            longest = max([int(kind[1:]), *(len(row[place]) for row in rows)])
+            kinds[place] = (name, f"S{longest}")
     return np.array(rows, dtype=kinds)
 
 
-def _wide_enough(kind: str, cells: list[Any]) -> str:
-    """The type of a column; numpy would cut words short that are longer than the layout says."""
-    return f"S{max([int(kind[1:]), *map(len, cells)])}" if kind.startswith("S") else kind
-
-
-def _cell(record: object, column: str, kind: str) -> object:
+def _cell(record: object, column: str, kind: str) -> Any:
     name, _, end = column.rpartition("_")
     if name and end in layout.INTERVAL_NUMBERS:
         return getattr(getattr(record, f"{name}_interval"), end)
