@@ -73,13 +73,13 @@ def _by_label(items: Sequence[Any]) -> dict[str, Any]:
     return found
 
 
-def setting_notes(settings: Mapping[str, Settings], told: Sequence[str] = ()) -> list[QualityNote]:
+def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -> list[QualityNote]:
     """Warn where tests that are averaged were processed otherwise.
 
     Parameters
     ----------
     settings : by test
-    told : results, or ``slips``, whose difference is reported already
+    noted : results, or ``slips``, whose difference is noted already
 
     Returns
     -------
@@ -88,7 +88,7 @@ def setting_notes(settings: Mapping[str, Settings], told: Sequence[str] = ()) ->
     """
     blocks: dict[str, dict[str, str]] = {}
     for key, said in differing(settings).items():
-        if not _is_told(key, told):
+        if not _is_noted(key, noted):
             blocks.setdefault(key.partition(".")[0], {})[key] = said
     notes = []
     for block, own in blocks.items():
@@ -167,8 +167,8 @@ def unlike_words(settings: Mapping[str, Settings]) -> tuple[str, ...]:
     return (f"the tests were processed otherwise: {', '.join(keys)} differ",) if keys else ()
 
 
-def _is_told(key: str, told: Sequence[str]) -> bool:
-    return any(key.startswith((f"results.{name}.", f"curve.{name}.decision")) for name in told)
+def _is_noted(key: str, noted: Sequence[str]) -> bool:
+    return any(key.startswith((f"results.{name}.", f"curve.{name}.decision")) for name in noted)
 
 
 _WITHOUT = ""
@@ -209,14 +209,13 @@ def in_turn(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
     """
 
     def turn(key: Key) -> tuple[object, ...]:
-        words = zip(by, key.words, strict=True)
-        return *(_turn(name, word) for name, word in words), key.protocol
+        words: list[object] = [
+            word if name == TYPE else in_order(name, word or NOT_SAID)
+            for name, word in zip(by, key.words, strict=True)
+        ]
+        return (*words, key.protocol)
 
     return sorted(keys, key=turn)
-
-
-def _turn(name: str, word: str) -> object:
-    return word if name == TYPE else in_order(name, word or NOT_SAID)
 
 
 def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
@@ -233,14 +232,11 @@ def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
     ['wire B2, without taping']
     """
     times = Counter(key.words for key in keys)
-    return {
-        key: ", ".join([*_words(key, by), *([key.protocol] if times[key.words] > 1 else [])])
-        for key in keys
-    }
-
-
-def _words(key: Key, by: Sequence[str]) -> list[str]:
-    return [_word(name, word) for name, word in zip(by, key.words, strict=True)]
+    names = {}
+    for key in keys:
+        words = [_word(name, word) for name, word in zip(by, key.words, strict=True)]
+        names[key] = ", ".join([*words, *([key.protocol] if times[key.words] > 1 else [])])
+    return names
 
 
 def _word(name: str, word: str) -> str:
@@ -298,14 +294,13 @@ def with_own_spools(samples: Sequence[Sample]) -> tuple[list[Sample], list[str]]
     belong = {(sample.specimen.spool, sample.specimen.type) for sample in samples}
     times = Counter(spool for spool, _ in belong)
     shared = sorted(spool for spool, count in times.items() if count > 1)
-    return [_with_own_spool(sample, shared) for sample in samples], shared
-
-
-def _with_own_spool(sample: Sample, shared: Sequence[str]) -> Sample:
-    own = sample.specimen
-    if own.spool not in shared:
-        return sample
-    return replace(sample, specimen=replace(own, spool=f"{own.type} {own.spool}"))
+    named = [
+        replace(each, specimen=replace(own, spool=f"{own.type} {own.spool}"))
+        if (own := each.specimen).spool in shared
+        else each
+        for each in samples
+    ]
+    return named, shared
 
 
 _ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "conduit")

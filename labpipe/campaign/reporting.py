@@ -103,7 +103,7 @@ def report_tests(
     targets : result.h5 files, or folders that hold some
     out : folder of the report; None for ``report`` in the folder that all tests share
     title : of the report; the name of that folder if empty
-    say : told the name of each test as it is read
+    say : is given the name of each test as it is read
     wanted : groups and comparisons
 
     Returns
@@ -140,7 +140,7 @@ def make_campaign(
     files : result.h5 files; one that cannot be read, or is made of the same recording as another,
         is left out, with the reason
     title : of the report
-    say : told the name of each test as it is read
+    say : is given the name of each test as it is read
     wanted : groups and comparisons
 
     Returns
@@ -214,12 +214,13 @@ def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
     for sample in read.samples:
         members.setdefault(key_of(sample, by), []).append(sample)
     names = group_names(in_turn(members, by), by)
-    return [
-        _noted(
-            _group(name, members[key], read.wishes[key.protocol], without(key, by)), read.settings
-        )
-        for key, name in names.items()
-    ]
+    groups = []
+    for key, name in names.items():
+        group = _group(name, members[key], read.wishes[key.protocol], without(key, by))
+        noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
+        unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
+        groups.append(replace(group, notes=(*unlike, *group.notes)))
+    return groups
 
 
 def sample_of(result: TestResult, source: str) -> Sample:
@@ -281,10 +282,15 @@ def _group(
     name: str, members: Sequence[Sample], settings: Groups, not_said: Sequence[str]
 ) -> Group:
     samples, renamed = with_own_spools(members)
+    # Results that say something about the specimen, so that no table has to leave any out.
+    of_specimens = [
+        replace(each, results=tuple(one for one in each.results if is_main(one.name)))
+        for each in samples
+    ]
     group = build_group(
         name,
         members[0].protocol,
-        [_of_specimen(sample) for sample in samples],
+        of_specimens,
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
     )
@@ -297,19 +303,3 @@ def _group(
         numbers=(*first, *numbers.values()),
         notes=(*grouping_notes(not_said, renamed), *group.notes),
     )
-
-
-def _of_specimen(sample: Sample) -> Sample:
-    """The sample with those results alone that say something about the specimen.
-
-    A group has numbers of these only, so that no table or figure has to leave any out.
-    """
-    kept = [each for each in sample.results if is_main(each.name)]
-    return replace(sample, results=tuple(kept))
-
-
-def _noted(group: Group, settings: dict[str, Settings]) -> Group:
-    """The group with a warning, before all others, for what was not set alike in its tests."""
-    told = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
-    unlike = setting_notes(settings_by_test(group.samples, settings), told)
-    return replace(group, notes=(*unlike, *group.notes))

@@ -20,7 +20,6 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
 from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import save_bundle_figure
 from labpipe.store.replace import locked, replacing_together, storing
@@ -108,7 +107,10 @@ def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -
     result = next((each for each in sample.results if each.name == STIFFNESS), None)
     value = None if result is None else result.value
     interval = None if result is None else result.interval
-    place = BundlePlace(group.name, sample.test, value, interval, reasons=_why_no_value(result))
+    reasons: tuple[Reason, ...] = (Reason("no_result", f"the test has no {STIFFNESS}"),)
+    if result is not None:
+        reasons = result.reasons if value is None else ()
+    place = BundlePlace(group.name, sample.test, value, interval, reasons=reasons)
     bundle = _bundle_of(sample)
     if bundle is None:
         return _without(place, "no_bundle", "no bounds: its test sheet says no bundle")
@@ -117,12 +119,6 @@ def _of_sample(group: Group, sample: Sample, bounds: Mapping[Bundle, _Bounds]) -
 
 def _without(place: BundlePlace, code: str, message: str) -> BundlePlace:
     return replace(place, reasons=(Reason(code, message),))
-
-
-def _why_no_value(result: Result | None) -> tuple[Reason, ...]:
-    if result is None:
-        return (Reason("no_result", f"the test has no {STIFFNESS}"),)
-    return result.reasons if result.value is None else ()
 
 
 def _of_mean(group: Group, bounds: Mapping[Bundle, _Bounds]) -> BundlePlace:
@@ -216,7 +212,7 @@ def model_bundle(
     what : a test sheet, the folder of one, or words such as ``10 B1 + 9 B2``
     wires : wire sheet that has the types of the bundle as its wires
     arrangement : overrides that of the test sheet
-    bores : m, inner diameters of conduits to choose from; go before that of the test sheet
+    bores : m, inner diameters of conduits to choose from; override that of the test sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
     figures : whether to draw
 
@@ -230,25 +226,6 @@ def model_bundle(
         If the words, the test sheet or the wire sheet have faults, a wire is not in the sheet, or
         the bundle fits no conduit; earlier results are then as they were.
     """
-    _check_arrangement(arrangement)
-    name, bundle = _bundle(what, arrangement)
-    tables = _tables(bundle, wires)
-    offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
-    try:
-        model = _in_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
-    except ValueError as error:
-        raise _cannot(what, str(error)) from error
-    folder = Path("processed/bundles") / _NOT_IN_A_NAME.sub("-", name) if out is None else out
-    diameters = model.layout.diameter
-    conduits = [
-        Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
-        for bore in offered
-    ]
-    modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
-    return _write(modelled, figures=figures)
-
-
-def _check_arrangement(arrangement: str | None) -> None:
     if arrangement not in (None, *ARRANGEMENTS):
         message = complaint(
             "--arrangement",
@@ -258,6 +235,28 @@ def _check_arrangement(arrangement: str | None) -> None:
             remedy="Choose one, or leave it out.",
         )
         raise UsageError(message)
+    name, bundle = _bundle(what, arrangement)
+    tables = _tables(bundle, wires)
+    offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
+    try:
+        model = _in_conduit(bundle_model(replace(bundle, conduit_bore=None), tables), offered)
+    except ValueError as error:
+        message = complaint(
+            what,
+            "",
+            expected="a bundle whose wires lie beside each other, inside its conduit",
+            found=f"this: {error}",
+            remedy="Check the wires, their positions and the bore.",
+        )
+        raise ProcessingError(message) from error
+    folder = Path("processed/bundles") / _NOT_IN_A_NAME.sub("-", name) if out is None else out
+    diameters = model.layout.diameter
+    conduits = [
+        Conduit(bore, packing_fraction(diameters, bore), fits(model.smallest_bore, bore))
+        for bore in offered
+    ]
+    modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
+    return _write(modelled, figures=figures)
 
 
 def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
@@ -321,17 +320,6 @@ def _in_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
     bore = choose_bore(diameters, offered, smallest=model.smallest_bore)
     bundle = replace(model.bundle, conduit_bore=bore)
     return replace(model, bundle=bundle, packing_fraction=packing_fraction(diameters, bore))
-
-
-def _cannot(what: str, found: str) -> ProcessingError:
-    message = complaint(
-        what,
-        "",
-        expected="a bundle whose wires lie beside each other, inside its conduit",
-        found=f"this: {found}",
-        remedy="Check the wires, their positions and the bore.",
-    )
-    return ProcessingError(message)
 
 
 def _write(modelled: ModelledBundle, *, figures: bool) -> ModelledBundle:

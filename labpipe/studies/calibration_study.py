@@ -17,7 +17,12 @@ from labpipe.process.targets import find_results, refuse_repeated, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import CurveAgreement, CurveMatch, ExternalCurveComparison
+from labpipe.records.curve_comparison import (
+    CurveAgreement,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurveComparison,
+)
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
@@ -80,11 +85,17 @@ def _match(found: CurveMatch) -> dict[str, object]:
     return {
         "n": 0 if errors is None else errors.n,
         "left_out": found.left_out,
-        "rmse": None if errors is None else _number(errors.rmse),
-        "rmse_share": None if errors is None else _number(errors.rmse_share),
-        "inside_band": None if errors is None else _number(errors.inside),
+        **_errors(errors),
         "force": _numbers(found.reference),
         "reason": found.words,
+    }
+
+
+def _errors(errors: CurveErrors | None) -> dict[str, float | None]:
+    names = {"rmse": "rmse", "rmse_share": "rmse_share", "inside_band": "inside"}
+    return {
+        key: None if errors is None else _number(getattr(errors, name))
+        for key, name in names.items()
     }
 
 
@@ -199,18 +210,13 @@ def _group(each: ValidationGroup) -> dict[str, object]:
         "tests": list(each.samples),
         "n": None if errors is None else errors.n,
         "sse": None if errors is None else _number(errors.sse),
-        "rmse": None if errors is None else _number(errors.rmse),
-        "rmse_share": None if errors is None else _number(errors.rmse_share),
-        "inside_band": None if errors is None else _number(errors.inside),
+        **_errors(errors),
         "reasons": [] if each.reason is None else [asdict(each.reason)],
         "prediction": None
         if prediction is None
         else {
             name: _numbers(getattr(prediction, name))
-            for name in (
-                *("deflection", "force", "lower", "upper"),
-                *("lower_mean", "upper_mean"),
-            )
+            for name in ("deflection", "force", "lower", "upper", "lower_mean", "upper_mean")
         },
     }
 
@@ -286,7 +292,7 @@ def calibrate_tests(
     plan : calibration YAML; None for all parameters free
     out : folder of the results; None for ``calibration`` in the folder that all tests share
     figures : whether to draw
-    say : told the name of each test as it is read, then each stage
+    say : is given the name of each test as it is read, then each stage
 
     Returns
     -------
@@ -320,7 +326,9 @@ def calibrate_tests(
     done = Calibrated(
         folder=shared_folder(files) / DEFAULT_FOLDER if out is None else out,
         calibration=calibration,
-        source=_as_source(built[name], own, asked),
+        source=calibrate_as_source(built[name], [each.curve for each in own])
+        if asked.method == "source"
+        else None,
         groups=groups,
         left_out=left_out | copies,
         files=(),
@@ -381,28 +389,22 @@ def _shapes(loading: FirstLoading, wire: Wire) -> dict[str, tuple[BentShape, ...
     return {curve.test: shapes} if shapes else {}
 
 
-def _as_source(
-    wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan
-) -> SourceCalibration | CalibrationFailure | None:
-    if asked.method != "source":
-        return None
-    return calibrate_as_source(wire, [each.curve for each in own])
-
-
 def _choices(asked: CalibrationPlan) -> dict[str, ParameterChoice]:
     """What the plan says of parameters; one that it does not name is free if it acts."""
-    said = asked.parameters.model_fields_set
-    found = {}
-    for name in PARAMETERS:
-        plan = getattr(asked.parameters, name)
-        if name in said:
-            found[name] = ParameterChoice(
-                value=plan.value,
-                is_fixed=plan.enters == "fixed",
-                factor=plan.factor,
-                source=plan.because,
-            )
-    return found
+    said = {
+        name: getattr(asked.parameters, name)
+        for name in PARAMETERS
+        if name in asked.parameters.model_fields_set
+    }
+    return {
+        name: ParameterChoice(
+            value=plan.value,
+            is_fixed=plan.enters == "fixed",
+            factor=plan.factor,
+            source=plan.because,
+        )
+        for name, plan in said.items()
+    }
 
 
 def _write(

@@ -52,29 +52,24 @@ def read_external_curves(
         in one message.
     """
     folder = Path() if plan is None else plan.parent
-    found, told = [], []
+    found, faults = [], []
     for each in asked.comparisons:
         if each.wire not in specs:
-            told.append(_unknown_wire(each, specs, plan, wires))
+            message = complaint(
+                plan or "plan",
+                f"comparison '{each.name}', wire",
+                expected=f"a wire of {wires} ({', '.join(nearest(each.wire, list(specs)))})",
+                found=f"'{each.wire}'",
+                remedy="Name the wire that the curve is of, or add it to the sheet.",
+            )
+            faults.append(message)
         try:
             found.append(_read(each, folder))
         except ReadError as error:
-            told.append(str(error))
-    if told:
-        raise UsageError("\n".join(told))
+            faults.append(str(error))
+    if faults:
+        raise UsageError("\n".join(faults))
     return tuple(found)
-
-
-def _unknown_wire(
-    each: Comparison, specs: Mapping[str, WireSpec], plan: Path | None, wires: Path
-) -> str:
-    return complaint(
-        plan or "plan",
-        f"comparison '{each.name}', wire",
-        expected=f"a wire of {wires} ({', '.join(nearest(each.wire, list(specs)))})",
-        found=f"'{each.wire}'",
-        remedy="Name the wire that the curve is of, or add it to the sheet.",
-    )
 
 
 def _read(each: Comparison, folder: Path) -> ExternalCurve:
@@ -101,24 +96,26 @@ def compare_external_curves(
     groups: Sequence[ValidationGroup],
     loadings: Sequence[FirstLoading],
 ) -> tuple[ExternalCurveComparison, ...]:
-    """Hold curves from elsewhere against the mean of the tests and against the model.
+    """Compare external curves with the mean of the tests and with the model.
 
     Parameters
     ----------
-    curves : from elsewhere
+    curves : external
     calibration : of the model
     wires : by name, those of the curves among them
     groups : tests by wire and length
     loadings : all tests; the first is of the rig that is taken where none has the wire and length
     """
     return tuple(
-        _held(curve, calibration, wires[curve.wire], _group(curve, groups), loadings)
+        _compared(
+            curve,
+            calibration,
+            wires[curve.wire],
+            next((each for each in groups if _is_of(curve, each.wire, each.length)), None),
+            loadings,
+        )
         for curve in curves
     )
-
-
-def _group(curve: ExternalCurve, groups: Sequence[ValidationGroup]) -> ValidationGroup | None:
-    return next((g for g in groups if _is_of(curve, g.wire, g.length)), None)
 
 
 def _is_of(curve: ExternalCurve, wire: str, length: float) -> bool:
@@ -134,7 +131,7 @@ def _string(curve: ExternalCurve, loadings: Sequence[FirstLoading]) -> StringRig
     return None if rig is None else replace(rig, anchor_x=curve.length)
 
 
-def _held(
+def _compared(
     curve: ExternalCurve,
     calibration: Calibration,
     wire: Wire,

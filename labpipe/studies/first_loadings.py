@@ -49,8 +49,10 @@ def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
     -------
     By how the force scatters at rest; 0 where the test has no rest before its loading.
     """
-    rest = slice(0, first.start)
-    return zero_error(curve.time[rest], curve.force[rest], _zeroed_over(protocol))
+    rest, force = slice(0, first.start), protocol.curve and protocol.curve.force
+    zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
+    over = next((step.over for step in zeroed), None)  # the stretch that it is the mean of
+    return zero_error(curve.time[rest], curve.force[rest], over)
 
 
 def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Branch) -> float:
@@ -67,8 +69,12 @@ def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Bra
     of the deflection; the clock's is 0 where there is but one.
     """
     rest = slice(0, first.start)
-    zero = zero_error(curve.time[rest], curve.displacement[rest], _straight_over(protocol))
-    return float(np.hypot(zero, _clock_error(result) * _speed(curve, first)))
+    frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
+    over = next((step.over for step in frames), None)  # that deflections are counted from
+    zero = zero_error(curve.time[rest], curve.displacement[rest], over)
+    fit = None if result.aligned is None else result.aligned.clock_fit
+    clock = 0.0 if fit is None else fit.offset_interval.standard_error
+    return float(np.hypot(zero, (clock if np.isfinite(clock) else 0.0) * _speed(curve, first)))
 
 
 def scale_error(result: TestResult) -> float:
@@ -122,26 +128,6 @@ def zero_error(time: Floats, values: Floats, over: float | None) -> float:
     return float(np.sqrt(variance / (share * len(known))))
 
 
-def _zeroed_over(protocol: Protocol) -> float | None:
-    """Stretch that the zero of the force is the mean of, s; None where it is not zeroed."""
-    force = None if protocol.curve is None else protocol.curve.force
-    zeroed = (step for step in protocol.steps if isinstance(step, Zero) and step.channel == force)
-    return next((step.over for step in zeroed), None)
-
-
-def _straight_over(protocol: Protocol) -> float | None:
-    """Stretch that deflections are counted from, s; None where no step says so."""
-    frames = (step for step in protocol.steps if isinstance(step, SpecimenFrame))
-    return next((step.over for step in frames), None)
-
-
-def _clock_error(result: TestResult) -> float:
-    """Standard error of the force's clock where the motion begins, s."""
-    fit = None if result.aligned is None else result.aligned.clock_fit
-    error = 0.0 if fit is None else fit.offset_interval.standard_error
-    return error if np.isfinite(error) else 0.0
-
-
 def _speed(curve: Curve, first: Branch) -> float:
     """Mean speed of the deflection over the branch, m/s."""
     part = slice(first.start, first.stop)
@@ -153,7 +139,6 @@ def _speed(curve: Curve, first: Branch) -> float:
     return float(moved / (curve.time[end] - curve.time[begin]))
 
 
-"""m/s^2, standard acceleration of free fall."""
 _FEWEST = 20
 """Points of a curve with which something can be said."""
 _TERMS = 7
@@ -198,7 +183,7 @@ def read_first_loadings(
     files : result.h5 files
     points : of each curve, about; each is the mean of consecutive samples
     up_to : m, largest deflection that is taken; None for as far as a first loading is followed
-    say : told the name of each test as it is read
+    say : is given the name of each test as it is read
 
     Returns
     -------
@@ -246,7 +231,7 @@ def first_loading(
     -----
     The noise of a point is that of the second differences of the block means: of the force, and of
     the deflection times the slope of the curve. What all points are off by together is apart from
-    it (`pipeline.loading_errors`).
+    it: `force_zero_error`, `place_error`, `scale_error`.
     """
     _require_cantilever(protocol)
     curve, branch = _first_branch(result)
@@ -313,9 +298,7 @@ def _rest_notes(
 ) -> tuple[QualityNote, ...]:
     """Refuse a wire that hung under its counterweight at rest; say what is not known of it."""
     string = protocol.rig.string
-    if string is None or string.counterweight == 0.0:
-        return ()
-    if string.at_rest == "taut":
+    if string is None or string.counterweight == 0.0 or string.at_rest == "taut":
         return ()
     rest = at_rest(result.aligned, result.shape, curve, branch, GRAVITY * string.counterweight)
     if rest.why_not_straight:

@@ -261,7 +261,7 @@ show how they scatter by their noise, and not how the samples do."""
 def compare(
     calibration: Calibration, wires: Mapping[str, Wire], loadings: Sequence[FirstLoading]
 ) -> tuple[ValidationGroup, ...]:
-    """Hold a calibration against tests, those that it rests on and others.
+    """Compare a calibration with tests, those that it rests on and others.
 
     Parameters
     ----------
@@ -292,13 +292,9 @@ def _compared(
     first = curves[0]
     prediction, errors, reason = None, None, None
     try:
+        deflection = deepest * _GRID
         prediction = predict(
-            calibration,
-            wire,
-            first.length,
-            deepest * _GRID,
-            rig=first.rig,
-            noise=noise,
+            calibration, wire, first.length, deflection, rig=first.rig, noise=noise
         )
     except ValueError as error:
         reason = Reason("no_prediction", str(error))

@@ -68,7 +68,7 @@ def model_wires(
     sheet : xlsx or csv, one row per wire
     out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
     figures : whether to draw; those drawn before stay otherwise
-    say : told the name of each wire as it is done, then each stage
+    say : is given the name of each wire as it is done, then each stage
 
     Returns
     -------
@@ -78,7 +78,7 @@ def model_wires(
     Raises
     ------
     LabpipeError
-        If the sheet has faults (all are told at once), no wire can be modelled, or the results
+        If the sheet has faults (all are reported at once), no wire can be modelled, or the results
         cannot be written; earlier results are then as they were.
     """
     folder = Path("processed") / sheet.stem if out is None else out
@@ -128,7 +128,7 @@ def make_tables(
     ----------
     specs : rows of the sheet
     sheet : where they come from, for messages
-    say : told the name of each wire as it is done
+    say : is given the name of each wire as it is done
     pool : processes that do it; None for this one
 
     Returns
