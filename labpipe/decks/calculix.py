@@ -8,7 +8,7 @@ and between (CalculiX CrunchiX User's Manual, "Twenty-node brick element").
 A wire for CalculiX CrunchiX: a cantilever of solid bricks with a material that bends as it does.
 
 CalculiX takes no moment-curvature law. The wire is a solid round bar of its diameter, of the
-elastic-plastic material of `wire.equivalent_material`, clamped at one end and pushed aside at the
+elastic-plastic material of `law.equivalent_material`, clamped at one end and pushed aside at the
 other. Why bricks and not the program's beams: those are bricks too, one over the whole section
 (CalculiX CrunchiX User's Manual, "Three-node beam element"), whose four points of integration see
 one strain on either side; a circular one is 2.4 % too soft even as long as it is elastic.

@@ -1,7 +1,7 @@
 """What is bent in the virtual rigs: wires by the numbers of their law or by strands, and bars.
 
-The law of a stranded wire is that of first loading of `wire.moment_curvature`, as plays
-(`wire.wire_law`): after a turn the strands slide and the copper yields the other way at twice the
+The law of a stranded wire is that of first loading of `wire.bending_law`, as plays
+(`play_law` there): after a turn the strands slide and the copper yields the other way at twice the
 size (Masing). It is the physics that calibrations stand on too. What makes a test of it does not:
 `virtual_lab.cantilever_path` bends the wire station by station with a history, calibrations by the
 first integral. Bundles of wires are in `virtual_lab.bundles`.
@@ -14,7 +14,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
-from labpipe.law.plays import LinearLaw, PlayLaw, stick_slip_law
+from labpipe.law.play_fits import stick_slip_law
+from labpipe.law.plays import LinearLaw, PlayLaw
 from labpipe.records.wire_calibration import COPPER_SCALE, INSULATION_MODULUS, RADIAL_FRICTION
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.cross_section import (
@@ -59,7 +60,7 @@ class ElasticModel:
 
 @dataclass(frozen=True, slots=True)
 class WireModel:
-    """Moment-curvature law of the wire by its parameters (`wire.play_fit.stick_slip_law`).
+    """Moment-curvature law of the wire by its parameters (`law.play_fits.stick_slip_law`).
 
     Parameters
     ----------

@@ -50,8 +50,8 @@ def arrange(
 
     Notes
     -----
-    The kinds are spread over sites of equal wires, see `wire.bundle.sites`. Wires of unequal
-    diameters are then drawn together from there until they touch, see `wire.bundle.tightening`.
+    The kinds are spread over sites of equal wires, see `sites`. Wires of unequal
+    diameters are then drawn together from there until they touch, see `wire.bundle_packing`.
     """
     kind = np.repeat(np.arange(len(bundle.wires)), [wire.number for wire in bundle.wires])
     diameter = np.asarray(diameters, dtype=np.float64)[kind]

@@ -58,7 +58,7 @@ def bundle_model(bundle: Bundle, tables: Mapping[str, WireTable], *, seed: int =
     free = sum of their stick stiffnesses, high = free + sum EA (y - y0)^2, with y0 the centroid of
     the axial stiffnesses. The moments hold on first loading: the sum of the wires' laws M(kappa),
     without and with the moment of their stretching and shortening, in which copper yields (see
-    `wire.bundle.stretching`). What bending and stretching of one wire do to each other is left out.
+    `stretching_moment`). What bending and stretching of one wire do to each other is left out.
     Friction between wires, and tape that gives, leave a bundle between the two.
     """
     kinds = [_table(wire.type, tables) for wire in bundle.wires]

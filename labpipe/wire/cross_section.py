@@ -3,7 +3,7 @@
 The layouts `hexagonal`, `concentric` and `compressed` are here; `packed` is in `wire.packing`.
 A layout places the strands and refuses what does not fit, with the overlap. Layers are told apart
 by their counts, not by gaps in the radius. The first strand of the first ring lies at angle 0, on
-the neutral axis of the source; `wire.moment_curvature` turns the whole for other orientations.
+the neutral axis of the source; `wire.bending_law` turns the whole for other orientations.
 Lengths in m, angles in rad.
 """
 

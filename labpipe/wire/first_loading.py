@@ -1,7 +1,7 @@
 """The loading curve of the clamped wire on first loading, by the first integral (PHYSICS 5).
 
-Every point of the curve is two equations for the tip's force P and its lean beta (see
-`wire.first_integral`): the arc length is the wire's, and the string points from the tip to its
+Every point of the curve is two equations for the tip's force P and its lean beta (see below):
+the arc length is the wire's, and the string points from the tip to its
 anchor. No station, no history: all points are solved at once. It holds on first loading from
 straight, while the moment grows everywhere. The path of `wire.cantilever` is an independent one,
 and the one to take for cycles.

@@ -7,13 +7,13 @@ from typing import cast
 
 import numpy as np
 
+from labpipe.law.play_fits import concave_law
 from labpipe.law.plays import require_finite, require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
 from labpipe.wire.bending_law import (
     MomentCurve,
-    concave_law,
     moment_curvature,
     orientation_range,
     stick_stiffness,
@@ -58,7 +58,7 @@ def wire_table(spec: WireSpec) -> WireTable:
 
     Notes
     -----
-    The law is that of `wire.moment_curvature`. The cantilever is clamped at one end, with an end
+    The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end
     load normal to the clamped axis, and starts straight.
     """
     built = build(spec)

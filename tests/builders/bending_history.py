@@ -1,7 +1,7 @@
 """A wire bent there and back: sliders for axial forces, kinematic plasticity for strands.
 
 The truth that the laws of plays, which unload by Masing's rule, are compared with. Two things
-remember, and both are the first loading of `wire.moment_curvature` as long as the bending has not
+remember, and both are the first loading of `wire.bending_law` as long as the bending has not
 turned:
 
 - the axial force of each strand is that of a Coulomb slider: it follows E A r sin(theta)

@@ -25,12 +25,12 @@ import numpy as np
 import pytest
 
 from labpipe.decks.calculix import calculix_deck
+from labpipe.law.play_fits import concave_law
 from labpipe.law.plays import LinearLaw
 from labpipe.readers.curve_files import CurveColumn, read_curve
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 from labpipe.virtual_lab.specimens import WIRES
-from labpipe.wire.bending_law import concave_law
 from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.wire_tables import spec_of, wire_table

@@ -3,8 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.law.play_fits import concave_law, polygon_law
 from labpipe.law.plays import respond, virgin_plays
-from labpipe.wire.bending_law import concave_law, moment_curvature, play_law, polygon_law
+from labpipe.wire.bending_law import moment_curvature, play_law
 from labpipe.wire.cantilever import (
     StringRig,
     bend_to_deflection,

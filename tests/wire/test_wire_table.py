@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.law.play_fits import concave_law
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.studies.wire_specs import read_wire_sheet
-from labpipe.wire.bending_law import concave_law, moment_curvature
+from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.cross_section import CrossSection, Layer, concentric
 from labpipe.wire.materials import Elastic

@@ -31,7 +31,7 @@ def predict(
     n_samples: int = 1,
     other_gain: float | None = None,
 ) -> Prediction:
-    """Foretell the loading curve of a wire, with 95 % bands.
+    """Predict the loading curve of a wire, with 95 % bands.
 
     Parameters
     ----------

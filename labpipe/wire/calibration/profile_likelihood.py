@@ -2,7 +2,7 @@
 
 Too much is q^2, where chi^2 would have 1.96^2: q is the 97.5 % quantile, over the standard error,
 of the parameter's distribution in the linear model, averaged over what the scatter of samples may
-be (`calibrating.mixture`); below and above it may differ. With many samples q is 1.96, for one
+be (`scatter_mixture`); below and above it may differ. With many samples q is 1.96, for one
 that leans on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In the
 linear case this is the t interval; where the objective is asymmetric the interval is too, and it
 stays open where the objective levels out.

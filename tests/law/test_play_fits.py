@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.plays import fit_plays, respond, stick_slip_law, virgin_plays
+from labpipe.law.play_fits import fit_plays, stick_slip_law
+from labpipe.law.plays import respond, virgin_plays
 
 WIRE = stick_slip_law(
     stick_stiffness=5e-3,

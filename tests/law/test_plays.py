@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from labpipe.law.play_fits import stick_slip_law
 from labpipe.law.plays import (
     LinearLaw,
     MomentLaw,
@@ -15,7 +16,6 @@ from labpipe.law.plays import (
     first_curvature,
     require_within,
     respond,
-    stick_slip_law,
     virgin_plays,
 )
 from labpipe.records.arrays import Floats

@@ -1,0 +1,190 @@
+"""Plays made from what is known of a first loading: its points, a smooth curve, two stiffnesses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from labpipe.law.plays import PlayLaw, require_positive
+from labpipe.records.arrays import Floats
+
+_MOST_BRIDGED = 0.01  # of the moment: more would be another law
+_ROUNDING = 1e-7  # of the first slope: what differences of close corners are worth
+
+
+def polygon_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Plays of a polygon through the origin and given points of a first loading, the last its end.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow (softens), or a later slope is above an earlier one (stiffens);
+        the message says the curvature.
+    """
+    slopes = np.diff(moment, prepend=0.0) / np.diff(curvature, prepend=0.0)
+    if not np.all(slopes > 0.0):
+        at = curvature[int(np.argmin(slopes > 0.0))]
+        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        raise ValueError(message)
+    if np.any(np.diff(slopes) > _ROUNDING * slopes[0]):
+        at = curvature[int(np.argmax(np.diff(slopes))) + 1]
+        message = (
+            f"the law stiffens before curvature={at:.6g} 1/m: allowed is a slope that never grows"
+        )
+        raise ValueError(message)
+    compliances = np.maximum(np.diff(1.0 / slopes), 0.0)
+    return PlayLaw(float(slopes[0]), moment[:-1], compliances, float(moment[-1]))
+
+
+def concave_law(curvature: Floats, moment: Floats) -> PlayLaw:
+    """Plays of the lowest polygon that no given point of a first loading lies above.
+
+    Where the law stiffens, as it can by the rounding of a table or under tension, its corners are
+    left out and the polygon bridges them; elsewhere it is that of `polygon_law`.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing, n >= 2
+    moment : shape (n,), N m
+
+    Raises
+    ------
+    ValueError
+        If the moment does not grow, or the bridges are more than 1 % of the moment above the law;
+        the message says the curvature.
+    """
+    kept = _upper_corners(curvature, moment)
+    bridged = np.interp(curvature, np.append(0.0, curvature[kept]), np.append(0.0, moment[kept]))
+    above = bridged / moment - 1.0
+    if np.any(above > _MOST_BRIDGED):
+        at = int(np.argmax(above))
+        message = (
+            f"the law stiffens at curvature={curvature[at]:.6g} 1/m: a law that never does is "
+            f"{100.0 * above[at]:.2g} % above it, allowed is {100.0 * _MOST_BRIDGED:.0f} %"
+        )
+        raise ValueError(message)
+    return polygon_law(curvature[kept], moment[kept])
+
+
+def _upper_corners(curvature: Floats, moment: Floats) -> list[int]:
+    """Which points are corners of the upper hull with the origin (Andrew's chain, 1979)."""
+    kept: list[int] = []
+    x, y = [0.0], [0.0]
+    for number, (k, m) in enumerate(zip(curvature.tolist(), moment.tolist(), strict=True)):
+        while len(x) > 1 and (m - y[-2]) * (x[-1] - x[-2]) >= (y[-1] - y[-2]) * (k - x[-2]):
+            del x[-1], y[-1], kept[-1]
+        x.append(k)
+        y.append(m)
+        kept.append(number)
+    return kept
+
+
+def fit_plays(
+    curvature: Callable[[Floats], Floats],
+    *,
+    stiffness: float,
+    first_moment: float,
+    last_moment: float,
+    n_plays: int,
+) -> PlayLaw:
+    """Fit plays to a smooth law so that the polygon meets it at every corner.
+
+    Parameters
+    ----------
+    curvature : first-loading curvature, 1/m, as a function of moments, N m
+    stiffness : EI0 of the elastic start and of unloading, N m^2
+    first_moment, last_moment : N m, where the first play gives way and where the fit ends; the
+        corners lie between them, closer near the first; beyond the last the law goes on straight
+    n_plays : number of plays, 30 to 60 for a law without visible corners
+
+    Returns
+    -------
+    The law. Up to `first_moment` it has `stiffness`, whatever `curvature` says there.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or `curvature` softens (stops growing with the moment) or
+        stiffens (its slope falls), which plays cannot do.
+    """
+    require_positive("first_moment", first_moment)
+    if not (last_moment > first_moment and n_plays >= 1):
+        message = (
+            f"last_moment={last_moment!r}, n_plays={n_plays!r}: allowed are numbers > "
+            f"first_moment={first_moment!r} and >= 1"
+        )
+        raise ValueError(message)
+    share = np.linspace(0.0, 1.0, n_plays + 1) ** 2
+    knots = first_moment + share * (last_moment - first_moment)
+    values = np.concatenate([[first_moment / stiffness], curvature(knots[1:])])
+    slopes = np.diff(values) / np.diff(knots)
+    steps = np.diff(np.concatenate([[1.0 / stiffness], slopes]))
+    if not np.all(np.isfinite(slopes)) or np.any(slopes <= 0.0):
+        message = "curvature softens: allowed is a law whose curvature grows with the moment"
+        raise ValueError(message)
+    if np.any(steps < -1e-9 * slopes):
+        message = (
+            f"curvature stiffens at moment={knots[int(np.argmin(steps))]:.4g}: allowed is a law "
+            f"whose slope d(curvature)/d(moment) never falls, from 1/stiffness on"
+        )
+        raise ValueError(message)
+    return PlayLaw(stiffness, knots[:-1], np.maximum(steps, 0.0))
+
+
+def stick_slip_law(
+    *,
+    stick_stiffness: float,
+    stick_moment: float,
+    slip_stiffness: float,
+    reference_moment: float,
+    hardening: float,
+    last_moment: float,
+    n_plays: int = 40,
+) -> PlayLaw:
+    """Stick, then a power law of slip and yield (Ramberg-Osgood beyond the stick moment).
+
+    kappa = M / EI0 + (M0 / EI1) (max(M - Ms, 0) / M0)^(1 / n), cut into plays.
+
+    Parameters
+    ----------
+    stick_stiffness : EI0, N m^2
+    stick_moment : Ms, N m, up to which everything sticks
+    slip_stiffness : EI1, N m^2: secant stiffness of the power law alone at Ms + `reference_moment`
+    reference_moment : M0, N m
+    hardening : n between 0 (perfectly plastic) and 1 (two straight lines)
+    last_moment : N m, up to which the law is followed
+    n_plays : number of plays
+
+    Returns
+    -------
+    The law.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+    for name, value in (("slip_stiffness", slip_stiffness), ("reference_moment", reference_moment)):
+        require_positive(name, value)
+    if not 0.0 < hardening < 1.0:
+        message = f"hardening={hardening!r}: allowed are numbers between 0 and 1"
+        raise ValueError(message)
+
+    def curvature(moment: Floats) -> Floats:
+        beyond = np.maximum(moment - stick_moment, 0.0) / reference_moment
+        flow: Floats = reference_moment / slip_stiffness * beyond ** (1.0 / hardening)
+        return moment / stick_stiffness + flow
+
+    return fit_plays(
+        curvature,
+        stiffness=stick_stiffness,
+        first_moment=stick_moment,
+        last_moment=last_moment,
+        n_plays=n_plays,
+    )
