@@ -162,6 +162,9 @@ FIRST_LOADING = "The law is that of the first loading of a wire that was never b
 NO_MASS = "the sheet of wires gives no mass per length"
 
 
+_NEAR = 0.05  # of the moment, within which a linear law is as good as the wire's
+
+
 def facts(table: WireTable, name: str) -> tuple[str, ...]:
     """Sentences at the head of every deck.
 
@@ -180,34 +183,31 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
     )
 
 
-def linear_range(
-    table: WireTable, stiffness: float, *, tolerance: float = 0.05
-) -> tuple[float, float] | None:
+def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:
     """Curvatures between which a constant stiffness is as good as the wire's law.
 
     Parameters
     ----------
     table : law of the wire
     stiffness : N m^2, of the linear law
-    tolerance : distance of the linear law from the wire's, as a share of the wire's moment
 
     Returns
     -------
-    From and to, 1/m: the first stretch on which the two are as close as that. None if there is none
-    within the table.
+    From and to, 1/m: the first stretch on which the two are within 5 % of the wire's moment of each
+    other. None if there is none within the table.
 
     Notes
     -----
     Between two points the moment is on a straight line a + b kappa, so that stiffness kappa =
-    (1 -+ tolerance) (a + b kappa) is solved there.
+    (1 -+ 0.05) (a + b kappa) is solved there.
     """
     knots = np.union1d(
         table.curvature,
-        np.concatenate([_meets(table, stiffness, 1.0 + off) for off in (-tolerance, tolerance)]),
+        np.concatenate([_meets(table, stiffness, 1.0 + off) for off in (-_NEAR, _NEAR)]),
     )
     middle = 0.5 * (knots[1:] + knots[:-1])
     moment = np.interp(middle, table.curvature, table.moment)
-    inside = np.abs(stiffness * middle / moment - 1.0) <= tolerance
+    inside = np.abs(stiffness * middle / moment - 1.0) <= _NEAR
     if not inside.any():
         return None
     first = int(np.argmax(inside))
