@@ -17,7 +17,7 @@ from labpipe.bending.bent_frames import (
 )
 from labpipe.bending.fitted_law import LawBasis, LawFit, LawShapes, Line, Loaded, refine_law
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
 
 MEANS = 80

@@ -21,7 +21,7 @@ from labpipe.process.targets import RESULT_FILE
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import FigureName, Protocol
 from labpipe.protocol.values import is_name_of_a_test
-from labpipe.records.measured_bending import Bending
+from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.read import RawTest, read_name, read_raw, read_run

@@ -1,26 +1,295 @@
-"""The grammar of a test sheet (test.yaml), and a new one written with comments."""
+"""The grammar of a test sheet (test.yaml) and of the bundle in it; a new one with comments."""
 
 from __future__ import annotations
 
 import difflib
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date
-from typing import Annotated, Any
+from math import hypot, pi, sqrt
+from typing import Annotated, Any, Literal
 
 import yaml
-from pydantic import BeforeValidator, ConfigDict, Field, ValidationError, WithJsonSchema
+from pydantic import (
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    GetJsonSchemaHandler,
+    ValidationError,
+    ValidationInfo,
+    WithJsonSchema,
+    field_validator,
+)
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema, core_schema
 
-from labpipe.errors import Fault
-from labpipe.protocol.bundle_grammar import SheetBundle
-from labpipe.protocol.faults import did_you_mean, error_of, faults_of, shown
+from labpipe.errors import Fault, UsageError, complaint
+from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import Role
 from labpipe.protocol.values import FileStem, Line, Remark, Text, file_inside, one_or_several
-from labpipe.records.declarations import Length, Snake
+from labpipe.records.declarations import Length, Offset, Snake, Whole
+from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 from labpipe.units import parse_quantity
+
+DENSEST = pi / sqrt(12)
+"""Share of a plane that equal circles cover where they lie densest (Thue 1910)."""
+TOLERANCE = 0.01
+"""Wires may lie this share of the thinner one's diameter inside each other: they give way."""
+Places = tuple[tuple[float, float], ...]
+Circle = tuple[float, float, float]
+"""x, y and diameter, m."""
+_WORDS = re.compile(r"([0-9]+)\s+([^\s,;&+()]+)(?:\s*\(([^()]*)\))?")
+_SAID = "wires by type, such as {B1: 10, B2: 9} or '10 B1 + 9 B2'"
+
+
+@dataclass(frozen=True, slots=True)
+class _OrShort:
+    """Annotation of a block that people may also write in a shorter form.
+
+    Parameters
+    ----------
+    read : turns the short form into the block; gives back anything else as it is
+    schema : JSON Schema of the short form
+    """
+
+    read: Callable[[object], object]
+    schema: Mapping[str, Any]
+
+    def __get_pydantic_core_schema__(
+        self, source: object, handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        return core_schema.no_info_before_validator_function(self.read, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        return {"anyOf": [dict(self.schema), handler(schema)]}
+
+
+class SheetWires(Block):
+    """Wires of one type in a bundle."""
+
+    number: Annotated[int, Whole(1, 1000)]
+    diameter: Length | None = Field(None, description="Over the insulation")
+
+
+def _number_alone(value: object) -> object:
+    return value if isinstance(value, Mapping | SheetWires) else {"number": value}
+
+
+def _in_words(value: object) -> object:
+    """Read ``10 B1 + 9 B2 (1.6 mm)`` as the block it stands for."""
+    if not isinstance(value, str):
+        return value
+    wires: dict[str, object] = {}
+    for part in re.split(r"\s+\+\s+", value.strip()):
+        words = _WORDS.fullmatch(part)
+        if words is None:
+            raise error_of(expected=_SAID, found=value)
+        if words[2] in wires:
+            remedy = f"Add the numbers of {words[2]!r}."
+            raise error_of(expected="each type once", found=value, remedy=remedy)
+        given = {"number": words[1], "diameter": words[3]}
+        wires[words[2]] = {key: word for key, word in given.items() if word is not None}
+    return wires
+
+
+Wires = Annotated[
+    dict[Line, Annotated[SheetWires, _OrShort(_number_alone, {"type": "integer", "minimum": 1})]],
+    Field(min_length=1),
+    _OrShort(_in_words, {"type": "string", "examples": ["10 B1 + 9 B2"]}),
+]
+
+
+def _pair(value: object) -> object:
+    if not isinstance(value, Sequence) or isinstance(value, str) or len(value) != 2:
+        raise error_of(expected="a list of two lengths, such as [0 mm, 1.2 mm]", found=value)
+    return value
+
+
+class SheetBundle(Block):
+    """What a harness bundle is made of."""
+
+    wires: Wires = Field(description="By type: how many, or number and diameter")
+    number: Annotated[int, Whole(1, 100_000)] | None = Field(
+        None, description="Of all wires together, as a check"
+    )
+    arrangement: Literal["packed", "symmetric", "asymmetric"] = "packed"
+    positions: tuple[Annotated[tuple[Offset, Offset], BeforeValidator(_pair)], ...] | None = Field(
+        None,
+        description="[x, y] of every wire in the order of 'wires'; y is the direction of bending",
+    )
+    tape: Line = "none"
+    taping: Literal["none", "coarse", "half-lap"] = "none"
+    conduit: Line = "none"
+    conduit_bore: Length | None = Field(None, description="Inner diameter of the conduit")
+
+    @property
+    def record(self) -> Bundle:
+        """The bundle in the words of the rest of labpipe; lengths in m."""
+        wires = (BundleWire(kind, of.number, of.diameter) for kind, of in self.wires.items())
+        return Bundle(
+            wires=tuple(wires),
+            arrangement=self.arrangement,
+            positions=self.positions or (),
+            tape=self.tape,
+            taping=self.taping,
+            conduit=self.conduit,
+            conduit_bore=self.conduit_bore,
+        )
+
+    @classmethod
+    def between(cls, data: object) -> list[Fault]:
+        """Refuse a taping of no tape, a tape that is not wound, a bore of no conduit."""
+        return list(_contradictions(data)) if isinstance(data, Mapping) else []
+
+    @field_validator("number")
+    @classmethod
+    def _is_the_sum(cls, number: int | None, info: ValidationInfo) -> int | None:
+        wires = info.data.get("wires")
+        if wires is None or number in (None, _number_of(wires)):
+            return number
+        said = " + ".join(f"{of.number} {kind}" for kind, of in wires.items())
+        expected = f"{_number_of(wires)}, the number of the wires ({said})"
+        raise error_of(expected=expected, found=number, remedy="Correct one of the two.")
+
+    @field_validator("arrangement")
+    @classmethod
+    def _arranges_kinds(cls, arrangement: str, info: ValidationInfo) -> str:
+        wires = info.data.get("wires")
+        if wires is None or len(wires) > 1 or arrangement == PACKED:
+            return arrangement
+        expected = "'packed' for wires of one type"
+        remedy = "Only wires of different types can be spread one way or another: leave it out."
+        raise error_of(expected=expected, found=arrangement, remedy=remedy)
+
+    @field_validator("positions")
+    @classmethod
+    def _lie_beside_each_other(
+        cls, positions: Places | None, info: ValidationInfo
+    ) -> Places | None:
+        wires = info.data.get("wires")
+        if wires is None or positions is None:
+            return positions
+        faults = list(_position_faults(positions, wires))
+        if faults:
+            raise raised(faults, positions)
+        return positions
+
+    @field_validator("conduit_bore")
+    @classmethod
+    def _holds_the_wires(cls, bore: float | None, info: ValidationInfo) -> float | None:
+        wires = info.data.get("wires")
+        diameters = [] if wires is None else _diameters(wires)
+        if bore is None or not diameters:
+            return bore
+        densest = 1.0 if len(diameters) == 1 else DENSEST
+        least = sqrt(sum(diameter**2 for diameter in diameters) / densest)
+        if bore < least:
+            expected = f"at least {least * 1e3:.4g} mm, so that the wires find room"
+            found = f"{bore * 1e3:.4g} mm"
+            remedy = "Check the bore, the diameters and the number of wires."
+            raise raised([Fault((), expected, found, remedy)], bore)
+        return bore
+
+
+def _contradictions(data: Mapping[Any, Any]) -> Iterator[Fault]:
+    """Find words of a bundle that deny each other."""
+    tape, taping, conduit = (data.get(key) or NONE for key in ("tape", "taping", "conduit"))
+    if tape == NONE and taping != NONE:
+        remedy = "Write what tape it is, such as 'tape: PVC', or 'tape: unknown'."
+        yield Fault(("taping",), "'none' where there is no tape", repr(str(taping)), remedy)
+    if tape != NONE and taping == NONE:
+        remedy = "Write how it is wound: 'taping: half-lap' or 'taping: coarse'."
+        yield Fault(("tape",), "'none' where 'taping' is 'none'", repr(str(tape)), remedy)
+    if conduit == NONE and data.get("conduit_bore") is not None:
+        remedy = "Write what conduit it is, or leave the bore out."
+        found = repr(str(data["conduit_bore"]))
+        yield Fault(("conduit_bore",), "no bore where there is no conduit", found, remedy)
+
+
+def _number_of(wires: Mapping[str, SheetWires]) -> int:
+    return sum(of.number for of in wires.values())
+
+
+def _diameters(wires: Mapping[str, SheetWires]) -> list[float]:
+    """Diameter of every wire, m; nothing where one is not known."""
+    given = [(of.number, of.diameter) for of in wires.values()]
+    known = [(number, diameter) for number, diameter in given if diameter is not None]
+    each = [diameter for number, diameter in known for _ in range(number)]
+    return each if len(known) == len(given) else []
+
+
+def _position_faults(positions: Places, wires: Mapping[str, SheetWires]) -> Iterator[Fault]:
+    """Find what keeps positions from being those of the wires."""
+    number, diameters = _number_of(wires), _diameters(wires)
+    if len(positions) != number:
+        remedy = "List one [x, y] for every wire, in the order of 'wires'."
+        yield Fault((), f"{number} positions, one per wire", str(len(positions)), remedy)
+    elif not diameters:
+        missing = ", ".join(repr(kind) for kind, of in wires.items() if of.diameter is None)
+        remedy = "Write it like {B1: {number: 10, diameter: 1.1 mm}}."
+        expected = "positions of wires whose diameters are given"
+        yield Fault((), expected, f"none for {missing}", remedy)
+    else:
+        circles = [(*place, size) for place, size in zip(positions, diameters, strict=True)]
+        kinds = [kind for kind, of in wires.items() for _ in range(of.number)]
+        yield from _overlaps(circles, [f"wire {i + 1} ({kind})" for i, kind in enumerate(kinds)])
+
+
+def _overlaps(circles: Sequence[Circle], called: Sequence[str]) -> Iterator[Fault]:
+    """Find wires that lie inside an earlier one; the first such pair of each wire."""
+    for later, circle in enumerate(circles):
+        depths = [_overlap(circle, other) for other in circles[:later]]
+        earlier = next((number for number, depth in enumerate(depths) if depth > 0.0), None)
+        if earlier is not None:
+            found = f"{called[later]} {depths[earlier] * 1e3:.3g} mm inside {called[earlier]}"
+            remedy = "Check both positions and the diameters."
+            yield Fault((later,), "wires beside each other", found, remedy)
+
+
+def _overlap(one: Circle, other: Circle) -> float:
+    """How deep one circle lies in another, m; 0 within the tolerance."""
+    apart = hypot(one[0] - other[0], one[1] - other[1])
+    depth = (one[2] + other[2]) / 2 - apart
+    return depth if depth > TOLERANCE * min(one[2], other[2]) else 0.0
+
+
+def bundle_in_words(words: str, *, arrangement: str = PACKED) -> Bundle:
+    """Read a bundle such as ``10 B1 + 9 B2``.
+
+    Parameters
+    ----------
+    words : numbers and types of the wires, with a diameter in brackets where one is known
+    arrangement : one of `labpipe.records.harness_bundle.ARRANGEMENTS`
+
+    Returns
+    -------
+    The bundle, without tape and conduit.
+
+    Raises
+    ------
+    UsageError
+        If the words are not those of a bundle, or have no such arrangement.
+    """
+    data = {"wires": words, "arrangement": arrangement}
+    try:
+        return SheetBundle.model_validate(data).record
+    except ValidationError as error:
+        faults = faults_of(error, data=data, keys=())
+        raise UsageError("\n".join(_worded(fault, words) for fault in faults)) from None
+
+
+def _worded(fault: Fault, words: str) -> str:
+    place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
+    remedy = fault.remedy or "Write it like '10 B1 + 9 B2 (1.25 mm)', or give a test.yaml."
+    return complaint(words, place, expected=fault.expected, found=fault.found, remedy=remedy)
+
 
 SHEET_NAME = "test.yaml"
 _NAME = r"[a-z][a-z0-9_]*"

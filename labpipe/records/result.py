@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-from labpipe.records.curve import Aligned, Curve, FittedLine, Interval, Shape, Slip
+from labpipe.records.curve import Aligned, Bending, Curve, FittedLine, Interval, Shape, Slip
 from labpipe.records.harness_bundle import Bundle
-from labpipe.records.measured_bending import Bending
 from labpipe.records.quality import QualityNote, Reason, worded
 from labpipe.records.recording import Recording
 

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Direction
-from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.curve import Bending, BendingCloud, Direction, MeasuredLaw
 from labpipe.records.result import TestResult
 from labpipe.report.curve_figures import MOST_COLOURS, cycle_colours
 from labpipe.report.figure_page import (

@@ -12,9 +12,17 @@ import numpy as np
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.fits.loops import sense_of_loading
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Aligned, Branch, Curve, Direction, Shape, Slip, SlipDecision
+from labpipe.records.curve import (
+    Aligned,
+    Bending,
+    Branch,
+    Curve,
+    Direction,
+    Shape,
+    Slip,
+    SlipDecision,
+)
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.records.measured_bending import Bending
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
 

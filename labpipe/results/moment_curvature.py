@@ -24,9 +24,8 @@ from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, cur
 from labpipe.bending.law_table import measure_bending
 from labpipe.errors import in_test_sheet
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.curve import AT_REST, Aligned, Branch, Curve, Direction, Shape
+from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
-from labpipe.records.measured_bending import Bending
 from labpipe.records.quality import Finding, QualityNote, Severity, worth_knowing
 from labpipe.results.evidence import Evidence, LoadString
 from labpipe.statistics.mean_curves import block_means

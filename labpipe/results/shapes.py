@@ -11,10 +11,9 @@ import numpy as np
 from labpipe.bending.law_table import law_points
 from labpipe.fits.loops import secant_stiffness
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Branch, Curve
+from labpipe.records.curve import Bending, Branch, Curve, MeasuredLaw
 from labpipe.records.declarations import Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, widened
-from labpipe.records.measured_bending import Bending, MeasuredLaw
 from labpipe.records.quality import Reason, worth_knowing
 from labpipe.results.cycles import rectangle
 from labpipe.results.evidence import Evidence, SpanBend

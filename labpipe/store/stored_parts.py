@@ -10,8 +10,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
 from labpipe.records.harness_bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
-from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.records.result import Specimen

@@ -13,9 +13,8 @@ from pathlib import Path
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, UsageError, complaint
-from labpipe.protocol.bundle_grammar import bundle_in_words
 from labpipe.protocol.load import load_test_sheet
-from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
 from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel

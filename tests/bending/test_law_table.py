@@ -6,7 +6,7 @@ import pytest
 from labpipe.bending.fitted_law import LawFit, law_knots
 from labpipe.bending.law_table import law_points, tabulate
 from labpipe.records.arrays import Floats
-from labpipe.records.measured_bending import MeasuredLaw
+from labpipe.records.curve import MeasuredLaw
 
 BASIS = law_knots(0.06, 5)
 LAW: Floats = np.array([180.0, 200.0, 240.0, 300.0, 340.0])

@@ -10,7 +10,7 @@ import pytest
 from labpipe.bending.bent_frames import BendingErrors, BendingTest
 from labpipe.bending.law_table import measure_bending
 from labpipe.law.plays import LinearLaw, MomentLaw
-from labpipe.records.measured_bending import MeasuredLaw
+from labpipe.records.curve import MeasuredLaw
 from labpipe.virtual_lab.specimens import WireModel
 from tests.builders.bent_tests import bending_test, law_moment, loaded, pulled
 from tests.builders.bilinear_laws import bilinear_law

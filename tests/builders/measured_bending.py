@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.measured_bending import Bending, BendingCloud, MeasuredLaw
+from labpipe.records.curve import Bending, BendingCloud, MeasuredLaw
 from labpipe.records.quality import Reason
 
 

@@ -20,7 +20,7 @@ from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.measured_bending import Bending, MeasuredLaw
+from labpipe.records.curve import Bending, MeasuredLaw
 from labpipe.records.result import Result, Status
 from labpipe.results.evidence import Evidence
 from labpipe.store.read import read_result

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from labpipe.records.measured_bending import Bending
+from labpipe.records.curve import Bending
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.report.bending_figure import draw_moment_curvature, plot_cloud, plot_stiffness

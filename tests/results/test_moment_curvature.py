@@ -10,7 +10,7 @@ import pytest
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
 from labpipe.protocol.load import parse_protocol
-from labpipe.records.measured_bending import Bending
+from labpipe.records.curve import Bending
 from labpipe.records.result import Result, Status
 from labpipe.results.evidence import Evidence
 from labpipe.virtual_lab import observe

@@ -1,4 +1,4 @@
-"""Numbers that are read from the shape of a specimen; the bending law is in `measured_bending`."""
+"""Numbers that are read from the shape of a specimen; the bending law is in `moment_curvature`."""
 
 from __future__ import annotations
 

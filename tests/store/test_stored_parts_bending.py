@@ -7,7 +7,7 @@ import h5py
 import pytest
 
 from labpipe.errors import StoreError
-from labpipe.records.measured_bending import Bending
+from labpipe.records.curve import Bending
 from labpipe.records.quality import Reason
 from labpipe.store.read import read_outcome, read_result
 from labpipe.store.write import write_result

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from labpipe.errors import UsageError
-from labpipe.protocol.bundle_grammar import bundle_in_words
+from labpipe.protocol.sheet_grammar import bundle_in_words
 from labpipe.records.harness_bundle import Bundle, BundleWire
 
 

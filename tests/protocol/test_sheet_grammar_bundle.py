@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from labpipe.errors import ProtocolError
-from labpipe.protocol.bundle_grammar import SheetBundle
 from labpipe.protocol.load import checked
-from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.protocol.sheet_grammar import SheetBundle, TestSheet
 from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.harness_bundle import ARRANGEMENTS, TAPINGS, Bundle, BundleWire
 
