@@ -292,7 +292,7 @@ def _longest_by_chance(values: Floats, lengths: Ints, resolution: float) -> floa
 _WINDOW = 7
 _LONGEST = _WINDOW // 2
 _FAR_OFF = 8.0
-"""Robust deviations from the short median that a stray sample is away at least."""
+"""Robust deviations from the short median that a spike is away at least."""
 _FLOOR = 0.01
 """Share of the signal's range that it is away at least: less does no harm."""
 _SOME = 200
@@ -330,26 +330,26 @@ def find_spikes(force: Floats) -> Ints:
     off = f - level
     far = max(_FAR_OFF * 1.4826 * median(np.abs(off)), _FLOOR * float(np.ptp(level)))
     runs = [_core(np.arange(*run), off) for run in stretches_of(np.abs(off) > far)]
-    strays = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
-    numbers: Ints = known[np.concatenate(strays).astype(np.int64)] if strays else known[:0]
+    spikes = [run for run in runs if _returns(f, run, float(np.abs(off[run]).min()))]
+    numbers: Ints = known[np.concatenate(spikes).astype(np.int64)] if spikes else known[:0]
     return numbers
 
 
-def bridge_spikes(force: Floats, strays: Ints) -> Floats:
-    """Put stray samples on the line between their neighbours.
+def bridge_spikes(force: Floats, spikes: Ints) -> Floats:
+    """Put spikes on the line between their neighbours.
 
     Parameters
     ----------
     force : shape (n,), N; NaN stay and are no neighbours
-    strays : numbers of samples, as `find_spikes` gives them
+    spikes : numbers of samples, as `find_spikes` gives them
 
     Returns
     -------
     shape (n,), a new array
     """
-    sound = np.setdiff1d(np.flatnonzero(~np.isnan(force)), strays)
+    sound = np.setdiff1d(np.flatnonzero(~np.isnan(force)), spikes)
     mended = force.copy()
-    mended[strays] = np.interp(strays, sound, force[sound])
+    mended[spikes] = np.interp(spikes, sound, force[sound])
     return mended
 
 
