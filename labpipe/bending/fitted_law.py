@@ -25,6 +25,8 @@ _SINGULAR = 1e12
 _LEVELS = (7, 13, 25)
 """Numbers of knots, each level with all the knots of the one before."""
 _RECTANGLE = 1.0 / np.sqrt(3.0)
+_STEP = 0.0015  # m, of the integrals along the wire
+_CROWDING = 1.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,9 +239,6 @@ def _long_run(left: Floats, seen: Flags) -> Floats:
     return np.asarray(total, dtype=np.float64)
 
 
-_STEP = 0.0015  # m, of the integrals along the wire
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
     """Points along the wire that its shape is integrated over.
@@ -367,9 +366,6 @@ def _centres(loaded: Loaded, sine: Floats, cosine: Floats) -> Floats:
     x = line.integral(cosine)[:, at] - height * sine[:, at]
     y = line.integral(sine)[:, at] + height * cosine[:, at]
     return np.concatenate([x, y], axis=1)
-
-
-_CROWDING = 1.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,13 @@ MEANS = 80
 """Means of consecutive frames that the first loading is fitted by."""
 _FEWEST = 24
 _RECTANGLE = 1.0 / np.sqrt(3.0)
+_NORMAL_95 = 1.959963984540054
+_ROWS = 41
+_FINE = 4000
+ROWS = 50
+"""Rows of the cloud in the first loading."""
+STATIONS = 17
+"""Places along the specimen."""
 
 
 def measure_bending(test: BendingTest) -> Bending:
@@ -185,11 +192,6 @@ class _Shared:
         return replace(self.loaded, moment=self.loaded.moment + extra)
 
 
-_NORMAL_95 = 1.959963984540054
-_ROWS = 41
-_FINE = 4000
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class LawPoints:
     """A law at some curvatures; arrays of shape (n,).
@@ -342,12 +344,6 @@ def _why_not(curvature: Floats, is_known: Flags, floor: float) -> Reason | None:
         f"{unknown} of {len(curvature) - 1} curvatures, up to {last:.3g} 1/m, are not "
         f"above their noise (1.96 standard errors of the cloud are {floor:.3g} 1/m)",
     )
-
-
-ROWS = 50
-"""Rows of the cloud in the first loading."""
-STATIONS = 17
-"""Places along the specimen."""
 
 
 def bending_cloud(test: BendingTest) -> BendingCloud:

@@ -13,6 +13,13 @@ from labpipe.records.estimates import Estimate, Failure, scaled
 
 DIVISORS: Final = MappingProxyType({"cantilever": 3.0, "three-point": 48.0})
 """By support: end load on a cantilever of a length, load in the middle of a span."""
+_NODES = 48
+_SLOPES = 600
+_STEEPEST = 1.35
+"""rad, slope at the supports up to which a path is followed: 77 deg."""
+_WINDOW = 200
+_LEAST = 0.5
+"""Share of the stiffness at small deflections; with less, geometry says more than the specimen."""
 
 
 def beam_stiffness(
@@ -58,15 +65,6 @@ def beam_stiffness(
         raise ValueError(message)
     more = 3.0 * length_error / length * abs(stiffness.value)
     return scaled(stiffness, length**3 / DIVISORS[support], more=more)
-
-
-_NODES = 48
-_SLOPES = 600
-_STEEPEST = 1.35
-"""rad, slope at the supports up to which a path is followed: 77 deg."""
-_WINDOW = 200
-_LEAST = 0.5
-"""Share of the stiffness at small deflections; with less, geometry says more than the specimen."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,13 @@ _NEAR = 1000
 """Samples on each side of the largest one that show what the file rounds to."""
 _LEAST_OF_LOOP = 3
 """Samples that enclose an area."""
+_SMALL = 0.02
+"""Share of the largest force of a branch that may pass for zero at most."""
+_CLEAR = 4.0
+"""Standard deviations of noise above which a force is not zero."""
+_REACH = 0.1
+"""Share of a branch on each side of its zero that a parabola is fitted to."""
+_LEAST_NEAR_ZERO = 8
 
 
 def secant_stiffness(
@@ -213,15 +220,6 @@ def resolution(values: Floats) -> float:
     steps = np.diff(np.unique(values[max(top - _NEAR, 0) : top + _NEAR]))
     steps = steps[steps > 1e-9 * np.abs(values[top])]  # less is what arithmetic leaves over
     return float(steps.min()) if len(steps) else 0.0
-
-
-_SMALL = 0.02
-"""Share of the largest force of a branch that may pass for zero at most."""
-_CLEAR = 4.0
-"""Standard deviations of noise above which a force is not zero."""
-_REACH = 0.1
-"""Share of a branch on each side of its zero that a parabola is fitted to."""
-_LEAST_NEAR_ZERO = 8
 
 
 @dataclass(frozen=True, slots=True)

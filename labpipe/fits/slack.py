@@ -14,6 +14,13 @@ from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
 from labpipe.uncertainty.noise import fast_noise, long_run_variance
 
 _LEAST = 8
+_CLEAR = 4.0
+"""Standard deviations of noise above which a force is not zero."""
+_FOOT = 5.0
+"""Limits up to which the foot of the force is taken for straight."""
+_LEAST_AT_FOOT = 8
+_BACK = 0.02
+"""Share of the branch that a line through its foot may be followed back beyond its beginning."""
 
 
 def fit_slack(
@@ -89,15 +96,6 @@ def _fieller(fit: LinearFit) -> tuple[float, float]:
     a, b, c = slope**2 - spread[1, 1], level * slope - spread[0, 1], level**2 - spread[0, 0]
     root = float(np.sqrt(max(b * b - a * c, 0.0)))
     return float((-b - root) / a), float((-b + root) / a)
-
-
-_CLEAR = 4.0
-"""Standard deviations of noise above which a force is not zero."""
-_FOOT = 5.0
-"""Limits up to which the foot of the force is taken for straight."""
-_LEAST_AT_FOOT = 8
-_BACK = 0.02
-"""Share of the branch that a line through its foot may be followed back beyond its beginning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

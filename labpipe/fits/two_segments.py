@@ -17,6 +17,8 @@ _LEAST = 16
 _BEND_ERRORS = 4.0
 """Standard errors by which the slopes must differ: the break was chosen to make them differ most,
 so that a straight line reaches two by chance far more often than once in twenty."""
+_END = 0.05
+"""Share of the stretch next to its ends in which a kink is not one of the specimen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,10 +216,6 @@ def _lines(sums: Floats) -> tuple[Floats, Floats]:
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (n * sxr - sx * sr) / (n * sxx - sx * sx)
         return (sr - slope * sx) / n, slope
-
-
-_END = 0.05
-"""Share of the stretch next to its ends in which a kink is not one of the specimen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

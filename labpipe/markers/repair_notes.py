@@ -17,6 +17,9 @@ from labpipe.records.quality import QualityNote, Severity
 
 _MOST = 10
 """Stretches of one marker that get a note each; more share one."""
+_FROZEN = ("pose_frozen", Severity.WARNING, "stale pose removed")
+_FILLED = ("gap_filled", Severity.INFO, "gap filled between its ends, relative to the clamp")
+_LEFT = ("gap_left", Severity.WARNING, "no position, gap too long or open to fill")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,11 +73,6 @@ def describe(
         *_ambiguous(take, links, naming),
         *_dropped(take, naming, measured),
     )
-
-
-_FROZEN = ("pose_frozen", Severity.WARNING, "stale pose removed")
-_FILLED = ("gap_filled", Severity.INFO, "gap filled between its ends, relative to the clamp")
-_LEFT = ("gap_left", Severity.WARNING, "no position, gap too long or open to fill")
 
 
 def _absent(take: Take, naming: Naming, measured: Floats) -> Iterator[QualityNote]:

@@ -15,6 +15,15 @@ from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints
 from labpipe.records.curve import PointFlag
 from labpipe.records.quality import QualityNote, Severity
 
+SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
+"""Directions (y, z) in which the markers may lie off the axis, by where they face."""
+_STEPS = 20
+_FEWEST_FRAMES = 3
+_MOVES = 1e-6
+"""m; no camera sees less."""
+_APART = 0.3
+"""Distance of two markers in a section, in radii, below which they say nothing on its turning."""
+
 
 def rings_by_body(names: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Group markers by the part of their name before the colon.
@@ -139,16 +148,6 @@ def _notes(ring: str, members: Sequence[str], flags: NDArray[np.uint8]) -> Itera
         return
     message = f"{ring}: never seen whole; its centre is the mean of the markers in sight"
     yield QualityNote("ring_never_whole", Severity.WARNING, ring, message)
-
-
-SIDES = {"load": ((1.0, 0.0),), "away": ((-1.0, 0.0),), "side": ((0.0, 1.0), (0.0, -1.0))}
-"""Directions (y, z) in which the markers may lie off the axis, by where they face."""
-_STEPS = 20
-_FEWEST_FRAMES = 3
-_MOVES = 1e-6
-"""m; no camera sees less."""
-_APART = 0.3
-"""Distance of two markers in a section, in radii, below which they say nothing on its turning."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

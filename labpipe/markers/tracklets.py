@@ -9,6 +9,11 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats, Ints
 
+_VELOCITY_FRAMES = 5
+"""Frames over which the velocity at the end of a tracklet is taken."""
+_SAME_LABEL = 0.25
+"""How much further away, in max_jump, a point of the same label may be and still win."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tracklets:
@@ -136,12 +141,6 @@ def _exchanges(earlier: Floats, later: Floats) -> Flags:
     own = np.einsum("fii->fi", apart)
     nearer = apart < own[:, :, None]
     return np.asarray((nearer & nearer.transpose(0, 2, 1)).any(axis=2), dtype=np.bool_)
-
-
-_VELOCITY_FRAMES = 5
-"""Frames over which the velocity at the end of a tracklet is taken."""
-_SAME_LABEL = 0.25
-"""How much further away, in max_jump, a point of the same label may be and still win."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -46,6 +46,16 @@ _AT_REST = 100
 """Equal samples of a noisy channel at its end that are no rest."""
 _WHITE = 1.2
 """Third differences over second ones, medians: 1.8 for white noise, far below 1 if smooth."""
+_WINDOW = 7
+_LONGEST = _WINDOW // 2
+_FAR_OFF = 8.0
+"""Robust deviations from the short median that a spike is away at least."""
+_FLOOR = 0.01
+"""Share of the signal's range that it is away at least: less does no harm."""
+_SOME = 200
+"""Medians that are looked at to see how far the signal goes at least."""
+_FAR_IN_STEPS = 4.0
+"""Largest steps of the neighbours that it is away at least, so that a sharp turn is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -287,18 +297,6 @@ def _longest_by_chance(values: Floats, lengths: Ints, resolution: float) -> floa
         return float("inf")  # a smooth curve, and no noise
     alike = resolution / (2.0 * sqrt(pi) * noise)  # chance that two neighbours are equal
     return max(_LEAST, 1.0 + log(_CHANCE / len(values)) / log(alike))
-
-
-_WINDOW = 7
-_LONGEST = _WINDOW // 2
-_FAR_OFF = 8.0
-"""Robust deviations from the short median that a spike is away at least."""
-_FLOOR = 0.01
-"""Share of the signal's range that it is away at least: less does no harm."""
-_SOME = 200
-"""Medians that are looked at to see how far the signal goes at least."""
-_FAR_IN_STEPS = 4.0
-"""Largest steps of the neighbours that it is away at least, so that a sharp turn is none."""
 
 
 def find_spikes(force: Floats) -> Ints:

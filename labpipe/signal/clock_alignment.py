@@ -14,6 +14,8 @@ from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.turning_points import Stroke, find_strokes
 from labpipe.uncertainty.noise import long_run_variance
 
+_BINS, _LEAST = 2000, 50
+
 
 def rough_peaks(time: Floats, values: Floats, *, smoothing: float, share: float) -> Floats:
     """Times of the upper turning points of a signal, good to about `smoothing`.
@@ -189,9 +191,6 @@ def _excess(pulls: Floats, *, freedom: int) -> float:
     limit = freedom * (1.0 - spread + 2.3263 * np.sqrt(spread)) ** 3
     square = float(pulls @ pulls)
     return square / freedom if square > limit else 1.0
-
-
-_BINS, _LEAST = 2000, 50
 
 
 def fit_lag(

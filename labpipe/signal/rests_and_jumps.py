@@ -27,6 +27,14 @@ _CORNERS = 200
 """Places at which a corner is tried."""
 _SURELY, _MOSTLY = 25.0, 0.5
 """Variances, and share of the sum of squares about a line, that a corner takes off."""
+_NEAR = 3
+"""Steps on each side that a jump is compared with."""
+_LARGER = 5.0
+"""Times the fastest of these steps that it is faster."""
+_SHARE = 0.02
+"""Share of the range of the signal below which a jump does no harm."""
+_SURE_JUMP = 8.0
+"""Standard deviations of the noise below which nobody can tell."""
 
 
 def moves_at_end(time: Floats, values: Floats) -> bool:
@@ -131,16 +139,6 @@ def samples_at_rest(values: Floats) -> int:
 
 def _explained(direction: Floats, values: Floats) -> float:
     return float(direction @ values) ** 2 / float(direction @ direction)
-
-
-_NEAR = 3
-"""Steps on each side that a jump is compared with."""
-_LARGER = 5.0
-"""Times the fastest of these steps that it is faster."""
-_SHARE = 0.02
-"""Share of the range of the signal below which a jump does no harm."""
-_SURE_JUMP = 8.0
-"""Standard deviations of the noise below which nobody can tell."""
 
 
 def level_jumps(time: Floats, values: Floats) -> tuple[tuple[int, float], ...]:

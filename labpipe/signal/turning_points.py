@@ -13,6 +13,15 @@ from labpipe.records.curve import AT_REST, Branch, Direction
 
 _MOST_POINTS = 50_000
 _FIRST_LOOK = 1024
+_BLOCKS = 20
+"""Averages per width: fine enough for a first guess, and noise is averaged."""
+_LEAST = 0.3
+"""Share of the way from its lowest to its highest level that a signal has at least where it turns:
+what falls at the bottom is noise, or the head of a load frame that touches."""
+_SHORTEST = 0.3
+"""Share of the width that slopes are taken over at least, however short the dwell."""
+_MORE_THAN_NOISE = 10.0
+"""Standard deviations; the extremes of a thousand values of noise are seven apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,17 +294,6 @@ def branch_numbers(count: int, branches: tuple[Branch, ...]) -> tuple[Ints, Ints
         branch[part.start : part.stop] = number
         cycle[part.start : part.stop] = part.cycle
     return branch, cycle
-
-
-_BLOCKS = 20
-"""Averages per width: fine enough for a first guess, and noise is averaged."""
-_LEAST = 0.3
-"""Share of the way from its lowest to its highest level that a signal has at least where it turns:
-what falls at the bottom is noise, or the head of a load frame that touches."""
-_SHORTEST = 0.3
-"""Share of the width that slopes are taken over at least, however short the dwell."""
-_MORE_THAN_NOISE = 10.0
-"""Standard deviations; the extremes of a thousand values of noise are seven apart."""
 
 
 def sharpest_turn(time: Floats, values: Floats, *, width: float) -> float | None:

@@ -15,6 +15,9 @@ from labpipe.statistics.outliers import too_few_for_outliers
 _MIXES = "a mean over them mixes what this changes with scatter"
 _IN_COMPOSITION = ("wire", "number")
 """Fields that a composition says, too."""
+PROTOCOLS_DIFFER = "protocols_differ"
+_NAMED = 4
+"""Tests that are called by name where more than two share what is said of them."""
 
 
 def sample_keys(samples: Sequence[Sample]) -> list[str]:
@@ -159,11 +162,6 @@ def _too_few(number: GroupNumber) -> str:
         return ""
     spools = [name for name, mean in number.mean.spool_means.items() for _ in range(mean.n)]
     return too_few_for_outliers(spools)
-
-
-PROTOCOLS_DIFFER = "protocols_differ"
-_NAMED = 4
-"""Tests that are called by name where more than two share what is said of them."""
 
 
 def ways_of(number: GroupNumber) -> dict[str, list[str]]:

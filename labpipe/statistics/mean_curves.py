@@ -17,6 +17,8 @@ from labpipe.statistics.means import LEVEL, USUAL, PoolingLimits, nested_mean, t
 _POINTS = 500
 """Points of a curve before it is averaged with others, each the mean of its samples: noise that is
 faster says nothing about the sample and makes the band of the whole curve wide."""
+POINTS = 201
+"""Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
 
 def loading_band(
@@ -143,10 +145,6 @@ def _gaps(displacement: Floats) -> list[str]:
     wide = np.flatnonzero(steps > 1.5 * steps.min())
     ends = [(1e3 * displacement[at], 1e3 * displacement[at + 1]) for at in wide]
     return [f"{start:.4g} mm to {stop:.4g} mm" for start, stop in ends]
-
-
-POINTS = 201
-"""Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,6 +17,11 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Decision, MeanInterval, NestedMean
 from labpipe.records.quality import Reason
 
+LEVEL = 0.95
+"""Level of every interval: two-sided."""
+_MOST_PARTITIONS = 100
+"""Up to here the Anderson-Darling test counts every way to deal the samples out to the spools."""
+
 
 @dataclass(frozen=True, slots=True)
 class PoolingLimits:
@@ -177,10 +182,6 @@ def _test_words(p: float, counts: tuple[int, ...], limits: PoolingLimits) -> str
     )
 
 
-LEVEL = 0.95
-"""Level of every interval: two-sided."""
-
-
 def t_quantile(degrees: float, outside: float = 1.0 - LEVEL) -> float:
     """Quantile of Student's t that leaves a share outside, half of it on each side.
 
@@ -223,10 +224,6 @@ def mean_interval(values: Iterable[float], what: str = "value") -> MeanInterval:
     deviation = float(known.std(ddof=1))
     half = t_quantile(n - 1) * deviation / np.sqrt(n)
     return MeanInterval(mean, Interval(float(mean - half), float(mean + half)), deviation, n)
-
-
-_MOST_PARTITIONS = 100
-"""Up to here the Anderson-Darling test counts every way to deal the samples out to the spools."""
 
 
 @dataclass(frozen=True, slots=True)

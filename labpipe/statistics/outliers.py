@@ -18,6 +18,12 @@ ESD = "generalised ESD test"
 ESD_WITHIN = "generalised ESD test within spools"
 _ALIKE = 1.001
 """p-values whose ratio is below are equal but for rounding."""
+_METHODS = {
+    (False, False): GRUBBS,
+    (False, True): GRUBBS_WITHIN,
+    (True, False): ESD,
+    (True, True): ESD_WITHIN,
+}
 
 
 def mark_outliers(
@@ -77,14 +83,6 @@ def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
 def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
     told = " and ".join(names[other] for other in others)
     return f", which cannot tell it from {told}" if told else ""
-
-
-_METHODS = {
-    (False, False): GRUBBS,
-    (False, True): GRUBBS_WITHIN,
-    (True, False): ESD,
-    (True, True): ESD_WITHIN,
-}
 
 
 def too_few_for_outliers(spools: Sequence[str]) -> str:

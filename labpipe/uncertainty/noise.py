@@ -14,6 +14,20 @@ from scipy.special import factorial
 from labpipe.records.arrays import Floats
 
 _BLOCK = 20
+TERMS = 128
+"""Cosines that the noise is judged by: half waves over the window."""
+_LONGEST = 0.2
+"""Longest correlation time that is considered, as a share of the window."""
+_SPECTRA = 24
+_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
+"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
+_PRIOR = -0.4
+"""Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
+correlation over a tenth of the window (the studies beside the tests)."""
+_LONG = 128
+"""Samples per block from which on a record is long."""
+_ORDER = np.arange(16)
+"""Powers of a phase of half a radian, beyond which its sine and cosine are exact."""
 
 
 def long_run_variance(residuals: Floats, *, parameters: int) -> float:
@@ -71,22 +85,6 @@ def fast_noise(values: Floats) -> float:
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
     left = rows - rows @ basis @ basis.T
     return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (size - 3))))
-
-
-TERMS = 128
-"""Cosines that the noise is judged by: half waves over the window."""
-_LONGEST = 0.2
-"""Longest correlation time that is considered, as a share of the window."""
-_SPECTRA = 24
-_FLOORS = (0.003, 0.01, 0.03, 0.1, 0.3)
-"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
-_PRIOR = -0.4
-"""Power of the correlation time in the prior; with it coverage agrees with 95 % from white noise to
-correlation over a tenth of the window (the studies beside the tests)."""
-_LONG = 128
-"""Samples per block from which on a record is long."""
-_ORDER = np.arange(16)
-"""Powers of a phase of half a radian, beyond which its sine and cosine are exact."""
 
 
 @dataclass(frozen=True, slots=True)
