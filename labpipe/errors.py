@@ -12,7 +12,7 @@ At: TypeAlias = Literal["key", "value"]
 
 
 class LabpipeError(Exception):
-    """Bad input or usage, told in one message without a traceback.
+    """Bad input or usage, reported in one message without a traceback.
 
     The grammar of every message is *file, place: expected X, found Y. What to do.*
     """

@@ -6,7 +6,7 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from labpipe.campaign.runs import Refused, process_tests
@@ -94,7 +94,10 @@ def table(processed: Processed) -> str:
     """
     result = processed.result
     lines, width = [headline(processed)], name_width(each.name for each in result.results)
-    for several in _by_quantity(result.results):
+    quantities: dict[str, list[Result]] = {}  # energy.1, energy.2, ... together
+    for each in result.results:
+        quantities.setdefault(each.name.partition(".")[0], []).append(each)
+    for several in quantities.values():
         lines += _lines(several, dict(result.display), width)
     reasons: dict[str, list[str]] = {}
     for each in result.results:
@@ -117,14 +120,6 @@ def headline(processed: Processed) -> str:
     counts = Counter(each.status for each in result.results)
     became = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
     return f"{result.test}  ({result.protocol}): {became}  ->  {from_here(processed.folder)}"
-
-
-def _by_quantity(results: Sequence[Result]) -> list[list[Result]]:
-    """Results of one quantity together: ``energy.1``, ``energy.2``, ..."""
-    groups: dict[str, list[Result]] = {}
-    for result in results:
-        groups.setdefault(result.name.partition(".")[0], []).append(result)
-    return list(groups.values())
 
 
 def _lines(results: list[Result], display: Mapping[str, str], width: int) -> list[str]:

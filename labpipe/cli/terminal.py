@@ -31,11 +31,11 @@ def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
     numbers = itertools.count()
     if not sys.stderr.isatty():
 
-        def tell(test: Path) -> Callable[[str], None]:
+        def name(test: Path) -> Callable[[str], None]:
             print(f"{next(numbers) + 1}/{count} {test.parent.name}", file=sys.stderr)
             return lambda _: None
 
-        yield tell
+        yield name
         return
     from tqdm import tqdm
 

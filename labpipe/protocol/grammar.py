@@ -221,7 +221,7 @@ def block_of(kind: Any, tag: str = "") -> type[Block]:
     ----------
     kind : frozen dataclass; its fields are the keys, but for those that do not compare, which are
         no settings. A static method ``between`` finds faults between them in the block as written.
-    tag : key that tells the kind from others of its list, and class variable with its value
+    tag : key that distinguishes the kind from others of its list, and class variable with its value
 
     Returns
     -------

@@ -57,7 +57,7 @@ class Entry:
     Parameters
     ----------
     number : in the list, from 0
-    tag : such as ``zero``; perhaps one that nobody knows
+    tag : such as ``zero``; perhaps an unknown one
     values : what the block says
     makes : channels that a step adds to those of the sources
     """

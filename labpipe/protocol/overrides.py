@@ -188,7 +188,7 @@ _OR_FOLLOW = (
 
 
 def are_followed(protocol: Document) -> bool:
-    """Tell whether a protocol, as written, lets exports be links out of the folder of the test.
+    """Say whether a protocol, as written, lets exports be links out of the folder of the test.
 
     Parameters
     ----------

@@ -365,7 +365,7 @@ def _misspelt(key: str, known: list[str]) -> Fault:
 
 
 def _is_no_length(value: object) -> bool:
-    """Tell a word, or a quantity that is no length: a label rather than a dimension."""
+    """Whether a value is a word, or no length: a label rather than a dimension."""
     try:
         parse_quantity(value, "m")
     except ValueError:

@@ -36,7 +36,10 @@ class ArrayRecord:
         for name, dtype, axes in _arrays_of(kind):
             array = np.asarray(getattr(self, name), dtype=dtype).view()
             shape = tuple(self._length(axis, lengths) for axis in axes)
-            if not _fits(array, shape) or not _agree(lengths, axes, array.shape):
+            if not _fits(array, shape) or any(
+                lengths.setdefault(axis, got) != got
+                for axis, got in zip(axes, array.shape, strict=True)
+            ):
                 message = f"expected {name} of shape {shape}, found {array.shape}"
                 raise ValueError(message)
             array.flags.writeable = False
@@ -91,11 +94,6 @@ def _fits(array: NDArray[Any], shape: tuple[int | None, ...]) -> bool:
     )
 
 
-def _agree(lengths: dict[int | str, int], axes: tuple[Any, ...], shape: tuple[int, ...]) -> bool:
-    """Keep the length of each axis, and say whether it is always the same."""
-    return all(lengths.setdefault(axis, got) == got for axis, got in zip(axes, shape, strict=True))
-
-
 def median(values: Floats) -> float:
     """Median of some numbers.
 
@@ -140,7 +138,7 @@ def stretches_of(flags: Flags) -> list[tuple[int, int]]:
 
 
 def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:
-    """Tell when samples are flagged.
+    """Find when samples are flagged.
 
     Parameters
     ----------

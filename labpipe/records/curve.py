@@ -329,7 +329,7 @@ class MeasuredLaw(ArrayRecord):
     tangent, tangent_lower, tangent_upper : N m^2, slope of moment against curvature
     is_known : whether the curvature is above its noise
     reason : why points are not known; None where all are
-    floor : 1/m, below it curvature is not told from its noise
+    floor : 1/m, below it curvature is not distinguished from its noise
     scale_error : standard uncertainty of the scale of the force, as a share; in the intervals
     residual : m, root mean square distance per coordinate between markers, as means over
         consecutive frames, and the shapes that the law makes

@@ -113,7 +113,7 @@ class Existing:
 
 @dataclass(frozen=True, slots=True)
 class Tagged:
-    """One of several kinds of settings, told apart by a key.
+    """One of several kinds of settings, distinguished by a key.
 
     Parameters
     ----------
@@ -207,7 +207,7 @@ class Needs:
     Parameters
     ----------
     branches : a curve that is cut into loading and unloading
-    correction : block of ``curve`` that finds what the result tells; empty for none
+    correction : block of ``curve`` that finds what the result gives; empty for none
     clocks : two clocks that are joined
     shape : step that makes the shape of the specimen; empty for none
     clamp : a clamped end, and a curve on the clock of the markers

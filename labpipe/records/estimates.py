@@ -42,7 +42,7 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
     Returns
     -------
     The estimate; each side of an interval of its own grows by the normal 95 % part of `errors`, in
-    quadrature: a asymmetric interval stays so (GUM, JCGM 100:2008, sec. 5.1.3). What an uncertain
+    quadrature: an asymmetric interval stays so (GUM, JCGM 100:2008, sec. 5.1.3). What an uncertain
     input changes is such an error: compute the number twice, the second time with the input one
     standard uncertainty larger, and take the difference.
     """

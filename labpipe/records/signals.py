@@ -30,7 +30,7 @@ class Signal:
     zero_error : standard error of the zero, in `unit`
     alternative : shape (n,), the same quantity under another assumption as good as this one (a
         shape with one term more, another machine compliance); what a number changes when it is
-        computed from this instead tells how far it can be trusted
+        computed from this instead shows how far it can be trusted
     time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
     """
 

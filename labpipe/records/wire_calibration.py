@@ -150,7 +150,7 @@ class CalibratedParameter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Separability(ArrayRecord):
-    """Whether several numbers can be told apart by the tests.
+    """Whether the tests separate several numbers.
 
     Parameters
     ----------

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import repeat
 from math import ceil, prod
 from pathlib import Path
 from typing import Any
@@ -34,19 +35,14 @@ Packed = dict[tuple[object, ...], list[bytes]]
 """Chunks made so far, by the place of their array."""
 
 
-def _deflated(
-    array: NDArray[Any], chunk: tuple[int, ...], pool: Executor, packed: Packed
-) -> Iterator[bytes]:
-    """Chunks of an array, made in the pool unless they have been made before."""
+def _deflated(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) -> list[bytes]:
+    """Chunks of so many rows of an array, made in the pool unless they have been made before."""
     place = place_of(array)
-    if place in packed:
-        yield from packed[place]
-        return
-    made: list[bytes] = []
-    for deflated in pool.map(_packed, _blocks(array, chunk) if array.size else ()):
-        made.append(deflated)
-        yield deflated
-    packed[place] = made
+    if place not in packed:
+        starts = range(0, len(array) if array.size else 0, rows)
+        blocks = (array[start : start + rows] for start in starts)
+        packed[place] = list(pool.map(_packed, blocks, repeat(rows)))
+    return packed[place]
 
 
 def place_of(array: NDArray[Any]) -> tuple[object, ...]:
@@ -78,18 +74,13 @@ def same_content(dataset: Any, array: NDArray[Any]) -> bool:
     )
 
 
-def _blocks(array: NDArray[Any], chunk: tuple[int, ...]) -> Iterator[NDArray[Any]]:
-    """Cut an array into chunks; the last one is filled up with zeros, as HDF5 wants it."""
-    rows = chunk[0]
-    for start in range(0, len(array), rows):
-        block = np.ascontiguousarray(array[start : start + rows])
-        if len(block) < rows:
-            block = np.concatenate([block, np.zeros((rows - len(block), *chunk[1:]), block.dtype)])
-        yield block
+def _packed(block: NDArray[Any], rows: int) -> bytes:
+    """Run one chunk through HDF5's filters shuffle, gzip and fletcher32.
 
-
-def _packed(block: NDArray[Any]) -> bytes:
-    """Run one chunk through HDF5's shuffle, gzip and fletcher32 filters."""
+    The last chunk of an array is filled up with zeros to so many rows, as HDF5 wants it.
+    """
+    missing = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
+    block = np.concatenate([block, missing]) if len(missing) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
     deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, _LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
@@ -187,7 +178,7 @@ class Target:
         )
         dataset.attrs["unit"] = kind.unit or unit
         dataset.attrs["axes"] = ", ".join(kind.axes)
-        for number, deflated in enumerate(_deflated(values, chunk, self.pool, self.packed)):
+        for number, deflated in enumerate(_deflated(values, chunk[0], self.pool, self.packed)):
             corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, deflated)
         self.written[dataset.name] = values
