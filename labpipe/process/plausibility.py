@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.errors import in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
+from labpipe.process.motion import Motion
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Branch, Direction, Shape
@@ -22,7 +23,7 @@ from labpipe.records.quality import (
     warning,
     worth_knowing,
 )
-from labpipe.records.signals import Clocks, Signal, Signals
+from labpipe.records.signals import Signal, Signals
 from labpipe.signal.filters import moving_average, seconds_to_window
 from labpipe.signal.rests_and_jumps import moves_at_end, standing_stretches
 from labpipe.signal.turning_points import noise_level
@@ -138,15 +139,15 @@ def _length(shape: Shape, expected: float) -> Iterator[Finding]:
         yield doubtful("length_unexpected", "specimen.length", message, "displacement")
 
 
-def check_rest(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+def check_rest(signals: Signals, motion: Motion) -> Iterator[Finding]:
     """Doubt a zero that was taken while the clamp was already moving.
 
     Parameters
     ----------
     signals : with the stretches that they were zeroed over
-    clocks : of the test
-    branches : of the motion
+    motion : with clocks that are joined
     """
+    branches, clocks = motion.branches, motion.clocks
     if not branches:
         return
     begins, ends = branches[0].start_time, branches[-1].stop_time
@@ -161,23 +162,20 @@ def check_rest(signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]) -
             yield doubtful("zero_not_at_rest", name, message, quantity)
 
 
-def check_mid_span(
-    prepared: Prepared, clocks: Clocks, motion: Signal, branches: tuple[Branch, ...]
-) -> tuple[Prepared, list[Finding]]:
+def check_mid_span(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[Finding]]:
     """Give up cameras that began under load; doubt a displacement that is not what they see.
 
     Parameters
     ----------
     prepared : its ``mid_span`` is used, where there is one
-    clocks : of the test
-    motion : the displacement
-    branches : of the motion
+    motion : the displacement, with clocks that are joined
     """
     seen, span = prepared.signals.raw.get("mid_span"), prepared.span
-    if seen is None or span is None or isinstance(span, Failure) or not branches:
+    if seen is None or span is None or isinstance(span, Failure) or not motion.branches:
         return prepared, []
-    fit, rested = clocks.others.get(seen.clock), span.time[span.rest]
-    late = (rested if fit is None else fit.to_marker_time(rested))[-1] - branches[0].start_time
+    fit, rested = motion.clocks.others.get(seen.clock), span.time[span.rest]
+    begins = motion.branches[0].start_time
+    late = (rested if fit is None else fit.to_marker_time(rested))[-1] - begins
     if late > _SETTLED:
         message = (
             f"the shape at rest was taken up to {late:.2f} s after loading began: look at the "
@@ -186,7 +184,7 @@ def check_mid_span(
         given_up = replace(prepared, span=Failure("no_rest", message))
         return given_up, [not_available("no_rest", "markers", message)]
     sunk, moved = (
-        float(np.nanmax(each) - np.nanmin(each)) for each in (seen.values, motion.values)
+        float(np.nanmax(each) - np.nanmin(each)) for each in (seen.values, motion.signal.values)
     )
     if abs(sunk - moved) <= _SUNK * moved:
         return prepared, []
@@ -207,16 +205,14 @@ _SURE = 10.0
 """Standard errors of a mean by which a force changes."""
 
 
-def check_signs(
-    signals: Signals, clocks: Clocks, protocol: Protocol, branches: tuple[Branch, ...]
-) -> list[Finding]:
+def check_signs(signals: Signals, motion: Motion, protocol: Protocol) -> list[Finding]:
     """Doubt what goes down while the specimen is loaded, unless the protocol says that it may.
 
     Parameters
     ----------
-    signals, clocks : of the test
+    signals : of the test
+    motion : with clocks that are joined
     protocol : its ``curve.reverse`` says what was turned; an empty list, that the signs are meant
-    branches : of the motion
 
     Notes
     -----
@@ -225,7 +221,7 @@ def check_signs(
     (energy, stiffness) are as good as ever.
     A force that goes both ways, up and down by a fifth, has no wrong sign, nor has its motion.
     """
-    curve = protocol.curve
+    curve, branches, clocks = protocol.curve, motion.branches, motion.clocks
     if curve is None or not branches:
         return []
     displacement = signals.raw[signals.displacement]
@@ -328,9 +324,7 @@ _MISSED = 0.02
 
 def cut_at(
     signals: Signals,
-    clocks: Clocks,
-    motion: Signal,
-    branches: tuple[Branch, ...],
+    motion: Motion,
     *,
     is_full_stroke: bool,
     is_cut_file: bool,
@@ -339,9 +333,8 @@ def cut_at(
 
     Parameters
     ----------
-    signals, clocks : of the test
-    motion : that the branches were split by
-    branches : of the motion
+    signals : of the test
+    motion : with clocks that are joined
     is_full_stroke : whether the motion went as far as the rig was set to
     is_cut_file : whether a reader saw that the end of an export may be missing
 
@@ -349,16 +342,17 @@ def cut_at(
     -------
     By quantity, s on the clock of the curve; nothing where the record goes on to its end.
     """
+    moved, branches = motion.signal, motion.branches
     if not branches:
         return {}
     last, ends = branches[-1], dict[str, float]()
-    if _is_unfinished(motion, branches, is_full_stroke=is_full_stroke, is_cut_file=is_cut_file):
-        end = float(motion.time[~np.isnan(motion.values)][-1])
+    if _is_unfinished(moved, branches, is_full_stroke=is_full_stroke, is_cut_file=is_cut_file):
+        end = float(moved.time[~np.isnan(moved.values)][-1])
         ends = {"force": end, "displacement": end}
     force = signals.raw[signals.force]
     known = force.time[~np.isnan(force.values)]
-    until = clocks.to_curve(float(known[-1]), force.clock)
-    apart = float(motion.time[-1] - motion.time[0]) / max(1, len(motion.time) - 1)
+    until = motion.clocks.to_curve(float(known[-1]), force.clock)
+    apart = float(moved.time[-1] - moved.time[0]) / max(1, len(moved.time) - 1)
     missing = max(_MISSED * (last.stop_time - last.start_time), 2.0 * apart)
     return ends | {"force": until} if until < last.stop_time - missing else ends
 
@@ -368,24 +362,24 @@ def file_is_cut(findings: Findings) -> bool:
     return any(each.code in _CUT_FILES for each in findings.found)
 
 
-def holds(where: str, motion: Signal, branches: tuple[Branch, ...]) -> Iterator[Finding]:
+def holds(where: str, motion: Motion) -> Iterator[Finding]:
     """Say where the motion stands in the middle of the test, and for how long.
 
     Parameters
     ----------
     where : name of the displacement
-    motion : that the branches were split by
-    branches : of the motion; the rests before the first and where it began are no part of it
+    motion : the rests before its first branch and where it began are no part of it
     """
-    unit, least = ("s", _SHORTEST) if motion.has_time else ("rows", _ROWS)
-    seen = _holds(motion, branches) if branches else []
+    moved = motion.signal
+    unit, least = ("s", _SHORTEST) if moved.has_time else ("rows", _ROWS)
+    seen = _holds(moved, motion.branches) if motion.branches else []
     held = [each for each in seen if each[1] - each[0] >= least]
     if not held:
         return
     lasts = sorted({f"{stop - start:.4g}" for start, stop in held}, key=float)
     how_long = lasts[0] if len(lasts) == 1 else f"{lasts[0]} to {lasts[-1]}"
     often = "once" if len(held) == 1 else f"{len(held)} times"
-    place = float(np.interp(sum(held[0]) / 2.0, motion.time, motion.values))
+    place = float(np.interp(sum(held[0]) / 2.0, moved.time, moved.values))
     message = (
         f"the motion stands {often} in the middle of the test, for {how_long} {unit}; first at "
         f"{1e3 * place:.4g} mm, from {held[0][0]:.4g} {unit} on"
@@ -399,8 +393,10 @@ def _holds(motion: Signal, branches: tuple[Branch, ...]) -> list[tuple[float, fl
     size = max(1, int(np.median([each.stop - each.start for each in branches])) // _PARTS)
     speed = float(np.median([_branch_speed(motion, each) for each in branches]))
     stroke, began = np.ptp(motion.values[~np.isnan(motion.values)]), branches[0].start
+    ended = motion.values[~np.isnan(motion.values)][-1]
+    is_back = abs(float(ended - motion.values[began])) <= _BACK * stroke
     for branch in branches:
-        goes_on = branch is branches[-1] and not _is_back(motion, branches[0])
+        goes_on = branch is branches[-1] and not is_back
         part = slice(branch.start, None if goes_on else branch.stop)
         outer = branch in (branches[0], branches[-1])
         known = ~np.isnan(motion.values[part])
@@ -430,13 +426,6 @@ def _merged(found: list[tuple[float, float]]) -> list[tuple[float, float]]:
         else:
             merged.append((start, stop))
     return merged
-
-
-def _is_back(motion: Signal, first: Branch) -> bool:
-    """Whether the motion ends about where it began, so that it rests there."""
-    known = motion.values[~np.isnan(motion.values)]
-    away = abs(float(known[-1] - motion.values[first.start]))
-    return away <= _BACK * float(np.ptp(known))
 
 
 def _is_unfinished(

@@ -122,8 +122,8 @@ def split_motion(
 
 def at_rest(prepared: Prepared, motion: Motion) -> tuple[Prepared, list[Finding]]:
     """Look at what was taken at rest again, now that it is known when the machine rests."""
-    prepared, found = check_mid_span(prepared, motion.clocks, motion.signal, motion.branches)
-    signals, more = use_rest_there_is(prepared.signals, motion.clocks, motion.branches)
+    prepared, found = check_mid_span(prepared, motion)
+    signals, more = use_rest_there_is(prepared.signals, motion)
     return replace(prepared, signals=signals), [*found, *more]
 
 
@@ -136,12 +136,11 @@ def checked(prepared: Prepared, motion: Motion, protocol: Protocol, findings: Fi
     protocol : what is expected of rig and specimen
     findings : so far
     """
-    signals, clocks, branches = prepared.signals, motion.clocks, motion.branches
-    is_blocked = findings.blocked is not None
-    findings += check_rig(signals, prepared.shape, protocol, branches, is_blocked=is_blocked)
-    findings += holds(signals.displacement, motion.signal, branches)
-    findings += check_rest(signals, clocks, branches)
-    reversed_signs = [] if is_blocked else check_signs(signals, clocks, protocol, branches)
+    signals, is_blocked = prepared.signals, findings.blocked is not None
+    findings += check_rig(signals, prepared.shape, protocol, motion.branches, is_blocked=is_blocked)
+    findings += holds(signals.displacement, motion)
+    findings += check_rest(signals, motion)
+    reversed_signs = [] if is_blocked else check_signs(signals, motion, protocol)
     if any(each.code == "force_reversed" for each in reversed_signs):
         findings = findings.without("force_negative")  # its cause is found
     return findings + reversed_signs
@@ -159,9 +158,7 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
     """
     ends = cut_at(
         test.signals,
-        test.clocks,
-        motion.signal,
-        motion.branches,
+        motion,
         is_full_stroke=is_full_stroke(motion.signal, protocol.rig.stroke),
         is_cut_file=file_is_cut(test.findings),
     )
@@ -178,7 +175,7 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
     test, found = correct_curve(replace(test, curve=curve), block)
     findings += found
     has_slack = isinstance(test.slack, Estimate)
-    findings += check_begin(test.signals, test.clocks, motion.branches, has_slack=has_slack)
+    findings += check_begin(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
         findings += check_break(test.signals.force, test.curve, test.failure)
     return replace(test, findings=findings)

@@ -10,6 +10,7 @@ import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.fits.loops import sense_of_loading
+from labpipe.process.motion import Motion
 from labpipe.records.arrays import Floats, median
 from labpipe.records.curve import Branch, Curve, Direction, Interval
 from labpipe.records.estimates import Failure
@@ -120,16 +121,13 @@ def _blocks(values: Floats) -> Floats:
     return means
 
 
-def use_rest_there_is(
-    signals: Signals, clocks: Clocks, branches: tuple[Branch, ...]
-) -> tuple[Signals, list[Finding]]:
+def use_rest_there_is(signals: Signals, motion: Motion) -> tuple[Signals, list[Finding]]:
     """Take zeros again whose stretch reaches into the motion: from its part at rest.
 
     Parameters
     ----------
     signals : zeroed
-    clocks : of the test
-    branches : of the motion, on the clock of the curve
+    motion : with clocks that are joined
 
     Returns
     -------
@@ -141,9 +139,10 @@ def use_rest_there_is(
     fewer than `LEAST` samples says nothing: then the zero stays, to be doubted.
     """
     found: list[Finding] = []
+    branches = motion.branches
     for name, (start, stop) in signals.zeroed.items() if branches else ():
         begins, ends = (
-            clocks.from_curve(at, signals.raw[name].clock)
+            motion.clocks.from_curve(at, signals.raw[name].clock)
             for at in (branches[0].start_time, branches[-1].stop_time)
         )
         if start < begins < stop:
@@ -390,19 +389,13 @@ class _Record:
     path: Floats
 
 
-def check_begin(
-    signals: Signals,
-    clocks: Clocks,
-    branches: tuple[Branch, ...],
-    *,
-    has_slack: bool,
-) -> Iterator[Finding]:
+def check_begin(signals: Signals, motion: Motion, *, has_slack: bool) -> Iterator[Finding]:
     """Doubt what the first rows of a record would have said, where they are missing.
 
     Parameters
     ----------
-    signals, clocks : of the test, with what zeros took off
-    branches : of the motion
+    signals : of the test, with what zeros took off
+    motion : with clocks that are joined
     has_slack : whether the displacement counts from where a line meets zero force
 
     Returns
@@ -415,7 +408,8 @@ def check_begin(
     A record that begins at rest is left alone: its load cell may well have an offset. So is a test
     in cycles that come back to the load that it began with.
     """
-    record = _record(signals, clocks, branches) if branches else None
+    branches = motion.branches
+    record = _record(signals, motion.clocks, branches) if branches else None
     if record is None:
         return
     apart = float(record.time[-1] - record.time[0]) / len(record.time)

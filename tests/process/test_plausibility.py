@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ReadError
+from labpipe.process.motion import Motion
 from labpipe.process.plausibility import check_rest, check_rig
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
@@ -63,7 +64,8 @@ def looked_at(
 
 def rest_looked_at(signals: Signals, stretches: dict[str, tuple[float, float]]) -> list[Finding]:
     zeroed = replace(signals, zeroed=stretches)
-    return list(check_rest(zeroed, Clocks("markers"), branches(SHARP)))
+    motion = Motion(signals.raw["travel"], branches(SHARP), Clocks("markers"))
+    return list(check_rest(zeroed, motion))
 
 
 SHARP = travel((0, 0), (5, 0), (25, 20), (45, 0), (50, 0))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from labpipe.process.calibrated_signals import check_channels
+from labpipe.process.motion import Motion
 from labpipe.process.plausibility import cut_at, file_is_cut
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
@@ -68,11 +69,10 @@ def ended(record: PlainRecord, *codes: str, full: bool = False) -> float:
     motion = Signal(time, displacement, "m", "frame")
     signals = Signals(raw={"displacement": motion, "force": Signal(time, force, "N", "frame")})
     read = Findings(tuple(warning(code, "frame: file", "rows are missing") for code in codes))
+    branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
     ends = cut_at(
         signals,
-        Clocks("frame"),
-        motion,
-        split_branches(time, find_strokes(time, displacement, min_stroke=1e-3)),
+        Motion(motion, branches, Clocks("frame")),
         is_full_stroke=full,
         is_cut_file=file_is_cut(read),
     )
@@ -174,7 +174,7 @@ def test_a_full_force_touches_the_clocks_that_it_joins() -> None:
 
 def test_nothing_moved() -> None:
     still = Signal(np.arange(9.0), np.zeros(9), "m", "frame")
-    ends = cut_at(Signals(), Clocks(), still, (), is_full_stroke=False, is_cut_file=False)
+    ends = cut_at(Signals(), Motion(still, (), Clocks()), is_full_stroke=False, is_cut_file=False)
     assert not ends
 
 

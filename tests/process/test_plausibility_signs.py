@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from labpipe.cli import main
+from labpipe.process.motion import Motion
 from labpipe.process.plausibility import check_signs
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.curve import ClockFit, Interval
@@ -53,7 +54,8 @@ def checked(record: PlainRecord, reverse: str = "", clocks: Clocks = ONE_CLOCK) 
     signals = Signals().with_new("force", Signal(time, force, "N", "frame"))
     signals = signals.with_new("displacement", Signal(time, displacement, "m", "frame"))
     branches = split_branches(time, find_strokes(time, displacement, min_stroke=1e-3))
-    return check_signs(signals, clocks, parse_protocol(PROTOCOL % reverse, "p.yaml"), branches)
+    motion = Motion(signals.raw["displacement"], branches, clocks)
+    return check_signs(signals, motion, parse_protocol(PROTOCOL % reverse, "p.yaml"))
 
 
 def test_compression_that_counts_as_negative() -> None:
@@ -109,7 +111,8 @@ def test_what_has_no_wrong_sign() -> None:
 
 def test_nothing_moved() -> None:
     protocol = parse_protocol(PROTOCOL % "", "p.yaml")
-    assert not check_signs(Signals(), Clocks(), protocol, ())
+    still = Signal(np.arange(9.0), np.zeros(9), "m", "frame")
+    assert not check_signs(Signals(), Motion(still, (), Clocks()), protocol)
 
 
 def test_signs_that_are_meant() -> None:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from labpipe.process.motion import Motion
 from labpipe.process.reading import name_channels
 from labpipe.process.story import reduce_recordings
 from labpipe.process.zeros import end_level, line_zero, mean_level, needed, use_rest_there_is
@@ -30,7 +31,7 @@ BRANCHES = (
 NOWHERE = Interval(float("nan"), float("nan"))
 
 
-ONE = Clocks("frame")
+MOTION = Motion(Signal(TIME, 0.0 * TIME, "m", "frame"), BRANCHES, Clocks("frame"))
 
 
 def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
@@ -45,7 +46,7 @@ def zeroed(stretch: tuple[float, float], clock: str = "frame") -> Signals:
 
 
 def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
-    made, found = use_rest_there_is(zeroed((0.0, 2.0)), ONE, BRANCHES)
+    made, found = use_rest_there_is(zeroed((0.0, 2.0)), MOTION)
     assert made.zeroed["force"] == (0.0, 1.0)
     force = made.raw["force"]
     assert abs(float(force.values[TIME <= 1.0].mean())) < 1e-12
@@ -61,14 +62,15 @@ def test_a_stretch_that_reaches_into_the_motion_is_cut() -> None:
 
 
 def test_at_the_end_too() -> None:
-    made, _ = use_rest_there_is(zeroed((48.0, 50.0)), ONE, BRANCHES)
+    made, _ = use_rest_there_is(zeroed((48.0, 50.0)), MOTION)
     assert made.zeroed["force"] == (49.0, 50.0)
     assert abs(float(made.raw["force"].values[TIME >= 49.0].mean())) < 1e-12
 
 
 def test_on_the_clock_of_the_signal() -> None:
     fit = ClockFit(0.5, 0.0, NOWHERE, NOWHERE, 0.0, TIME, TIME, TIME, "")
-    made, _ = use_rest_there_is(zeroed((0.0, 2.0), "force"), Clocks("frame", fit), BRANCHES)
+    motion = replace(MOTION, clocks=Clocks("frame", fit))
+    made, _ = use_rest_there_is(zeroed((0.0, 2.0), "force"), motion)
     assert made.zeroed["force"] == (0.0, 1.5)
 
 
@@ -79,7 +81,7 @@ def test_what_stays(stretch: tuple[float, float]) -> None:
     """At rest all of it, or with less than eight samples at rest: then the zero is doubted."""
     before = zeroed(stretch)
     for branches in (BRANCHES, ()):
-        made, found = use_rest_there_is(before, ONE, branches)
+        made, found = use_rest_there_is(before, replace(MOTION, branches=branches))
         assert made is before
         assert not found
 
