@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo golden test test-slow check bench schema clean
+.PHONY: demo golden test test-slow check bench reference clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -33,8 +33,8 @@ check: .venv/.ready  ## style, types, layers
 bench: .venv/.ready  ## speed and memory as ratios, in one run
 	$(BIN)/python -m benchmarks
 
-schema: .venv/.ready  ## write the JSON Schema of protocols afresh
-	$(BIN)/python -m labpipe.protocol.json_schema docs/reference
+reference: .venv/.ready  ## write JSON Schemas and derived tables of the reference pages afresh
+	$(BIN)/python -m labpipe.protocol.reference docs/reference
 
 clean:
 	rm -rf .venv .mypy_cache .ruff_cache .pytest_cache build *.egg-info

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from labpipe.records.curve import Interval
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status, TestResult
+from labpipe.results import KINDS
 from labpipe.units import si_factor
 
 if TYPE_CHECKING:
@@ -105,33 +106,14 @@ def why_missing(result: TestResult, what: str) -> str:
     return " ".join([f"There is no {what} to draw.", *list(errors)[:1]])
 
 
-_WORDS = {
+_WORDS: Mapping[str, str] = {
+    **{each.name: each.label for kind in KINDS for each in kind.outputs if each.label},
     "bending_stiffness": "Bending stiffness",
-    "break_point": "Break point of the two segments",
-    "clock_drift": "Drift of the clocks",
-    "clock_offset": "Offset of the clocks",
-    "compliance": "Compliance of frame and grips",
-    "energy": "Energy dissipated",
-    "energy_to_break": "Energy to break",
-    "failure_displacement": "Displacement at failure",
-    "failure_force": "Force at failure",
-    "initial_stiffness": "Initial stiffness",
-    "kink_displacement": "Displacement at the kink",
-    "peak_displacement": "Displacement at the peak",
-    "peak_force": "Peak force",
-    "plateau_displacement": "Displacement at the plateau",
-    "residual_displacement": "Residual displacement",
-    "segment_stiffness_first": "Stiffness, first fitted segment",
-    "segment_stiffness_second": "Stiffness, second fitted segment",
-    "slack": "Slack",
-    "slip_drop": "Force lost in slip",
-    "slip_position": "Position of slip",
     "stiffness": "Stiffness",
     "stiffness_first": "Stiffness, first region",
     "stiffness_second": "Stiffness, second region",
-    "tip_travel": "Travel of the tip",
-    "unloading_stiffness": "Unloading stiffness",
 }
+"""Names of results in words: as the kinds of results have them, and names that protocols choose."""
 _QUANTITIES = {
     "m": "displacement",
     "N": "force",

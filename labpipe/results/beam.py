@@ -82,7 +82,7 @@ class Kink(Window):
     result: ClassVar = "kink"
     outputs: ClassVar = (
         Output("kink_displacement", "m", "Displacement at the kink"),
-        Output("kink_force", "N", "Force at the kink"),
+        Output("kink_force", "N", "Kink force"),
     )
 
     def compute(self, test: Evidence) -> Computed:
@@ -122,13 +122,13 @@ class Kink(Window):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Plateau(Kind):
-    """``end_slope`` (1); where it is small also ``plateau_displacement`` (m), ``plateau_force``."""
+    """``end_slope`` (1), ``plateau_displacement`` (m), ``plateau_force``: where it levels off."""
 
     result: ClassVar = "plateau"
     outputs: ClassVar = (
-        Output("end_slope", "1", "Slope at the end"),
+        Output("end_slope", "1", "End slope"),
         Output("plateau_displacement", "m", "Displacement at the plateau"),
-        Output("plateau_force", "N", "Force at the plateau"),
+        Output("plateau_force", "N", "Plateau force"),
     )
     slope_below: Annotated[Share, "Share of the initial slope, such as 10 %"]
     of: Annotated[StiffnessName, "Name of the stiffness above that is the initial slope"] = (

@@ -295,7 +295,7 @@ _NOISE = 100_000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeakForce(PerCycle):
-    """``peak_force.<cycle>`` (N)."""
+    """``peak_force.<cycle>`` (N): the largest force of a cycle."""
 
     result: ClassVar = "peak-force"
     outputs: ClassVar = (
@@ -366,7 +366,7 @@ def _force_noise(test: Evidence, loading: Branch) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PeakDisplacement(PerCycle):
-    """``peak_displacement.<cycle>`` (m)."""
+    """``peak_displacement.<cycle>`` (m): the largest displacement of a cycle."""
 
     result: ClassVar = "peak-displacement"
     outputs: ClassVar = (

@@ -29,7 +29,7 @@ from labpipe.results.kinds import (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FailureResult(Kind):
-    """``failure_displacement`` (m) and ``failure_force`` (N)."""
+    """``failure_displacement`` (m) and ``failure_force`` (N): where the specimen fails."""
 
     result: ClassVar = "failure"
     outputs: ClassVar = (
@@ -143,7 +143,7 @@ def _repaired_work(test: Evidence, displacement: Floats, last: int) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SlipResults(Kind):
-    """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N); no result where nothing slipped."""
+    """``slip_position.<n>`` (m) and ``slip_drop.<n>`` (N): of each slip; there may be none."""
 
     result: ClassVar = "slips"
     outputs: ClassVar = (

@@ -230,7 +230,7 @@ def marked_slips(test: Evidence, stretch: tuple[float, float] | None) -> tuple[R
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClockResult(Kind):
-    """``clock_offset`` (s) and ``clock_drift`` (1) of the two clocks."""
+    """``clock_offset`` (s) and ``clock_drift`` (1): force's clock against that of the markers."""
 
     result: ClassVar = "clock"
     outputs: ClassVar = (

@@ -173,12 +173,12 @@ def _at_hand(test: Evidence) -> _Parts | Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MidSpan(Window):
-    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m) of a bent span."""
+    """``mid_span_bending_stiffness`` (N m^2) and ``mid_span_curvature`` (1/m): of a bent span."""
 
     result: ClassVar = "mid-span"
     outputs: ClassVar = (
-        Output("mid_span_bending_stiffness", "N*m^2", "Bending stiffness at mid-span"),
-        Output("mid_span_curvature", "1/m", "Curvature at mid-span", ("displacement", "clock")),
+        Output("mid_span_bending_stiffness", "N*m^2", "Mid span bending stiffness"),
+        Output("mid_span_curvature", "1/m", "Mid span curvature", ("displacement", "clock")),
     )
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     corrections: Annotated[

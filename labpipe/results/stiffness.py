@@ -173,7 +173,7 @@ class LoadingStiffness(PerCycle):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Hardening(Kind):
-    """``hardening.<cycle>`` (1) of later cycles: ``loading_stiffness`` over that of the first."""
+    """``hardening.<cycle>`` (1): ``loading_stiffness`` of a later cycle over that of the first."""
 
     result: ClassVar = "hardening"
     outputs: ClassVar = (Output("hardening", "1", "Hardening", CURVE, first=2),)
@@ -328,7 +328,7 @@ class InitialStiffness(Window):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LineStiffness(Window):
-    """A straight line (N/m) over a window of the first loading, under a name of its own."""
+    """``<name>`` (N/m): straight line over a window of the first loading."""
 
     result: ClassVar = "stiffness"
     outputs: ClassVar = (Output("{name}", "N/m"),)
@@ -369,7 +369,7 @@ class LineStiffness(Window):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TwoSegments(Window):
-    """``segment_stiffness_first``, ``segment_stiffness_second`` (N/m) and ``break_point`` (m)."""
+    """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
 
     result: ClassVar = "two-segments"
     outputs: ClassVar = (
@@ -508,7 +508,7 @@ def _area(kind: str, section: Mapping[str, float]) -> float | Failure:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComplianceResult(Kind):
-    """``compliance`` (m/N) of frame and grips, from a test of a stiff bar."""
+    """``compliance`` (m/N): of frame and grips, from a test of a stiff bar."""
 
     result: ClassVar = "compliance"
     outputs: ClassVar = (Output("compliance", "m/N", "Compliance of frame and grips"),)

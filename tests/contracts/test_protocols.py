@@ -10,7 +10,6 @@ import jsonschema
 import pytest
 import yaml
 
-from labpipe.protocol.json_schema import json_schema
 from labpipe.protocol.load import (
     dump_protocol,
     load_protocol,
@@ -19,6 +18,7 @@ from labpipe.protocol.load import (
     resolve,
 )
 from labpipe.protocol.outline import result_names
+from labpipe.protocol.reference import json_schema
 from labpipe.protocol.schema import Protocol
 from labpipe.readers.channels import find_channel
 

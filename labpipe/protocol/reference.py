@@ -1,0 +1,202 @@
+"""What of the reference pages derives from the code: JSON Schemas, and tables between markers.
+
+``python -m labpipe.protocol.reference FOLDER`` writes them (``make reference``). With the schema
+named in its first line, an editor completes keys and marks faults while one types. A table of a
+page stands between ``<!-- table: NAME -->`` and ``<!-- end of table -->``; the prose around it is
+written by hand.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from labpipe.protocol.grammar import Block
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet_grammar import TestSheet
+from labpipe.records.declarations import Needs, existing_in
+from labpipe.records.quality import Severity
+from labpipe.results import KINDS
+from labpipe.results.kinds import Kind
+
+SCHEMAS: dict[str, type[Block]] = {
+    "protocol.schema.json": Protocol,
+    "test-sheet.schema.json": TestSheet,
+}
+PAGES = ("quality-notes.md", "results.md")
+"""Pages that hold tables which derive from the code."""
+
+
+def json_schema(model: type[Block]) -> str:
+    """Write the JSON Schema of a block as text.
+
+    Parameters
+    ----------
+    model : `Protocol` or `TestSheet`
+    """
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
+    return json.dumps(schema | model.model_json_schema(by_alias=True), indent=2) + "\n"
+
+
+@dataclass(frozen=True, slots=True)
+class KindOfNote:
+    """What quality notes of one code mean.
+
+    Parameters
+    ----------
+    origin : who makes them: ``readers``, ``processing``, ``groups``, ``wires`` ...
+    code : of the notes
+    severities : that they can have; several where that depends on the recording
+    meaning : in one phrase
+    doubts : what they make doubtful; empty for nothing
+    """
+
+    origin: str
+    code: str
+    severities: tuple[Severity, ...]
+    meaning: str
+    doubts: str = ""
+
+
+def kinds_of_notes() -> tuple[KindOfNote, ...]:
+    """Read every kind of quality note from ``labpipe/records/quality_notes.toml``.
+
+    Returns
+    -------
+    In the order of the file; a code that two origins use comes once for each.
+    """
+    text = (files("labpipe.records") / "quality_notes.toml").read_text(encoding="utf-8")
+    return tuple(
+        KindOfNote(origin, code, _severities(said), said["meaning"], said.get("doubts", ""))
+        for origin, notes in tomllib.loads(text).items()
+        for code, said in notes.items()
+    )
+
+
+def _severities(said: dict[str, str | list[str]]) -> tuple[Severity, ...]:
+    one_or_more = said["severity"]
+    words = [one_or_more] if isinstance(one_or_more, str) else one_or_more
+    return tuple(map(Severity, words))
+
+
+def tables() -> dict[str, str]:
+    """Write every derived table in Markdown, by name: one for each origin of notes, `results`."""
+    notes = kinds_of_notes()
+    origins = dict.fromkeys(each.origin for each in notes)
+    written = {
+        origin: table_of_notes([each for each in notes if each.origin == origin])
+        for origin in origins
+    }
+    return written | {"results": table_of_results(KINDS)}
+
+
+def table_of_notes(notes: Sequence[KindOfNote]) -> str:
+    """Write the table of quality notes of one origin.
+
+    Parameters
+    ----------
+    notes : what they make doubtful has a column of its own where there is any
+    """
+    columns = 4 if any(each.doubts for each in notes) else 3
+    rows = [
+        (f"`{each.code}`", ", ".join(each.severities), each.meaning, each.doubts) for each in notes
+    ]
+    return _table([row[:columns] for row in [("code", "severity", "meaning", "doubtful"), *rows]])
+
+
+def table_of_results(kinds: Iterable[type[Kind]]) -> str:
+    """Write the table of the kinds of results: word in YAML, numbers, meaning, needs.
+
+    Parameters
+    ----------
+    kinds : the first line of each docstring gives the meaning, behind names and a colon
+    """
+    rows = [
+        (f"`{kind.result}`", ", ".join(_numbers(kind)), _meaning(kind), ", ".join(_needs(kind)))
+        for kind in kinds
+    ]
+    return _table([("asked for by", "numbers", "meaning", "read from"), *rows])
+
+
+def _numbers(kind: type[Kind]) -> Iterable[str]:
+    """Link each number to its section, with its unit."""
+    for output in kind.outputs:
+        stem, _, first = output.name_in(kind, {"of": "<stiffness>"}).partition(".")
+        each = "n" if stem.startswith("slip_") else "cycle"
+        name = f"{stem}.<{each}>" if first else stem
+        anchor = re.sub(r"\W", "", name)
+        yield f"[`{name}`](#{anchor}) ({output.unit.replace('*', ' ')})"
+
+
+def _meaning(kind: type[Kind]) -> str:
+    first = str(kind.__doc__).partition("\n")[0].removesuffix(".")
+    return first.partition(": ")[2].replace("``", "`")
+
+
+def _needs(kind: Any) -> Iterable[str]:
+    """Say in words what of a test a kind of result is read from."""
+    needs: Needs = kind.needs
+    words = {
+        "the curve": needs.branches,
+        f"`curve.{needs.correction}`": needs.correction,
+        "two clocks": needs.clocks,
+        f"the step `{needs.shape}`": needs.shape,
+        "a clamped end": needs.clamp,
+        "the stiffness `of`": existing_in(kind, "stiffness"),
+    }
+    return [word for word, is_needed in words.items() if is_needed]
+
+
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    head, *body = ["".join(f"| {cell} " if cell else "| " for cell in row) + "|" for row in rows]
+    return "\n".join([head, "|---" * len(rows[0]) + "|", *body])
+
+
+def with_tables(page: str) -> str:
+    """Write the derived tables of a page afresh.
+
+    Parameters
+    ----------
+    page : Markdown with markers
+
+    Returns
+    -------
+    The page with all else as it is.
+
+    Raises
+    ------
+    KeyError
+        A marker names no table that derives from the code.
+    """
+    known = tables()
+    return re.sub(
+        r"(?<=<!-- table: )(\w+) -->\n.*?(?=<!-- end of table -->)",
+        lambda found: f"{found[1]} -->\n{known[found[1]]}\n",
+        page,
+        flags=re.DOTALL,
+    )
+
+
+def write_reference(folder: Path) -> None:
+    """Write the JSON Schemas into a folder, and afresh the tables of its pages.
+
+    Parameters
+    ----------
+    folder : made if it is not there; pages that it does not hold are not made
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, model in SCHEMAS.items():
+        (folder / name).write_text(json_schema(model), encoding="utf-8")
+    for path in filter(Path.is_file, map(folder.joinpath, PAGES)):
+        path.write_text(with_tables(path.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_reference(Path(sys.argv[1] if len(sys.argv) > 1 else "docs/reference"))
