@@ -16,7 +16,6 @@ from importlib import import_module
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.errors import LabpipeError, refusal
 
 DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
@@ -64,6 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(options: argparse.Namespace, *, once_imported: Callable[[], None] = lambda: None) -> int:
+    from labpipe.errors import LabpipeError, refusal  # help need not wait for it
+
     # The matrices of a test are small: more than one thread of BLAS only waits for the others.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if isinstance(sys.stdout, io.TextIOWrapper):
