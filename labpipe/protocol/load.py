@@ -229,26 +229,25 @@ def resolve(
     merged = with_overrides(plain, said)
     followed = follow_links or are_followed(plain)
     links = link_faults(sheet, sheet_path.parent, followed=followed)
-    placed_faults = [*merged.faults, *map(said.place, (*_role_faults(sheet, merged), *links))]
+    placed = [*merged.faults, *map(said.place, (*_role_faults(sheet, merged), *links))]
     try:
         protocol = Protocol.model_validate(merged.data)
     except ValidationError as error:
-        faults = faults_of(error, data=merged.data, keys=())
         remark = f"(With what {sheet_path} changes.)" if _is_sound(plain) else ""
-        placed = [merged.place(fault) for fault in faults]
-        again = [merged.place(fault, remark) for fault in faults]
-        both = zip(placed, again, strict=True)
-        placed_faults += [bare if bare.file == str(sheet_path) else full for bare, full in both]
-        raise _complaint(placed_faults) from None
+        for fault in faults_of(error, data=merged.data, keys=()):
+            bare = merged.place(fault)
+            is_of_sheet = bare.file == str(sheet_path)
+            placed.append(bare if is_of_sheet else merged.place(fault, remark))
+        raise _complaint(placed) from None
     numbers = merged.numbers.get(("steps",), range(len(protocol.steps)))
     steps = zip(protocol.steps, numbers, strict=True)
     protocol = protocol.model_copy(
         update={"steps": tuple(step.numbered(number) for step, number in steps)}
     )
     kept = without_absent(protocol, sheet.files)
-    placed_faults += [said.place(fault) for fault in absent_faults(kept, protocol)]
-    if placed_faults:
-        raise _complaint(placed_faults)
+    placed += [said.place(fault) for fault in absent_faults(kept, protocol)]
+    if placed:
+        raise _complaint(placed)
     return kept
 
 
@@ -280,19 +279,19 @@ def checked(model: type[_B], document: Document) -> _B:
     ProtocolError
         If anything is wrong with it; the message has one line per fault.
     """
-    placed_faults = list(document.faults)
+    placed = list(document.faults)
     try:
         block = model.model_validate(document.data)
     except ValidationError as error:
         faults = faults_of(error, data=document.data, keys=())
-        raise _complaint([*placed_faults, *map(document.place, faults)]) from None
-    if placed_faults:
-        raise _complaint(placed_faults)
+        raise _complaint([*placed, *map(document.place, faults)]) from None
+    if placed:
+        raise _complaint(placed)
     return block
 
 
-def _complaint(placed_faults: list[PlacedFault]) -> ProtocolError:
-    lines = sorted({(each.file, each.mark, each.text) for each in placed_faults})
+def _complaint(placed: list[PlacedFault]) -> ProtocolError:
+    lines = sorted({(each.file, each.mark, each.text) for each in placed})
     return ProtocolError("\n".join(text for _, _, text in lines))
 
 
