@@ -10,7 +10,7 @@ import numpy as np
 
 from labpipe.readers import recognise_export
 from labpipe.readers.time_axes import SAMPLED_ON_EVENT, VARIABLE, find_holes
-from labpipe.readers.tracking import Run, blank, longest, runs, unchanged
+from labpipe.readers.tracking import blank, longest, runs, unchanged
 from labpipe.records.arrays import Floats, median
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
 from labpipe.units import si_factor
@@ -183,12 +183,8 @@ def _gaps(track: Floats) -> dict[str, object]:
     return {
         "count": len(stretches),
         "longest": longest(stretches),
-        "ranges": [_range(run) for run in stretches[:_MOST_RANGES]],
+        "ranges": [[run.first, run.last] for run in stretches[:_MOST_RANGES]],
     }
-
-
-def _range(run: Run) -> list[int]:
-    return [run.first, run.last]
 
 
 def _frozen(track: Floats) -> dict[str, int]:

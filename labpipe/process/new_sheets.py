@@ -144,10 +144,6 @@ def new_from_sheet(
     faults += _repeated(tests, sheet)
     if faults:
         raise ReadError("\n".join(faults))
-    return _write_all(tests, folder, overwrite=overwrite)
-
-
-def _write_all(tests: Sequence[NewTest], folder: Path, *, overwrite: bool) -> NewTests:
     written, kept = [], []
     for test in tests:
         path = folder / test.values["test"] / SHEET_NAME

@@ -248,7 +248,23 @@ class BendingStiffness(OfStiffness):
     @staticmethod
     def between(entry: Mapping[str, object]) -> Iterator[Fault]:
         """Refuse a correction without what it is made of."""
-        yield from _correction_faults(entry)
+        said = entry.get("corrections")
+        names = said if isinstance(said, list | tuple) else []
+        if names and entry.get("support") == "cantilever":
+            expected = "corrections for 'three-point' alone"
+            yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
+            return
+        roller = entry.get("roller")
+        for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
+            if name not in names:
+                continue
+            if "large-deflection" not in names:
+                remedy = "Add 'large-deflection' to the corrections."
+                expected = f"'large-deflection' beside {name!r}"
+                yield Fault(("corrections",), expected, "none", remedy)
+            if not isinstance(roller, Mapping) or roller.get(key) is None:
+                remedy = f"Add 'roller: {{{key}: ...}}'."
+                yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
     def compute(self, test: Evidence) -> Computed:
         """Beam formula, corrected for large deflection and rollers where asked."""
@@ -311,26 +327,6 @@ class BendingStiffness(OfStiffness):
         if "roller-friction" in taken and self.roller is not None:
             friction = self.roller.friction or 0.0
         return Rollers(span, radius, friction)
-
-
-def _correction_faults(entry: Mapping[str, object]) -> Iterator[Fault]:
-    said = entry.get("corrections")
-    names = said if isinstance(said, list | tuple) else []
-    if names and entry.get("support") == "cantilever":
-        expected = "corrections for 'three-point' alone"
-        yield Fault(("corrections",), expected, "'cantilever'", "Remove them.")
-        return
-    roller = entry.get("roller")
-    for name, key in (("roller-radius", "diameter"), ("roller-friction", "friction")):
-        if name not in names:
-            continue
-        if "large-deflection" not in names:
-            remedy = "Add 'large-deflection' to the corrections."
-            expected = f"'large-deflection' beside {name!r}"
-            yield Fault(("corrections",), expected, "none", remedy)
-        if not isinstance(roller, Mapping) or roller.get(key) is None:
-            remedy = f"Add 'roller: {{{key}: ...}}'."
-            yield Fault(("corrections",), f"'roller.{key}' for {name!r}", "none", remedy)
 
 
 KINDS = (Kink, Plateau, BendingStiffness)

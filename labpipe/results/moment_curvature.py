@@ -27,7 +27,7 @@ from labpipe.records.arrays import Flags, Floats, Ints
 from labpipe.records.curve import AT_REST, Aligned, Bending, Branch, Curve, Direction, Shape
 from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, QualityNote, Severity, worth_knowing
-from labpipe.results.evidence import Evidence, LoadString
+from labpipe.results.evidence import Evidence
 from labpipe.statistics.mean_curves import block_means
 from labpipe.units import GRAVITY
 
@@ -184,10 +184,13 @@ def at_rest(
     force = block_means(curve.force[part], _BLOCKS)
     reached = deflection[force >= weight]
     reach = float(reached[0]) if len(reached) else float(np.nanmax(deflection))
-    travel = _travel(aligned, curve)
-    ahead = float("nan") if travel is None else _ahead(travel, curve, part)
-    later = curve.force[first.stop :]
-    slackened = np.zeros(0) if travel is None else _while_slack(travel, curve, first)
+    ahead, slackened = float("nan"), np.zeros(0)
+    travel = None if aligned is None else aligned.series.get("travel")
+    if travel is not None and len(travel.values) == len(curve.displacement):
+        behind = curve.displacement[part]
+        is_early = (behind > EARLY[0]) & (behind < EARLY[1])  # the string has begun to pull
+        ahead = _median((travel.values[part] - behind)[is_early])
+        slackened = _while_slack(travel.values, curve, first)
     rest = curve.force[: first.start]
     rest = rest[np.isfinite(rest)]
     scatter = float(rest.std()) if len(rest) else 0.0
@@ -196,7 +199,7 @@ def at_rest(
         sag=_sag(shape, first),
         reach=reach,
         weight=weight,
-        lowest=_lowest(later),
+        lowest=_lowest(curve.force[first.stop :]),
         slackened=_median(slackened),
         error=scatter / float(np.sqrt(min(len(rest), _FEW) or 1)),
     )
@@ -216,20 +219,6 @@ def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
             "is taken as straight, and its string as carrying all of the counterweight"
         )
         yield QualityNote("wire_not_straight", Severity.WARNING, test, message)
-
-
-def _travel(aligned: Aligned | None, curve: Curve) -> Floats | None:
-    travel = None if aligned is None else aligned.series.get("travel")
-    if travel is None or len(travel.values) != len(curve.displacement):
-        return None
-    return travel.values
-
-
-def _ahead(travel: Floats, curve: Curve, part: slice) -> float:
-    """How far the clamp is ahead of the tip where the string has begun to pull, m."""
-    deflection = curve.displacement[part]
-    is_early = (deflection > EARLY[0]) & (deflection < EARLY[1])
-    return _median((travel[part] - deflection)[is_early])
 
 
 def _while_slack(travel: Floats, curve: Curve, first: Branch) -> Floats:
@@ -379,7 +368,7 @@ def measured(test: Evidence) -> tuple[Bending | Failure, list[Finding]]:
         return Failure("no_moment_curvature", "expected a block markers:"), []
     start, stop = test.signals.zeroed["deflection"]
     rest = np.asarray((shape.time >= start) & (shape.time <= stop), dtype=np.bool_)
-    pull, other, found = _pull(test, shape, rest)
+    pull, other, found = _pull(test, curve, shape, first, rest)
     force = np.interp(shape.time, curve.time, curve.force, left=np.nan, right=np.nan)
     branch, cycle = _numbers(curve, shape.time)
     frames = BendingTest(
@@ -422,7 +411,9 @@ def _scatter(values: Floats) -> float:
     return float(known.std()) if len(known) else 0.0
 
 
-def _pull(test: Evidence, shape: Shape, rest: Flags) -> tuple[TipPull, float | None, list[Finding]]:
+def _pull(
+    test: Evidence, curve: Curve, shape: Shape, first: Branch, rest: Flags
+) -> tuple[TipPull, float | None, list[Finding]]:
     """What pulls at the tip, and another tension at rest that is as likely."""
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
     tip = float(curves_at(still, shape.length, np.array([shape.length])).x[0, 0])
@@ -431,34 +422,17 @@ def _pull(test: Evidence, shape: Shape, rest: Flags) -> tuple[TipPull, float | N
             "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "
             "hanging at the tip"
         )
-        return (
-            TipPull(None, 0.0, 0.0, tip),
-            None,
-            [worth_knowing("force_taken_normal", "rig.string", message)],
-        )
+        note = worth_knowing("force_taken_normal", "rig.string", message)
+        return TipPull(None, 0.0, 0.0, tip), None, [note]
     if string.counterweight == 0.0:
         return TipPull(string.length, 0.0, 0.0, tip), None, []
-    before = held_before(test, string)
-    pull = TipPull(string.length, before.weight, before.tension, tip)
-    return pull, before.other, [Finding(before.note)]
-
-
-def held_before(test: Evidence, string: LoadString) -> Held:
-    """What the string held before the first loading: as stated, or as the test shows.
-
-    Parameters
-    ----------
-    test : with a curve
-    string : with a counterweight
-    """
     weight = GRAVITY * string.counterweight
     if string.at_rest != "by-data":
-        return stated(string.at_rest, weight)
-    curve, first = test.curve, test.first_loading
-    if curve is None or first is None:
-        message = "expected a curve with a loading branch"
-        raise ValueError(message)
-    return held(at_rest(test.aligned, test.shape, curve, first, weight))
+        before = stated(string.at_rest, weight)
+    else:
+        before = held(at_rest(test.aligned, test.shape, curve, first, weight))
+    pull = TipPull(string.length, before.weight, before.tension, tip)
+    return pull, before.other, [Finding(before.note)]
 
 
 def _measured_law(bending: Bending) -> Finding:
