@@ -18,6 +18,7 @@ from labpipe.report.wording import (
     write_mean,
     write_number,
 )
+from labpipe.results import KINDS
 
 
 @pytest.mark.parametrize(
@@ -84,6 +85,15 @@ def test_words() -> None:
     assert is_main("stiffness")
     assert not is_main("slip_drop.1")
     assert not is_main("clock_drift")
+
+
+def test_results_are_worded_as_their_kinds_say() -> None:
+    outputs = [each for kind in KINDS for each in kind.outputs if "{" not in each.name]
+
+    assert len(outputs) > 25
+    for each in outputs:
+        assert each.label, each.name
+        assert in_words(each.name) == each.label
 
 
 @pytest.mark.parametrize(
