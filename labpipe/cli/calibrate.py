@@ -9,11 +9,12 @@ import sys
 from collections.abc import Sequence
 
 from labpipe.cli.terminal import from_here, reading
-from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
     CalibrationFailure,
+    CurveMatch,
+    ExternalCurveComparison,
     Identified,
 )
 from labpipe.report.calibration_shown import ValidationGroup

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison, Prediction
 from labpipe.records.group import Band
+from labpipe.records.wire_calibration import CurveMatch, ExternalCurveComparison, Prediction
 from labpipe.report.calibration_shown import (
     BAND,
     DEFLECTION,

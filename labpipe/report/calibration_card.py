@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import CurveAgreement, Prediction
 from labpipe.records.wire_calibration import (
     CalibratedParameter,
     Calibration,
+    CurveAgreement,
     Identified,
+    Prediction,
     Profile,
     SourceCalibration,
 )

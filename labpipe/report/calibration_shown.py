@@ -9,7 +9,6 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from labpipe.records.arrays import Floats, frozen
-from labpipe.records.curve_comparison import CurveErrors, ExternalCurveComparison, Prediction
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason, Severity
 from labpipe.records.wire_calibration import (
@@ -19,6 +18,9 @@ from labpipe.records.wire_calibration import (
     RADIAL_FRICTION,
     CalibratedParameter,
     Calibration,
+    CurveErrors,
+    ExternalCurveComparison,
+    Prediction,
     Separability,
     SourceCalibration,
 )

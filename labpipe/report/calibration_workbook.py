@@ -8,12 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.records.curve_comparison import CurveMatch, ExternalCurveComparison
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import (
     PARAMETERS,
     CalibratedParameter,
     Calibration,
+    CurveMatch,
+    ExternalCurveComparison,
     Separability,
     SourceCalibration,
 )

@@ -17,12 +17,6 @@ from labpipe.process.targets import find_results, refuse_repeated, shared_folder
 from labpipe.protocol.load import load_calibration_plan
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import (
-    CurveAgreement,
-    CurveErrors,
-    CurveMatch,
-    ExternalCurveComparison,
-)
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
     COPPER_SCALE,
@@ -32,6 +26,10 @@ from labpipe.records.wire_calibration import (
     CalibratedParameter,
     Calibration,
     CalibrationFailure,
+    CurveAgreement,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurveComparison,
     ParameterChoice,
     Separability,
     SourceCalibration,

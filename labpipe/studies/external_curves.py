@@ -11,15 +11,15 @@ import numpy as np
 from labpipe.errors import ReadError, UsageError, complaint, nearest
 from labpipe.protocol.plans import COPY_IT, CalibrationPlan, Comparison
 from labpipe.readers.curve_files import CurveColumn, read_curve
-from labpipe.records.curve_comparison import (
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireSpec
+from labpipe.records.wire_calibration import (
+    Calibration,
     CurveMatch,
     ExternalCurve,
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import Calibration
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.wire.calibration.calibrate_wire import Wire

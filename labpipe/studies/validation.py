@@ -12,11 +12,10 @@ from labpipe.errors import ProcessingError, UsageError, complaint, nearest
 from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag, Shape
-from labpipe.records.curve_comparison import CurveErrors, Prediction
 from labpipe.records.group import Band, SampleCurve
 from labpipe.records.quality import Reason
 from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import Calibration
+from labpipe.records.wire_calibration import Calibration, CurveErrors, Prediction
 from labpipe.report.calibration_shown import BentShape, ValidationGroup
 from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
 from labpipe.store.read import read_result

@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from labpipe.records.curve_comparison import (
+from labpipe.records.group import Band
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire_calibration import (
     CurveMatch,
     ExternalCurve,
     ExternalCurveComparison,
     Prediction,
 )
-from labpipe.records.group import Band
-from labpipe.records.quality import QualityNote, Severity
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.wire.calibration.measured_curves import match
 

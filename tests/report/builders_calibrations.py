@@ -7,9 +7,13 @@ from functools import cache
 
 import numpy as np
 
-from labpipe.records.curve_comparison import Prediction
 from labpipe.records.group import SampleCurve
-from labpipe.records.wire_calibration import Calibration, ParameterChoice, SourceCalibration
+from labpipe.records.wire_calibration import (
+    Calibration,
+    ParameterChoice,
+    Prediction,
+    SourceCalibration,
+)
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.statistics.mean_curves import common_curves, mean_band
 from labpipe.wire.calibration.calibrate_wire import MeasuredCurve, Settings, calibrate

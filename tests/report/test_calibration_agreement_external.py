@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from labpipe.records.curve_comparison import ExternalCurveComparison
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire_calibration import ExternalCurveComparison
 from labpipe.report.calibration_agreement import (
     ExternalPanel,
     external_figure,

@@ -12,9 +12,8 @@ import pytest
 
 from labpipe.errors import UsageError
 from labpipe.protocol.load import load_calibration_plan
-from labpipe.records.curve_comparison import ExternalCurve, ExternalCurveComparison
 from labpipe.records.wire import WireSpec
-from labpipe.records.wire_calibration import Calibration
+from labpipe.records.wire_calibration import Calibration, ExternalCurve, ExternalCurveComparison
 from labpipe.studies.calibration_study import comparison_json
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading

@@ -16,7 +16,6 @@ import numpy as np
 
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Interval
-from labpipe.records.curve_comparison import CurveAgreement
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -24,6 +23,7 @@ from labpipe.records.wire_calibration import (
     CalibratedParameter,
     Calibration,
     CalibrationFailure,
+    CurveAgreement,
     Identified,
     NoiseLevels,
     PriorConflict,

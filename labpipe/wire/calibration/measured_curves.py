@@ -8,8 +8,13 @@ import numpy as np
 from scipy.special import ndtr
 
 from labpipe.records.arrays import Flags, Floats, frozen
-from labpipe.records.curve_comparison import CurveAgreement, CurveErrors, CurveMatch, ExternalCurve
-from labpipe.records.wire_calibration import CalibrationFailure
+from labpipe.records.wire_calibration import (
+    CalibrationFailure,
+    CurveAgreement,
+    CurveErrors,
+    CurveMatch,
+    ExternalCurve,
+)
 from labpipe.wire.cantilever import StringRig
 
 DEEPEST = 0.65

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import Prediction
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.wire_calibration import PARAMETERS, Calibration
+from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction
 from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from labpipe.wire.calibration.wire_parts import loading_curve, take_apart

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve_comparison import ExternalCurve
+from labpipe.records.wire_calibration import ExternalCurve
 from labpipe.wire.calibration.measured_curves import match
 
 OTHER = np.linspace(0.001, 0.05, 50)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.curve_comparison import CurveAgreement, Prediction
+from labpipe.records.wire_calibration import CurveAgreement, Prediction
 
 TWO = np.zeros(2)
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.records.curve_comparison import CurveMatch, ExternalCurve
+from labpipe.records.wire_calibration import CurveMatch, ExternalCurve
 
 
 def test_arrays_are_read_only_and_of_one_length() -> None:
