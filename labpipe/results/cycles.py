@@ -288,7 +288,7 @@ class ResidualDisplacement(PerCycle):
 
 
 _FEW = 16
-"""Samples below which nobody can tell how far the noise remembers."""
+"""Samples below which it is unknown how far the noise remembers."""
 _NOISE = 100_000
 """Samples before a turn that say what the noise of the force is like."""
 

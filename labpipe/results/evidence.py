@@ -116,11 +116,11 @@ class Evidence:
     curve : corrected; None where there is none
     unfiltered : the force that makes the curve, outliers bridged, before any filter
     shape : of the specimen; None where no step fits one
-    span : the bent axis between two supports, or why there is none; None where nobody asked
-    bending : measured moment-curvature, or why there is none; None where nobody asked
-    failure : where the specimen broke; None where it did not, or nobody asked
+    span : the bent axis between two supports, or why there is none; None where not asked for
+    bending : measured moment-curvature, or why there is none; None where not asked for
+    failure : where the specimen broke; None where it did not, or is not asked for
     slips : the slip ledger
-    slack : displacement before the specimen was taut, m; None where nobody asked
+    slack : displacement before the specimen was taut, m; None where not asked for
     cut_at : by quantity, s on the clock of the curve, where its record ends in mid-branch
     stiffnesses : by name, of the results so far
     findings : so far

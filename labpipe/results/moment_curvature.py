@@ -40,7 +40,7 @@ HANGS, LEANS = 0.5, 0.1
 first hung, one that stands lower than the second is reported, for wires are not quite straight."""
 STRAIGHT, LEAST_REACH = 0.25, 0.5e-3
 """Share of that deflection within which a wire is straight, for wires are curled; and m that it is
-at least, to be told from the direction of the clamp."""
+at least, to differ from the direction of the clamp."""
 NOTHING, ALL = 0.25, 0.75
 """Shares of the counterweight: a string that carried less carried nothing, one that carried more
 carried all of it."""
@@ -50,7 +50,7 @@ _SURELY = 5.0
 """Standard errors of a mean by which a force is different."""
 _BLOCKS = 100
 _FEW = 50
-"""Samples that a mean of a force is taken over to be told from another."""
+"""Samples that a mean of a force is taken over to differ from another."""
 _STRETCH, _FOLLOWS, _LEAST_SLACK = 0.25e-3, 0.3, 2
 """m of travel that are looked at together, how much of it the deflection follows where the string
 is slack, and how many stretches of a stroke there are at least."""
@@ -90,7 +90,7 @@ class AtRest:
 
     @property
     def share(self) -> float:
-        """Sag as a share of that under the counterweight; NaN where this cannot be told."""
+        """Sag as a share of that under the counterweight; NaN where this is unknown."""
         return self.sag / self.reach if self.reach >= LEAST_REACH else float("nan")
 
     @property

@@ -113,8 +113,8 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
         return Failure("not_reached", message)
     if entry.at <= law.floor:
         message = (
-            f"curvatures up to {law.floor:.3g} 1/m are not told from their noise, {entry.at:g} 1/m "
-            "is asked for"
+            f"curvatures up to {law.floor:.3g} 1/m are not distinct from their noise, "
+            f"{entry.at:g} 1/m is asked for"
         )
         return Failure("below_noise", message)
     at = law_points(

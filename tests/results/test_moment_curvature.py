@@ -81,7 +81,7 @@ def test_below_the_noise(repository: Path) -> None:
     _, results = reduced(repository, ("at: 1 1/m", "at: 0.01 1/m"))
     reason = results["bending_stiffness_at_1"].why
     assert reason.startswith("below_noise: curvatures up to 0.")
-    assert reason.endswith("1/m are not told from their noise, 0.01 1/m is asked for")
+    assert reason.endswith("1/m are not distinct from their noise, 0.01 1/m is asked for")
 
 
 def test_what_stopped_the_test_comes_first(repository: Path) -> None:
