@@ -53,7 +53,7 @@ def timed(command: Sequence[str], *, tree: Path = REPOSITORY) -> Cost:
         env=_as_installed(tree),
     )
     status, *spent = json.loads(ran.stdout)
-    if status not in {0, 1}:
+    if status not in {0, 1} or "Traceback" in ran.stderr:
         message = f"{command} ended with {status}: {ran.stderr}"
         raise RuntimeError(message)
     return Cost(*spent)
