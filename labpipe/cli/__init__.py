@@ -1,4 +1,4 @@
-"""The command line: parse arguments, call the pipeline, print.
+"""The command line: parse arguments, call what does the work, print.
 
 Only the standard library is imported here; each command imports what it needs when it runs, so
 that ``labpipe --help`` answers in a blink.
