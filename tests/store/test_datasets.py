@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from labpipe.store.datasets import (
+    _LEVEL,
     Target,
     chunk_shape,
     fletcher32,
@@ -77,6 +80,35 @@ def test_the_same_array_is_deflated_once(tmp_path: Path) -> None:
         assert len(target.packed) == 3
         for name, each in seen.items():
             np.testing.assert_array_equal(root[name][()], each)
+
+
+PACKS = """
+import random, sys, threading
+from isal import isal_zlib
+different = []
+for size in (41, 150, 280, 400, 1000, 20_000):
+    drawn = random.Random(size)
+    data = bytes(drawn.choice([0, 0, 0, 1]) for _ in range(size))
+    begin, made = threading.Barrier(8), []
+    def pack(data=data, begin=begin, made=made):
+        begin.wait()
+        made.append(isal_zlib.compress(data, int(sys.argv[1])))
+    threads = [threading.Thread(target=pack) for _ in range(8)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    different += [size] if len(set(made)) > 1 else []
+print(different)
+"""
+
+
+def test_threads_pack_the_same_bytes_alike() -> None:
+    """The first time counts: at level 1 one process in twelve packed them otherwise."""
+    for _ in range(20):
+        command = [sys.executable, "-c", PACKS, str(_LEVEL)]
+        ran = subprocess.run(command, capture_output=True, text=True, check=True)
+        assert ran.stdout == "[]\n"
 
 
 def test_chunks_are_whole_rows_of_a_quarter_megabyte() -> None:
