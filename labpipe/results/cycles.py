@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import ClassVar, TypeAlias
@@ -51,10 +52,11 @@ class PerCycle(Kind):
     """Quantity whose samples beside its largest one must be known; empty for none."""
 
     @property
+    @abstractmethod
     def method(self) -> str:
         """How the number is made, in words."""
-        raise NotImplementedError
 
+    @abstractmethod
     def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
         """Compute the number of a cycle with the standard error of its fit, or say why not.
 
@@ -64,7 +66,6 @@ class PerCycle(Kind):
         branches : of the cycle
         displacement : shape (n,), m, of the curve, or what it is under another assumption
         """
-        raise NotImplementedError
 
     def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
         """Tell the standard errors of the number of a cycle from outside its fit."""

@@ -8,6 +8,7 @@ derive from the list `labpipe.results.KINDS`.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import ClassVar, TypeAlias
@@ -76,13 +77,14 @@ class Computed:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Kind:
+class Kind(ABC):
     """A kind of result; its fields are the settings of an entry in a protocol."""
 
     result: ClassVar[str]
     outputs: ClassVar[tuple[Output, ...]]
     needs: ClassVar[Needs] = Needs(branches=True)
 
+    @abstractmethod
     def compute(self, test: Evidence) -> Computed:
         """Compute the numbers of a test.
 
@@ -90,7 +92,6 @@ class Kind:
         ----------
         test : what they are computed from, with the stiffnesses of the entries before
         """
-        raise NotImplementedError
 
     def number(
         self,
