@@ -21,6 +21,23 @@ class Status(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Contribution:
+    """What one cause adds to the doubt about a number (a row of its uncertainty budget).
+
+    Parameters
+    ----------
+    cause : in words, such as ``noise of the force`` or ``gain of the load cell``
+    change : what one standard uncertainty of the cause changes, in the unit of the number; with
+        the sign of the change, of noise its standard deviation
+    is_common : whether all tests of a rig share the cause, so that it does not average out
+    """
+
+    cause: str
+    change: float
+    is_common: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class Result:
     """A number with unit, 95 % interval, status and reasons.
 
@@ -37,6 +54,9 @@ class Result:
     n : number of samples it rests on
     made_of : name of the result that it is made of, such as a stiffness; empty for none
     remark : what is to be said of the number of this test alone: force that slips added
+    estimate : the value less what noise adds to it on average, in the middle of the doubt; None
+        where it is the value
+    budget : what the interval is made of; empty where that is not known apart
     """
 
     name: str
@@ -49,6 +69,8 @@ class Result:
     n: int = 0
     made_of: str = ""
     remark: str = ""
+    estimate: float | None = None
+    budget: tuple[Contribution, ...] = ()
 
     def __post_init__(self) -> None:
         if (self.value is None) != (self.status is Status.FAILED):
