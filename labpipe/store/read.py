@@ -315,7 +315,8 @@ def _results(group: Any) -> tuple[Result, ...]:
 def _result(name: str, group: Any, others: set[str]) -> Result:
     status, method = Status(text(group, "status")), text(group, "method")
     is_new = "made_of" in group.attrs
-    parts = {each: text(group, each) for each in ("made_of", "remark")} if is_new else {}
+    parts: dict[str, Any] = {"method": method}
+    parts |= {each: text(group, each) for each in ("made_of", "remark")} if is_new else {}
     return Result(
         name=name,
         value=None if status is Status.FAILED else float(group.attrs["value"]),
@@ -324,5 +325,5 @@ def _result(name: str, group: Any, others: set[str]) -> Result:
         status=status,
         reasons=read_reasons(group),
         n=int(group.attrs["n"]),
-        **({"method": method, **parts} if is_new else method_parts(method, others)),
+        **(parts if is_new else method_parts(method, others)),
     )
