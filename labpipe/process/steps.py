@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TypeAlias, assert_never
 
 import numpy as np
@@ -32,11 +31,11 @@ from labpipe.records.quality import Finding, doubtful, worth_knowing
 from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.signal.corners import Corner, fit_corner
 from labpipe.signal.filters import (
+    Butterworth,
+    Smoothing,
     in_pieces,
-    low_pass,
     moving_average,
     seconds_to_window,
-    smoothed,
     window_length,
 )
 from labpipe.signal.reversals import fit_reversal
@@ -380,7 +379,7 @@ def _smooth(signals: Signals, step: Smooth, protocol: Protocol) -> tuple[Signals
     seconds = window * median(np.diff(signal.time))
     length = f" ({seconds:.4g} s)" if signal.has_time else ""
     said = f"moving average over {window} samples{length}"
-    made = (partial(smoothed, window=window), 1)
+    made = (Smoothing(window), 1)
     return _filtered(signals, step.channel, made), [worth_knowing("smoothed", step.channel, said)]
 
 
@@ -388,13 +387,13 @@ def _low_pass(signals: Signals, step: LowPass) -> tuple[Signals, list[Finding]]:
     signal = signals.filtered[step.channel]
     _need_time(signal, step.channel, "a cutoff in Hz")
     rate = 1.0 / median(np.diff(signal.time))
-    made = (partial(low_pass, cutoff=step.cutoff, rate=rate, order=step.order), 1)
+    made = (Butterworth(step.cutoff, rate, step.order), 1)
     return _filtered(signals, step.channel, made), []
 
 
 def _decimate(signals: Signals, step: Decimate) -> tuple[Signals, list[Finding]]:
     window = step.factor + 1 - step.factor % 2 if step.method == "filtered" else 1
-    made = (partial(smoothed, window=window), step.factor)
+    made = (Smoothing(window), step.factor)
     said = f"every {step.factor}th sample kept ({step.method})"
     return _filtered(signals, step.channel, made), [worth_knowing("decimated", step.channel, said)]
 

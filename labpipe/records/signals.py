@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit
 
-Filter: TypeAlias = tuple[Callable[[Floats], Floats], int]
+
+class Act(Protocol):
+    """What a filter does to evenly spaced samples."""
+
+    def __call__(self, values: Floats, /) -> Floats:
+        """Filter along the last axis: shape (..., n), no shift in time."""
+
+    def coarser(self, ratio: float) -> Act:
+        """Make the same filter for samples `ratio` times as far apart."""
+
+
+Filter: TypeAlias = tuple[Act, int]
 """What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
 Stretch: TypeAlias = tuple[float, float]
 """Begin and end, s."""

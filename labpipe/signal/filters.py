@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.records.signals import Filter
 
 
 def window_length(span: float, count: int) -> int:
@@ -51,12 +53,12 @@ def moving_average(values: Floats, *, window: int) -> Floats:
 
     Parameters
     ----------
-    values : shape (n,)
+    values : shape (..., n), averaged along the last axis
     window : odd number of samples, 1 <= window <= n
 
     Returns
     -------
-    Shape (n,). A new array; no shift in time.
+    Shape (..., n). A new array; no shift in time.
 
     Raises
     ------
@@ -75,57 +77,53 @@ def moving_average(values: Floats, *, window: int) -> Floats:
     >>> moving_average(np.array([3.0, 8, 2, 1, 5, 5]), window=5).round(4).tolist()
     [3.0, 4.3333, 3.8, 4.2, 3.6667, 5.0]
     """
-    count = len(values)
+    count = values.shape[-1]
     if window % 2 == 0 or not 1 <= window <= max(count, 1):
         message = f"window={window}: expected an odd number of samples from 1 to {count}"
         raise ValueError(message)
     if window == 1:
         return values.copy()
-    sums = _window_sums(np.cumsum(values), window)
-    if np.isfinite(sums[-1]) and np.isfinite(sums[len(sums) // 2]):
+    sums = _window_sums(np.cumsum(values, axis=-1), window)
+    if np.isfinite(sums[..., [-1, count // 2]]).all():
         return _divided(sums, window)
     there = ~np.isnan(values)
-    sums = _window_sums(np.cumsum(np.where(there, values, 0.0)), window)
-    counts = _window_sums(np.cumsum(there.astype(np.float64)), window)
-    mean: Floats = np.full(count, np.nan)
+    sums = _window_sums(np.cumsum(np.where(there, values, 0.0), axis=-1), window)
+    counts = _window_sums(np.cumsum(there.astype(np.float64), axis=-1), window)
+    mean: Floats = np.full(values.shape, np.nan)
     np.divide(sums, counts, out=mean, where=counts > 0.5)
     return mean
 
 
 def _window_sums(total: Floats, window: int) -> Floats:
     """Sum over windows that shrink at the ends, from a cumulative sum."""
-    half, count = window // 2, len(total)
-    sums = np.empty(count)
-    middle = sums[half : count - half]
-    middle[0] = total[window - 1]
-    np.subtract(total[window:], total[: count - window], out=middle[1:])
-    sums[:half] = total[: 2 * half : 2]
-    before = total[count - 2 * half + 2 * np.arange(half)]
-    sums[count - half :] = total[-1] - before
+    half, count = window // 2, total.shape[-1]
+    sums = np.empty_like(total)
+    middle = sums[..., half : count - half]
+    middle[..., 0] = total[..., window - 1]
+    np.subtract(total[..., window:], total[..., : count - window], out=middle[..., 1:])
+    sums[..., :half] = total[..., : 2 * half : 2]
+    before = total[..., count - 2 * half + 2 * np.arange(half)]
+    sums[..., count - half :] = total[..., -1:] - before
     return sums
 
 
 def _divided(sums: Floats, window: int) -> Floats:
     """Means from sums over shrinking windows, in place."""
-    half, count = window // 2, len(sums)
+    half, count = window // 2, sums.shape[-1]
     odd = np.arange(1.0, 2 * half, 2)
-    sums[half : count - half] *= 1.0 / window
-    sums[:half] /= odd
-    sums[count - half :] /= odd[::-1]
+    sums[..., half : count - half] *= 1.0 / window
+    sums[..., :half] /= odd
+    sums[..., count - half :] /= odd[::-1]
     return sums
 
 
-def smoothed(values: Floats, *, window: int) -> Floats:
+@dataclass(frozen=True, slots=True)
+class Smoothing:
     """Moving average that follows the signal to its ends.
 
     Parameters
     ----------
-    values : shape (n,)
-    window : odd number of samples; cut to n
-
-    Returns
-    -------
-    Shape (n,). A new array; no shift in time.
+    window : odd number of samples; cut to those that there are; less than 3 do nothing
 
     Notes
     -----
@@ -136,23 +134,39 @@ def smoothed(values: Floats, *, window: int) -> Floats:
     was measured there, so that a smooth top is not overshot. NaN are left out; where a
     window holds less than two samples, the line is what `moving_average` gives.
     """
-    window = min(window, len(values) - 1 + len(values) % 2)
-    if window < 3:
-        return values.copy()
-    mean = moving_average(values, window=window)
-    half, number = window // 2, np.arange(window) - 0.5 * (window - 1)
-    for part, end in ((slice(window), slice(half)), (slice(-window, None), slice(-half, None))):
-        known = ~np.isnan(values[part])
-        if known.sum() > 1:
-            seen = values[part][known]
-            slope, level = np.polyfit(number[known], seen, 1)
-            line = np.clip(level + slope * number[end], seen.min(), seen.max())
-            mean[end] = np.where(np.isnan(mean[end]), np.nan, line)
-    return mean
+
+    window: int
+
+    def __call__(self, values: Floats) -> Floats:
+        """Smooth along the last axis: shape (..., n), a new array, no shift in time."""
+        count = values.shape[-1]
+        window = min(self.window, count - 1 + count % 2)
+        if window < 3:
+            return values.copy()
+        mean, half = moving_average(values, window=window), window // 2
+        number = np.arange(window) - 0.5 * (window - 1)
+        for part, end in ((slice(window), slice(half)), (slice(-window, None), slice(-half, None))):
+            rows, means = values[..., part].reshape(-1, window), mean[..., end].reshape(-1, half)
+            known = ~np.isnan(rows)
+            patterns = known[:1] if (known == known[:1]).all() else np.unique(known, axis=0)
+            for pattern in patterns[patterns.sum(axis=1) > 1]:
+                alike = (known == pattern).all(axis=1)
+                line = _line_through(rows[alike][:, pattern], number[pattern], number[end])
+                means[alike] = np.where(np.isnan(means[alike]), np.nan, line)
+            mean[..., end] = means.reshape(mean[..., end].shape)
+        return mean
+
+    def coarser(self, ratio: float) -> Smoothing:
+        """Make the same of samples `ratio` times as far apart: the nearest odd window."""
+        return Smoothing(2 * round(0.5 * (self.window / ratio - 1.0)) + 1)
 
 
-Filter = tuple[Callable[[Floats], Floats], int]
-"""What a filter does to evenly spaced samples, and every how many-th of them it keeps."""
+def _line_through(rows: Floats, number: Floats, at: Floats) -> Floats:
+    """Straight line through each row, not beyond its values: shape (rows, at)."""
+    slope, level = np.polyfit(number, rows.T, 1)[:, :, np.newaxis]
+    least, most = rows.min(axis=1)[:, np.newaxis], rows.max(axis=1)[:, np.newaxis]
+    line: Floats = np.clip(level + slope * at, least, most)
+    return line
 
 
 def in_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) -> Floats:
@@ -160,19 +174,45 @@ def in_pieces(values: Floats, cuts: Sequence[int], filters: Sequence[Filter]) ->
 
     Parameters
     ----------
-    values : shape (n,)
+    values : shape (..., n)
     cuts : numbers of the samples at which a new piece begins
     filters : one after the other
 
     Returns
     -------
-    Shape (m,), fewer than n where a filter thins.
+    Shape (..., m), m fewer than n where a filter thins.
     """
-    ends = sorted({0, len(values), *(cut for cut in cuts if 0 < cut < len(values))})
+    count = values.shape[-1]
+    ends = sorted({0, count, *(cut for cut in cuts if 0 < cut < count)})
     for act, stride in filters:
-        values = np.concatenate([act(values[low:high]) for low, high in pairwise(ends)])[::stride]
+        pieces = [act(values[..., low:high]) for low, high in pairwise(ends)]
+        values = np.concatenate(pieces, axis=-1)[..., ::stride]
         ends = sorted({-(-end // stride) for end in ends})
     return values
+
+
+def unthinned(filters: Sequence[Filter], ratio: float = 1.0) -> tuple[Filter, ...]:
+    """Make the same filters for samples further apart; none of them thins.
+
+    Parameters
+    ----------
+    filters : one after the other, as for `in_pieces`
+    ratio : how many times as far apart the samples are as those that `filters` were made for
+
+    Returns
+    -------
+    As many filters, each of the same span in time, which keep every sample.
+
+    Examples
+    --------
+    >>> unthinned([(Smoothing(31), 3), (Smoothing(5), 1)], ratio=3)
+    ((Smoothing(window=11), 1), (Smoothing(window=5), 1))
+    """
+    made, apart = list[Filter](), 1.0
+    for act, stride in filters:
+        made.append((act.coarser(ratio / apart), 1))
+        apart *= stride
+    return tuple(made)
 
 
 def power_passed(act: Callable[[Floats], Floats], count: int) -> float:
@@ -193,43 +233,55 @@ def power_passed(act: Callable[[Floats], Floats], count: int) -> float:
     return float(answer @ answer)
 
 
-def low_pass(values: Floats, *, cutoff: float, rate: float, order: int) -> Floats:
+@dataclass(frozen=True, slots=True)
+class Butterworth:
     """Zero-phase Butterworth low-pass, run forwards and backwards.
 
     Parameters
     ----------
-    values : shape (n,)
     cutoff : 1/s, where the amplitude has fallen to one half (both runs together)
     rate : samples per second
     order : order of one run
-
-    Returns
-    -------
-    Shape (n,). No shift in time.
-
-    Raises
-    ------
-    ValueError
-        If the cut-off is not between zero and half the rate, the signal is too short, or it
-        holds NaN.
 
     Notes
     -----
     The ends are padded by odd reflection; within about rate / cutoff samples of an end the result
     depends on that padding.
     """
-    from scipy.signal import butter, sosfiltfilt  # half a second that most tests need not wait
 
-    if not 0 < cutoff < rate / 2:
-        message = f"cutoff={cutoff}: expected a frequency between 0 and {rate / 2} 1/s"
-        raise ValueError(message)
-    if np.isnan(values).any():
-        message = "expected a signal without gaps, found NaN"
-        raise ValueError(message)
-    sections = butter(order, cutoff, fs=rate, output="sos")
-    pad = min(int(3 * rate / cutoff), len(values) - 1)
-    filtered: Floats = sosfiltfilt(sections, values, padlen=pad)
-    return filtered
+    cutoff: float
+    rate: float
+    order: int
+
+    def __call__(self, values: Floats) -> Floats:
+        """Filter along the last axis: shape (..., n), a new array, no shift in time.
+
+        Raises
+        ------
+        ValueError
+            If the cut-off is not between zero and half the rate, or the signal holds NaN.
+        """
+        from scipy.signal import butter, sosfiltfilt  # half a second that most tests need not wait
+
+        if not 0 < self.cutoff < self.rate / 2:
+            expected = f"expected a frequency between 0 and {self.rate / 2} 1/s"
+            message = f"cutoff={self.cutoff}: {expected}"
+            raise ValueError(message)
+        if np.isnan(values).any():
+            message = "expected a signal without gaps, found NaN"
+            raise ValueError(message)
+        sections = butter(self.order, self.cutoff, fs=self.rate, output="sos")
+        pad = min(int(3 * self.rate / self.cutoff), values.shape[-1] - 1)
+        filtered: Floats = sosfiltfilt(sections, values, padlen=pad)
+        return filtered
+
+    def coarser(self, ratio: float) -> Butterworth | Smoothing:
+        """Make the same of samples `ratio` times as far apart; nothing, where they are too far."""
+        rate = self.rate / ratio
+        return Butterworth(self.cutoff, rate, self.order) if self.cutoff < rate / 2 else _NOTHING
+
+
+_NOTHING = Smoothing(1)
 
 
 def seconds_to_window(span: float, time: Floats) -> int:

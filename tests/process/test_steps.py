@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote
 from labpipe.records.signals import Signal, Signals
-from labpipe.signal.filters import in_pieces, low_pass, smoothed
+from labpipe.signal.filters import Butterworth, Smoothing, in_pieces
 
 TIME: Floats = np.arange(2000, dtype=np.float64) * 0.01
 VALUES: Floats = 0.3 + np.sin(TIME) + np.random.default_rng(1).normal(0, 0.01, len(TIME))
@@ -158,7 +157,7 @@ def test_rows_are_smoothed_by_counting() -> None:
     step = "{step: smooth, channel: force, method: moving-average, span: 21 samples}"
     test = in_rows(step)
     np.testing.assert_allclose(
-        test.signals.filtered["force"].values, smoothed(VALUES, window=21), atol=1e-12
+        test.signals.filtered["force"].values, Smoothing(21)(VALUES), atol=1e-12
     )
     assert test.notes[0].message == "moving average over 21 samples"
     assert (
@@ -207,7 +206,7 @@ def test_smooth(span: str, window: int) -> None:
     """Of a motion at 2 mm/s over 10 mm: 2 mm are a second, a branch is five."""
     test = after(f"{{step: smooth, channel: force, method: moving-average, span: {span}}}")
     np.testing.assert_allclose(
-        test.signals.filtered["force"].values, smoothed(VALUES, window=window), atol=1e-12
+        test.signals.filtered["force"].values, Smoothing(window)(VALUES), atol=1e-12
     )
     np.testing.assert_array_equal(test.signals.raw["force"].values, VALUES)
     assert f"moving average over {window} samples" in test.notes[0].message
@@ -215,7 +214,7 @@ def test_smooth(span: str, window: int) -> None:
 
 def test_low_pass() -> None:
     test = after("{step: low-pass, channel: force, cutoff: 5 Hz, order: 2}")
-    expected = low_pass(VALUES, cutoff=5.0, rate=100.0, order=2)
+    expected = Butterworth(5.0, 100.0, 2)(VALUES)
     np.testing.assert_allclose(test.signals.filtered["force"].values, expected, atol=1e-9)
 
 
@@ -224,7 +223,7 @@ def test_decimate(method: str) -> None:
     test = after(f"{{step: decimate, channel: force, factor: 4, method: {method}}}")
     signal = test.signals.filtered["force"]
     window = 5 if method == "filtered" else 1
-    expected = in_pieces(VALUES, (), [(partial(smoothed, window=window), 4)])
+    expected = in_pieces(VALUES, (), [(Smoothing(window), 4)])
     np.testing.assert_allclose(signal.values, expected)
     np.testing.assert_array_equal(signal.time, TIME[::4])
     assert test.notes[0].message == f"every 4th sample kept ({method})"

@@ -14,6 +14,15 @@ PULL = Signal(TIME, TIME + 1.0, "N", "force")
 WAY = Signal(TIME, 1e-3 * TIME, "m", "frame")
 
 
+class Halved:
+    def __call__(self, values: Floats) -> Floats:
+        return 0.5 * values
+
+    def coarser(self, ratio: float) -> Halved:
+        assert ratio > 0.0
+        return self
+
+
 def fit(offset: float, drift: float = 0.0, errors: tuple[float, ...] = (0.1,)) -> ClockFit:
     known, at = Interval(offset - 0.1, offset + 0.1), np.zeros(len(errors))
     return ClockFit(offset, drift, known, known, 0.0, at, at, np.array(errors), "")
@@ -37,9 +46,7 @@ def test_what_is_new_is_raw_and_filtered() -> None:
 
 
 def test_what_was_filtered_leaves_the_raw_signal() -> None:
-    def halved(values: Floats) -> Floats:
-        return 0.5 * values
-
+    halved = Halved()
     once = Signals().with_new("force", PULL).with_filtered("force", WAY, (halved, 1))
     twice = once.with_filtered("force", PULL, (halved, 2)).with_filtered("force", WAY)
     assert twice.raw["force"] is PULL

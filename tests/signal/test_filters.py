@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,12 +9,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from labpipe.records.arrays import Floats
+from labpipe.records.signals import Filter
 from labpipe.signal.filters import (
+    Butterworth,
+    Smoothing,
     in_pieces,
-    low_pass,
     moving_average,
     seconds_to_window,
-    smoothed,
+    unthinned,
     window_length,
 )
 
@@ -97,7 +97,7 @@ def test_seconds_to_window() -> None:
 def test_low_pass_keeps_slow_and_takes_fast() -> None:
     time = np.arange(0, 10, 1e-3)
     slow, fast = np.sin(2 * np.pi * time), np.sin(2 * np.pi * 100 * time)
-    passed = low_pass(slow + fast, cutoff=10.0, rate=1e3, order=2)
+    passed = Butterworth(10.0, 1e3, 2)(slow + fast)
     middle = slice(1000, -1000)
     assert passed[middle] == pytest.approx(slow[middle], abs=2e-3)
 
@@ -105,26 +105,26 @@ def test_low_pass_keeps_slow_and_takes_fast() -> None:
 def test_low_pass_does_not_shift_in_time() -> None:
     values = np.zeros(2001)
     values[1000] = 1.0
-    passed = low_pass(values, cutoff=5.0, rate=1e3, order=2)
+    passed = Butterworth(5.0, 1e3, 2)(values)
     assert passed == pytest.approx(passed[::-1], abs=1e-12)
     assert int(np.argmax(passed)) == 1000
 
 
 def test_low_pass_refuses() -> None:
     with pytest.raises(ValueError, match=r"cutoff=600.0: expected a frequency between 0 and 500.0"):
-        low_pass(np.zeros(100), cutoff=600.0, rate=1e3, order=2)
+        Butterworth(600.0, 1e3, 2)(np.zeros(100))
     with pytest.raises(ValueError, match="expected a signal without gaps, found NaN"):
-        low_pass(np.array([0.0, np.nan, 1.0]), cutoff=1.0, rate=1e3, order=1)
+        Butterworth(1.0, 1e3, 1)(np.array([0.0, np.nan, 1.0]))
 
 
 def test_smoothed_keeps_straight_lines_to_their_ends() -> None:
     ramp = 2.0 * np.arange(100.0) + 1.0
-    assert smoothed(ramp, window=21) == pytest.approx(ramp)
+    assert Smoothing(21)(ramp) == pytest.approx(ramp)
 
 
 def test_smoothed_is_the_mean_inside_and_a_line_at_the_ends() -> None:
     noise = np.random.default_rng(3).normal(size=50)
-    found = smoothed(noise, window=11)
+    found = Smoothing(11)(noise)
     assert found[5:-5] == pytest.approx(moving_average(noise, window=11)[5:-5])
     line = np.polyfit(np.arange(11.0), noise[-11:], 1)
     assert found[-5:] == pytest.approx(np.polyval(line, np.arange(6.0, 11.0)))
@@ -135,7 +135,7 @@ def test_smoothed_agrees_with_savitzky_and_golay_of_scipy() -> None:
 
     values = np.random.default_rng(4).normal(size=300).cumsum()
     expected = savgol_filter(values, 31, 1)
-    found = smoothed(values, window=31)
+    found = Smoothing(31)(values)
     assert found[15:-15] == pytest.approx(expected[15:-15])
     first, last = values[:31], values[-31:]
     assert found[:15] == pytest.approx(np.clip(expected[:15], first.min(), first.max()))
@@ -144,31 +144,104 @@ def test_smoothed_agrees_with_savitzky_and_golay_of_scipy() -> None:
 
 def test_smoothed_does_not_overshoot_a_smooth_top() -> None:
     sine = np.sin(np.linspace(0.0, 0.5 * np.pi, 200))
-    assert smoothed(sine, window=61).max() == pytest.approx(1.0, abs=1e-12)
+    assert Smoothing(61)(sine).max() == pytest.approx(1.0, abs=1e-12)
 
 
 def test_smoothed_leaves_nan_where_nothing_is() -> None:
     values = np.where(np.arange(40) < 10, np.nan, np.arange(40.0))
-    found = smoothed(values, window=5)
+    found = Smoothing(5)(values)
     assert np.isnan(found[:8]).all()
     assert found[12:] == pytest.approx(values[12:])
-    assert smoothed(values[:2], window=5).tolist() == pytest.approx([np.nan, np.nan], nan_ok=True)
+    assert Smoothing(5)(values[:2]).tolist() == pytest.approx([np.nan, np.nan], nan_ok=True)
 
 
 def test_pieces_keep_their_corner() -> None:
     tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
-    act = partial(smoothed, window=21)
+    act = Smoothing(21)
     assert in_pieces(tent, [50], [(act, 1)]) == pytest.approx(tent)
     assert in_pieces(tent, [], [(act, 1)]).max() < 46.0
 
 
 def test_pieces_are_thinned_after_they_are_filtered() -> None:
     tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
-    filters = [(partial(smoothed, window=5), 3), (partial(smoothed, window=5), 2)]
+    filters = [(Smoothing(5), 3), (Smoothing(5), 2)]
     assert in_pieces(tent, [50], filters) == pytest.approx(tent[::6])
 
 
 def test_a_filter_before_thinning_does_not_fold_noise() -> None:
     noise = np.random.default_rng(1).normal(size=200_000)
-    found = in_pieces(noise, (), [(partial(smoothed, window=201), 200)])
+    found = in_pieces(noise, (), [(Smoothing(201), 200)])
     assert found[1:-1].std() == pytest.approx(201**-0.5, rel=0.1)
+
+
+def rows_with_gaps() -> Floats:
+    """Shape (2, 3, 80); gaps in another place of each row, and none in the first."""
+    rows = np.random.default_rng(5).normal(size=(2, 3, 80)).cumsum(axis=-1)
+    for at, row in enumerate(rows.reshape(-1, 80)):
+        row[at : 3 * at] = np.nan
+        row[80 - at :] = np.nan
+    return rows
+
+
+@pytest.mark.parametrize("window", [1, 3, 21, 79, 81])
+def test_many_rows_are_smoothed_as_each_alone(window: int) -> None:
+    rows = rows_with_gaps()
+    alone = [[Smoothing(window)(row) for row in plane] for plane in rows]
+    np.testing.assert_allclose(Smoothing(window)(rows), alone, rtol=0, atol=1e-12)
+
+
+def test_many_rows_without_gaps_are_the_same_to_the_last_bit() -> None:
+    rows = np.random.default_rng(6).normal(size=(4, 301))
+    alone = [moving_average(row, window=41) for row in rows]
+    np.testing.assert_array_equal(moving_average(rows, window=41), alone)
+
+
+def test_many_rows_pass_as_each_alone() -> None:
+    rows = np.random.default_rng(7).normal(size=(4, 301))
+    act = Butterworth(3.0, 100.0, 2)
+    np.testing.assert_allclose(act(rows), [act(row) for row in rows], rtol=0, atol=1e-14)
+
+
+def test_pieces_of_many_rows_are_those_of_each_alone() -> None:
+    rows = np.random.default_rng(8).normal(size=(2, 2, 103))
+    filters = [(Smoothing(5), 3), (Smoothing(3), 2)]
+    alone = [[in_pieces(row, [50, 71], filters) for row in plane] for plane in rows]
+    np.testing.assert_allclose(in_pieces(rows, [50, 71], filters), alone, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("window", "ratio", "coarse"),
+    [(101, 1, 101), (101, 5, 21), (9, 2, 5), (5, 2, 3), (3, 2, 1), (3, 50, 1), (5, 1 / 3, 15)],
+)
+def test_a_coarser_window_is_the_nearest_odd_one(window: int, ratio: float, coarse: int) -> None:
+    assert Smoothing(window).coarser(ratio) == Smoothing(coarse)
+
+
+@pytest.mark.parametrize("act", [Smoothing(201), Butterworth(2.5, 1e3, 2)])
+def test_a_coarser_filter_of_block_means_leaves_as_much(act: Smoothing | Butterworth) -> None:
+    noise = np.random.default_rng(9).normal(size=200_000)
+    blocks = noise.reshape(-1, 8).mean(axis=1)
+    full, coarse = act(noise)[4000:-4000], act.coarser(8)(blocks)[500:-500]
+    assert coarse.std() == pytest.approx(full.std(), rel=0.01)
+    assert np.std(full[4::8] - coarse) < 0.1 * full.std()
+
+
+def test_a_cutoff_too_fast_for_coarse_samples_does_nothing() -> None:
+    values = np.random.default_rng(10).normal(size=30)
+    act = Butterworth(10.0, 100.0, 2)
+    assert act.coarser(4) == Butterworth(10.0, 25.0, 2)
+    np.testing.assert_array_equal(act.coarser(5)(values), values)
+
+
+def test_filters_that_keep_all_samples_span_the_same_time() -> None:
+    filters: list[Filter] = [(Smoothing(31), 3), (Smoothing(5), 2), (Butterworth(2.0, 50.0, 2), 1)]
+    assert unthinned(filters) == (
+        (Smoothing(31), 1),
+        (Smoothing(15), 1),
+        (Butterworth(2.0, 300.0, 2), 1),
+    )
+    assert unthinned(filters, ratio=6.0) == (
+        (Smoothing(5), 1),
+        (Smoothing(3), 1),
+        (Butterworth(2.0, 50.0, 2), 1),
+    )
