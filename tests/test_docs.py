@@ -320,11 +320,16 @@ def test_every_key_of_the_grammar_is_named(name: str) -> None:
     assert known <= set(re.findall(r"[\w-]+", code))
 
 
-def test_every_table_of_the_curve_is_described() -> None:
+def test_every_table_of_the_file_is_described() -> None:
     from labpipe.store import layout
 
     text = page("docs/reference/result-file.md")
-    for columns in (layout.BRANCH_COLUMNS, layout.SLIP_COLUMNS, layout.LINE_COLUMNS):
+    for columns in (
+        layout.BRANCH_COLUMNS,
+        layout.SLIP_COLUMNS,
+        layout.LINE_COLUMNS,
+        layout.BUDGET_COLUMNS,
+    ):
         for name, _ in columns:
             assert f"`{name}`" in text, name
 

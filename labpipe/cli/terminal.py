@@ -14,6 +14,7 @@ from labpipe.report.wording import shown_in
 _STAGES = ("read", "process", "write", "draw")
 _MARK = {Status.OK: " ", Status.DOUBTFUL: "?", Status.FAILED: "!"}
 _LEAST_WIDTH = 26
+_INTERVAL_WIDTH = 26
 
 
 @contextmanager
@@ -96,7 +97,7 @@ def name_width(names: Iterable[str]) -> int:
 
 
 def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
-    """A result with its interval, in its display unit.
+    """A result with its interval and what most of that is made of, in its display unit.
 
     Parameters
     ----------
@@ -112,4 +113,10 @@ def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
     if result.interval is None:
         return shown
     low, high = factor * result.interval.lower, factor * result.interval.upper
-    return f"{shown} 95 %: {low:.5g} to {high:.5g}"
+    interval = f"95 %: {low:.5g} to {high:.5g}"
+    if result.stands_apart and result.estimate is not None:
+        interval = f"estimate {factor * result.estimate:.5g}, {interval}"
+    if result.largest_share is None:
+        return f"{shown} {interval}"
+    cause, share = result.largest_share
+    return f"{shown} {interval:<{_INTERVAL_WIDTH}} {cause} {100.0 * share:.0f} %"

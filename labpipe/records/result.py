@@ -41,6 +41,8 @@ class Contribution:
 class Result:
     """A number with unit, 95 % interval, status and reasons.
 
+    The interval is that of `estimate`: it need not hold `value`.
+
     Parameters
     ----------
     name : stable, snake case, with a cycle after a dot: ``peak_force.1``
@@ -84,6 +86,32 @@ class Result:
     def how(self) -> str:
         """The method, with what is to be said of this test alone."""
         return "; ".join(filter(None, (self.method, self.remark)))
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Share of the variance that each row of the budget has; 0 where there is none."""
+        squares = [each.change**2 for each in self.budget]
+        total = sum(squares)
+        return tuple(square / total if total > 0.0 else 0.0 for square in squares)
+
+    @property
+    def largest_share(self) -> tuple[str, float] | None:
+        """Cause with the largest share of the variance, and that share; None without a budget."""
+        rows = zip(self.budget, self.shares, strict=True)
+        found = max(rows, key=lambda row: row[1], default=None)
+        return None if found is None or found[1] == 0.0 else (found[0].cause, found[1])
+
+    @property
+    def stands_apart(self) -> bool:
+        """Whether the estimate is so far from the value that a reader must see both.
+
+        That is by more than half of the half width of the interval: the largest sample of a noisy
+        plateau lies above what was there, even above its interval.
+        """
+        if self.value is None or self.estimate is None or self.interval is None:
+            return False
+        half = 0.5 * (self.interval.upper - self.interval.lower)
+        return abs(self.value - self.estimate) > 0.5 * half
 
     @property
     def why(self) -> str:

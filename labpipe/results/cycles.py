@@ -13,6 +13,7 @@ import numpy as np
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.fits.loops import largest_sample, loop_energy, noise_power, residual_after_unloading
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.declarations import CURVE, Force, Output
 from labpipe.records.estimates import Estimate, Failure, widened
@@ -114,7 +115,7 @@ def other_shape(
 
 def rectangle(found: Estimate, other: Estimate) -> Errors:
     """Error of a rectangle whose half width is what another assumption changes."""
-    return {"another displacement": abs(other.value - found.value) / math.sqrt(3.0)}
+    return {SHAPE: abs(other.value - found.value) / math.sqrt(3.0)}
 
 
 def gap_at_peak(test: Evidence, branches: list[Branch], what: str) -> tuple[Reason, ...]:

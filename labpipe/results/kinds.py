@@ -15,11 +15,12 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
+from labpipe.records.causes import NOISE, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Finding, Reason
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
 from labpipe.results.evidence import Evidence, Stiffness
 
@@ -172,7 +173,9 @@ def to_result(test: Evidence, number: Number) -> Result:
     """
     output, outcome = number.output, number.outcome
     name = output.name + number.part
+    budget: tuple[Contribution, ...] = ()
     if isinstance(outcome, Estimate):
+        budget = _budget(outcome, number.errors)
         outcome = widened(outcome, *number.errors.values())
         if not np.isfinite([outcome.value, outcome.error]).all():
             message = f"value {outcome.value}, standard error {outcome.error}"
@@ -209,7 +212,17 @@ def to_result(test: Evidence, number: Number) -> Result:
         n=outcome.n,
         made_of=number.made_of,
         remark="; ".join(filter(None, (number.remark, added_back))),
+        budget=budget,
     )
+
+
+def _budget(outcome: Estimate, errors: Errors) -> tuple[Contribution, ...]:
+    """What the interval is made of: the error of the fit, and what comes on top."""
+    fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
+    changes = {NOISE: fit, **errors}
+    if not np.isfinite(list(changes.values())).all():
+        return ()
+    return tuple(contribution(cause, change) for cause, change in changes.items() if change)
 
 
 def marked_slips(test: Evidence, stretch: tuple[float, float] | None) -> tuple[Reason, ...]:

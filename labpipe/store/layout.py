@@ -198,12 +198,24 @@ IS_KNOWN: Final = "is_known"
 KNOWN: Final = Field(("point",), "1", "uint8")
 LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise": "m"}
 
-# /results/<name> and /quality
+# /results/<name>, /budgets and /quality
 RESULTS: Final = "results"
 RESULT_TEXTS: Final = ("unit", "status", "method", "made_of", "remark")
+ESTIMATE: Final = "estimate"
 REASON_CODES: Final = "reason_codes"
 REASON_MESSAGES: Final = "reason_messages"
 INTERVAL_NUMBERS: Final = ("lower", "upper", "level")
+BUDGETS: Final = "budgets"
+"""One table for all results: those of a test have about five rows each."""
+BUDGET_TABLE: Final = Field(("contribution",), "text, text, of the result, text, 1, 1", "table")
+BUDGET_COLUMNS: Final = (
+    ("result", "S64"),
+    ("cause", "S64"),
+    ("change", "float64"),
+    ("unit", "S16"),
+    ("share", "float64"),
+    ("is_common", "uint8"),
+)
 QUALITY: Final = "quality"
 NOTE_COLUMNS: Final = ("code", "severity", "where", "message")
 

@@ -21,7 +21,7 @@ from labpipe.records.curve import (
     SlipDecision,
 )
 from labpipe.records.recording import Recording
-from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
+from labpipe.records.result import Contribution, InputFile, Result, Specimen, Status, TestResult
 from labpipe.store import layout
 from labpipe.store.datasets import array, arrays, opened, strings, text, texts
 from labpipe.store.layout import Field
@@ -210,7 +210,7 @@ def _outcome(root: Any) -> dict[str, Any]:
     curve = root.get(layout.CURVE)
     return {
         "curve": None if curve is None else _curve(curve),
-        "results": _results(root[layout.RESULTS]),
+        "results": _results(root),
         "quality": read_notes(root[layout.QUALITY]),
         "display": _display(root),
         "run": _run(root),
@@ -307,12 +307,27 @@ def _shape(group: Any) -> Shape:
     )
 
 
-def _results(group: Any) -> tuple[Result, ...]:
+def _results(root: Any) -> tuple[Result, ...]:
+    group, budgets = root[layout.RESULTS], _budgets(root)
     names = texts(group, "order")
-    return tuple(_result(name, group[name], {*names} - {name}) for name in names)
+    return tuple(
+        _result(name, group[name], {*names} - {name}, tuple(budgets.get(name, ())))
+        for name in names
+    )
 
 
-def _result(name: str, group: Any, others: set[str]) -> Result:
+def _budgets(root: Any) -> dict[str, list[Contribution]]:
+    """Rows of the budgets by result; files from before there were budgets have none."""
+    found: dict[str, list[Contribution]] = {}
+    if layout.BUDGETS in root:
+        for row in array(root, layout.BUDGETS, layout.BUDGET_TABLE):
+            cause, change = row["cause"].decode(), float(row["change"])
+            own = Contribution(cause, change, bool(row["is_common"]))
+            found.setdefault(row["result"].decode(), []).append(own)
+    return found
+
+
+def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution, ...]) -> Result:
     status, method = Status(text(group, "status")), text(group, "method")
     is_new = "made_of" in group.attrs
     parts: dict[str, Any] = {"method": method}
@@ -325,5 +340,7 @@ def _result(name: str, group: Any, others: set[str]) -> Result:
         status=status,
         reasons=read_reasons(group),
         n=int(group.attrs["n"]),
+        estimate=float(group.attrs[layout.ESTIMATE]) if layout.ESTIMATE in group.attrs else None,
+        budget=budget,
         **(parts if is_new else method_parts(method, others)),
     )

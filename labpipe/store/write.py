@@ -117,6 +117,7 @@ def _write_root(target: Target, result: TestResult) -> None:
     if result.bending is not None:
         write_bending(target.inside(layout.BENDING), result.bending)
     _write_results(target.inside(layout.RESULTS), result.results)
+    _write_budgets(target, result.results)
     write_notes(target.inside(layout.QUALITY), result.quality)
 
 
@@ -177,7 +178,13 @@ def _write_curve(target: Target, result: TestResult, curve: Curve) -> None:
 
 def _table(records: Iterable[object], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
     """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
-    rows = [tuple(_cell(record, *column) for column in columns) for record in records]
+    return _typed(
+        [tuple(_cell(record, *column) for column in columns) for record in records], columns
+    )
+
+
+def _typed(rows: list[tuple[Any, ...]], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
+    """Rows as a table whose columns of text are as wide as their longest word."""
     kinds = list(columns)
     for place, (name, kind) in enumerate(columns):
         if kind.startswith("S"):  # numpy would cut words short that are longer than this
@@ -214,6 +221,19 @@ def _write_results(target: Target, results: tuple[Result, ...]) -> None:
         if result.interval is not None:
             for end in layout.INTERVAL_NUMBERS:
                 attributes[end] = float(getattr(result.interval, end))
+        if result.estimate is not None:
+            attributes[layout.ESTIMATE] = float(result.estimate)
+
+
+def _write_budgets(target: Target, results: tuple[Result, ...]) -> None:
+    rows = [
+        (result.name.encode(), each.cause.encode(), each.change, result.unit.encode(), share,
+         each.is_common)
+        for result in results
+        for each, share in zip(result.budget, result.shares, strict=True)
+    ]  # fmt: skip
+    if rows:
+        target.array(layout.BUDGETS, _typed(rows, layout.BUDGET_COLUMNS), layout.BUDGET_TABLE)
 
 
 SUMMARY_SCHEMA = 2
@@ -308,9 +328,19 @@ def _entry(result: Result) -> dict[str, object]:
         "lower": _number(interval.lower) if interval else None,
         "upper": _number(interval.upper) if interval else None,
         "level": _number(interval.level) if interval else None,
+        "estimate": _number(result.value if result.estimate is None else result.estimate),
         "status": str(result.status),
         "reasons": [asdict(reason) for reason in result.reasons],
         "method": result.how,
+        "budget": [
+            {
+                "cause": each.cause,
+                "change": _number(each.change),
+                "share": _number(share),
+                "common": each.is_common,
+            }
+            for each, share in zip(result.budget, result.shares, strict=True)
+        ],
     }
 
 

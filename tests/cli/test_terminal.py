@@ -14,7 +14,7 @@ from labpipe.process.run import Processed
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.result import Result, Specimen, Status, TestResult
+from labpipe.records.result import Contribution, Result, Specimen, Status, TestResult
 from tests.builders.campaigns import build_group, build_number, six_samples, troubled_samples
 
 TESTS = [Path("raw/A/test.yaml"), Path("raw/B/test.yaml")]
@@ -71,6 +71,16 @@ def test_notes_that_matter() -> None:
         "  warning: force: warning!",
         "  error: force: error!",
     ]
+
+
+def test_the_largest_share_stands_beside_the_interval() -> None:
+    budget = (Contribution("noise", 0.3), Contribution("pull offset", -0.4))
+    found = Result("a", 53.43, "mm", Interval(53.32, 53.54), budget=budget)
+    apart = replace(found, estimate=53.1, interval=Interval(53.0, 53.2))
+    _, near, far, bare = told(found, apart, replace(found, budget=()))
+    assert " ".join(near.split()) == "a 53.43 mm 95 %: 53.32 to 53.54 pull offset 64 %"
+    assert " ".join(far.split()) == "a 53.43 mm estimate 53.1, 95 %: 53 to 53.2 pull offset 64 %"
+    assert bare.endswith("95 %: 53.32 to 53.54")
 
 
 def test_many_cycles_are_summed_up() -> None:

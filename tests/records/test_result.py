@@ -2,8 +2,9 @@ from __future__ import annotations
 
 import pytest
 
+from labpipe.records.curve import Interval
 from labpipe.records.quality import Reason
-from labpipe.records.result import Result, Status
+from labpipe.records.result import Contribution, Result, Status
 
 
 def test_a_number_without_more_is_ok() -> None:
@@ -25,3 +26,27 @@ def test_must_say_why(value: float | None, status: Status) -> None:
     assert (
         Result("energy.1", value, "J", status=status, reasons=(Reason("gap", "x"),)).why == "gap: x"
     )
+
+
+def test_shares_of_the_variance() -> None:
+    budget = (Contribution("noise", 1.0), Contribution("scale of the force", -2.0, is_common=True))
+    found = Result("energy.1", 1.0, "J", budget=(*budget, Contribution("slack", 2.0)))
+    assert found.shares == pytest.approx((1 / 9, 4 / 9, 4 / 9))
+    assert found.largest_share == ("scale of the force", found.shares[1])
+    still = Result("energy.1", 1.0, "J", budget=(Contribution("noise", 0.0),))
+    assert (still.shares, still.largest_share) == ((0.0,), None)
+    assert Result("energy.1", 1.0, "J").largest_share is None
+
+
+@pytest.mark.parametrize(
+    ("estimate", "is_apart"),
+    [(None, False), (8.9, True), (9.1, False), (10.9, False), (11.1, True)],
+)
+def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool) -> None:
+    interval = Interval(7.0, 11.0)
+    found = Result("energy.1", 10.0, "J", interval, estimate=estimate)
+    assert found.stands_apart is is_apart
+
+
+def test_an_estimate_without_an_interval_says_nothing() -> None:
+    assert not Result("energy.1", 10.0, "J", estimate=3.0).stands_apart

@@ -8,7 +8,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.declarations import Output
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Finding, Findings, Reason, blocking, doubtful
-from labpipe.records.result import Status
+from labpipe.records.result import Contribution, Status
 from labpipe.records.signals import Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import Number, Outcome, blocked_or, to_result
@@ -37,6 +37,10 @@ def test_errors_from_outside_the_fit_come_on_top() -> None:
     found = to_result(evidence(), Number(STIFFNESS, Estimate(10.0, 0.0, 50), "", errors))
     assert found.interval is not None
     assert found.interval.standard_error == pytest.approx(5.0)
+    assert found.budget == (
+        Contribution("scale of the force", 3.0, is_common=True),
+        Contribution("length", 4.0),
+    )
 
 
 def test_an_interval_of_its_own() -> None:
@@ -44,6 +48,9 @@ def test_an_interval_of_its_own() -> None:
     found = to_result(evidence(), asked(Estimate(10.0, 1.0, 50, asymmetric), part=".2"))
     assert found.name == "stiffness.2"
     assert found.interval is asymmetric
+    (noise,) = found.budget
+    assert noise.cause == "noise"
+    assert noise.change == pytest.approx(2.5 / 1.959964)
 
 
 def test_no_number() -> None:

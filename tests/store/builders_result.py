@@ -30,7 +30,7 @@ from labpipe.records.curve import (
 )
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, RigidBody
-from labpipe.records.result import InputFile, Result, Specimen, Status, TestResult
+from labpipe.records.result import Contribution, InputFile, Result, Specimen, Status, TestResult
 
 LENGTH = 0.085
 STROKE = 0.050
@@ -305,7 +305,19 @@ def _load_cell(turns: Floats, cycles: int, rate: float, rng: np.random.Generator
 
 def _results() -> tuple[Result, ...]:
     return (
-        Result("peak_force.1", 0.62, "N", Interval(0.61, 0.63), method="highest", n=41),
+        Result(
+            "peak_force.1",
+            0.62,
+            "N",
+            Interval(0.59, 0.61),
+            method="highest",
+            n=41,
+            estimate=0.6,
+            budget=(
+                Contribution("noise", 0.003),
+                Contribution("scale of the force", -0.004, is_common=True),
+            ),
+        ),
         Result(
             "residual_displacement.1",
             0.0031,

@@ -73,6 +73,25 @@ def test_outcome_is_read_with_the_recordings_damaged(path: Path) -> None:
         read_result(path)
 
 
+def test_a_file_from_before_there_were_budgets(tmp_path: Path) -> None:
+    made = build_result(half_cycle=1.0)
+    write_result(made, tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5", "a") as root:
+        assert root["budgets"].shape == (2,)
+        assert root["budgets"][1].item() == (
+            b"peak_force.1",
+            b"scale of the force",
+            -0.004,
+            b"N",
+            pytest.approx(0.64),
+            1,
+        )
+        del root["budgets"]
+        del root["results/peak_force.1"].attrs["estimate"]
+    found = read_outcome(tmp_path / "result.h5").results
+    assert found == tuple(replace(each, budget=(), estimate=None) for each in made.results)
+
+
 def test_a_decision_that_nobody_knows(tmp_path: Path) -> None:
     write_result(with_slips(build_result(half_cycle=1.0)), tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5", "a") as root:

@@ -30,15 +30,26 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
         "name": "peak_force.1",
         "value": 0.62,
         "unit": "N",
-        "lower": 0.61,
-        "upper": 0.63,
+        "lower": 0.59,
+        "upper": 0.61,
         "level": 0.95,
+        "estimate": 0.6,
         "status": "ok",
         "reasons": [],
         "method": "highest",
+        "budget": [
+            {"cause": "noise", "change": 0.003, "share": pytest.approx(0.36), "common": False},
+            {
+                "cause": "scale of the force",
+                "change": -0.004,
+                "share": pytest.approx(0.64),
+                "common": True,
+            },
+        ],
     }
     assert read["results"][1]["lower"] is None
-    assert read["results"][2]["value"] is None
+    assert (read["results"][1]["estimate"], read["results"][1]["budget"]) == (0.0031, [])
+    assert (read["results"][2]["value"], read["results"][2]["estimate"]) == (None, None)
     assert read["results"][2]["status"] == "failed"
     assert read["results"][2]["reasons"] == [{"code": "not_reached", "message": "too short"}]
     assert read["quality"][0] == {
