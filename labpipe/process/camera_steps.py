@@ -37,7 +37,7 @@ from labpipe.records.quality import (
     worth_knowing,
 )
 from labpipe.records.recording import MarkerTracks, RigidBody
-from labpipe.records.signals import Signal
+from labpipe.records.signals import SHAPE, Signal
 from labpipe.results.evidence import SpanBend
 from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes
@@ -201,14 +201,18 @@ def _shape(
 
 
 def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
-    """Deflection of the pull point, with what one more term of the shape would make of it."""
+    """Deflection of the pull point, and what it is with another shape of the wire.
+
+    One more term is as good an assumption as the one taken: the change counts as the half width of
+    a rectangle, whose standard uncertainty is 1 / sqrt(3) of it.
+    """
     values = deflection(fit.shape, rest=rest)
     seen = ~np.isnan(values)
     _, error = mean_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
     usable = not np.isnan(change[rest]).all()
-    other = values + change - np.nanmean(change[rest]) if usable else None
-    return Signal(fit.shape.time, values, "m", role, zero_error=error, alternative=other)
+    moved = {SHAPE: values + (change - np.nanmean(change[rest])) / sqrt(3.0)} if usable else {}
+    return Signal(fit.shape.time, values, "m", role, zero_error=error, moved=moved)
 
 
 def _said(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:

@@ -26,7 +26,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
-from labpipe.records.signals import Signal, Signals
+from labpipe.records.signals import COMPLIANCE, Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.failures import loading_before
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
@@ -144,24 +144,25 @@ def without_outliers(signals: Signals) -> tuple[Signal, list[Finding]]:
 
 
 def _without_compliance(test: Evidence, compliance: MachineCompliance) -> Corrected:
-    """Displacement of the specimen alone; the other assumption is a compliance wrong by 1 sigma."""
+    """Displacement of the specimen alone, and what it is with another compliance."""
     curve = test.curve
     if curve is None:
         return test, []
     value = compliance.value
-    # What another assumption changes is divided by sqrt(3) later; a standard error must not be.
-    other = value * (1.0 + np.sqrt(3.0) * compliance.uncertainty)
-    taken = [
-        correct_displacement(curve.displacement, curve.force, compliance=each)
-        for each in (value, other)
-    ]
-    _refuse_backwards(test, curve, taken[0], value)
+    less = partial(correct_displacement, force=curve.force, compliance=value)
+    signal = test.displacement.changed(less)
+    _refuse_backwards(test, curve, signal.values, value)
+    if compliance.uncertainty:
+        higher = value * (1.0 + compliance.uncertainty)
+        other = correct_displacement(curve.displacement, curve.force, compliance=higher)
+        signal = replace(signal, moved={**signal.moved, COMPLIANCE: other})
     most = 1e6 * value * float(np.nanmax(np.abs(curve.force)))
     message = (
         f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
     )
-    made = _with_displacement(test, curve, taken[0], taken[1] if compliance.uncertainty else None)
-    return made, [worth_knowing("compliance_removed", test.signals.displacement, message)]
+    return _with_displacement(test, curve, signal), [
+        worth_knowing("compliance_removed", test.signals.displacement, message)
+    ]
 
 
 def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: float) -> None:
@@ -232,8 +233,8 @@ def _filtered_in_pieces(test: Evidence, lost: int | Failure | None) -> Evidence:
         if name in signals.filters:
             at = [test.clocks.from_curve(end, raw[name].clock) for end in ends]
             cuts = np.searchsorted(raw[name].time, at, side="right").tolist()
-            values = in_pieces(raw[name].values, cuts, signals.filters[name])
-            filtered = replace(signals.filtered[name], values=values)
+            made = raw[name].changed(partial(in_pieces, cuts=cuts, filters=signals.filters[name]))
+            filtered = replace(signals.filtered[name], values=made.values, moved=made.moved)
             signals = signals.with_filtered(name, filtered)
             time = signals.filtered[signals.displacement].time
             changed[quantity] = test.clocks.sampled(filtered, time)
@@ -316,10 +317,9 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
             return test, [warning("no_toe", where, slack.message)]
         message = f"slack not found, so not taken off ({slack.message})"
         return test, [doubtful("slack_unknown", where, message, "displacement")]
-    off, alternative = slack.value, test.displacement.alternative
-    other = None if alternative is None else alternative - off
+    off = slack.value
     made = replace(
-        _with_displacement(test, curve, curve.displacement - off, other),
+        _with_displacement(test, curve, test.displacement.changed(lambda values: values - off)),
         slips=tuple(_moved(slip, off) for slip in test.slips),
         failure=_moved_failure(test.failure, off),
     )
@@ -378,12 +378,9 @@ def _moved(slip: Slip, slack: float) -> Slip:
     return replace(slip, position=slip.position - slack, position_interval=moved)
 
 
-def _with_displacement(
-    test: Evidence, curve: Curve, displacement: Floats, alternative: Floats | None
-) -> Evidence:
-    signal = replace(test.displacement, values=displacement, alternative=alternative)
+def _with_displacement(test: Evidence, curve: Curve, displacement: Signal) -> Evidence:
     return replace(
         test,
-        signals=test.signals.with_filtered(test.signals.displacement, signal),
-        curve=replace(curve, displacement=displacement),
+        signals=test.signals.with_filtered(test.signals.displacement, displacement),
+        curve=replace(curve, displacement=displacement.values),
     )

@@ -28,7 +28,7 @@ from labpipe.records.declarations import (
     Zero,
 )
 from labpipe.records.quality import Finding, doubtful, worth_knowing
-from labpipe.records.signals import Filter, Signal, Signals
+from labpipe.records.signals import SPEED, TURN, Filter, Signal, Signals
 from labpipe.signal.corners import Corner, fit_corner
 from labpipe.signal.filters import (
     Butterworth,
@@ -94,8 +94,8 @@ def travel_from_speed(
     Notes
     -----
     The turn is the corner of the force; loading began stroke / speed before it (the source, App.
-    A.6, takes the largest force for the turn, and 58.8 s). What is not known is in the signal's
-    alternative: turned one standard error later, and faster by the uncertainty of the speed.
+    A.6, takes the largest force for the turn, and 58.8 s). The signal is moved by what is not
+    known: turned one standard error later, or faster by the uncertainty of the speed.
     """
     if rig.crosshead_speed is None or rig.stroke is None:
         message = "expected rig.crosshead_speed and rig.stroke"
@@ -104,10 +104,12 @@ def travel_from_speed(
     corner = _turn(force, step)
     drive = Drive(corner.time - lasts, corner.time, rig.crosshead_speed)
     time = np.arange(force.time[0], force.time[-1], 1.0 / step.rate)
-    # What another assumption changes is divided by sqrt(3) later; a standard error must not be.
-    late = time - np.sqrt(3.0) * corner.time_error
-    other = (1.0 + np.sqrt(3.0) * step.speed_uncertainty) * drive.travel(late)
-    signal = Signal(time, drive.travel(time), "m", force.clock, alternative=other)
+    travel = drive.travel(time)
+    moved = {
+        TURN: drive.travel(time - corner.time_error),
+        SPEED: (1.0 + step.speed_uncertainty) * travel,
+    }
+    signal = Signal(time, travel, "m", force.clock, moved=moved)
     said = (
         f"no export measured it: {1e3 * rig.crosshead_speed:.4g} mm/s over {lasts:.4g} s up to the "
         f"force's corner at {corner.time:.3f} s (standard error {1e3 * corner.time_error:.2g} ms), "
@@ -401,13 +403,8 @@ def _decimate(signals: Signals, step: Decimate) -> tuple[Signals, list[Finding]]
 def _filtered(signals: Signals, name: str, made: Filter) -> Signals:
     """Filter a signal; once its corners are known this is done anew, piece by piece."""
     signal, (_, stride) = signals.filtered[name], made
-    other = signal.alternative
-    signal = replace(
-        signal,
-        time=signal.time[::stride],
-        values=in_pieces(signal.values, (), [made]),
-        alternative=None if other is None else other[::stride],
-    )
+    thinned = replace(signal, time=signal.time[::stride])
+    signal = thinned.changed(lambda values: in_pieces(values, (), [made]))
     return signals.with_filtered(name, signal, made)
 
 

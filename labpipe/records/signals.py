@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import Protocol, TypeAlias
 
 import numpy as np
@@ -28,6 +29,16 @@ Stretch: TypeAlias = tuple[float, float]
 """Begin and end, s."""
 
 
+SHAPE, COMPLIANCE = "shape of the wire", "compliance of the frame"
+TURN, SPEED = "turn of the drive", "speed of the drive"
+GRIP, PULL, CENTRE = "grip offset", "pull offset", "centre offset"
+"""Causes that move a displacement."""
+CLOCK_OFFSET, CLOCK_DRIFT = "clock offset", "clock drift"
+"""Causes that move the clock of the force."""
+TOGETHER = frozenset({SHAPE, COMPLIANCE, TURN, SPEED})
+"""Causes that are taken together, as one displacement under another assumption."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Signal:
     """One quantity on its own clock.
@@ -39,9 +50,8 @@ class Signal:
     clock : name of the clock that `time` belongs to
     relative_error : standard uncertainty of the scale, from the protocol
     zero_error : standard error of the zero, in `unit`
-    alternative : shape (n,), the same quantity under another assumption as good as this one (a
-        shape with one term more, another machine compliance); what a number changes when it is
-        computed from this instead shows how far it can be trusted
+    moved : by cause (``grip offset``, ``shape of the wire``), shape (n,): the signal as it is with
+        that input one standard uncertainty higher, and all others as they are taken
     time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
     """
 
@@ -51,13 +61,29 @@ class Signal:
     clock: str
     relative_error: float = 0.0
     zero_error: float = 0.0
-    alternative: Floats | None = None
+    moved: Mapping[str, Floats] = field(default_factory=dict)
     time_unit: str = "s"
 
     @property
     def has_time(self) -> bool:
         """Whether the samples have times, not just numbers."""
         return self.time_unit == "s"
+
+    @property
+    def alternative(self) -> Floats | None:
+        """The signal at the ends of rectangles of what is in `TOGETHER`; None without it."""
+        steps = [each - self.values for cause, each in self.moved.items() if cause in TOGETHER]
+        return self.values + sqrt(3.0) * sum(steps, np.zeros(1)) if steps else None
+
+    def changed(self, change: Callable[[Floats], Floats]) -> Signal:
+        """Do the same to the values and to all that they may have been.
+
+        Parameters
+        ----------
+        change : gives as many samples of everything
+        """
+        moved = {cause: change(values) for cause, values in self.moved.items()}
+        return replace(self, values=change(self.values), moved=moved)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,7 +146,7 @@ class Signals:
         """
 
         def less(signal: Signal) -> Signal:
-            return replace(signal, values=signal.values - level, zero_error=error)
+            return replace(signal.changed(lambda values: values - level), zero_error=error)
 
         raw, filtered = self.raw[name], self.filtered[name]
         zeroed = less(raw)
@@ -154,6 +180,44 @@ class Clocks:
         if self.force is None:
             return 0.0
         return float(np.sqrt(1.0 / np.sum(self.force.event_errors**-2.0)))
+
+    @property
+    def drift_error(self) -> float:
+        """Standard error of the drift between force and motion; 0 for one clock, or one event.
+
+        One event gives no drift, and the fit says NaN of its interval.
+        """
+        error = 0.0 if self.force is None else self.force.drift_interval.standard_error
+        return error if np.isfinite(error) else 0.0
+
+    @property
+    def middle(self) -> float:
+        """Mean time of the events that joined force and motion, s on the clock of the curve.
+
+        Weighted as they weigh in the fit, so that the errors of offset and drift about it are
+        independent; 0 for one clock.
+        """
+        fit = self.force
+        if fit is None:
+            return 0.0
+        return float(np.average(fit.event_times_motion, weights=fit.event_errors**-2.0))
+
+    @property
+    def moved(self) -> dict[str, Clocks]:
+        """The clocks with one input a standard uncertainty higher, by cause; none for one clock.
+
+        The offset moves all times of the force by `error`; the drift turns them by `drift_error`
+        about the `middle` of the events.
+        """
+        fit = self.force
+        if fit is None:
+            return {}
+        later = replace(fit, offset=fit.offset + self.error)
+        found = {CLOCK_OFFSET: replace(self, force=later)}
+        if turn := self.drift_error:
+            faster = replace(fit, offset=fit.offset - turn * self.middle, drift=fit.drift + turn)
+            found[CLOCK_DRIFT] = replace(self, force=faster)
+        return found
 
     def to_curve(self, at: float, clock: str) -> float:
         """Put a time of a clock on that of the curve; as it is while they are not joined."""

@@ -70,6 +70,8 @@ class Setup:
     ----------
     length, span : m, of the specimen, and between its supports; None where not given
     section : m (the area m^2), sizes of the cross-section by the keys of the protocol
+    uncertainties : m (of the area m^2), standard uncertainties of length, span and section by the
+        keys of the protocol; what is not there is taken as exact
     string : that loads the specimen; None where there is none
     has_markers : whether the specimen carries markers
     centre_offset, offset_uncertainty : m, of the markers
@@ -79,6 +81,7 @@ class Setup:
     length: float | None = None
     span: float | None = None
     section: Mapping[str, float] = field(default_factory=dict)
+    uncertainties: Mapping[str, float] = field(default_factory=dict)
     string: LoadString | None = None
     has_markers: bool = False
     centre_offset: float = 0.0

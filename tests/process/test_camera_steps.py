@@ -16,7 +16,7 @@ from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.declarations import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
-from labpipe.records.signals import Signals
+from labpipe.records.signals import SHAPE, Signals
 from labpipe.virtual_lab import Observation, observe
 from tests.builders.doubts import doubted
 from tests.builders.small_tests import small_scenario
@@ -77,8 +77,7 @@ def test_travel_and_deflection(
         assert np.sqrt(np.nanmean(error**2)) < 1e-4
     deflection = made.signals.filtered["deflection"]
     assert 0.0 < deflection.zero_error < 5e-5
-    assert deflection.alternative is not None
-    assert np.nanmax(np.abs(deflection.alternative - deflection.values)) < 1e-3
+    assert 0.0 < np.nanmax(np.abs(deflection.moved[SHAPE] - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in found.notes}
     assert not doubted(found.found)
 

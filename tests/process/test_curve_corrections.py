@@ -14,6 +14,7 @@ from labpipe.protocol.schema import CurveBlock
 from labpipe.records.curve import SlipDecision
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Severity
+from labpipe.records.signals import COMPLIANCE
 from tests.builders.doubts import doubted
 from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
 
@@ -45,6 +46,18 @@ def test_uncertain_give_widens_the_interval() -> None:
     assert found.interval is not None
     # k = 1 / (1/5000 - C), so dk = k^2 dC
     assert found.interval.standard_error == pytest.approx(found.value**2 * 1e-6, rel=0.05)
+
+
+def test_give_and_slack_move_what_the_displacement_may_be() -> None:
+    """11 um/N in place of 10 um/N; the slack that was taken off is the same for both."""
+    travel, force = pull(slack=2e-3)
+    curve = "compliance: {value: 10 um/N, uncertainty: 10 %}, slack: {from: 10 %, to: 30 %}"
+    test, _ = pulled(travel, force, curve=curve, results=[LINE])
+    assert test.curve is not None
+    moved = test.displacement.moved[COMPLIANCE] - test.displacement.values
+    np.testing.assert_allclose(moved, -1e-6 * test.curve.force, atol=1e-15)
+    assert isinstance(test.slack, Estimate)
+    assert test.slack.value == pytest.approx(2e-3, rel=0.01)
 
 
 def test_repaired_slips_add_up() -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
+from labpipe.records.signals import SPEED as SPEED_CAUSE
+from labpipe.records.signals import TURN
 from tests.builders.doubts import doubted
 from tests.builders.three_point import STROKE, BendingRecord, load_at, reduced
 
@@ -27,6 +30,18 @@ def test_it_ends_at_the_stroke_where_the_force_turns() -> None:
     assert note.message.startswith(
         "no export measured it: 0.5 mm/s over 58.8 s up to the force's corner at 61.8"
     )
+
+
+def test_what_is_not_known_of_the_drive_moves_it() -> None:
+    """0.5 % faster, and later by what is not known of the turn: less on the way up, more down."""
+    test, _ = reduced(BendingRecord(force_late=-3.0), without=ALONE)
+
+    way = test.displacement
+    np.testing.assert_allclose(way.moved[SPEED_CAUSE], 1.005 * way.values)
+    later = way.moved[TURN] - way.values
+    top = int(np.argmax(way.values))
+    assert np.median(later[100 : top - 100]) < 0.0 < np.median(later[top + 100 :])
+    assert np.ptp(later) < 1e-4
 
 
 def test_stiffness_and_peak_force_hold_the_truth() -> None:

@@ -7,7 +7,17 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import ClockFit, Interval
-from labpipe.records.signals import Clocks, Signal, Signals
+from labpipe.records.signals import (
+    CLOCK_DRIFT,
+    CLOCK_OFFSET,
+    GRIP,
+    SPEED,
+    TURN,
+    Clocks,
+    Signal,
+    Signals,
+)
+from labpipe.records.signals import PULL as PULL_OFFSET
 
 TIME: Floats = np.arange(0.0, 10.0)
 PULL = Signal(TIME, TIME + 1.0, "N", "force")
@@ -71,6 +81,25 @@ def test_a_level_of_what_was_not_filtered_leaves_one_signal() -> None:
     assert signals.raw["force"] is signals.filtered["force"]
 
 
+def test_what_is_done_to_a_signal_is_done_to_all_that_it_may_have_been() -> None:
+    signal = replace(WAY, moved={GRIP: WAY.values + 1e-3})
+    doubled = signal.changed(lambda values: 2.0 * values)
+    np.testing.assert_allclose(doubled.values, 2e-3 * TIME)
+    np.testing.assert_allclose(doubled.moved[GRIP], 2e-3 * TIME + 2e-3)
+    zeroed = Signals().with_new("way", signal).without_level("way", 5e-4, 0.0)
+    np.testing.assert_allclose(zeroed.raw["way"].moved[GRIP], 1e-3 * TIME + 5e-4)
+
+
+def test_rectangles_are_taken_together() -> None:
+    """Half widths are sqrt(3) standard uncertainties; offsets do not count among them."""
+    assert WAY.alternative is None
+    assert replace(WAY, moved={GRIP: WAY.values + 1.0}).alternative is None
+    moved = {TURN: WAY.values + 3e-4, SPEED: WAY.values - 1e-4, PULL_OFFSET: WAY.values + 1.0}
+    other = replace(WAY, moved=moved).alternative
+    assert other is not None
+    np.testing.assert_allclose(other - WAY.values, 2e-4 * np.sqrt(3.0))
+
+
 def test_one_clock_needs_no_joining() -> None:
     for clocks in (Clocks(), Clocks("frame")):
         assert clocks.to_curve(3.0, "frame") == clocks.from_curve(3.0, "frame") == 3.0
@@ -101,3 +130,34 @@ def test_samples_at_times_of_the_curve() -> None:
     assert np.isnan(found[7:]).all()  # nothing is extrapolated
     assert clocks.sampled(WAY, TIME) is WAY.values
     np.testing.assert_allclose(clocks.sampled(WAY, np.array([0.5, 11.0])), [5e-4, np.nan])
+
+
+def test_clocks_moved_by_what_is_not_known_of_them() -> None:
+    """Events at 0, 100, 400 s, the last known half as well: weights 4, 4, 1, middle 800 / 9 s."""
+    known = Interval.normal_95(1e-3, 2e-5)
+    joined = ClockFit(
+        *(2.0, 1e-3, known, known, 0.0),
+        np.array([0.0, 100.0, 400.0]),
+        np.zeros(3),
+        np.array([0.1, 0.1, 0.2]),
+        "",
+    )
+    clocks = Clocks("frame", joined)
+    assert clocks.middle == pytest.approx((4.0 * 100.0 + 400.0) / 9.0)
+    assert clocks.error == pytest.approx(0.2 / 3.0)
+    assert clocks.drift_error == pytest.approx(2e-5)
+    assert list(clocks.moved) == [CLOCK_OFFSET, CLOCK_DRIFT]
+    for at in (0.0, 100.0, 1000.0):
+        usual = clocks.from_curve(at, "force")
+        later = clocks.moved[CLOCK_OFFSET].from_curve(at, "force")
+        faster = clocks.moved[CLOCK_DRIFT].from_curve(at, "force")
+        assert later - usual == pytest.approx(0.2 / 3.0)
+        assert faster - usual == pytest.approx(2e-5 * (at - 800.0 / 9.0), abs=1e-12)
+
+
+def test_one_event_moves_no_drift() -> None:
+    nothing = Interval(np.nan, np.nan)
+    clocks = Clocks("frame", replace(fit(2.0), drift_interval=nothing))
+    assert clocks.drift_error == 0.0
+    assert list(clocks.moved) == [CLOCK_OFFSET]
+    assert Clocks("frame").moved == {}

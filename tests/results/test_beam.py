@@ -12,6 +12,7 @@ from labpipe.process.story import Reduced
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Result, Status
+from labpipe.records.signals import SHAPE
 from labpipe.results.beam import Kink, Plateau
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import to_result
@@ -184,7 +185,8 @@ def test_a_reversed_bridge_is_doubted_in_every_result() -> None:
 def test_another_shape_widens_places() -> None:
     """The same deflection by a shape with a term more, 1 % longer."""
     test, before = asked(cycles(noise=NOISE))
-    signal = replace(test.displacement, alternative=1.01 * test.displacement.values)
+    moved = {SHAPE: 1.01 * test.displacement.values}
+    signal = replace(test.displacement, moved=moved)
     test = replace(test, signals=test.signals.with_filtered("displacement", signal))
     for entry in (Kink(start=2e-4, stop=5e-3), Plateau(slope_below=0.2)):
         numbers = entry.compute(test).numbers
