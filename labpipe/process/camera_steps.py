@@ -22,6 +22,7 @@ from labpipe.process.motion import turning_points
 from labpipe.process.zeros import LEAST, mean_level
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.causes import SHAPE
 from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
 from labpipe.records.declarations import FitShape, RepairMarkers, ThreePointShape
 from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
@@ -37,7 +38,7 @@ from labpipe.records.quality import (
     worth_knowing,
 )
 from labpipe.records.recording import MarkerTracks, RigidBody
-from labpipe.records.signals import SHAPE, Signal
+from labpipe.records.signals import Signal
 from labpipe.results.evidence import SpanBend
 from labpipe.signal.clock_alignment import match_peaks
 from labpipe.signal.turning_points import Stroke, find_strokes

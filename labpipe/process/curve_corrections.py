@@ -23,10 +23,11 @@ from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
 from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
-from labpipe.records.signals import COMPLIANCE, Signal, Signals
+from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.failures import loading_before
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes

@@ -14,6 +14,7 @@ from labpipe.process.motion import upright
 from labpipe.process.zeros import FEWEST, LEAST, line_zero, mean_level, needed
 from labpipe.protocol.schema import Protocol, Rig
 from labpipe.records.arrays import Floats, median
+from labpipe.records.causes import SPEED, TURN
 from labpipe.records.declarations import (
     Decimate,
     FitShape,
@@ -28,7 +29,7 @@ from labpipe.records.declarations import (
     Zero,
 )
 from labpipe.records.quality import Finding, doubtful, worth_knowing
-from labpipe.records.signals import SPEED, TURN, Filter, Signal, Signals
+from labpipe.records.signals import Filter, Signal, Signals
 from labpipe.signal.corners import Corner, fit_corner
 from labpipe.signal.filters import (
     Butterworth,

@@ -19,15 +19,17 @@ SCALE_OF_FORCE: Final = "scale of the force"
 SCALE_OF_DISPLACEMENT: Final = "scale of the displacement"
 ZERO_OF_FORCE: Final = "zero of the force"
 ZERO_OF_DISPLACEMENT: Final = "zero of the displacement"
-FRAME_COMPLIANCE: Final = "compliance of the frame"
-CLOCK_OFFSET: Final = "offset of the clocks"
-CLOCK_DRIFT: Final = "drift of the clocks"
-GRIP_OFFSET: Final = "grip offset"
-PULL_OFFSET: Final = "pull offset"
-CENTRE_OFFSET: Final = "centre offset"
-MARKER_SIDE: Final = "side of the markers"
-SHAPE: Final = "shape of the specimen"
+SHAPE: Final = "shape of the wire"
 """What the displacement of another shape, fitted with one term more or fewer, changes."""
+COMPLIANCE: Final = "compliance of the frame"
+TURN: Final = "turn of the drive"
+SPEED: Final = "speed of the drive"
+GRIP: Final = "grip offset"
+PULL: Final = "pull offset"
+CENTRE: Final = "centre offset"
+MARKER_SIDE: Final = "side of the markers"
+CLOCK_OFFSET: Final = "clock offset"
+CLOCK_DRIFT: Final = "clock drift"
 LENGTH: Final = "length"
 SPAN: Final = "span"
 SECTION: Final = "section"
@@ -42,14 +44,16 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     SCALE_OF_DISPLACEMENT: True,
     ZERO_OF_FORCE: False,  # taken anew in every test
     ZERO_OF_DISPLACEMENT: False,
-    FRAME_COMPLIANCE: True,
+    SHAPE: False,
+    COMPLIANCE: True,
+    TURN: False,  # found in the force of each test
+    SPEED: True,
+    GRIP: False,  # markers are put on every specimen anew
+    PULL: False,
+    CENTRE: False,
+    MARKER_SIDE: False,
     CLOCK_OFFSET: False,  # the clocks are started anew for every test
     CLOCK_DRIFT: False,
-    GRIP_OFFSET: False,  # markers are put on every specimen anew
-    PULL_OFFSET: False,
-    CENTRE_OFFSET: False,
-    MARKER_SIDE: False,
-    SHAPE: False,
     LENGTH: False,  # every specimen is measured by itself
     SPAN: False,
     SECTION: False,

@@ -10,6 +10,7 @@ from typing import Protocol, TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, COMPLIANCE, SHAPE, SPEED, TURN
 from labpipe.records.curve import ClockFit
 
 
@@ -29,12 +30,6 @@ Stretch: TypeAlias = tuple[float, float]
 """Begin and end, s."""
 
 
-SHAPE, COMPLIANCE = "shape of the wire", "compliance of the frame"
-TURN, SPEED = "turn of the drive", "speed of the drive"
-GRIP, PULL, CENTRE = "grip offset", "pull offset", "centre offset"
-"""Causes that move a displacement."""
-CLOCK_OFFSET, CLOCK_DRIFT = "clock offset", "clock drift"
-"""Causes that move the clock of the force."""
 TOGETHER = frozenset({SHAPE, COMPLIANCE, TURN, SPEED})
 """Causes that are taken together, as one displacement under another assumption."""
 

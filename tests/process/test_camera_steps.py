@@ -13,10 +13,11 @@ from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.camera_steps import fit_shapes, repair, rms, turn_into_specimen
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
+from labpipe.records.causes import SHAPE
 from labpipe.records.declarations import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
-from labpipe.records.signals import SHAPE, Signals
+from labpipe.records.signals import Signals
 from labpipe.virtual_lab import Observation, observe
 from tests.builders.doubts import doubted
 from tests.builders.small_tests import small_scenario

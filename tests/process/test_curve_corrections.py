@@ -11,10 +11,10 @@ from labpipe.errors import ProcessingError
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.process.curve_corrections import correct_curve
 from labpipe.protocol.schema import CurveBlock
+from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import SlipDecision
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Severity
-from labpipe.records.signals import COMPLIANCE
 from tests.builders.doubts import doubted
 from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from labpipe.records.causes import SPEED as SPEED_CAUSE
+from labpipe.records.causes import TURN
 from labpipe.records.quality import Severity
 from labpipe.records.result import Status
-from labpipe.records.signals import SPEED as SPEED_CAUSE
-from labpipe.records.signals import TURN
 from tests.builders.doubts import doubted
 from tests.builders.three_point import STROKE, BendingRecord, load_at, reduced
 

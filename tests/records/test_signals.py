@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import CLOCK_DRIFT, CLOCK_OFFSET, GRIP, SPEED, TURN
+from labpipe.records.causes import PULL as PULL_OFFSET
 from labpipe.records.curve import ClockFit, Interval
-from labpipe.records.signals import (
-    CLOCK_DRIFT,
-    CLOCK_OFFSET,
-    GRIP,
-    SPEED,
-    TURN,
-    Clocks,
-    Signal,
-    Signals,
-)
-from labpipe.records.signals import PULL as PULL_OFFSET
+from labpipe.records.signals import Clocks, Signal, Signals
 
 TIME: Floats = np.arange(0.0, 10.0)
 PULL = Signal(TIME, TIME + 1.0, "N", "force")

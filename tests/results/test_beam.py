@@ -11,8 +11,8 @@ from labpipe.errors import ProtocolError
 from labpipe.process.story import Reduced
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import SHAPE
 from labpipe.records.result import Result, Status
-from labpipe.records.signals import SHAPE
 from labpipe.results.beam import Kink, Plateau
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import to_result
