@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -323,6 +324,59 @@ def fit_frames(
             fits.gain[chosen] = gain
             fits.freedom[chosen] = len(places) - basis.unknowns
     return fits
+
+
+def last_heights(
+    markers: Floats, fits: Sequence[tuple[RestCurve, EndConditions, float]], *, terms: int
+) -> Floats:
+    """Height of the last point of the curves that `fit_frames` fits, and nothing else of them.
+
+    Parameters
+    ----------
+    markers : shape (frames, markers, 3), m, relative to the pivot of the clamp; NaN where missing
+    fits : curve at rest, conditions at the ends and centre offset (m), of n clamped curves
+    terms : coefficients per coordinate
+
+    Returns
+    -------
+    Shape (n, frames), m, y above the clamped end; NaN in frames with too few markers.
+
+    Notes
+    -----
+    The height is linear in the markers, so one row of weights a curve does all frames that show the
+    same markers.
+    """
+    flat = np.concatenate([markers[..., 0], markers[..., 1]], axis=1)
+    heights = np.full((len(fits), len(markers)), np.nan)
+    for pattern, chosen in _patterns(in_sight(markers)):
+        seen = flat[np.ix_(chosen, np.flatnonzero(np.tile(pattern, 2)))]
+        for number, fit in enumerate(fits):
+            weights, height = _height_of_end(*fit, pattern, terms)
+            if len(weights):
+                heights[number, chosen] = seen @ weights + height
+    return heights
+
+
+def _height_of_end(
+    at_rest: RestCurve,
+    conditions: EndConditions,
+    centre_offset: float,
+    pattern: Flags,
+    terms: int,
+) -> tuple[Floats, float]:
+    """Weights of x then y of the markers in sight, and the height without them, m.
+
+    No weights where the markers are too few.
+    """
+    length, direction = conditions.length, at_rest.tangent
+    basis = curve_basis(terms=terms, length=length, clamped=True, free_tip=conditions.free_tip)
+    if pattern.sum() < basis.unknowns:
+        return np.zeros(0), np.nan
+    places = at_rest.arc_length[pattern]
+    solve = np.linalg.pinv(coupled_design(basis, places, centre_offset))
+    weights = basis.value(np.array([length]))[0] @ solve[basis.unknowns :]
+    known = at_rest.clamped_end + _known_part(direction, places, centre_offset)
+    return weights, float(direction[1] * length - weights @ known[:, :2].T.ravel())
 
 
 def _solve(

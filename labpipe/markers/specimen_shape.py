@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +16,13 @@ from labpipe.markers.curve_fits import (
     RestCurve,
     curve_at_rest,
     fit_frames,
+    last_heights,
 )
 from labpipe.markers.specimen_frame import Selection
 from labpipe.markers.track_repair import LEAST_MARKERS
 from labpipe.markers.tracklets import in_sight
 from labpipe.records.arrays import Flags, Floats, times_of
+from labpipe.records.causes import CENTRE, GRIP, PULL
 from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.quality import QualityNote, Severity
 
@@ -42,6 +45,8 @@ class ShapeFit:
     tip_gain : shape (frames, 3), standard error of the last point per unit of `marker_noise`
     tip_systematic : shape (frames, 3), m, how far the last point moves with one coefficient more;
         NaN where the markers do not carry one more
+    tip_moved : by cause, shape (frames,), m, height of the last point over the first with an offset
+        one standard uncertainty longer; empty for a specimen without a clamp
     notes : what was noticed
     """
 
@@ -51,7 +56,42 @@ class ShapeFit:
     marker_noise: float
     tip_gain: Floats
     tip_systematic: Floats
+    tip_moved: Mapping[str, Floats]
     notes: tuple[QualityNote, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Offsets:
+    """How markers and specimen lie to each other, m.
+
+    Parameters
+    ----------
+    grip : pivot to clamped end along the specimen; of no meaning without a clamp
+    pull : last marker to pull point along the specimen; 0 leaves the pull point out
+    centre : axis to marker centre, positive towards the pull
+    """
+
+    grip: float = 0.0
+    pull: float = 0.0
+    centre: float = 0.0
+
+    def moved(self, by: Offsets) -> dict[str, Offsets]:
+        """Make each offset longer by itself, by its cause; those that are not known better stay.
+
+        Parameters
+        ----------
+        by : standard uncertainties
+        """
+        longer = {
+            GRIP: replace(self, grip=self.grip + by.grip),
+            PULL: replace(self, pull=self.pull + by.pull),
+            CENTRE: replace(self, centre=self.centre + by.centre),
+        }
+        return {cause: offsets for cause, offsets in longer.items() if offsets != self}
+
+
+EXACT: Final = Offsets()
+"""Standard uncertainties of offsets that are taken as exact."""
 
 
 def fit_shape(
@@ -62,9 +102,8 @@ def fit_shape(
     *,
     clamp_specimen: Floats | None,
     rotation_lab_to_specimen: Floats,
-    grip_offset: float,
-    pull_offset: float,
-    centre_offset: float,
+    offsets: Offsets,
+    uncertainties: Offsets = EXACT,
     terms: int,
     tip: Literal["free", "loaded"],
     rest: Selection,
@@ -81,9 +120,7 @@ def fit_shape(
     clamp_specimen : shape (frames, 3), m, pivot of the clamp; None for a specimen without a clamp,
         which begins at its first marker and keeps the frame's own origin
     rotation_lab_to_specimen : shape (3, 3), handed on
-    grip_offset : m, pivot to clamped end along the specimen; of no meaning without a clamp
-    pull_offset : m, last marker to pull point along the specimen; 0 leaves the pull point out
-    centre_offset : m, axis to marker centre, positive towards the pull
+    offsets, uncertainties : of the markers, and standard uncertainties of the offsets
     terms : coefficients per coordinate
     tip : ``free``: no moment at the last point; ``loaded``: no condition there
     rest : frames before the first loading
@@ -112,20 +149,14 @@ def fit_shape(
     clamped, free_tip = clamp_specimen is not None, tip == "free"
     relative = markers_specimen - (0.0 if clamp_specimen is None else clamp_specimen[:, None])
     settled = np.asarray(in_sight(relative[rest]).any(axis=0), dtype=np.bool_)
-    at_rest = curve_at_rest(
-        _mean_at_rest(relative[:, settled], rest),
-        grip_offset=grip_offset if clamped else None,
-        pull_offset=pull_offset,
-        centre_offset=centre_offset,
-        free_tip=free_tip,
-    )
+    straight = _mean_at_rest(relative[:, settled], rest)
+    begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
+    at_rest, conditions = begin(offsets)
+    others = offsets.moved(uncertainties) if clamped else {}
+    models = [(*begin(each), each.centre) for each in others.values()]
+    heights = last_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
-    conditions = EndConditions(
-        length=float(at_rest.arc_length[-1]) + pull_offset,
-        direction=at_rest.tangent if clamped else None,
-        free_tip=free_tip,
-    )
-    model = (relative[:, settled], at_rest.arc_length, centre_offset, conditions)
+    model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
     fit = fit_frames(*model, terms=terms)
     finer = fit_frames(*model, terms=terms + 1) if fit.spare > 0 else None
     points = _Points(relative[:, settled], flags[:, settled], _kept(names, settled), at_rest)
@@ -138,8 +169,28 @@ def fit_shape(
         tip_systematic=(
             np.full_like(fit.gain, np.nan) if finer is None else finer.last_point - fit.last_point
         ),
+        tip_moved=dict(zip(others, heights, strict=True)),
         notes=_notes(names, settled, fit, time),
     )
+
+
+def _beginning(
+    straight: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool
+) -> tuple[RestCurve, EndConditions]:
+    """Curve at rest through the means of the markers, and what it says of the ends of all."""
+    at_rest = curve_at_rest(
+        straight,
+        grip_offset=offsets.grip if clamped else None,
+        pull_offset=offsets.pull,
+        centre_offset=offsets.centre,
+        free_tip=free_tip,
+    )
+    ends = EndConditions(
+        length=float(at_rest.arc_length[-1]) + offsets.pull,
+        direction=at_rest.tangent if clamped else None,
+        free_tip=free_tip,
+    )
+    return at_rest, ends
 
 
 def deflection(shape: Shape, *, rest: Selection) -> Floats:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from labpipe.errors import ProcessingError, complaint, nearest
 from labpipe.markers.rings import Sections, find_sections, ring_centres, rings_by_body
 from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
-from labpipe.markers.specimen_shape import ShapeFit, deflection, fit_shape
+from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_shape
 from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import frozen_samples
@@ -192,9 +192,10 @@ def _shape(
         tracks.time,
         clamp_specimen=None if take.clamp is None else frame.to_specimen(take.clamp),
         rotation_lab_to_specimen=frame.rotation_lab_to_specimen,
-        grip_offset=words.grip_offset,
-        pull_offset=words.pull_offset,
-        centre_offset=words.centre_offset,
+        offsets=Offsets(words.grip_offset, words.pull_offset, words.centre_offset),
+        uncertainties=Offsets(
+            words.offset_uncertainty, words.offset_uncertainty, words.centre_uncertainty
+        ),
         terms=step.terms,
         tip=step.tip,
         rest=take.rest,
@@ -202,7 +203,7 @@ def _shape(
 
 
 def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
-    """Deflection of the pull point, and what it is with another shape of the wire.
+    """Deflection of the pull point, and what it is with other offsets and another shape.
 
     One more term is as good an assumption as the one taken: the change counts as the half width of
     a rectangle, whose standard uncertainty is 1 / sqrt(3) of it.
@@ -212,7 +213,9 @@ def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
     _, error = mean_level(values[rest & seen], values[~rest])
     change = fit.tip_systematic[:, 1]
     usable = not np.isnan(change[rest]).all()
-    moved = {SHAPE: values + (change - np.nanmean(change[rest])) / sqrt(3.0)} if usable else {}
+    moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.tip_moved.items()}
+    if usable:
+        moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
     return Signal(fit.shape.time, values, "m", role, zero_error=error, moved=moved)
 
 

@@ -121,6 +121,7 @@ class Markers(Block):
     offset_uncertainty: Distance = Field(
         0.0, description="Standard uncertainty of grip_offset, and that of pull_offset"
     )
+    centre_uncertainty: Distance = Field(0.0, description="Standard uncertainty of centre_offset")
 
 
 class AlignNone(Block):

@@ -8,7 +8,7 @@ import numpy as np
 
 from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull
 from labpipe.law.plays import MomentLaw
-from labpipe.markers.specimen_shape import fit_shape
+from labpipe.markers.specimen_shape import Offsets, fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import AT_REST, PointFlag
 from labpipe.wire.cantilever import (
@@ -92,9 +92,7 @@ def bending_test(
         time,
         clamp_specimen=np.zeros((count, 3)),
         rotation_lab_to_specimen=np.eye(3),
-        grip_offset=0.0,
-        pull_offset=PULL_OFFSET,
-        centre_offset=HEIGHT,
+        offsets=Offsets(0.0, PULL_OFFSET, HEIGHT),
         terms=terms,
         tip="free",
         rest=rest,

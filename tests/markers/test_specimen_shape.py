@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Literal
 
@@ -11,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from labpipe.markers.specimen_shape import ShapeFit, deflection, fit_shape
+from labpipe.markers.specimen_shape import EXACT, Offsets, ShapeFit, deflection, fit_shape
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.builders.bent_wires import (
@@ -48,6 +49,8 @@ def fit(
     tip: Literal["free", "loaded"] = "free",
     clamp: Floats | None = None,
     centre_offset: float = CENTRE_OFFSET,
+    offsets: Offsets | None = None,
+    uncertainties: Offsets = EXACT,
 ) -> ShapeFit:
     frames, count = markers.shape[:2]
     seen = np.isfinite(markers).all(axis=2)
@@ -58,9 +61,8 @@ def fit(
         np.arange(frames) / 50,
         clamp_specimen=np.zeros((frames, 3)) if clamp is None else clamp,
         rotation_lab_to_specimen=np.eye(3),
-        grip_offset=0.006,
-        pull_offset=0.004,
-        centre_offset=centre_offset,
+        offsets=offsets or Offsets(0.006, 0.004, centre_offset),
+        uncertainties=uncertainties,
         terms=terms,
         tip=tip,
         rest=REST,
@@ -91,6 +93,41 @@ def test_tip_of_a_bent_wire(law: str, degrees: int, terms: int, limit: float) ->
     assert error[1] < limit
     assert error[0] < 2 * limit
     assert np.abs(deflection(fitted.shape, rest=REST)[20] - wire.y[-1]) < limit
+
+
+def with_gaps(wire: BentWire) -> Floats:
+    """A take that lacks a marker in one frame, six in another (too many) and all in a third."""
+    markers = take(wire, frames=6)
+    markers[21, 3] = markers[22, 2:] = markers[23] = np.nan
+    return markers
+
+
+def test_other_offsets_make_other_tips() -> None:
+    """The same as a fit of its own with each offset longer."""
+    markers = with_gaps(bent("hardening", 58))
+    usual = Offsets(0.006, 0.004, CENTRE_OFFSET)
+    found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).tip_moved
+    longer = {
+        "grip offset": replace(usual, grip=0.0062),
+        "pull offset": replace(usual, pull=0.0041),
+        "centre offset": replace(usual, centre=CENTRE_OFFSET + 5e-5),
+    }
+    assert found.keys() == longer.keys()
+    for cause, offsets in longer.items():
+        fitted = fit(markers, offsets=offsets).shape.positions
+        np.testing.assert_allclose(found[cause], fitted[:, -1, 1] - fitted[:, 0, 1], atol=1e-12)
+        assert list(np.flatnonzero(np.isnan(found[cause]))) == [22, 23]
+
+
+def test_tips_move_as_the_slope_there_has_it() -> None:
+    """By the sine of 58 degrees along the wire, and 1 - cosine across."""
+    markers, angle = take(bent("elastic", 58)), np.radians(58)
+    usual = deflection(fit(markers).shape, rest=REST)[20]
+    moved = fit(markers, uncertainties=Offsets(pull=1e-4, centre=1e-4)).tip_moved
+    change = {cause: tip[20] - tip[0] - usual for cause, tip in moved.items()}
+    assert list(change) == ["pull offset", "centre offset"]
+    assert change["pull offset"] == pytest.approx(1e-4 * np.sin(angle), rel=0.01)
+    assert change["centre offset"] == pytest.approx(1e-4 * (1 - np.cos(angle)), rel=0.1)
 
 
 @pytest.mark.parametrize("law", ["hardening", "kinked"])
@@ -235,9 +272,7 @@ def test_without_a_clamp_the_first_marker_is_the_beginning() -> None:
         np.arange(25) / 50,
         clamp_specimen=None,
         rotation_lab_to_specimen=np.eye(3),
-        grip_offset=0.0,
-        pull_offset=0.0,
-        centre_offset=0.0,
+        offsets=Offsets(),
         terms=4,
         tip="loaded",
         rest=REST,
@@ -274,9 +309,7 @@ def test_shapes_that_do_not_fit_together_are_refused() -> None:
             np.arange(5.0),
             clamp_specimen=None,
             rotation_lab_to_specimen=np.eye(3),
-            grip_offset=0.0,
-            pull_offset=0.0,
-            centre_offset=0.0,
+            offsets=Offsets(),
             terms=4,
             tip="loaded",
             rest=slice(0, 2),

@@ -13,7 +13,7 @@ from labpipe.process.calibrated_signals import Prepared, Take
 from labpipe.process.camera_steps import fit_shapes, repair, rms, turn_into_specimen
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Markers, Protocol
-from labpipe.records.causes import SHAPE
+from labpipe.records.causes import CENTRE, GRIP, PULL, SHAPE
 from labpipe.records.declarations import FitShape, RepairMarkers, SpecimenFrame
 from labpipe.records.quality import Findings
 from labpipe.records.recording import MarkerTracks
@@ -81,6 +81,24 @@ def test_travel_and_deflection(
     assert 0.0 < np.nanmax(np.abs(deflection.moved[SHAPE] - deflection.values)) < 1e-3
     assert {"specimen_frame", "shape_fit"} <= {note.code for note in found.notes}
     assert not doubted(found.found)
+
+
+def test_offsets_move_the_deflection_and_not_its_zero(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    """As a reduction of its own with a longer pull offset; the rest stays at zero."""
+    made, _ = done(tracks, protocol, offset_uncertainty=1e-4, centre_uncertainty=5e-5)
+    signal, rest = made.signals.raw["deflection"], made.take.rest
+    assert rest is not None
+    assert set(signal.moved) == {GRIP, PULL, CENTRE, SHAPE}
+    for moved in signal.moved.values():
+        assert np.nanmean(moved[rest]) == pytest.approx(0.0, abs=1e-12)
+    longer, _ = done(tracks, protocol, pull_offset=words(protocol).pull_offset + 1e-4)
+    np.testing.assert_allclose(
+        signal.moved[PULL], longer.signals.raw["deflection"].values, atol=1e-12
+    )
+    exact, _ = done(tracks, protocol, offset_uncertainty=0.0, centre_uncertainty=0.0)
+    assert set(exact.signals.raw["deflection"].moved) == {SHAPE}
 
 
 def test_markers_of_the_clamp_are_not_along_the_wire(
