@@ -2,21 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.fits.one_path import OnePath
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
 
+_Place = TypeVar("_Place", float, Floats)
 _SIDE = 4
 """Samples on each side of the break at least."""
 _LEAST = 16
+_PLACES = 300
+"""Breaks that are tried on each of many curves."""
+_BESIDE = 8
+"""Samples on each side of the first and the last of them, where there are 64 samples or more."""
 _BEND_ERRORS = 4.0
 """Standard errors by which the slopes must differ: the break was chosen to make them differ most,
 so that a straight line reaches two by chance far more often than once in twenty."""
+_AT_END = 0.025
+"""Share of replicates whose break may lie at the ends: an interval of 95 % has one end there."""
+_WIDE = 0.25
+"""Share of the stretch that the interval of a break may be long."""
 _END = 0.05
 """Share of the stretch next to its ends in which a kink is not one of the specimen."""
 
@@ -72,15 +83,26 @@ def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failu
 
 
 def _scan(displacement: Floats, force: Floats) -> _Scan | Failure:
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    d, f = displacement[known], force[known]
+    order = _in_order(displacement, _known(displacement, force))
+    if isinstance(order, Failure):
+        return order
+    return _Scan.of(displacement[order], force[order])
+
+
+def _known(displacement: Floats, force: Floats) -> Ints:
+    """Samples with both displacement and force."""
+    return np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+
+
+def _in_order(displacement: Floats, known: Ints) -> Ints | Failure:
+    """Known samples of a stretch in which the displacement grows, sorted by it."""
+    d = displacement[known]
     if len(d) < _LEAST:
         return Failure("too_few_samples", f"{len(d)} samples in the stretch, {_LEAST} are needed")
     if d[-1] <= d[0] or (np.arange(len(d)) - 0.5 * (len(d) - 1)) @ d <= 0.0:
         found = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
         return Failure("not_increasing", found)
-    order = np.argsort(d, kind="stable")
-    return _Scan.of(d[order], f[order])
+    return known[np.argsort(d, kind="stable")]
 
 
 def _described(scan: _Scan, at: float) -> TwoSegments | Failure:
@@ -139,9 +161,10 @@ class _Scan:
         np.cumsum([np.ones_like(x), x, x * x, r, x * r], axis=1, out=sums[:, 1:])
         return cls(d, y, x, r, sums)
 
-    def d_of(self, x: float) -> float:
+    def d_of(self, x: _Place) -> _Place:
         """Displacement of a place, m."""
-        return float(0.5 * (self.d[0] + self.d[-1]) + 0.5 * (self.d[-1] - self.d[0]) * x)
+        first, last = float(self.d[0]), float(self.d[-1])
+        return 0.5 * (first + last) + 0.5 * (last - first) * x
 
     def design(self, at: float) -> Floats:
         """Columns: level at the break, slope before, slope behind, jump at the break."""
@@ -153,19 +176,38 @@ class _Scan:
 
     def squares_at(self, at: Floats) -> Floats:
         """Least sum of squares with the break held, shape of `at`."""
-        below = self.sums[:, np.searchsorted(self.x, at, side="right")]
-        total = self.sums[:, -1]
-        n, sx, sxx, sr, sxr = total[:, None] - below
-        # Sums with h = max(x - c, 0).
-        sh, sxh, shr = sx - at * n, sxx - at * sx, sxr - at * sr
-        shh = sxx - 2.0 * at * sx + at * at * n
-        count, mx, mxx = total[0], total[1] / total[0], total[2] - total[1] ** 2 / total[0]
-        # h without its line: r is without one already.
-        cross = sxh - mx * sh
-        left = shh - sh * sh / count - cross * cross / mxx
-        gain = np.where(left > 1e-14 * count, shr * shr / np.where(left > 0.0, left, 1.0), 0.0)
+        _, _, _, sr, sxr = self._above(at)
+        _, _, left = self.hinges(at)
+        shr = sxr - at * sr
+        gain = np.where(left > 0.0, shr * shr / np.where(left > 0.0, left, 1.0), 0.0)
         rest: Floats = float(self.r @ self.r) - gain
         return rest
+
+    def _above(self, at: Floats) -> Floats:
+        """Sums over the samples beyond each place, shape (5, ...)."""
+        above: Floats = self.sums[:, -1:] - self.sums[:, np.searchsorted(self.x, at, "right")]
+        return above
+
+    def hinges(self, at: Floats) -> tuple[Floats, Floats, Floats]:
+        """Of h = max(x - at, 0) at each place the sum, and what its own line takes off and leaves.
+
+        Returns
+        -------
+        Sum of h; sum of h (x - mean x); sum of squares of h without its straight line, 0 where
+        that is nothing but rounding.
+        """
+        n, sx, sxx, _, _ = self._above(at)
+        count, mx, mxx = self.sums[0, -1], *self.spread
+        sh, sxh, shh = sx - at * n, sxx - at * sx, sxx - 2.0 * at * sx + at * at * n
+        cross = sxh - mx * sh
+        left = shh - sh * sh / count - cross * cross / mxx
+        return sh, cross, np.where(left > 1e-14 * count, left, 0.0)
+
+    @property
+    def spread(self) -> tuple[float, float]:
+        """Mean of x, and sum of squares about it."""
+        count, sx, sxx = self.sums[:3, -1]
+        return float(sx / count), float(sxx - sx * sx / count)
 
     def crossings(self) -> Floats:
         """Where the separate lines before and behind each gap between samples meet inside it."""
@@ -216,6 +258,248 @@ def _lines(sums: Floats) -> tuple[Floats, Floats]:
     with np.errstate(divide="ignore", invalid="ignore"):
         slope = (n * sxr - sx * sr) / (n * sxx - sx * sx)
         return (sr - slope * sx) / n, slope
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segments:
+    """Two lines that meet, of each of many curves.
+
+    Parameters
+    ----------
+    break_point : shape (...), m
+    first, second : shape (...), N/m, slopes before and behind it
+    level : shape (...), N, force at the break
+    """
+
+    break_point: Floats
+    first: Floats
+    second: Floats
+    level: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hinges:
+    """The places at which two lines may meet, decided once on one curve.
+
+    Parameters
+    ----------
+    order : shape (k,), samples that both quantities are known of, sorted by displacement; None for
+        all as they are
+    path : of these
+    scan : of the curve that was decided on
+    places : shape (300,), on the scale of the scan
+    moved : on that scale, how far the global optimum of that curve lies behind what the places find
+    """
+
+    order: Ints | None
+    path: OnePath
+    scan: _Scan
+    places: Floats
+    moved: float = 0.0
+
+    @classmethod
+    def of(cls, displacement: Floats, force: Floats) -> Hinges | Failure:
+        """Decide on the places between which a curve may bend.
+
+        Parameters
+        ----------
+        displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time; NaN
+            in either are left out
+
+        Returns
+        -------
+        Places with the same distance, the first and the last with eight samples beyond (an eighth
+        of the samples where these are fewer than 64, four at least), or a failure:
+        ``too_few_samples`` (fewer than 16), ``not_increasing`` when the displacement does not grow
+        over the stretch.
+        """
+        known = _known(displacement, force)
+        order = _in_order(displacement, known)
+        if isinstance(order, Failure):
+            return order
+        path = OnePath.of(displacement[known], force[known]).take(np.searchsorted(known, order))
+        scan = _Scan.of(displacement[order], force[order])
+        beside = min(_BESIDE, max(_SIDE, len(order) // 8)) - 1
+        places = np.linspace(scan.x[beside], scan.x[-1 - beside], _PLACES)
+        is_all = len(order) == len(force) and bool((np.diff(order) == 1).all())
+        found = cls(None if is_all else order, path, scan, places)
+        return replace(found, moved=scan.best() - float(found._best(scan.y[None])[0]))
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last sample of the stretch, m."""
+        return float(self.scan.d[0]), float(self.scan.d[-1])
+
+    def fitted(self, force: Floats, displacement: Floats | None = None) -> Segments:
+        """Best two lines that meet, of each of many curves.
+
+        Parameters
+        ----------
+        force : shape (..., n), N, with the samples that were decided on
+        displacement : shape (..., n), m; None for the one that was decided on
+
+        Returns
+        -------
+        Numbers of shape (...); NaN for a curve with a NaN among the samples that were decided on.
+
+        Notes
+        -----
+        Of the curve that was decided on it is the global least-squares optimum over all breaks, as
+        a scan of all gaps between samples finds it (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097). On
+        all others 300 places are tried. What a hinge max(x - c, 0) takes off the squares that one
+        straight line leaves is (y'u)^2, u the hinge without its own line, of length 1; the largest
+        is refined by the parabola through it and its neighbours, moved by as much as that misses
+        the optimum of the curve decided on, and the lines are the least-squares ones with the break
+        there. Products with hinges are exact, from sums of y and x y between places.
+        A displacement with noise of its own counts as noise of the force (`OnePath`).
+        """
+        y = self._taken(force)
+        if displacement is not None:
+            y = self.path.force(y, self._taken(displacement))
+        shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
+        scan, (mean, spread) = self.scan, self.scan.spread
+        inside = scan.x[_SIDE - 1], scan.x[-_SIDE]
+        at = np.clip(self._best(y) + self.moved, *inside)
+        sh, cross, left = scan.hinges(at)
+        level, along = y.mean(axis=1), y @ (scan.x - mean)
+        product = np.einsum("rn,rn->r", y, np.maximum(scan.x - at[:, None], 0.0))
+        left = np.where(left > 0.0, left, np.nan)
+        bend = (product - sh * level - cross * along / spread) / left
+        slope = (along - bend * cross) / spread
+        level += slope * (at - mean) - bend * sh / y.shape[1]
+        scale = 2.0 / (scan.d[-1] - scan.d[0])
+        numbers = (scan.d_of(at), scale * slope, scale * (slope + bend), level)
+        return Segments(*(each.reshape(shape) for each in numbers))
+
+    @property
+    def straight_line(self) -> str:
+        """What one straight line leaves of the curve that was decided on, in words."""
+        left = float(np.sqrt(self.scan.r @ self.scan.r / (len(self.scan.r) - 2)))
+        start, stop = self.ends
+        return (
+            f"one straight line does as well, to within {left:.3g} N from {1e3 * start:.4g} to "
+            f"{1e3 * stop:.4g} mm"
+        )
+
+    def _taken(self, values: Floats) -> Floats:
+        """Values of the samples that were decided on, sorted."""
+        if self.order is None:
+            return values
+        taken: Floats = np.take(values, self.order, axis=-1)
+        return taken
+
+    def _best(self, y: Floats) -> Floats:
+        """Break by the places and the parabola, shape (R,), of curves (R, k) sorted as `order`."""
+        x, places, (mean, spread) = self.scan.x, self.places, self.scan.spread
+        starts = np.concatenate([[0], np.searchsorted(x, places)])
+        is_empty = np.diff(starts, append=len(x)) == 0
+        beyond = []
+        for each in (y, y * x):
+            between = np.add.reduceat(each, starts, axis=1)
+            between[:, is_empty] = 0.0  # of an empty stretch `reduceat` gives its first sample
+            beyond.append(np.cumsum(between[:, :0:-1], axis=1)[:, ::-1])
+        sh, cross, left = self.scan.hinges(places)
+        product = beyond[1] - places * beyond[0]
+        product -= np.outer(y.mean(axis=1), sh) + np.outer(y @ (x - mean), cross / spread)
+        gain = product**2 / np.where(left > 0.0, left, np.inf)
+        top = np.clip(np.argmax(gain, axis=1), 1, len(places) - 2)
+        before, at, behind = np.take_along_axis(gain, top[:, None] + [-1, 0, 1], axis=1).T
+        bent = 2.0 * at - before - behind
+        off = 0.5 * (behind - before) / np.where(bent > 0.0, bent, np.inf)
+        best: Floats = places[top] + np.clip(off, -1.0, 1.0) * (places[1] - places[0])
+        return best
+
+
+def why_no_bend(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
+    """Judge whether a curve bends, by replicates of it.
+
+    Parameters
+    ----------
+    found : of the curve itself, shape ()
+    drawn : of its replicates, shape (R,); NaN of those without a number
+    hinges : that both were fitted with
+
+    Returns
+    -------
+    ``no_bend`` where the slopes differ by no more than four standard deviations of their difference
+    in the replicates, or where 2.5 % of the replicates have their break within two places of an
+    end; None where the curve bends.
+
+    Notes
+    -----
+    The break was chosen to make the slopes differ most, so that a straight line reaches two
+    standard deviations by chance far more often than once in twenty. The interval of a break that
+    may be an end of the stretch has no end there.
+    """
+    first, second = float(found.first), float(found.second)
+    bend, bends = second - first, drawn.second - drawn.first
+    error = float(np.nanstd(bends, ddof=1))
+    if not abs(bend) > _BEND_ERRORS * error:
+        return Failure(
+            "no_bend",
+            f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend):.3g} N/m, "
+            f"{_BEND_ERRORS} standard errors of {error:.3g} N/m are needed",
+        )
+    low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
+    at = drawn.break_point[~np.isnan(drawn.break_point)]
+    if np.mean((at <= low) | (at >= high)) >= _AT_END:
+        start, stop = hinges.ends
+        ends = f"{start:.6g} to {stop:.6g} m"
+        return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
+    return None
+
+
+def why_no_kink(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
+    """Judge whether a curve gets less steep somewhere, by replicates of it.
+
+    Parameters
+    ----------
+    found, drawn, hinges : as `why_no_bend` takes them
+
+    Returns
+    -------
+    ``no_kink`` where the curve does not bend, or bends upwards; ``kink_at_end`` where the lines
+    meet in the first or the last twentieth of the stretch; None where there is a kink.
+    """
+    straight = why_no_bend(found, drawn, hinges)
+    if straight is not None:
+        return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
+    first, second, at = float(found.first), float(found.second), float(found.break_point)
+    if second >= first:
+        rises = f"the slope rises from {first:.5g} to {second:.5g} N/m"
+        return Failure("no_kink", f"{rises} at {1e3 * at:.4g} mm")
+    start, stop = hinges.ends
+    margin = _END * (stop - start)
+    if start + margin <= at <= stop - margin:
+        return None
+    return Failure(
+        "kink_at_end",
+        f"the slope falls at {1e3 * at:.4g} mm, next to an end of the stretch from "
+        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
+    )
+
+
+def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Failure | None:
+    """Judge whether a place is known well enough to be one.
+
+    Parameters
+    ----------
+    interval : m, of the break
+    hinges : that it was found with
+
+    Returns
+    -------
+    ``wide_break`` where the interval is longer than a quarter of the stretch, else None.
+    """
+    start, stop = hinges.ends
+    width = interval.upper - interval.lower
+    if width <= _WIDE * (stop - start):
+        return None
+    return Failure(
+        "wide_break",
+        f"the break lies within {1e3 * width:.3g} mm, more than a quarter of the stretch from "
+        f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,264 @@
+"""Two segments of many curves at once, against brute force, and what says that a curve bends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike
+from scipy.stats import binomtest, chi2
+
+from labpipe.fits.two_segments import (
+    Hinges,
+    Segments,
+    TwoSegments,
+    fit_two_segments,
+    why_break_is_doubtful,
+    why_no_bend,
+    why_no_kink,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Interval
+from labpipe.records.estimates import Failure
+
+D = np.linspace(0.002, 0.02, 181)
+F = 45.0 + np.where(D < 0.0093, 5000.0, 2700.0) * (D - 0.0093)
+
+
+def hinges_of(d: Floats, f: Floats) -> Hinges:
+    found = Hinges.of(d, f)
+    assert isinstance(found, Hinges)
+    return found
+
+
+def noise(seed: int, *shape: int, deviation: float = 0.5) -> Floats:
+    return np.random.default_rng(seed).normal(0.0, deviation, shape)
+
+
+def lines_at(at: float, d: Floats, f: Floats) -> tuple[float, Floats]:
+    """Sum of squares and coefficients (level, first, second) of the lines with that break."""
+    columns = [np.ones_like(d), np.minimum(d - at, 0.0), np.maximum(d - at, 0.0)]
+    found, squares, *_ = np.linalg.lstsq(np.column_stack(columns), f, rcond=None)
+    return float(squares[0]), found
+
+
+@pytest.mark.parametrize("count", [16, 33, 64, 181, 1000])
+@pytest.mark.parametrize("deviation", [0.0, 0.5])
+def test_of_the_curve_decided_on_it_is_the_exact_optimum(count: int, deviation: float) -> None:
+    d = np.linspace(0.002, 0.02, count)
+    f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
+    f += noise(3, count, deviation=deviation)
+    found, exact = hinges_of(d, f).fitted(f), fit_two_segments(d, f)
+    assert isinstance(exact, TwoSegments)
+    assert found.break_point.shape == ()
+    assert float(found.break_point) == pytest.approx(exact.break_point.value, rel=1e-12)
+    assert float(found.first) == pytest.approx(exact.first.value, rel=1e-11)
+    assert float(found.second) == pytest.approx(exact.second.value, rel=1e-11)
+    assert float(found.level) == pytest.approx(exact.level, rel=1e-12)
+
+
+def test_replicates_are_the_optimum_of_brute_force() -> None:
+    curves = F + noise(5, 3, 4, len(D))
+    found = hinges_of(D, F).fitted(curves)
+    assert found.break_point.shape == (3, 4)
+    scatter = float(found.break_point.std())
+    for place in np.ndindex(3, 4):
+        tried = np.linspace(0.008, 0.011, 1501)
+        best = min(tried, key=lambda at: lines_at(at, D, curves[place])[0])
+        assert float(found.break_point[place]) == pytest.approx(best, abs=0.2 * scatter)
+        level, first, second = lines_at(float(found.break_point[place]), D, curves[place])[1]
+        assert float(found.level[place]) == pytest.approx(level, rel=1e-9)
+        assert float(found.first[place]) == pytest.approx(first, rel=1e-9)
+        assert float(found.second[place]) == pytest.approx(second, rel=1e-9)
+
+
+def test_steps_and_waits_in_the_displacement() -> None:
+    """Places between which there is no sample, and many samples between two."""
+    d = np.repeat(np.linspace(0.002, 0.02, 25), 8)
+    d[96:104] = d[95]
+    f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
+    found = hinges_of(d, f).fitted(f + noise(1, 20, len(d)))
+    for at, first in zip(found.break_point, found.first, strict=True):
+        assert abs(float(at) - 0.0093) < 1e-3
+        assert abs(float(first) - 5000.0) < 200.0
+
+
+def test_order_and_unknown_samples() -> None:
+    mixed = np.random.default_rng(0).permutation(len(D))
+    mixed = mixed[np.argsort(D[mixed] + noise(1, len(D), deviation=2e-4))]  # as cameras see it
+    curves = F + noise(2, 6, len(D))
+    holes = curves.copy()
+    holes[:, 50] = np.nan
+    hole = F.copy()
+    hole[50] = np.nan
+    plain = hinges_of(np.delete(D, 50), np.delete(F, 50)).fitted(np.delete(curves, 50, axis=1))
+    for found in (
+        hinges_of(D, hole).fitted(holes),
+        hinges_of(D[mixed], hole[mixed]).fitted(holes[:, mixed]),
+    ):
+        for name in ("break_point", "first", "second", "level"):
+            assert getattr(found, name) == pytest.approx(getattr(plain, name), rel=1e-9)
+    curves[2, 7] = np.nan
+    found = hinges_of(D, F).fitted(curves)
+    assert np.isnan(found.first).tolist() == [False, False, True, False, False, False]
+
+
+def test_displacements_of_their_own_are_noise_of_the_force() -> None:
+    """A displacement that is off by e is a force that is off by the slope times e."""
+    off = noise(4, 50, len(D), deviation=2e-5)
+    hinges, at = hinges_of(D, F), np.abs(D - 0.0093) > 5e-4
+    slope = np.where(D < 0.0093, 5000.0, 2700.0)
+    found = hinges.fitted(np.broadcast_to(F, off.shape), D + off * at)
+    same = hinges.fitted(F - slope * off * at)
+    assert found.break_point == pytest.approx(same.break_point, abs=1e-9)
+    assert found.first == pytest.approx(same.first, rel=1e-6)
+    spread = float(found.first.std())
+    truly = [np.polyfit((D + e)[at & (D < 0.0093)], F[at & (D < 0.0093)], 1)[0] for e in off * at]
+    assert spread == pytest.approx(np.std(truly), rel=0.3)
+
+
+def test_displacements_of_their_own_out_of_order() -> None:
+    mixed = np.argsort(D + noise(1, len(D), deviation=2e-4))
+    force = np.where(D < 0.0093, 5000.0, 500.0) * (D - 0.0093)
+    off = noise(6, 5, len(D), deviation=2e-5)
+    plain, other = hinges_of(D, force), hinges_of(D[mixed], force[mixed])
+    found = plain.fitted(force, D + off)
+    again = other.fitted(force[mixed], (D + off)[:, mixed])
+    assert again.second == pytest.approx(found.second, rel=5e-3)
+    assert np.ptp(found.second) > 1.0
+    assert other.path.displacement == pytest.approx(D)
+
+
+def test_samples_beyond_the_places() -> None:
+    for count, beyond in ((16, 4), (31, 4), (48, 6), (64, 8), (400, 8)):
+        d = np.arange(float(count))
+        hinges = hinges_of(d, np.minimum(d, 0.5 * count))
+        ends = [hinges.scan.d_of(float(hinges.places[place])) for place in (0, -1)]
+        assert ends == pytest.approx([d[beyond - 1], d[-beyond]])
+
+
+def test_says_why_not() -> None:
+    assert Hinges.of(D[:15], F[:15]) == Failure(
+        "too_few_samples", "15 samples in the stretch, 16 are needed"
+    )
+    back = Hinges.of(D[::-1], F[::-1])
+    assert back == Failure("not_increasing", "the displacement goes from 0.02 m to 0.002 m")
+
+
+def segments(at: ArrayLike, first: ArrayLike, second: ArrayLike) -> Segments:
+    return Segments(*(np.asarray(each, dtype=np.float64) for each in (at, first, second, 45.0)))
+
+
+def test_four_standard_deviations_of_the_bend_by_hand() -> None:
+    """Bends -90, -100, -110 N/m have a standard deviation of 10 N/m."""
+    first, second = np.array([1000.0, 1005.0, 990.0]), np.array([910.0, 905.0, 880.0])
+    hinges, drawn = hinges_of(D, F), segments(np.full(3, 0.0093), first, second)
+    assert why_no_bend(segments(0.0093, 1000.0, 959.0), drawn, hinges) is None
+    found = why_no_bend(segments(0.0093, 1000.0, 961.0), drawn, hinges)
+    assert found == Failure(
+        "no_bend",
+        "slopes 1000 and 961 N/m differ by 39 N/m, 4.0 standard errors of 10 N/m are needed",
+    )
+    with_hole = segments([0.0093] * 3 + [np.nan], [*first, np.nan], [*second, np.nan])
+    assert why_no_bend(segments(0.0093, 1000.0, 961.0), with_hole, hinges) == found
+
+
+def test_a_break_that_may_be_an_end() -> None:
+    """One replicate in forty within two places of an end: the interval has no end there."""
+    hinges = hinges_of(D, F)
+    step = (D[-8] - D[7]) / 299
+    slopes = 5000.0 + np.arange(40) % 2, np.full(40, 2700.0)
+    plain = segments(0.0093, 5000.0, 2700.0)
+    for end, sense in ((D[7], 1.0), (D[-8], -1.0)):
+        at = np.full(40, 0.0093)
+        at[3] = end + 2.1 * sense * step
+        assert why_no_bend(plain, segments(at, *slopes), hinges) is None
+        at[3] = end + 1.9 * sense * step
+        found = why_no_bend(plain, segments(at, *slopes), hinges)
+        assert found == Failure(
+            "no_bend", "the break may be at an end of the stretch, 0.002 to 0.02 m"
+        )
+        assert (
+            why_no_bend(
+                plain, segments(np.append(at, 0.0093), *([*x, x[0]] for x in slopes)), hinges
+            )
+            is None
+        )
+
+
+def test_kinks() -> None:
+    left = noise(0, len(D), deviation=0.02)
+    hinges = hinges_of(D, 5000.0 * D + left)
+    steady = segments(np.full(3, 0.0093), [900.0, 901.0, 902.0], [350.0, 350.0, 350.0])
+    assert why_no_kink(segments(0.0093, 900.0, 350.0), steady, hinges) is None
+    rises = why_no_kink(segments(0.0093, 350.0, 900.0), steady, hinges)
+    assert rises == Failure("no_kink", "the slope rises from 350 to 900 N/m at 9.3 mm")
+    # The first twentieth of 2 to 20 mm ends at 2.9 mm, the last begins at 19.1 mm.
+    for at, is_at_end in ((2.89e-3, True), (2.91e-3, False), (19.09e-3, False), (19.11e-3, True)):
+        found = why_no_kink(segments(at, 900.0, 350.0), steady, hinges)
+        assert (found is not None) == is_at_end
+        assert found is None or found.code == "kink_at_end"
+    straight = why_no_kink(segments(0.0093, 900.0, 899.0), steady, hinges)
+    assert straight is not None
+    assert straight.code == "no_kink"
+    deviation = float(np.std(left - np.polyval(np.polyfit(D, left, 1), D), ddof=2))
+    assert straight.message.startswith(
+        f"one straight line does as well, to within {deviation:.3g} N from 2 to 20 mm: slopes 900 "
+        "and 899 N/m differ by 1 N/m"
+    )
+
+
+def test_a_break_within_a_quarter_of_the_stretch() -> None:
+    hinges = hinges_of(D, F)
+    assert why_break_is_doubtful(Interval(0.008, 0.0124), hinges) is None
+    found = why_break_is_doubtful(Interval(0.008, 0.0126), hinges)
+    assert found == Failure(
+        "wide_break",
+        "the break lies within 4.6 mm, more than a quarter of the stretch from 2 to 20 mm",
+    )
+
+
+def test_replicates_scatter_as_curves_do() -> None:
+    """Spread of the exact optimum over seeds, and of replicates of the curve without noise."""
+    seeds, deviation = 200, 0.5
+    plain = []
+    for seed in range(seeds):
+        found = fit_two_segments(D, F + noise(seed, len(D), deviation=deviation))
+        assert isinstance(found, TwoSegments)
+        plain.append([found.break_point.value, found.first.value, found.second.value, found.level])
+    drawn = hinges_of(D, F).fitted(F + noise(999, 2000, len(D), deviation=deviation))
+    for number, name in enumerate(("break_point", "first", "second", "level")):
+        spread = float(np.std([each[number] for each in plain], ddof=1))
+        ratio = seeds * (spread / float(getattr(drawn, name).std())) ** 2
+        assert chi2.ppf(0.001, seeds) < ratio < chi2.ppf(0.999, seeds), name
+
+
+def test_intervals_from_replicates_cover() -> None:
+    """Replicates of the lines that each curve shows, as in the bootstrap of residuals."""
+    truth, seeds = (0.0093, 5000.0, 2700.0, 45.0), 200
+    hits = np.zeros(4, dtype=int)
+    for seed in range(seeds):
+        f = F + noise(seed, len(D))
+        hinges = hinges_of(D, f)
+        found = hinges.fitted(f)
+        ahead = D - float(found.break_point)
+        smooth = float(found.level) + np.where(ahead < 0.0, found.first, found.second) * ahead
+        again = hinges_of(D, smooth)
+        base, drawn = again.fitted(smooth), again.fitted(smooth + noise(seed + 5000, 400, len(D)))
+        assert why_no_bend(found, drawn, again) is None
+        for number, name in enumerate(("break_point", "first", "second", "level")):
+            low, high = np.quantile(getattr(drawn, name) - getattr(base, name), [0.025, 0.975])
+            value = float(getattr(found, name))
+            hits[number] += value - high <= truth[number] <= value - low
+    for count in hits.tolist():
+        assert binomtest(count, seeds, 0.95).pvalue > 0.0025
+
+
+@pytest.mark.parametrize("slope", [5000.0, -300.0])
+def test_a_straight_line_does_not_bend(slope: float) -> None:
+    for seed in range(60):
+        f = slope * D + noise(seed, len(D))
+        hinges = hinges_of(D, f)
+        line: Floats = np.polynomial.Polynomial.fit(D, f, 5)(D)
+        drawn = hinges_of(D, line).fitted(line + noise(seed + 5000, 400, len(D)))
+        found = why_no_bend(hinges.fitted(f), drawn, hinges)
+        assert found is not None, seed
