@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from labpipe.records.arrays import ArrayRecord, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import Result, Specimen
+from labpipe.records.result import Contribution, Result, Specimen
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,7 +63,7 @@ class Sample:
 
 @dataclass(frozen=True, slots=True)
 class MeanInterval:
-    """A mean with its t-based 95 % interval.
+    """A mean with its 95 % interval: Student's t, and what is common to all that was averaged.
 
     Parameters
     ----------
@@ -72,6 +72,9 @@ class MeanInterval:
     deviation : standard deviation of what was averaged; NaN for one value
     n : number of values averaged (samples, or spool means)
     reason : None when there is an interval
+    estimate : mean of the estimates, in the middle of the interval; None where it is the mean
+    common : what causes that all tests of a rig share change, in the unit of the mean; in the
+        interval
     """
 
     mean: float
@@ -79,6 +82,8 @@ class MeanInterval:
     deviation: float
     n: int
     reason: Reason | None = None
+    estimate: float | None = None
+    common: tuple[Contribution, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

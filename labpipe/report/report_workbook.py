@@ -252,7 +252,8 @@ _ABOUT = (
     "Numbers are in the unit of their row or of their column's heading, with all digits.",
     "Lower and upper are the ends of 95 % intervals. An empty cell: there is no such number.",
     "Of a sample, the interval says how well this one sample was measured. Of a mean, it is based"
-    " on Student's t with n - 1 degrees of freedom and holds the mean of all such specimens.",
+    " on Student's t with n - 1 degrees of freedom, with what all tests of a rig share, and holds"
+    " the mean of all such specimens.",
     "Mean over: samples, or spool means where samples of one spool are too much alike.",
     "Curves: lower and upper hold the mean at one displacement, lower_all and upper_all the whole"
     " mean curve. Only displacements at which every sample has data.",

@@ -22,6 +22,7 @@ from labpipe.statistics.group_notes import (
 from labpipe.statistics.mean_curves import loading_band, scaled_band
 from labpipe.statistics.means import USUAL, PoolingLimits, nested_mean
 from labpipe.statistics.outliers import mark_outliers
+from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import compare
 
 __all__ = ["PoolingLimits", "build_group", "compare_groups", "group_number"]
@@ -99,10 +100,13 @@ def group_number(
     unit = units[0] if units else ""
     left_out = {key: _why_not(result, name, unit) for key, result in found.items()}
     values = {key: each for key, each in found.items() if each is not None and not left_out[key]}
+    by_spool: dict[str, list[Result]] = {}
+    for key, each in values.items():
+        by_spool.setdefault(spools[key], []).append(each)
     return GroupNumber(
         name=name,
         unit=unit,
-        mean=_nested({key: _value(each) for key, each in values.items()}, spools, limits),
+        mean=_nested(by_spool, limits) if by_spool else None,
         values=values,
         left_out={key: reasons for key, reasons in left_out.items() if reasons},
         outliers=mark_outliers({key: _value(each) for key, each in values.items()}, spools),
@@ -126,13 +130,9 @@ def _value(result: Result) -> float:
     return float("nan") if result.value is None else result.value
 
 
-def _nested(
-    values: Mapping[str, float], spools: Mapping[str, str], limits: PoolingLimits
-) -> NestedMean | None:
-    by_spool: dict[str, list[float]] = {}
-    for key, value in values.items():
-        by_spool.setdefault(spools[key], []).append(value)
-    return nested_mean(by_spool, limits) if by_spool else None
+def _nested(spools: Mapping[str, Sequence[Result]], limits: PoolingLimits) -> NestedMean:
+    values = {name: [_value(each) for each in own] for name, own in spools.items()}
+    return with_shared(nested_mean(values, limits), spools)
 
 
 def compare_groups(

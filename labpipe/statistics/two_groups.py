@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
+from scipy import optimize, special
 
 from labpipe.records.curve import Interval
 from labpipe.records.group import Difference, MeanInterval, NestedMean
 from labpipe.statistics.means import LEVEL, t_quantile
+from labpipe.statistics.shared_causes import difference_of, standard_uncertainty, widened_by
+
+_FARTHEST = 8.0
+"""Standard deviations beyond which a chance, 1e-15, counts as none."""
 
 
 def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
@@ -22,7 +26,9 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
     Returns
     -------
     n counts the values of both; deviation is NaN, since two scatters stand behind it. No interval
-    where one of the means has none, with its reason.
+    where one of the means has none, with its reason. The interval lies about the difference of the
+    estimates. What all tests of a rig share acts on both means alike: what it changes in their
+    difference is in the interval.
 
     Notes
     -----
@@ -30,11 +36,18 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
     Satterthwaite.
     """
     found, n = second.mean - first.mean, first.n + second.n
+    common = difference_of(first.common, second.common)
     reason = first.reason or second.reason
     if reason:
-        return MeanInterval(found, None, np.nan, n, reason)
-    half = _welch(first, second).half
-    return MeanInterval(found, Interval(found - half, found + half), np.nan, n)
+        return MeanInterval(found, None, np.nan, n, reason, common=common)
+    half, middle = _welch(first, second).half, _estimate(second) - _estimate(first)
+    interval = widened_by(Interval(middle - half, middle + half), common)
+    estimate = None if middle == found else middle
+    return MeanInterval(found, interval, np.nan, n, estimate=estimate, common=common)
+
+
+def _estimate(mean: MeanInterval) -> float:
+    return mean.mean if mean.estimate is None else mean.estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +86,31 @@ def equivalence_p(first: MeanInterval, second: MeanInterval, margin: float) -> f
     Notes
     -----
     Schuirmann, J. Pharmacokinetics and Biopharmaceutics 15 (1987) 657, with Welch's degrees of
-    freedom.
+    freedom. What all tests share is added as in the interval: p is where the quantiles of scatter
+    and of common causes reach the margin in quadrature.
     """
     if first.reason or second.reason:
         return float("nan")
     spread = _welch(first, second)
-    room = margin - abs(second.mean - first.mean)
-    if spread.error == 0:
-        return 0.0 if room > 0 else 1.0
-    return float(special.stdtr(spread.degrees, -room / spread.error))
+    shared = standard_uncertainty(difference_of(first.common, second.common))
+    room = margin - abs(_estimate(second) - _estimate(first))
+    p = _tail(abs(room), spread, shared)
+    return p if room > 0 else 1.0 - p
+
+
+def _tail(room: float, spread: _Welch, shared: float) -> float:
+    """Chance that scatter and a normal doubt together go beyond some room on one side."""
+    if shared == 0.0:
+        return float(special.stdtr(spread.degrees, -room / spread.error)) if spread.error else 0.0
+
+    def beyond(sigmas: float) -> float:
+        quantile = special.stdtrit(spread.degrees, float(special.ndtr(-sigmas)))
+        of_scatter = quantile * spread.error
+        return float(np.hypot(of_scatter, sigmas * shared)) - room
+
+    if beyond(_FARTHEST) <= 0.0:
+        return 0.0
+    return float(special.ndtr(-optimize.brentq(beyond, 0.0, _FARTHEST)))
 
 
 def compare(
@@ -110,7 +139,7 @@ def compare(
     found = difference_of_means(one, two)
     p = float("nan") if margin is None else equivalence_p(one, two, margin)
     verdict = _verdict(found, margin, p, share=_relative(margin, one.mean))
-    caveats = _caveats([first, second])
+    caveats = (*_caveats([first, second]), *_shared(found))
     return Difference(name, unit, first[0], second[0], found, margin, p, verdict, caveats)
 
 
@@ -137,6 +166,13 @@ def _verdict(found: MeanInterval, margin: float | None, p: float, *, share: str)
         else f"and it is not shown to lie within {share}: p = {p:.2g} in the two one-sided tests"
     )
     return f"cannot tell: the 95 % interval of the difference holds zero, {said}"
+
+
+def _shared(found: MeanInterval) -> tuple[str, ...]:
+    """Which causes act on both groups alike."""
+    causes = ", ".join(each.cause for each in found.common)
+    said = f"both groups share {causes}: the interval holds what that changes in their difference"
+    return (said,) if causes else ()
 
 
 def _caveats(groups: list[tuple[str, NestedMean]]) -> tuple[str, ...]:

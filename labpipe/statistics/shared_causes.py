@@ -1,0 +1,145 @@
+"""What all tests of a rig share, in the mean of a group: it does not average out.
+
+A load cell that reads 0.3 % too much reads too much in every test. The scatter of the samples does
+not show it, and more samples do not make it smaller; so it is added to the interval of the mean.
+What noise adds to each number on average does not average out either; it is known, and taken off.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import hypot
+
+import numpy as np
+
+from labpipe.records.curve import Interval
+from labpipe.records.group import MeanInterval, NestedMean
+from labpipe.records.result import Contribution, Result
+
+
+@dataclass(frozen=True, slots=True)
+class _Shared:
+    """What scatter does not show of one result, or of a mean.
+
+    Parameters
+    ----------
+    off : value less estimate
+    changes : by cause that all tests of a rig share
+    """
+
+    off: float
+    changes: Mapping[str, float]
+
+
+def with_shared(mean: NestedMean, spools: Mapping[str, Sequence[Result]]) -> NestedMean:
+    """Add to the intervals of a mean what all its tests share.
+
+    Parameters
+    ----------
+    mean : of `spools`, by the scatter alone
+    spools : the results that were averaged, by spool
+
+    Returns
+    -------
+    The same means and scatter. Every interval lies about the mean of the estimates, and is wider
+    by what is common (`widened_by`); the decision names the causes.
+
+    Notes
+    -----
+    A common cause moves all numbers at once, each by its own signed change, and so moves their
+    mean by the mean of the changes. Causes are independent (GUM, JCGM 100:2008, 5.2.2, note 1).
+    """
+    known = {name: [_of_result(each) for each in spools[name]] for name in mean.spool_means}
+    means = {name: _mean_of(own) for name, own in known.items()}
+    samples = _mean_of([each for own in known.values() for each in own])
+    over_samples = _with(mean.over_samples, samples)
+    over_spools = mean.over_spools and _with(mean.over_spools, _mean_of(list(means.values())))
+    chosen = over_samples if mean.is_pooled or over_spools is None else over_spools
+    said = tuple(each.cause for each in chosen.common)
+    because = (f"its interval holds what all tests of a rig share: {', '.join(said)}",)
+    decision = replace(mean.decision, because=(*mean.decision.because, *(because if said else ())))
+    return replace(
+        mean,
+        chosen=chosen,
+        over_samples=over_samples,
+        over_spools=over_spools,
+        spool_means={name: _with(each, means[name]) for name, each in mean.spool_means.items()},
+        decision=decision,
+    )
+
+
+def _of_result(result: Result) -> _Shared:
+    value = 0.0 if result.value is None else result.value
+    estimate = value if result.estimate is None else result.estimate
+    changes = {each.cause: each.change for each in result.budget if each.is_common}
+    return _Shared(value - estimate, changes)
+
+
+def _mean_of(several: Sequence[_Shared]) -> _Shared:
+    """Means, a cause that a result does not have counting as no change."""
+    causes = dict.fromkeys(cause for each in several for cause in each.changes)
+    if not several:
+        return _Shared(0.0, {})
+    changes = {
+        cause: float(np.mean([each.changes.get(cause, 0.0) for each in several]))
+        for cause in causes
+    }
+    return _Shared(float(np.mean([each.off for each in several])), changes)
+
+
+def _with(mean: MeanInterval, shared: _Shared) -> MeanInterval:
+    common = tuple(
+        Contribution(cause, change, is_common=True) for cause, change in shared.changes.items()
+    )
+    estimate = mean.mean - shared.off if shared.off else None
+    moved = mean.interval and Interval(
+        mean.interval.lower - shared.off, mean.interval.upper - shared.off
+    )
+    interval = moved and widened_by(moved, common)
+    return replace(mean, interval=interval, estimate=estimate, common=common)
+
+
+def standard_uncertainty(common: Sequence[Contribution]) -> float:
+    """Standard uncertainty that independent causes make together."""
+    return hypot(*(each.change for each in common))
+
+
+def widened_by(interval: Interval, common: Sequence[Contribution]) -> Interval:
+    """Widen the t interval of a mean by what is common to all that was averaged.
+
+    Parameters
+    ----------
+    interval : of Student's t, about its middle
+    common : changes of the mean
+
+    Returns
+    -------
+    Its half width in quadrature with the normal 95 % half width of the common causes.
+
+    Notes
+    -----
+    Effective degrees of freedom (GUM, G.4.1) would make the interval of two values *shorter* when
+    a common cause is added, since t falls from 12.7 faster than the uncertainty grows. Half widths
+    in quadrature never do; how often they hold the mean: docs/explanations/statistics.md.
+    """
+    middle = 0.5 * (interval.lower + interval.upper)
+    shared = Interval.normal_95(0.0, standard_uncertainty(common)).upper
+    half = hypot(0.5 * (interval.upper - interval.lower), shared)
+    return Interval(middle - half, middle + half, interval.level) if shared else interval
+
+
+def difference_of(
+    first: Sequence[Contribution], second: Sequence[Contribution]
+) -> tuple[Contribution, ...]:
+    """What common causes change in the difference of two means, second less first.
+
+    Parameters
+    ----------
+    first, second : changes of two means of tests on one rig: a cause acts on both alike
+    """
+    one, two = ({each.cause: each.change for each in own} for own in (first, second))
+    return tuple(
+        Contribution(cause, two.get(cause, 0.0) - one.get(cause, 0.0), is_common=True)
+        for cause in dict.fromkeys([*one, *two])
+    )
