@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo golden test test-slow check bench reference clean
+.PHONY: demo golden test test-slow coverage coverage-status coverage-page check bench reference clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -16,13 +16,22 @@ golden: .venv/.ready  ## numbers of the demo and of real exports against those k
 	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED))
 
 # The matrices are small: more than one thread of BLAS only waits for the others.
-golden test test-slow: export OPENBLAS_NUM_THREADS = 1
+golden test test-slow coverage: export OPENBLAS_NUM_THREADS = 1
 
 test: .venv/.ready  ## everything but the slow studies
 	$(BIN)/python -m pytest -n 2
 
 test-slow: .venv/.ready  ## coverage of the intervals over many seeded runs, long fuzzing
 	$(BIN)/python -m pytest -n 2 -m slow
+
+coverage: .venv/.ready  ## how often intervals hold: goes on where it stopped, for 50 minutes (MINUTES=10: less)
+	$(BIN)/python -m tests.coverage run --minutes $(or $(MINUTES),50)
+
+coverage-status: .venv/.ready  ## whether the page of the coverage study still holds, and what is missing
+	$(BIN)/python -m tests.coverage status
+
+coverage-page: .venv/.ready  ## put what was counted on docs/explanations/coverage.md
+	$(BIN)/python -m tests.coverage publish
 
 check: .venv/.ready  ## style, types, layers
 	$(BIN)/ruff format --check .

@@ -26,33 +26,3 @@ UNNAMED: set[tuple[str, str]] = set()
 
 # Tests that end in a fault of labpipe itself.
 CRASHES: set[Case] = set()
-
-# Intervals that hold the truth in fewer than nine of ten tests of the study.
-_BELOW = {
-    "tensile": "slack peak_force.1 stiffness failure_force energy_to_break",
-    "twist-tube": "stiffness_first stiffness_second",
-    "pet-tape": "stiffness_second",
-    "corrugated-tube": "peak_force.1 peak_displacement.1",
-    "stiff-bar": "compliance",
-    "three-point-bend": "peak_force.1 peak_displacement.1",
-    "force-displacement": (
-        "peak_force.1 peak_displacement.1 energy.1 peak_force.2 peak_displacement.2 "
-        "energy.2 peak_force.3 peak_displacement.3 energy.3"
-    ),
-    "wire-cantilever": (
-        "peak_force.1 peak_displacement.1 energy.1 unloading_stiffness.1 peak_force.2 "
-        "peak_displacement.2 energy.2 unloading_stiffness.2 peak_force.3 "
-        "peak_displacement.3 energy.3 unloading_stiffness.3 initial_stiffness"
-    ),
-    "taped-bundle": (
-        "peak_force.1 peak_displacement.1 energy.1 unloading_stiffness.1 peak_force.2 "
-        "peak_displacement.2 energy.2 unloading_stiffness.2 initial_stiffness end_slope "
-        "loading_stiffness.1 loading_stiffness.2 hardening.2"
-    ),
-    "conduit-bundle": "twist peak_force.1 peak_displacement.1 energy.1 end_slope",
-}
-BELOW = {(kind, name) for kind, names in _BELOW.items() for name in names.split()}
-
-# Results of the virtual lab's own studies of wires that hold too seldom where nothing but noise is
-# in the interval: the largest sample lies above the largest force.
-BELOW_IN_THE_VIRTUAL_LAB = {"peak_force"}

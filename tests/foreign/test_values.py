@@ -14,8 +14,8 @@ import pytest
 
 from tests.foreign.below import CRASHES, NOT_OK, UNNAMED, WRONG
 from tests.foreign.frames import FRAMES
+from tests.foreign.processed import FAULTS, KINDS, Said, process
 from tests.foreign.rig import Chance
-from tests.foreign.study import FAULTS, KINDS, Said, process
 
 CASES = {0: "white", 24: "hum", 48: "steps", 108: "memory"}
 """Seeds, and their noise. Machines dwell 0, 1, 5, 0 s at a turn; specimens differ; with the last

@@ -1,8 +1,4 @@
-"""The foreign tests through the command line, and the study of coverage.
-
-The study draws 200 tests of each kind by seeds that were fixed before it ran first. It writes one
-JSON line per test and goes on where it stopped.
-"""
+"""The foreign tests through the command line, and those that the study of coverage draws."""
 
 from __future__ import annotations
 
@@ -10,9 +6,8 @@ import contextlib
 import io
 import json
 import shutil
-import time
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -105,27 +100,5 @@ def _rows(made: Made, results: list[Row], refused: str) -> Iterator[Row]:
             yield {"name": name, "truth": truth, "value": None, "status": "absent", "why": refused}
         else:
             kept = {key: row[key] for key in ("name", "value", "lower", "upper", "status")}
-            yield {**kept, "truth": truth, "why": why(row)}
-
-
-def carry_on(file: Path, home: Path, *, kinds: Iterable[str] = KINDS, minutes: float = 55.0) -> int:
-    """Go on with the study for some minutes; how many tests are still missing."""
-    done = {(line["kind"], line["seed"]) for line in read(file)}
-    wanted = [(kind, seed) for seed in SEEDS for kind in kinds if (kind, seed) not in done]
-    until = time.monotonic() + 60.0 * minutes
-    with file.open("a") as stream:
-        for number, (kind, seed) in enumerate(wanted):
-            if time.monotonic() > until:
-                return len(wanted) - number
-            chance = chance_of(kind, seed)
-            said = process(chance, home / f"{kind}-{seed}")
-            about = {"kind": kind, "seed": seed, "noise": chance.noise, "fault": chance.fault}
-            stream.write(json.dumps({**about, "rows": said.rows, "notes": said.notes}) + "\n")
-            stream.flush()
-    return 0
-
-
-def read(file: Path) -> list[Row]:
-    """The lines of a study; a last line that was cut short is left out."""
-    lines = file.read_text().split("\n")[:-1] if file.is_file() else []
-    return [json.loads(line) for line in lines]
+            estimate = row.get("estimate")
+            yield {**kept, "estimate": estimate, "truth": truth, "why": why(row)}

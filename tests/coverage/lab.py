@@ -1,0 +1,79 @@
+"""The tests that the study draws from the virtual lab, by kind and seed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from labpipe.records.result import Result
+from labpipe.virtual_lab import observe
+from tests.builders.tensile_tests import reduced_in_memory, shipped, true_values
+from tests.coverage import lab_bending, lab_tensile
+from tests.coverage.lab_bending import Checked
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+ON_A_STRING = {
+    "wire-cantilever": lab_bending.wire,
+    "stranded-wire": lab_bending.stranded_wire,
+    "taped-bundle": lab_bending.taped_bundle,
+}
+KINDS = (*lab_tensile.KINDS, *ON_A_STRING, "conduit-bundle")
+PROTOCOLS = {"stranded-wire": "wire-cantilever"}
+"""Of kinds that are not called as their protocol is."""
+
+
+def made(kind: str, seed: int, folder: Path) -> Checked:
+    """Observe and process a test.
+
+    Parameters
+    ----------
+    kind, seed : one of `KINDS`; of all chance
+    folder : for its sheet
+
+    Returns
+    -------
+    All results, and what is true, by their names.
+    """
+    protocols = REPOSITORY / "protocols"
+    if kind in lab_tensile.KINDS:
+        test = observe(lab_tensile.drawn(kind, seed), seed)
+        return reduced_in_memory(test, shipped(REPOSITORY, kind)), true_values(test)
+    if kind in ON_A_STRING:
+        return lab_bending.on_a_string(ON_A_STRING[kind](seed), seed, folder, protocols)
+    scenario = lab_bending.conduit_bundle(seed)
+    return lab_bending.on_two_supports(scenario, seed, folder, protocols)
+
+
+def rows(kind: str, seed: int, folder: Path) -> list[dict[str, Any]]:
+    """Of each result whose truth is known: truth, numbers, status, and why."""
+    results, truth = made(kind, seed, folder)
+    return compared(results, truth)
+
+
+def compared(results: tuple[Result, ...], truth: dict[str, float]) -> list[dict[str, Any]]:
+    """The same of results; where other slips were found than there are, none of them counts."""
+    slips, found = (
+        {name for name in names if name.startswith("slip_")}
+        for names in (truth, {each.name for each in results})
+    )
+    made = [_row(each, truth[each.name]) for each in results if each.name in truth]
+    if slips == found:
+        return made
+    nothing = dict.fromkeys(("value", "estimate", "lower", "upper"))
+    why = {"status": "failed", "why": "other slips were found"}
+    lost = [{"name": name, "truth": truth[name], **nothing, **why} for name in sorted(slips)]
+    return [row for row in made if row["name"] not in slips] + lost
+
+
+def _row(result: Result, truth: float) -> dict[str, Any]:
+    interval = result.interval
+    return {
+        "name": result.name,
+        "truth": truth,
+        "value": result.value,
+        "estimate": result.estimate,
+        "lower": None if interval is None else interval.lower,
+        "upper": None if interval is None else interval.upper,
+        "status": str(result.status),
+        "why": result.why,
+    }

@@ -1,0 +1,250 @@
+"""Bending tests of the virtual lab in memory, by the shipped protocols, and what is true of them.
+
+What a test sheet says is off by as much as the protocol states, and each test has a load cell of
+its own: what an interval allows for has to happen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.process.reading import name_channels
+from labpipe.process.story import reduce_recordings
+from labpipe.protocol.load import load_test_sheet, resolve
+from labpipe.protocol.schema import Protocol
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.recording import Recording
+from labpipe.records.result import Result
+from labpipe.virtual_lab import CantileverScenario, ConduitObservation, Observation, observe
+from labpipe.virtual_lab.bundles import TAPED_TYPES
+from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign, WireCampaign
+from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
+from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario
+from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped
+from labpipe.virtual_lab.sheet_texts import write_sheet
+from tests.builders.bent_tests import law_moment
+
+Truth = dict[str, float]
+Checked = tuple[tuple[Result, ...], Truth]
+
+LENGTH_ERROR, SPEED_ERROR = 0.5e-3, 0.005
+"""Standard uncertainties that the protocols state: of length and span, m, and of the speed."""
+OFFSET_ERROR = 0.1e-3
+"""Standard uncertainty of the places of clamped end and pull point that they state, m."""
+WIRE_WINDOW, UNLOADING = (0.5e-3, 4e-3), (0.3e-3, 3e-3)
+"""Of initial and unloading stiffness of wires, m; the second one below the peak."""
+CURVATURES = (1.0, 3.0)
+"""At which the protocol asks for the bending stiffness of a wire, 1/m."""
+STEPS = 40_001
+
+
+def wire(seed: int) -> CantileverScenario:
+    """A wire by the numbers of its law, whose string is slack at first, with mishaps of markers."""
+    usual = CantileverScenario(name=f"wire-{seed}")
+    return replace(usual, clocks=replace(usual.clocks, rate=1000.0))
+
+
+def stranded_wire(seed: int) -> CantileverScenario:
+    """One of the wires of the virtual campaign, by turns; they share their mechanics."""
+    group = GROUPS[seed % len(GROUPS)]
+    campaign = WireCampaign(groups=(group,), samples=1, scatter=0.0, has_mishaps=False)
+    ((test, _),) = campaign.scenarios(seed)
+    return _own_cell(test)
+
+
+def taped_bundle(seed: int) -> CantileverScenario:
+    """A taped bundle, of all types in turn; samples of a type share their mechanics."""
+    kind = list(TAPED_TYPES)[seed % len(TAPED_TYPES)]
+    campaign = TapedCampaign(types=(kind,), samples=1, rate=100.0, fps=12.5, cycles=2, scatter=0.0)
+    ((test, _),) = campaign.scenarios(seed)
+    return _own_cell(test)
+
+
+def conduit_bundle(seed: int) -> ConduitScenario:
+    """A bundle in a conduit, of all types in turn; every third without the frame's export."""
+    kind = list(CONDUIT_TYPES)[seed % len(CONDUIT_TYPES)]
+    campaign = ConduitCampaign(types=(kind,), samples=1, rate=200.0, fps=12.5)
+    ((test, _),) = campaign.scenarios(seed)
+    cell = replace(test.load_cell, gain_error=None)
+    return replace(test, load_cell=cell, has_frame_export=seed % 3 != 2)
+
+
+def _own_cell(test: CantileverScenario) -> CantileverScenario:
+    return replace(test, load_cell=replace(test.load_cell, gain_error=None))
+
+
+def on_a_string(scenario: CantileverScenario, seed: int, folder: Path, protocols: Path) -> Checked:
+    """Observe and process a test of a wire or of a taped bundle.
+
+    Parameters
+    ----------
+    scenario, seed : the test
+    folder : for its sheet
+    protocols : the shipped ones
+
+    Returns
+    -------
+    All results, and what is true, by their names.
+    """
+    test = observe(scenario, seed)
+    plan = _plan(write_sheet(_as_written(scenario, seed)), folder, protocols)
+    results = _reduced({"force": test.force, "markers": test.markers}, plan)
+    return results, taped_truth(test) if plan.name == "taped-bundle" else wire_truth(test)
+
+
+def on_two_supports(scenario: ConduitScenario, seed: int, folder: Path, protocols: Path) -> Checked:
+    """The same of a conduit bundle; its bending stiffness is that of small deflections on edges."""
+    test = observe(scenario, seed)
+    roles: dict[str, Recording] = {"force": test.force, "markers": test.markers}
+    if test.frame is not None:
+        roles["frame"] = _in_file(test.frame)
+    random = np.random.default_rng([seed, 71])
+    span = scenario.test.span + LENGTH_ERROR * random.standard_normal()
+    scale = 1.0 + SPEED_ERROR * random.standard_normal()  # of the way that speed and time make
+    said = replace(
+        scenario,
+        test=replace(scenario.test, span=span, stroke=scale * scenario.test.stroke),
+        speed=scale * scenario.speed,
+    )
+    sheet = write_sheet(said, {role: (f"{role}.mat",) for role in roles})
+    results = _reduced(roles, _plan(sheet, folder, protocols))
+    truth = conduit_truth(test)
+    for each in results:
+        if each.name == "twist":  # which end of a specimen is its first is nobody's to say
+            truth["twist"] = abs(truth["twist"]) * float(np.sign(each.value or 1.0))
+    return results, truth
+
+
+def _in_file(frame: Recording) -> Recording:
+    """The crosshead in millimetres, before the protocol's names and units are put to it."""
+    channels = tuple(
+        replace(each, values=1e3 * each.values, unit="mm")
+        for each in frame.channels
+        if each.name == "Crosshead"
+    )
+    return replace(frame, channels=channels)
+
+
+def _as_written(scenario: CantileverScenario, seed: int) -> CantileverScenario:
+    """What a person writes down: length and offsets as they were measured."""
+    length, grip, pull = np.random.default_rng([seed, 73]).standard_normal(3).tolist()
+    mechanics, markers = scenario.mechanics, scenario.markers
+    x, *across = markers.pivot
+    return replace(
+        scenario,
+        mechanics=replace(mechanics, length=mechanics.length + LENGTH_ERROR * length),
+        markers=replace(
+            markers,
+            pivot=(x - OFFSET_ERROR * grip, *across),
+            pull_offset=markers.pull_offset + OFFSET_ERROR * pull,
+        ),
+    )
+
+
+def _plan(sheet: str, folder: Path, protocols: Path) -> Protocol:
+    path = folder / "test.yaml"
+    path.write_text(sheet, encoding="utf-8")
+    return resolve(load_test_sheet(path), path, protocols)
+
+
+def _reduced(roles: dict[str, Recording], plan: Protocol) -> tuple[Result, ...]:
+    named: dict[str, Recording] = {
+        role: name_channels(roles[role], source, Path(role)) if role != "markers" else roles[role]
+        for role, source in plan.sources.items()
+        if role in roles
+    }
+    return reduce_recordings(named, plan).results
+
+
+def wire_truth(test: Observation) -> Truth:
+    """Every number that is known of a wire, by the name of its result."""
+    path = solve_path(test.scenario.mechanics)
+    truth = {**_of_cycles(test), "initial_stiffness": gain_in_time(path, *WIRE_WINDOW)}
+    for cycle in range(1, path.test.cycles + 1):
+        truth[f"unloading_stiffness.{cycle}"] = _unloading(path, cycle)
+    law = test.scenario.mechanics.wire.law()
+    for at in CURVATURES:
+        moment = float(law_moment(law, np.array([at]))[0])
+        truth[f"bending_stiffness_at_{at:g}"] = moment / at
+    return truth
+
+
+def taped_truth(test: Observation) -> Truth:
+    """Every number that is known of a taped bundle, by the name of its result."""
+    path = solve_path(test.scenario.mechanics)
+    told = evaluate_taped(path)
+    truth = {**_of_cycles(test), **_of_loading(told.loading, told.bending_stiffness)}
+    pairs = zip(told.loading_stiffness, told.hardening, strict=True)
+    for cycle, (stiffness, hardening) in enumerate(pairs, start=1):
+        truth[f"loading_stiffness.{cycle}"] = stiffness
+        truth[f"hardening.{cycle}"] = hardening
+        truth[f"unloading_stiffness.{cycle}"] = _unloading(path, cycle)
+    return truth | {"initial_stiffness": gain_in_time(path, *KINK_WINDOW)}
+
+
+def _of_cycles(test: Observation) -> Truth:
+    clocks = test.scenario.clocks
+    truth = {"clock_offset": clocks.offset, "clock_drift": clocks.drift}
+    for cycle, each in enumerate(test.truth.cycles, start=1):
+        truth[f"peak_force.{cycle}"] = each.peak_force
+        truth[f"peak_displacement.{cycle}"] = each.peak_deflection
+        truth[f"energy.{cycle}"] = each.energy
+        if each.residual_deflection is not None:
+            truth[f"residual_displacement.{cycle}"] = each.residual_deflection
+    return truth
+
+
+def gain_in_time(path: MechanicalPath, start: float, end: float) -> float:
+    """Ratio of what force and deflection gain in time over a window of the first loading, N/m."""
+    progress = np.linspace(0.0, path.test.stroke, STEPS)
+    deflection = path.deflection(progress)
+    inside = (deflection >= start) & (deflection <= end)
+    return _ratio(progress, deflection, path.tension(progress), inside)
+
+
+def _unloading(path: MechanicalPath, cycle: int) -> float:
+    """The same from the turn of a cycle on, a little below its largest deflection."""
+    progress = path.test.stroke * (2.0 * cycle - 1.0 + np.linspace(0.0, 1.0, STEPS))
+    deflection = path.deflection(progress)
+    below = float(deflection.max()) - deflection
+    inside = (below >= UNLOADING[0]) & (below <= UNLOADING[1])
+    return _ratio(progress, deflection, path.tension(progress), inside)
+
+
+def _ratio(progress: Floats, deflection: Floats, force: Floats, inside: Flags) -> float:
+    lever = progress[inside] - progress[inside].mean()
+    return float((lever @ force[inside]) / (lever @ deflection[inside]))
+
+
+def _of_loading(loading: LoadingTruth, bending_stiffness: float) -> Truth:
+    truth = {
+        "initial_stiffness": loading.windowed_stiffness,
+        "bending_stiffness": bending_stiffness,
+        "kink_displacement": loading.kink.displacement,
+        "kink_force": loading.kink.force,
+        "end_slope": loading.end_slope,
+    }
+    if loading.plateau_displacement is not None and loading.plateau_force is not None:
+        truth["plateau_displacement"] = loading.plateau_displacement
+        truth["plateau_force"] = loading.plateau_force
+    return truth
+
+
+def conduit_truth(test: ConduitObservation) -> Truth:
+    """Every number that is known of a conduit bundle, by the name of its result."""
+    known = test.truth
+    truth = _of_loading(known.loading, known.bending_stiffness) | {
+        "peak_force.1": known.peak_force,
+        "peak_displacement.1": test.scenario.test.stroke,  # not the place of the largest force
+        "energy.1": known.energy,
+        "mid_span_curvature": known.middle.curvature,
+        "mid_span_bending_stiffness": known.middle.bending_stiffness,
+        "twist": known.middle.twist,
+    }
+    if test.frame is not None:
+        truth["clock_offset"] = known.clocks["force_offset"]
+        truth["clock_drift"] = known.clocks["drift"]
+    return truth
