@@ -12,7 +12,7 @@ from labpipe.uncertainty.noise import fast_noise, long_run_variance
 
 _NEAR = 1000
 """Samples on each side of the largest one that show what the file rounds to."""
-_LEAST_OF_LOOP = 3
+LEAST_OF_LOOP = 3
 """Samples that enclose an area."""
 _SMALL = 0.02
 """Share of the largest force of a branch that may pass for zero at most."""
@@ -85,8 +85,8 @@ def loop_energy(
     if np.isnan(displacement).any() or np.isnan(force).any():
         missing = int((np.isnan(displacement) | np.isnan(force)).sum())
         return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
-    if len(time) < _LEAST_OF_LOOP:
-        message = f"{len(time)} samples in the cycle, {_LEAST_OF_LOOP} are needed"
+    if len(time) < LEAST_OF_LOOP:
+        message = f"{len(time)} samples in the cycle, {LEAST_OF_LOOP} are needed"
         return Failure("too_few_samples", message)
     work = float(np.trapezoid(force, displacement))
     steps, rises = np.gradient(displacement), np.gradient(force)

@@ -10,7 +10,8 @@ from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure, scaled
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
 
-_LEAST = 8
+LEAST_OF_LINE = 8
+"""Samples that a line is drawn through."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +37,53 @@ class StraightLine:
     start: float
     stop: float
     n: int
+
+
+def line_slope(displacement: Floats, force: Floats) -> Floats:
+    """Slope of the straight line by least squares, for as many curves as there are.
+
+    Parameters
+    ----------
+    displacement, force : shape (..., n), m, N, without NaN
+
+    Returns
+    -------
+    Shape (...), N/m: sum l F / sum l^2 with l = displacement less its mean.
+
+    Examples
+    --------
+    >>> float(line_slope(np.array([0.0, 1.0, 2.0]), np.array([1.0, 2.0, 6.0])))
+    2.5
+    """
+    lever = displacement - displacement.mean(axis=-1, keepdims=True)
+    slope: Floats = np.vecdot(lever, force) / np.vecdot(lever, lever)
+    return slope
+
+
+def timed_slope(time: Floats, displacement: Floats, force: Floats) -> Floats:
+    """Slope of force against displacement with time as instrument, for as many curves as there are.
+
+    Parameters
+    ----------
+    time : shape (n,), s
+    displacement, force : shape (..., n), m, N, without NaN
+
+    Returns
+    -------
+    Shape (...), N/m: sum l F / sum l d with l = time less its mean. Least squares of F on a
+    displacement that is itself noisy comes out too small, by the ratio of noise variance to
+    variance (Fuller, Measurement Error Models, 1987, sec. 1.4); NaN where nothing moves.
+
+    Examples
+    --------
+    >>> t = np.array([0.0, 1.0, 2.0])
+    >>> float(timed_slope(t, np.array([0.0, 1.0, 4.0]), np.array([1.0, 2.0, 9.0])))
+    2.0
+    """
+    lever = time - time.mean()
+    travel = displacement @ lever
+    slope: Floats = (force @ lever) / np.where(travel == 0.0, np.nan, travel)
+    return slope
 
 
 def fit_line(displacement: Floats, force: Floats) -> StraightLine | Failure:
@@ -67,8 +115,10 @@ def fit_line(displacement: Floats, force: Floats) -> StraightLine | Failure:
     """
     known = ~np.isnan(displacement) & ~np.isnan(force)
     d, f = displacement[known], force[known]
-    if len(d) < _LEAST:
-        return Failure("too_few_samples", f"{len(d)} samples in the stretch, {_LEAST} are needed")
+    if len(d) < LEAST_OF_LINE:
+        return Failure(
+            "too_few_samples", f"{len(d)} samples in the stretch, {LEAST_OF_LINE} are needed"
+        )
     if np.ptp(d) == 0.0:
         return Failure("no_travel", "the displacement does not change over the stretch")
     middle = float(d.mean())

@@ -23,16 +23,18 @@ from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
 from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import COMPLIANCE
+from labpipe.records.causes import COMPLIANCE, SLACK
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
 from labpipe.records.estimates import Estimate, Failure, scaled, widened
 from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.failures import loading_before
+from labpipe.results.likely_curves import displaced, likely_curves
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers
+from labpipe.uncertainty.replicates import Input
 
 Corrected: TypeAlias = tuple[Evidence, list[Finding]]
 
@@ -111,6 +113,7 @@ def correct_curve(test: Evidence, block: CurveBlock) -> Corrected:
     if block.slips is not None:
         test, more = _with_slips(test, block.slips)
         found += more
+    test = replace(test, replicates=likely_curves(test))
     if block.slack is not None:
         test, more = _without_slack(test, block.slack)
         found += more
@@ -318,9 +321,10 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
             return test, [warning("no_toe", where, slack.message)]
         message = f"slack not found, so not taken off ({slack.message})"
         return test, [doubtful("slack_unknown", where, message, "displacement")]
-    off = slack.value
+    off, taken = slack.value, Input(SLACK, partial(displaced, by=slack.error))
     made = replace(
         _with_displacement(test, curve, test.displacement.changed(lambda values: values - off)),
+        replicates=test.replicates and test.replicates.displaced(-off, taken),
         slips=tuple(_moved(slip, off) for slip in test.slips),
         failure=_moved_failure(test.failure, off),
     )

@@ -35,6 +35,8 @@ SPAN: Final = "span"
 SECTION: Final = "section"
 SLACK: Final = "slack"
 REPAIRED_SLIPS: Final = "slips added back"
+STEP: Final = "sampling step"
+"""Where between two samples a specimen broke, or a machine turned."""
 
 IS_COMMON: Final[Mapping[str, bool]] = {
     NOISE: False,
@@ -59,6 +61,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     SECTION: False,
     SLACK: False,
     REPAIRED_SLIPS: False,
+    STEP: False,
 }
 """Whether all tests of a rig share a cause; every cause of a budget stands here."""
 

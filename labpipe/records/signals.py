@@ -243,5 +243,9 @@ class Clocks:
             return signal.values
         return np.interp(time, signal.time, signal.values, left=np.nan, right=np.nan)
 
+    def sampled_at(self, time: Floats) -> Floats:
+        """Times of the clock of the force at times of the curve, shape (n,), s."""
+        return time if self.force is None else self.force.to_force_time(time)
+
     def _fit(self, clock: str) -> ClockFit | None:
         return None if clock in ("", self.curve) else self.others.get(clock, self.force)

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal, TypeVar
 import numpy as np
 
 from labpipe.errors import Fault
-from labpipe.fits.beam_stiffness import Rollers, beam_stiffness, stiffness_ratio
+from labpipe.fits.beam_stiffness import Rollers, beam_factor, stiffness_ratio
 from labpipe.fits.plateau import find_onset, fit_end_slope
 from labpipe.fits.two_segments import fit_kink
 from labpipe.records.arrays import Floats
@@ -25,7 +25,7 @@ from labpipe.records.declarations import (
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Estimate, Failure, scaled, widened
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Finding, Reason, worth_knowing
 from labpipe.records.result import Result
 from labpipe.results.cycles import cut_short, rectangle
@@ -33,15 +33,16 @@ from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
     Computed,
     Errors,
+    Found,
     Kind,
     Number,
-    Outcome,
     blocked_or,
     force_scale,
     marked_slips,
     to_result,
 )
 from labpipe.results.stiffness import OfStiffness, Window, in_first_loading
+from labpipe.uncertainty.readings import Trace, combined
 
 _LOST = 3
 """Samples at the end of a branch that the joining of two clocks may cost."""
@@ -274,7 +275,7 @@ class BendingStiffness(OfStiffness):
         length = test.setup.length if key == "length" else test.setup.span
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: Outcome
+        outcome: Found
         said = ""
         if length is None:
             outcome = Failure(
@@ -283,42 +284,49 @@ class BendingStiffness(OfStiffness):
                 f"'{key}: {_EXAMPLES[key]}'",
             )
         else:
-            estimate = stiffness.estimate
-            outcome = beam_stiffness(
-                widened(estimate, *force_scale(test, estimate).values()),
-                length=length,
-                length_error=self.length_uncertainty,
-                support=self.support,
-            )
-            outcome, said = self._corrected(outcome, test, stiffness.window)
+            outcome, said = self._measured(test, stiffness)
         doubts = marked_slips(test, stiffness.bends_with)
         number = self.number(outcome, method, during=stiffness.during, doubts=doubts, remark=said)
         return Computed((number,))
 
-    def _corrected(
-        self, uncorrected: Estimate, test: Evidence, window: tuple[float, float]
-    ) -> tuple[Outcome, str]:
-        """Divide by what the supports make of 48 EI / span^3 over the window of the stiffness.
+    def _measured(self, test: Evidence, stiffness: Stiffness) -> tuple[Found, str]:
+        """Measure, with what each correction changed, in words."""
+        ratio, said = self._ratio(test.setup.span, test.setup.section, stiffness.window)
+        if isinstance(ratio, Failure):
+            return ratio, ""
+        decide = combined(partial(self._of_trace, window=stiffness.window), stiffness.decide)
+        found = test.measure(decide)
+        return found if isinstance(found, Failure) else found[0], said
+
+    def _of_trace(self, trace: Trace, stiffness: Floats, *, window: tuple[float, float]) -> Floats:
+        """Bending stiffness of curves, from their stiffnesses; NaN where no beam bends so far."""
+        ratio, _ = self._ratio(trace.sizes.get("span"), trace.sizes, window)
+        length = trace.sizes[_FORMULAS[self.support][0]]
+        whole = stiffness * beam_factor(length, self.support)
+        return np.asarray(whole / (np.nan if isinstance(ratio, Failure) else ratio))
+
+    def _ratio(
+        self, span: float | None, section: Mapping[str, float], window: tuple[float, float]
+    ) -> tuple[float | Failure, str]:
+        """What the supports make of 48 EI / span^3 over the window of the stiffness.
 
         With what each correction changed, in words; a failure where the window is beyond what an
         elastic beam can do.
         """
-        span = test.setup.span
         if not self.corrections or span is None:
-            return uncorrected, ""
+            return 1.0, ""
         ratio, said = 1.0, []
         for number, name in enumerate(_ORDER):
             if name not in self.corrections:
                 continue
             taken = [each for each in _ORDER[: number + 1] if each in self.corrections]
-            depth = test.setup.section.get("outer_diameter", 0.0)
-            rollers = self._rollers(taken, span, depth)
+            rollers = self._rollers(taken, span, section.get("outer_diameter", 0.0))
             found = stiffness_ratio(rollers, low=window[0], high=window[1])
             if isinstance(found, Failure):
                 return found, ""
             said.append(f"{name} {1e2 * (ratio / found - 1.0):+.3g} %")
             ratio = found
-        return scaled(uncorrected, 1.0 / ratio), f"corrected as an elastic beam: {', '.join(said)}"
+        return ratio, f"corrected as an elastic beam: {', '.join(said)}"
 
     def _rollers(self, taken: Sequence[str], span: float, depth: float) -> Rollers:
         radius = friction = 0.0

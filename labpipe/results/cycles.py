@@ -5,18 +5,18 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import ClassVar, TypeAlias
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
 
 import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.loops import largest_sample, loop_energy, noise_power, residual_after_unloading
+from labpipe.fits.loops import LEAST_OF_LOOP, residual_after_unloading, sense_of_loading
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE
-from labpipe.records.curve import Branch, Direction
+from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Force, Output
-from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
 from labpipe.results.evidence import Evidence
@@ -30,8 +30,7 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
-from labpipe.signal.filters import power_passed
-from labpipe.signal.turning_points import noise_level
+from labpipe.uncertainty.readings import Reading, Trace
 
 _PAST = 0.9
 """Share of its largest value that a force has fallen below when its peak is over."""
@@ -95,6 +94,62 @@ class PerCycle(Kind):
         )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OfCycle(Kind):
+    """A kind of result of one number for every cycle that is read from the curve."""
+
+    whole: ClassVar[int] = 0
+    """Branches of a cycle that must have been recorded to their end."""
+    reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
+    """What of a cycle the number is read from, from and to, counted in branches: 0.9 is when nine
+    tenths of the loading are over, 1 its end, 2 the end of unloading."""
+    gap: ClassVar[str] = ""
+    """Quantity whose samples beside its largest one must be known; empty for none."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """How the number is made, in words."""
+
+    @abstractmethod
+    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+        """Decide from where the number of a cycle is read, or say why it cannot be.
+
+        Parameters
+        ----------
+        test : for what does not depend on the curve
+        trace : one curve
+        number : of the cycle, from 1
+        """
+
+    def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
+        """The plain number where it is read from more samples than the curve has."""
+        del test, branches
+        return None
+
+    def compute(self, test: Evidence) -> Computed:
+        """A number for every cycle; one failure where there is no cycle."""
+        if not test.cycles:
+            return self.not_available(blocked_or(test, NO_CYCLE), self.method)
+        return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
+
+    def _of_cycle(self, test: Evidence, branches: list[Branch]) -> Number:
+        number = branches[0].cycle
+        found = test.measure(
+            lambda trace: self.read(test, trace, number), self.plain(test, branches)
+        )
+        doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
+        if self.gap:
+            doubts += gap_at_peak(test, branches, self.gap)
+        return self.number(
+            found if isinstance(found, Failure) else found[0],
+            self.method,
+            during=_when(branches, self.reads),
+            doubts=doubts,
+            part=f".{number}",
+        )
+
+
 def other_shape(
     test: Evidence, branches: list[Branch], value: NumberOfCycle, found: Outcome
 ) -> Errors:
@@ -128,7 +183,7 @@ def gap_at_peak(test: Evidence, branches: list[Branch], what: str) -> tuple[Reas
     """
     curve = test.known_curve
     values = curve.force if what == "force" else curve.displacement
-    over = test.sense_of(values) * values[stretch_of_cycle(test, branches)]
+    over = test.sense_of(values) * values[stretch_of_cycle(test.known_curve, branches)]
     if np.isnan(over).all():
         return ()
     top = int(np.nanargmax(over))
@@ -183,36 +238,58 @@ def _is_past_its_peak(test: Evidence, part: Branch) -> bool:
     return len(known) > 0 and bool(known[-3:].max() < _PAST * known.max())
 
 
-def stretch_of_cycle(test: Evidence, branches: list[Branch]) -> slice:
-    """Samples of the curve from the turn where a cycle begins to that where it ends, both included.
+def stretch_of_cycle(curve: Curve | Trace, branches: list[Branch]) -> slice:
+    """Samples of a curve from the turn where a cycle begins to that where it ends, both included.
 
     Where the motion rests between two cycles, they part at its extreme. A last loading without an
     unloading lasts as long as force is known: what is held belongs to it.
     """
-    curve, last = test.known_curve, branches[-1]
+    last = branches[-1]
     first, behind = (curve.branches.index(each) for each in (branches[0], last))
-    start = _turn_before(test, first) if first else branches[0].start
+    start = _turn_before(curve, first) if first else branches[0].start
     if behind + 1 < len(curve.branches):
-        return slice(start, _turn_before(test, behind + 1) + 1)
+        return slice(start, _turn_before(curve, behind + 1) + 1)
     if last.direction is Direction.UNLOADING:
         return slice(start, last.stop)
     known = int(np.flatnonzero(~np.isnan(curve.force)).max(initial=0)) + 1
     return slice(start, max(known, last.stop))
 
 
-def _turn_before(test: Evidence, number: int) -> int:
+def _turn_before(curve: Curve | Trace, number: int) -> int:
     """Sample at which the motion turns before a branch that is not the first one."""
-    curve = test.known_curve
     rest = slice(curve.branches[number - 1].stop, curve.branches[number].start + 1)
-    seen = test.sense_of(curve.displacement) * curve.displacement[rest]
+    seen = sense_of(curve, curve.displacement) * curve.displacement[rest]
     if np.isnan(seen).all():
         return rest.stop - 1
     is_top = curve.branches[number - 1].direction is Direction.LOADING
     return rest.start + int(np.nanargmax(seen) if is_top else np.nanargmin(seen))
 
 
+def sense_of(curve: Curve | Trace, values: Floats) -> float:
+    """Which way a quantity of a curve goes when the specimen is loaded for the first time.
+
+    Parameters
+    ----------
+    curve : one
+    values : shape (n,), of the quantity
+    """
+    branch = curve.branches[0]
+    return sense_of_loading(values[branch.start : branch.stop])
+
+
+def cycle_of(trace: Trace, number: int) -> list[Branch]:
+    """The branches of a cycle of a curve, in order.
+
+    Parameters
+    ----------
+    trace : one or many curves
+    number : from 1
+    """
+    return [each for each in trace.branches if each.cycle == number]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Energy(PerCycle):
+class Energy(OfCycle):
     """``energy.<cycle>`` (J): dissipated over one cycle."""
 
     result: ClassVar = "energy"
@@ -233,23 +310,39 @@ class Energy(PerCycle):
         """Of all cycles."""
         return "integral of force, trapezoids"
 
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
         """Integral of the force over a cycle."""
+        del test
+        branches = cycle_of(trace, number)
         if len(branches) < 2:
             return NO_UNLOADING
-        curve, stretch = test.known_curve, stretch_of_cycle(test, branches)
-        return loop_energy(
-            curve.time[stretch],
-            displacement[stretch],
-            curve.force[stretch],
-            clock_error=test.clocks.error,
-        )
+        return work_over(trace, stretch_of_cycle(trace, branches))
 
-    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
-        """Zero of the force, where the loop does not close, and its scale."""
-        over = test.displacement.values[stretch_of_cycle(test, branches)]
-        opened = test.raw_force.zero_error * float(over[-1] - over[0])
-        return {"zero of the force": opened, **force_scale(test, found)}
+
+def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
+    """Decide on the work done over a stretch of a curve, J: trapezoids.
+
+    Parameters
+    ----------
+    trace : one curve
+    stretch : of its samples
+
+    Returns
+    -------
+    With one number, or a failure: ``gap`` where samples are missing, ``too_few_samples``.
+    """
+    force, displacement = trace.force[stretch], trace.displacement[stretch]
+    if missing := int((np.isnan(displacement) | np.isnan(force)).sum()):
+        return Failure("gap", f"{missing} samples of the cycle have no force or no displacement")
+    if len(force) < LEAST_OF_LOOP:
+        message = f"{len(force)} samples in the cycle, {LEAST_OF_LOOP} are needed"
+        return Failure("too_few_samples", message)
+
+    def numbers(trace: Trace) -> tuple[Floats]:
+        work = np.trapezoid(trace.force[..., stretch], trace.displacement[..., stretch])
+        return (np.asarray(work, dtype=np.float64),)
+
+    return Reading(numbers, len(force))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -289,14 +382,52 @@ class ResidualDisplacement(PerCycle):
         return {"zero of the displacement": test.displacement.zero_error}
 
 
-_FEW = 16
-"""Samples below which it is unknown how far the noise remembers."""
-_NOISE = 100_000
-"""Samples before a turn that say what the noise of the force is like."""
+_STANDS = 3.0
+"""Times that a fall behind the largest sample is as large as the rise before it, or more: the
+specimen broke there, and did not turn."""
+
+
+def _reach(seen: Floats) -> float:
+    """How far a curve may reach beyond its largest sample before the next one.
+
+    Where it turns, half a step at most: the corner lies nearer to this sample than to the next.
+    Where it breaks, up to a whole one.
+    """
+    top = int(np.nanargmax(seen))
+    if not 0 < top < len(seen) - 1:
+        return 0.0
+    up, down = seen[top] - seen[top - 1], seen[top] - seen[top + 1]
+    reach = up if down > _STANDS * up else 0.5 * min(up, down)
+    return float(reach) if np.isfinite(reach) else 0.0
+
+
+def _largest(
+    trace: Trace, name: Literal["force", "displacement"], number: int, steps: float = 1.0
+) -> Reading | Failure:
+    """Decide on the largest sample of a cycle in the sense of loading.
+
+    Parameters
+    ----------
+    trace, number : one curve, and a cycle of it
+    name : of the quantity
+    steps : sampling steps of its signal per sample of the curve
+    """
+    values: Floats = getattr(trace, name)
+    sense, stretch = sense_of(trace, values), stretch_of_cycle(trace, cycle_of(trace, number))
+    seen = sense * values[stretch]
+    if np.isnan(seen).all():
+        return Failure("no_sample", "every sample of the stretch is blank")
+    reach = _reach(seen) / steps
+
+    def numbers(trace: Trace) -> tuple[Floats]:
+        over = sense * getattr(trace, name)[..., stretch]
+        return (sense * (np.fmax.reduce(over, axis=-1) + trace.beyond * reach),)
+
+    return Reading(numbers, int((~np.isnan(seen)).sum()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeakForce(PerCycle):
+class PeakForce(OfCycle):
     """``peak_force.<cycle>`` (N): the largest force of a cycle."""
 
     result: ClassVar = "peak-force"
@@ -312,62 +443,37 @@ class PeakForce(PerCycle):
         """Of all cycles."""
         return "largest force of the cycle after the filter, in the sense of loading"
 
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
         """Largest sample of the force."""
-        del displacement
-        return peak_of_cycle(test, branches)
+        return peak_of(test, trace, number)
 
-    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
-        """Zero and scale of the force."""
-        del branches
-        return {"zero of the force": test.raw_force.zero_error, **force_scale(test, found)}
+    def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
+        """Of all samples of the force: on its own clock where that is another one."""
+        signal, curve = test.force, test.known_curve
+        if signal.clock == test.clocks.curve:
+            return None
+        stretch = stretch_of_cycle(curve, branches)
+        ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
+        first, last = (test.clocks.from_curve(float(at), signal.clock) for at in ends)
+        values = signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
+        sense = sense_of(curve, curve.force)
+        return [sense * float(np.fmax.reduce(sense * values, initial=-np.inf))]
 
 
-def peak_of_cycle(test: Evidence, branches: list[Branch]) -> Outcome:
-    """Largest force of a cycle, N, without the uncertainty of zero and scale.
+def peak_of(test: Evidence, trace: Trace, number: int) -> Reading | Failure:
+    """Decide on the largest force of a cycle, N.
 
     Parameters
     ----------
-    test : with its curve
-    branches : of the cycle
+    test : knows how often the force was sampled
+    trace, number : one curve, and a cycle of it
     """
-    sense = test.sense_of(test.known_curve.force)
-    values = sense * _force_of_cycle(test, branches)
-    peak = largest_sample(values, noise=_force_noise(test, branches[0]))
-    if isinstance(peak, Failure):
-        return peak
-    peak = widened(peak, test.repair_error(before=branches[0].stop))
-    return replace(peak, value=sense * peak.value)
-
-
-def _force_of_cycle(test: Evidence, branches: list[Branch]) -> Floats:
-    """All samples of the force over a cycle: on its own clock where that is another one."""
-    curve, signal = test.known_curve, test.force
-    stretch = stretch_of_cycle(test, branches)
-    if signal.clock == test.clocks.curve:
-        return curve.force[stretch]
-    ends = curve.time[[stretch.start, min(stretch.stop, len(curve.time)) - 1]]
-    first, last = (test.clocks.from_curve(float(at), signal.clock) for at in ends)
-    return signal.values[slice(*np.searchsorted(signal.time, [first, last]))]
-
-
-def _force_noise(test: Evidence, loading: Branch) -> float:
-    """Standard deviation that the noise of the force has left after its filters, N."""
-    raw = test.unfiltered or test.raw_force
-    ends = (loading.start_time, loading.stop_time)
-    first, last = (test.clocks.from_curve(at, raw.clock) for at in ends)
-    start, stop = np.searchsorted(raw.time, [first, last])
-    values = raw.values[max(int(start), int(stop) - _NOISE) : int(stop)]
-    values = values[~np.isnan(values)]
-    filters = test.signals.filters.get(test.signals.force, ())
-    if not filters or len(values) < _FEW:
-        return noise_level(values)
-    passed = min(power_passed(act, len(values)) for act, _ in filters)
-    return float(min(np.sqrt(passed * noise_power(values)), noise_level(values)))
+    apart = (float(np.median(np.diff(each))) for each in (trace.time, test.force.time))
+    return _largest(trace, "force", number, max(1.0, next(apart) / next(apart)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class PeakDisplacement(PerCycle):
+class PeakDisplacement(OfCycle):
     """``peak_displacement.<cycle>`` (m): the largest displacement of a cycle."""
 
     result: ClassVar = "peak-displacement"
@@ -383,21 +489,10 @@ class PeakDisplacement(PerCycle):
         """Of all cycles."""
         return "largest displacement of the cycle, in the sense of loading"
 
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
         """Largest sample of the displacement."""
-        sense = test.sense_of(displacement)
-        values = sense * displacement[stretch_of_cycle(test, branches)]
-        found = largest_sample(values, noise=noise_level(values))
-        return found if isinstance(found, Failure) else replace(found, value=sense * found.value)
-
-    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
-        """Zero and scale of the displacement."""
-        del branches
-        signal = test.displacement
-        return {
-            "zero of the displacement": signal.zero_error,
-            "scale of the displacement": signal.relative_error * found.value,
-        }
+        del test
+        return _largest(trace, "displacement", number)
 
 
 KINDS = (PeakForce, PeakDisplacement, Energy, ResidualDisplacement)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from math import hypot
 from typing import TYPE_CHECKING, Literal
@@ -25,6 +25,9 @@ from labpipe.records.curve import (
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Doubt, Findings, Reason
 from labpipe.records.signals import Clocks, Signal, Signals, Stretch
+from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.readings import Decide
+from labpipe.uncertainty.replicates import Replicates
 
 if TYPE_CHECKING:
     from labpipe.markers.three_point_axis import SpanShape
@@ -95,12 +98,14 @@ class Stiffness:
 
     Parameters
     ----------
-    estimate : N/m, without the uncertainty of the scale of the force
+    decide : how it is read from a curve
+    estimate : N/m
     during : s, the stretch that it was read from
     window : m, displacements that it was read between
     bends_with : m, stretch in which a slip would bend it; None where slips are not looked at
     """
 
+    decide: Decide
     estimate: Estimate
     during: Stretch | None
     window: tuple[float, float]
@@ -117,6 +122,7 @@ class Evidence:
     setup : what is said of specimen and rig
     aligned : the raw signals at the times of the displacement; None while there is no curve
     curve : corrected; None where there is none
+    replicates : curves that the curve may have been, by noise and inputs; None where there is none
     unfiltered : the force that makes the curve, outliers bridged, before any filter
     shape : of the specimen; None where no step fits one
     span : the bent axis between two supports, or why there is none; None where not asked for
@@ -134,6 +140,7 @@ class Evidence:
     setup: Setup = Setup()
     aligned: Aligned | None = None
     curve: Curve | None = None
+    replicates: Replicates | None = None
     unfiltered: Signal | None = None
     shape: Shape | None = None
     span: SpanBend | Failure | None = None
@@ -173,6 +180,25 @@ class Evidence:
             message = "a number of a cycle was asked for before there is a curve"
             raise ValueError(message)
         return self.curve
+
+    def measure(
+        self, decide: Decide, values: Sequence[float] | None = None
+    ) -> tuple[Measured, ...] | Failure:
+        """Measure numbers of the curve, with all that they rest on.
+
+        Parameters
+        ----------
+        decide, values : as `labpipe.uncertainty.intervals.measure` takes them
+
+        Raises
+        ------
+        ValueError
+            If there is no curve.
+        """
+        if self.replicates is None:
+            message = "a number was to be measured before there is a curve"
+            raise ValueError(message)
+        return measure(self.replicates, decide, values)
 
     @property
     def cycles(self) -> list[list[Branch]]:

@@ -5,18 +5,20 @@ Failure and energy are read from the loading branch in which it broke, all else 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
 
-from labpipe.fits.failure_point import FailurePoint, energy_to_break
+from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Curve, Direction, SlipDecision
+from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Needs, Output
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
+from labpipe.results.cycles import work_over
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import (
     NO_LOADING,
@@ -25,6 +27,7 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
+from labpipe.uncertainty.readings import Reading, Trace
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,25 +50,38 @@ class FailureResult(Kind):
         failure = _failure(test)
         if isinstance(failure, Failure):
             return self.not_available(failure, *methods)
-        zero = {"zero of the displacement": test.displacement.zero_error, "slack": test.slack_error}
-        zero_of_force = {"zero of the force": test.raw_force.zero_error}
+        found = test.measure(partial(_at_failure, test))
+        if isinstance(found, Failure):
+            return self.not_available(found, *methods)
         doubts, during = _in_steps(failure), _up_to(test, failure)
-        place = self.number(
-            failure.displacement,
-            methods[0],
-            zero,
-            during=(during[1], during[1]),
-            doubts=doubts,
-        )
-        force = self.number(
-            failure.force,
-            methods[1],
-            {**zero_of_force, **force_scale(test, failure.force)},
-            output=1,
-            during=during,
-            doubts=doubts,
-        )
+        at_end = (during[1], during[1])
+        place = self.number(found[0], methods[0], during=at_end, doubts=doubts)
+        force = self.number(found[1], methods[1], output=1, during=during, doubts=doubts)
         return Computed((place, force))
+
+
+def _at_failure(test: Evidence, trace: Trace) -> Reading | Failure:
+    """Decide on displacement and force at the failure; it lies up to a step behind its sample."""
+    sample = trace.failed_at
+    if sample is None:
+        return blocked_or(test, NO_LOADING)
+    step, rise = _next_step(trace, sample)
+
+    def numbers(trace: Trace) -> tuple[Floats, Floats]:
+        place = trace.displacement[..., sample] + trace.beyond * step
+        return place, trace.force[..., sample] + trace.beyond * rise
+
+    return Reading(numbers, 1)
+
+
+def _next_step(trace: Trace, sample: int) -> tuple[float, float]:
+    """What displacement (m) and force (N) would have been more of, one step behind a sample."""
+    ahead = trace.displacement[sample + 1 :]
+    ahead = ahead[~np.isnan(ahead)]
+    step = max(float(ahead[0] - trace.displacement[sample]), 0.0) if len(ahead) else 0.0
+    before = trace.force[:sample]
+    before = before[~np.isnan(before)]
+    return step, float(trace.force[sample] - before[-1]) if len(before) else 0.0
 
 
 def _failure(test: Evidence) -> FailurePoint | Failure:
@@ -79,7 +95,7 @@ def _up_to(test: Evidence, failure: FailurePoint) -> Stretch:
     return float(curve.time[start]), float(curve.time[failure.sample])
 
 
-def loading_before(curve: Curve, sample: int) -> Branch:
+def loading_before(curve: Curve | Trace, sample: int) -> Branch:
     """The last loading branch that begins at a sample or before it; the first one before all."""
     loading = [each for each in curve.branches if each.direction is Direction.LOADING]
     return [each for each in loading if each.start <= sample or each is loading[0]][-1]
@@ -113,32 +129,28 @@ class EnergyToBreak(Kind):
         failure = _failure(test)
         if isinstance(failure, Failure):
             return self.not_available(failure, method)
-        curve = test.known_curve
-        branch = loading_before(curve, failure.sample)
-        stretch = slice(branch.start, failure.sample + 1)
-        point = replace(failure, sample=failure.sample - branch.start)
-        found = energy_to_break(curve.displacement[stretch], curve.force[stretch], point)
+        found = test.measure(partial(_work, test))
         if isinstance(found, Failure):
             return self.not_available(found, method)
-        way = curve.displacement[failure.sample] - curve.displacement[branch.start]
-        errors = {
-            "zero of the force": test.raw_force.zero_error * float(way),
-            "slips added back": _repaired_work(test, curve.displacement, failure.sample),
-            **force_scale(test, found),
-        }
         doubts, during = _in_steps(failure), _up_to(test, failure)
-        number = self.number(found, method, errors, during=during, doubts=doubts)
-        return Computed((number,))
+        return Computed((self.number(found[0], method, during=during, doubts=doubts),))
 
 
-def _repaired_work(test: Evidence, displacement: Floats, last: int) -> float:
-    """Standard error of the work, J, that drops added back have done up to a sample."""
-    ways = [
-        slip.drop_interval.standard_error * float(displacement[last] - slip.position)
-        for slip in test.slips
-        if slip.decision is SlipDecision.REPAIRED and slip.start < last
-    ]
-    return float(np.linalg.norm(ways))
+def _work(test: Evidence, trace: Trace) -> Reading | Failure:
+    """Decide on the work done up to the failure."""
+    sample = trace.failed_at
+    if sample is None:
+        return blocked_or(test, NO_LOADING)
+    work = work_over(trace, slice(loading_before(trace, sample).start, sample + 1))
+    if isinstance(work, Failure):
+        return work
+    step, _ = _next_step(trace, sample)
+
+    def numbers(trace: Trace) -> tuple[Floats]:
+        more = trace.beyond * step * trace.force[..., sample]
+        return (np.asarray(work.numbers(trace)[0] + more, dtype=np.float64),)
+
+    return Reading(numbers, work.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

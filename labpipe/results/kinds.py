@@ -23,8 +23,10 @@ from labpipe.records.quality import Finding, Reason
 from labpipe.records.result import Contribution, Result, Status
 from labpipe.records.signals import Stretch
 from labpipe.results.evidence import Evidence, Stiffness
+from labpipe.uncertainty.intervals import Measured
 
 Outcome: TypeAlias = Estimate | Failure
+Found: TypeAlias = Measured | Estimate | Failure
 Errors: TypeAlias = Mapping[str, float]
 """Standard errors from outside the fit, in the unit of the number, by what they come from."""
 NO_LOADING = Failure("no_cycle", "the motion has no loading branch")
@@ -49,7 +51,7 @@ class Number:
     """
 
     output: Output
-    outcome: Outcome
+    outcome: Found
     method: str
     errors: Errors = field(default_factory=dict)
     during: Stretch | None = None
@@ -96,7 +98,7 @@ class Kind(ABC):
 
     def number(
         self,
-        outcome: Outcome,
+        outcome: Found,
         method: str,
         errors: Errors | None = None,
         *,
@@ -172,14 +174,18 @@ def to_result(test: Evidence, number: Number) -> Result:
     number : without an interval of its own it gets the normal one
     """
     output, outcome = number.output, number.outcome
-    name = output.name + number.part
+    name, own = output.name + number.part, tuple[Reason, ...]()
     budget: tuple[Contribution, ...] = ()
     if isinstance(outcome, Estimate):
         budget = _budget(outcome, number.errors)
         outcome = widened(outcome, *number.errors.values())
-        if not np.isfinite([outcome.value, outcome.error]).all():
-            message = f"value {outcome.value}, standard error {outcome.error}"
-            outcome = Failure("not_finite", message)
+    if isinstance(outcome, Measured):
+        rests = ("", *output.rests_on)
+        own = tuple(reason for quantity, reason in outcome.doubts if quantity in rests)
+        budget = outcome.budget
+    if not isinstance(outcome, Failure) and not np.isfinite([outcome.value, outcome.error]).all():
+        message = f"value {outcome.value}, standard error {outcome.error}"
+        outcome = Failure("not_finite", message)
     signs = _BOTH_SIGNS if isinstance(outcome, Failure) else _SIGNED.get(output.unit, ())
     doubts = [
         why for each in (*output.rests_on, *signs) for why in test.why_doubtful(each, number.during)
@@ -197,7 +203,7 @@ def to_result(test: Evidence, number: Number) -> Result:
             method=number.method,
             made_of=number.made_of,
         )
-    reasons = tuple(dict.fromkeys([*doubts, *number.doubts]))
+    reasons = tuple(dict.fromkeys([*doubts, *number.doubts, *own]))
     drops = [slip.drop for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     is_raised = drops and output.is_raised_by_slips
     added_back = f"{sum(drops):.3g} N of slips added back" if is_raised else ""
@@ -212,6 +218,7 @@ def to_result(test: Evidence, number: Number) -> Result:
         n=outcome.n,
         made_of=number.made_of,
         remark="; ".join(filter(None, (number.remark, added_back))),
+        estimate=outcome.estimate if isinstance(outcome, Measured) else None,
         budget=budget,
     )
 

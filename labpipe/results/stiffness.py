@@ -12,16 +12,16 @@ import numpy as np
 from labpipe.fits.loops import secant_stiffness
 from labpipe.fits.slack import find_branch_slack
 from labpipe.fits.straight_lines import (
+    LEAST_OF_LINE,
     annulus_area,
     fit_compliance,
-    fit_line,
-    modulus,
+    line_slope,
     rectangle_area,
-    stiffness_per_peak_force,
     thin_wall_area,
+    timed_slope,
 )
 from labpipe.fits.two_segments import fit_two_segments
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
@@ -42,22 +42,23 @@ from labpipe.results.cycles import (
     PerCycle,
     cut_short,
     other_shape,
-    peak_of_cycle,
-    rectangle,
+    peak_of,
 )
 from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
     NO_CYCLE,
     NO_LOADING,
     Computed,
-    Errors,
+    Found,
     Kind,
     Outcome,
     blocked_or,
     force_scale,
     marked_slips,
 )
+from labpipe.results.likely_curves import loading_of, traced
 from labpipe.signal.filters import moving_average
+from labpipe.uncertainty.readings import Reading, Trace, combined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -299,19 +300,71 @@ def _seen_by_cameras(kind: Window, test: Evidence, name: str) -> Computed:
     method = (
         f"line from {kind.start:g} m to {kind.stop:g} m of the first loading, time as instrument"
     )
-
-    def secant(test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-        return stiffness_over(test, branches[0], displacement, kind.start, kind.stop)
-
     if not test.cycles:
         return kind.not_available(blocked_or(test, NO_CYCLE), method)
-    found = secant(test, test.cycles[0], test.displacement.values)
+
+    def decide(trace: Trace) -> Reading | Failure:
+        branch, path = trace.branches[0], trace.displacement
+        return slope_over(trace, slice(branch.start, branch.stop), path, kind.start, kind.stop)
+
+    found = test.measure(decide)
     if isinstance(found, Failure):
         return kind.not_available(found, method)
-    during = test.while_loading(kind.start, kind.stop)
-    shaped = widened(found, *other_shape(test, test.cycles[0], secant, found).values())
-    number = kind.number(shaped, method, force_scale(test, found), during=during)
-    return Computed((number,), {name: Stiffness(shaped, during, (kind.start, kind.stop))})
+    during, window = test.while_loading(kind.start, kind.stop), (kind.start, kind.stop)
+    number = kind.number(found[0], method, during=during)
+    return Computed((number,), {name: Stiffness(decide, found[0].as_estimate, during, window)})
+
+
+def slope_over(
+    trace: Trace, branch: slice, path_of_all: Floats, low: float, high: float
+) -> Reading | Failure:
+    """Decide on the stiffness over the part of a branch whose path lies between two lengths.
+
+    Parameters
+    ----------
+    trace : one curve
+    branch : samples of the branch, or of a stretch of it
+    path_of_all : shape (n,), m, growing along the branch
+    low, high : m
+
+    Returns
+    -------
+    N/m, force over displacement with time as instrument; a failure ``not_reached``,
+    ``too_few_samples`` or ``no_travel``.
+    """
+    path = path_of_all[branch]
+    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
+    inside = (travelled >= low) & (travelled <= high)
+    if not (travelled > high).any():
+        reached = float(np.nanmax(travelled))
+        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
+    inside[int(np.argmax(travelled > high)) :] = False
+    inside &= ~np.isnan(path) & ~np.isnan(trace.force[branch])
+    chosen = branch.start + np.flatnonzero(inside)
+    if len(chosen) < LEAST_OF_LINE:
+        message = f"{len(chosen)} samples in the stretch, {LEAST_OF_LINE} are needed"
+        return Failure("too_few_samples", message)
+    return slope_of(chosen, by_time=True)
+
+
+def slope_of(chosen: Ints, *, by_time: bool) -> Reading:
+    """Read the slope of force against displacement over chosen samples.
+
+    Parameters
+    ----------
+    chosen : shape (n,), numbers of samples in order
+    by_time : with time as instrument, for a displacement that is noisy itself
+    """
+    is_whole = len(chosen) == chosen[-1] + 1 - chosen[0]
+    part = slice(int(chosen[0]), int(chosen[-1]) + 1) if is_whole else chosen
+
+    def numbers(trace: Trace) -> tuple[Floats]:
+        displacement, force = trace.displacement[..., part], trace.force[..., part]
+        if by_time:
+            return (timed_slope(trace.time[part], displacement, force),)
+        return (line_slope(displacement, force),)
+
+    return Reading(numbers, len(chosen))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -341,30 +394,59 @@ class LineStiffness(Window):
         method = (
             f"straight line {self.in_words} of the first loading, interval for correlated noise"
         )
-        line = self.fitted(test, fit_line)
-        if isinstance(line, Failure):
-            return self.not_available(line, method)
-        slope = widened(line.slope, *self._other_displacement(test, line.slope).values())
-        level = line.intercept.value + line.slope.value * line.start
-        read = (line.start, line.stop)
-        during, doubts = test.while_loading(*read), marked_slips(test, read)
+        if not test.cycles:
+            return self.not_available(blocked_or(test, NO_LOADING), method)
+        found, curve = test.measure(self.decide), traced(test)
+        window = self.samples(curve)
+        if isinstance(found, Failure):
+            return self.not_available(found, method)
+        if isinstance(window, Failure):
+            return self.not_available(window, method)
+        slope, d = found[0], curve.displacement[window]
+        low, high = float(d.min()), float(d.max())
+        level = float(curve.force[window].mean()) + slope.value * (low - float(d.mean()))
+        during, doubts = test.while_loading(low, high), marked_slips(test, (low, high))
         if slope.value <= 0.0:
             falls = Reason("negative_slope", "the force falls where the frame pulls")
             doubts = (falls, *doubts)
-        errors = force_scale(test, slope)
-        number = self.number(slope, method, errors, during=during, doubts=doubts)
-        made_of = Stiffness(slope, during, (max(line.start, 0.0), line.stop), bends_with=read)
-        drawn = FittedLine(self.name, slope.value, level, line.start, line.stop)
+        number = self.number(slope, method, during=during, doubts=doubts)
+        made_of = Stiffness(
+            self.decide, slope.as_estimate, during, (max(low, 0.0), high), (low, high)
+        )
+        drawn = FittedLine(self.name, slope.value, level, low, high)
         return Computed((number,), {self.name: made_of}, (drawn,))
 
-    def _other_displacement(self, test: Evidence, slope: Estimate) -> Errors:
-        """Error from what a displacement under another assumption changes over these samples."""
-        other, stretch = test.displacement.alternative, test.loading_stretch
-        window = self.inside(test.known_curve.displacement[stretch])
-        if other is None or isinstance(window, Failure):
-            return {}
-        line = fit_line(other[stretch][window], test.known_curve.force[stretch][window])
-        return {} if isinstance(line, Failure) else rectangle(slope, line.slope)
+    def samples(self, trace: Trace) -> Ints | Failure:
+        """Numbers of the samples in the window of the first loading, up to the failure.
+
+        Parameters
+        ----------
+        trace : one curve
+        """
+        stretch = loading_of(trace)
+        window = self.inside(trace.displacement[stretch])
+        if isinstance(window, Failure):
+            return window
+        part = np.arange(stretch.start, stretch.stop)[window]
+        known = ~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])
+        return part[known]
+
+    def decide(self, trace: Trace) -> Reading | Failure:
+        """Decide on the slope of the straight line over the window.
+
+        Parameters
+        ----------
+        trace : one curve
+        """
+        chosen = self.samples(trace)
+        if isinstance(chosen, Failure):
+            return chosen
+        if len(chosen) < LEAST_OF_LINE:
+            message = f"{len(chosen)} samples in the stretch, {LEAST_OF_LINE} are needed"
+            return Failure("too_few_samples", message)
+        if np.ptp(trace.displacement[chosen]) == 0.0:
+            return Failure("no_travel", "the displacement does not change over the stretch")
+        return slope_of(chosen, by_time=False)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -399,14 +481,43 @@ class TwoSegments(Window):
                 )
             ),
             {
-                one: Stiffness(first, during, (max(fit.start, 0.0), at.value), read),
-                other: Stiffness(second, during, (max(at.value, 0.0), fit.stop), read),
+                one: Stiffness(
+                    partial(self._side, side=1),
+                    first,
+                    during,
+                    (max(fit.start, 0.0), at.value),
+                    read,
+                ),
+                other: Stiffness(
+                    partial(self._side, side=2),
+                    second,
+                    during,
+                    (max(at.value, 0.0), fit.stop),
+                    read,
+                ),
             },
             (
                 FittedLine(one, first.value, left, fit.start, at.value),
                 FittedLine(other, second.value, fit.level, at.value, fit.stop),
             ),
         )
+
+    def _side(self, trace: Trace, *, side: int) -> Reading | Failure:
+        """Decide on the slope on one side of the break, the break held."""
+        stretch = loading_of(trace)
+        window = self.inside(trace.displacement[stretch])
+        if isinstance(window, Failure):
+            return window
+        part = np.arange(stretch.start, stretch.stop)[window]
+        part = part[~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])]
+        d = trace.displacement[part]
+        fit = fit_two_segments(d, trace.force[part])
+        if isinstance(fit, Failure):
+            return fit
+        ahead = d - fit.break_point.value
+        design = np.column_stack([np.ones_like(d), np.minimum(ahead, 0.0), np.maximum(ahead, 0.0)])
+        row = np.linalg.pinv(design)[side]
+        return Reading(lambda trace: (trace.force[..., part] @ row,), len(part))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -439,20 +550,33 @@ class NormalisedStiffness(OfStiffness):
         window = stiffness.during
         during = (window[0], max(window[1], cycles[-1][0].stop_time)) if window else None
         doubts = marked_slips(test, stiffness.bends_with) + cut_short(test, cycles[-1][:1])
-        outcome = _per_peak(test, stiffness.estimate)
-        return Computed((self.number(outcome, method, during=during, doubts=doubts),))
+        found = _per_peak(test, stiffness)
+        return Computed((self.number(found, method, during=during, doubts=doubts),))
 
 
-def _per_peak(test: Evidence, stiffness: Estimate) -> Outcome:
-    peaks = [peak_of_cycle(test, branches) for branches in test.cycles]
-    known = [peak for peak in peaks if isinstance(peak, Estimate)]
+def _per_peak(test: Evidence, stiffness: Stiffness) -> Found:
+    """A stiffness over the largest force of all cycles."""
+    trace = traced(test)
+    peaks = {each[0].cycle: peak_of(test, trace, each[0].cycle) for each in test.cycles}
+    known = {key: each for key, each in peaks.items() if isinstance(each, Reading)}
     if not known:
-        return next(peak for peak in peaks if isinstance(peak, Failure))
-    largest = max(known, key=lambda peak: peak.value)
-    peak = widened(largest, test.raw_force.zero_error)
+        return next(each for each in peaks.values() if isinstance(each, Failure))
+    values = {key: float(each.numbers(trace)[0]) for key, each in known.items()}
+    largest = max(values, key=lambda key: values[key])
+    found = test.measure(lambda trace: peak_of(test, trace, largest))
+    peak = found if isinstance(found, Failure) else found[0]
+    if isinstance(peak, Failure):
+        return peak
     if peak.value <= 3.0 * peak.error:
         return Failure("no_peak_force", f"a peak of {peak.value:.3g} N is no more than its noise")
-    return stiffness_per_peak_force(stiffness, peak)
+    share = combined(_quotient, stiffness.decide, lambda trace: peak_of(test, trace, largest))
+    ratio = test.measure(share)
+    return ratio if isinstance(ratio, Failure) else ratio[0]
+
+
+def _quotient(trace: Trace, one: Floats, other: Floats) -> Floats:
+    del trace
+    return np.asarray(one / other, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -469,22 +593,26 @@ class Modulus(OfStiffness):
     name: Annotated[Snake, "Such as modulus_annulus"] = "modulus"
 
     def compute(self, test: Evidence) -> Computed:
-        """Sizes are taken as exact."""
-        method = f"{self.of} x specimen.length / area ({self.area}); sizes taken as exact"
+        """Stiffness, gauge length and area with their uncertainties."""
+        method = f"{self.of} x specimen.length / area ({self.area})"
         stiffness, area = test.stiffnesses.get(self.of), _area(self.area, test.setup.section)
         if stiffness is None:
             return self.not_available(self.missing(test), method)
-        outcome: Outcome
+        outcome: Found
         if test.setup.length is None:
             outcome = Failure("no_length", "specimen.length, the gauge length, is not given")
         elif isinstance(area, Failure):
             outcome = area
         else:
-            scale = force_scale(test, stiffness.estimate).values()
-            known = widened(stiffness.estimate, *scale)
-            outcome = modulus(known, gauge_length=test.setup.length, area=area)
+            found = test.measure(combined(self._modulus, stiffness.decide))
+            outcome = found if isinstance(found, Failure) else found[0]
         doubts = marked_slips(test, stiffness.bends_with)
         return Computed((self.number(outcome, method, during=stiffness.during, doubts=doubts),))
+
+    def _modulus(self, trace: Trace, stiffness: Floats) -> Floats:
+        area = _area(self.area, trace.sizes)
+        area = np.nan if isinstance(area, Failure) else area
+        return np.asarray(stiffness * trace.sizes["length"] / area, dtype=np.float64)
 
 
 def _area(kind: str, section: Mapping[str, float]) -> float | Failure:

@@ -57,3 +57,32 @@ class Reading:
 
 Decide: TypeAlias = Callable[[Trace], Reading | Failure]
 """Decides on one curve what numbers are read from, or why they cannot be."""
+
+
+def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
+    """Decide on a number that is made of others.
+
+    Parameters
+    ----------
+    how : of a trace, and of the first number of each part
+    parts : what it is made of
+
+    Returns
+    -------
+    A failure where a part is one: the first.
+    """
+
+    def decide(trace: Trace) -> Reading | Failure:
+        readings = list[Reading]()
+        for part in parts:
+            found = part(trace)
+            if isinstance(found, Failure):
+                return found
+            readings.append(found)
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            return (how(trace, *(each.numbers(trace)[0] for each in readings)),)
+
+        return Reading(numbers, readings[0].n)
+
+    return decide

@@ -11,7 +11,7 @@ from labpipe.records.curve import PointFlag, Shape
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.signals import Signals
 from labpipe.results.evidence import Evidence
-from labpipe.results.kinds import Outcome
+from labpipe.results.kinds import Found
 from labpipe.results.shapes import TipTravel
 
 FRAMES = 100
@@ -39,7 +39,7 @@ def swung() -> Shape:
     return shape(positions + np.random.default_rng(4).normal(0.0, 1e-5, positions.shape))
 
 
-def travel(seen: Shape | None) -> Outcome:
+def travel(seen: Shape | None) -> Found:
     (number,) = TipTravel().compute(Evidence(Signals(), shape=seen)).numbers
     return number.outcome
 

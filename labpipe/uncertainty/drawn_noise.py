@@ -1,0 +1,270 @@
+"""Noise of a signal: which processes it may be by short pieces of it, and drawn anew.
+
+A load cell, a controller and a specimen remember some tenths of a second, and a window of a test
+may be no longer than that. There is then no way to estimate the correlation and go on as if it were
+known: each replicate draws the process, too, by the chance that the record gives it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
+
+from labpipe.records.arrays import Floats
+
+Singles: TypeAlias = NDArray[np.float32]
+Waves: TypeAlias = NDArray[np.complex64]
+_PIECES = 12
+"""Pieces that the longest branch is cut into: with 8 the curve comes in, and intervals are 3 to 5
+times too wide."""
+_SHORTEST, _LEAST = 50, 8
+"""Samples of a piece of a long record, and of the shortest record that has noise."""
+_WAVES = 48
+"""Half waves of a piece that the noise is judged by: with 128 hum is taken for memory."""
+_CUBIC = 6
+"""Columns of the polynomial that is taken out of a piece: degree five."""
+_PER_COLUMN = 8
+"""Samples of a piece for each of them, at least."""
+_CLIFF = 4.0
+"""Times the median variance, beyond which a piece holds a corner or a step of the curve."""
+_TIMES, _BRIEFEST, _LONGEST = 24, 0.4, 20
+"""Correlation times, from so many samples to the longest branch over so much."""
+_FLOORS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
+"""White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
+_PRIOR = -0.4
+"""Power of the correlation time in the prior."""
+_FAST, _BAND = 256, 16
+"""Half waves over a branch above which the record's own power stands for a process, in bands."""
+_MARGIN = 12
+"""Correlation times after which the end of a drawn record has forgotten its beginning."""
+_SURE = 1e-4
+"""Chance below which a process is not drawn."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Processes:
+    """First-order autoregressive noise of many correlation times, with white noise beneath or not.
+
+    factor, floor, is_mirrored, prior, time : shape (g,)
+    """
+
+    factor: Floats
+    floor: Floats
+    is_mirrored: Floats
+    prior: Floats
+    time: Floats
+
+    def spectra(self, angle: Floats) -> Floats:
+        """Power at angles per sample (k,), 1 at zero: shape (g, k)."""
+        a = self.factor[:, None]
+        slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
+        mixed = self.floor[:, None] + (1.0 - self.floor[:, None]) * slow
+        found: Floats = np.where(self.is_mirrored[:, None] > 0.0, 1.0 / slow, mixed)
+        return found
+
+
+@lru_cache(maxsize=16)
+def _processes(longest: int) -> _Processes:
+    """What is considered of a branch of so many samples."""
+    times = np.geomspace(_BRIEFEST, max(longest / _LONGEST, 2.0 * _BRIEFEST), _TIMES)
+    a, prior = np.exp(-1.0 / times), (times / times[0]) ** _PRIOR
+    count, none = len(_FLOORS), np.zeros(_TIMES)
+    floors = np.concatenate([[0.0], none, none, np.repeat(_FLOORS, _TIMES)])
+    mirrored = np.concatenate([[0.0], none + 1.0, none, np.zeros(count * _TIMES)])
+    weights = [[1.0], prior, 0.5 * prior, np.tile(0.5 * prior / count, count)]
+    return _Processes(
+        np.concatenate([[0.0], a, a, np.tile(a, count)]),
+        floors,
+        mirrored,
+        np.concatenate(weights),
+        np.concatenate([[0.0], none, times, np.tile(times, count)]),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Noise:
+    """What the noise of a signal may be.
+
+    Parameters
+    ----------
+    chances : shape (g,), of each process, sum to 1
+    squares : shape (g,), in the unit of the signal, squared: the variance at frequency zero times
+        `freedom`
+    freedom : degrees of freedom of the variance
+    longest : samples of the longest branch
+    kept : share of the pieces that were judged by
+    angles, power : shape (b,): from the first angle per sample on the record's own power in bands;
+        empty for a short record
+    """
+
+    chances: Floats
+    squares: Floats
+    freedom: int
+    longest: int
+    kept: float
+    angles: Floats
+    power: Floats
+
+    @property
+    def memory(self) -> float:
+        """Mean correlation time, samples."""
+        return float(self.chances @ _processes(self.longest).time)
+
+    @property
+    def is_none(self) -> bool:
+        """Whether the signal has no noise at all."""
+        return not self.squares.any()
+
+    def draw(self, count: int, replicates: int, rng: np.random.Generator) -> Singles:
+        """Draw noise of a record.
+
+        Parameters
+        ----------
+        count : samples of the record
+        replicates : how many records
+        rng : where chance comes from
+
+        Returns
+        -------
+        Shape (replicates, count), single precision. Of each record the process is drawn by its
+        chance, and the variance by its degrees of freedom, so that the doubt about both is inside.
+        """
+        drawn = rng.choice(len(self.chances), size=replicates, p=self.chances)
+        variance = self.squares[drawn] / rng.chisquare(self.freedom, size=replicates)
+        processes = _processes(self.longest)
+        margin = min(count, ceil(_MARGIN * processes.time[drawn].max(initial=0.0)) + 1)
+        length = fft.next_fast_len(count + margin, real=True)
+        angle = np.linspace(0.0, np.pi, length // 2 + 1)
+        used, which = np.unique(drawn, return_inverse=True)
+        some = _Processes(
+            *(
+                getattr(processes, name)[used]
+                for name in ("factor", "floor", "is_mirrored", "prior", "time")
+            )
+        )
+        # Half of the power goes to the cosine, half to the sine; the first wave has no sine.
+        height = np.sqrt(0.5 * length * some.spectra(angle))
+        height[:, 0] *= np.sqrt(2.0)
+        scale = np.sqrt(variance)
+        waves = rng.standard_normal((replicates, 2, len(angle)), dtype=np.float32)
+        both = (waves[:, 0] + 1j * waves[:, 1]).astype(np.complex64, copy=False)
+        both *= height[which].astype(np.float32)
+        both *= scale[:, None].astype(np.float32)
+        if len(self.angles):
+            self._as_recorded(both, angle, waves, length)
+        return np.asarray(fft.irfft(both, length, axis=1)[:, :count], dtype=np.float32)
+
+    def _as_recorded(self, both: Waves, angle: Floats, waves: Singles, length: int) -> None:
+        """Give the fast waves the power that the record has there."""
+        first = int(np.searchsorted(angle, self.angles[0]))
+        band = np.searchsorted(self.angles, angle[first:], side="right") - 1
+        height = np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
+        both[:, first:] = height * (waves[:, 0, first:] + 1j * waves[:, 1, first:])
+
+
+def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
+    """Judge the noise of a signal by short pieces of all its branches.
+
+    Parameters
+    ----------
+    branches : each shape (n,), unfiltered and evenly sampled; pieces with NaN are left out
+    smooth : of each branch, shape (n,), the smooth curve through it
+
+    Returns
+    -------
+    The chance of each process. Without a branch of 8 samples, or without noise, none.
+
+    Notes
+    -----
+    A polynomial of degree five is taken out of each piece; what is left is judged in the slowest 48
+    half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
+    approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
+    likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
+    autoregressive noise, of its mirror image, and of it on a floor of white noise. Faster waves are
+    hum, rounding and converters: there the record's own power is taken, in bands of 16 half waves.
+    """
+    longest = max((len(each) for each in branches), default=0)
+    width = min(longest, max(_SHORTEST, longest // _PIECES))
+    pieces = [
+        each[first : first + width]
+        for each in branches
+        for first in range(0, len(each) - width + 1, max(width, 1))
+    ]
+    known = np.array([piece for piece in pieces if not np.isnan(piece).any()])
+    if width < _LEAST or not len(known):
+        return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0.0, np.zeros(0), np.zeros(0))
+    basis = _polynomials(width)
+    left = known - (known @ basis) @ basis.T
+    power = np.sum(left**2, axis=1)
+    is_sound = power <= _CLIFF * np.median(power)
+    terms = min(_WAVES, width)
+    waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
+    columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
+    processes = _processes(longest)
+    likelihood, squares, freedom = _likelihood(
+        processes.spectra(np.pi * np.arange(terms) / width), waves, columns
+    )
+    chances = processes.prior * np.exp(likelihood - likelihood.max())
+    chances[chances < _SURE * chances.max()] = 0.0
+    angles, fast = _own_power(branches, smooth)
+    return Noise(
+        chances / chances.sum(),
+        squares,
+        freedom,
+        longest,
+        float(is_sound.sum()) / len(pieces),
+        angles,
+        fast,
+    )
+
+
+def _polynomials(width: int) -> Floats:
+    """Orthonormal polynomials over a piece, shape (width, columns)."""
+    columns = int(np.clip(width // _PER_COLUMN, 2, _CUBIC))
+    at = np.linspace(-1.0, 1.0, width)
+    return np.linalg.qr(np.polynomial.legendre.legvander(at, columns - 1))[0]
+
+
+def _likelihood(spectra: Floats, waves: Floats, columns: Floats) -> tuple[Floats, Floats, int]:
+    """Logarithm of the likelihood of each spectrum, its sum of squares, degrees of freedom."""
+    inverse = 1.0 / spectra
+    count, spent = len(waves), columns.shape[1]
+    products = (columns[:, :, None] * columns[:, None, :]).reshape(len(columns), -1)
+    information = (inverse @ products).reshape(-1, spent, spent)
+    weighted = (waves[:, :, None] * columns).transpose(1, 0, 2).reshape(len(columns), -1)
+    score = (inverse @ weighted).reshape(len(inverse), count, spent)
+    explained = np.einsum("gps,gsr,gpr->g", score, np.linalg.inv(information), score, optimize=True)
+    squares = np.maximum(inverse @ np.sum(waves**2, axis=0) - explained, 0.0)
+    freedom = count * (len(columns) - spent)
+    logs = np.log(spectra).sum(axis=1) + np.linalg.slogdet(information)[1]
+    with np.errstate(divide="ignore"):
+        likelihood = -0.5 * (count * logs + freedom * np.log(squares))
+    return np.nan_to_num(likelihood, posinf=0.0), squares, freedom
+
+
+def _own_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """Power of the fast waves of a record in bands, by all branches: angles per sample, power."""
+    left = [
+        np.where(np.isnan(each), 0.0, each - curve)
+        for each, curve in zip(branches, smooth, strict=True)
+        if len(each) > 2 * _FAST
+    ]
+    if not left:
+        return np.zeros(0), np.zeros(0)
+    longest = max(len(each) for each in left)
+    first = max(_FAST, longest // 8)
+    angles = np.pi * np.arange(first, longest - _BAND, _BAND) / longest
+    total = np.zeros(len(angles))
+    for each in left:
+        sums = np.append(0.0, np.cumsum(fft.dct(each, norm="ortho") ** 2))
+        at = np.append(angles, np.pi) * len(each) / np.pi
+        power = np.diff(np.interp(at, np.arange(len(each) + 1), sums)) / np.diff(at)
+        total += power * len(each)
+    return angles, total / sum(len(each) for each in left)

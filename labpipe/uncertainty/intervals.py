@@ -1,0 +1,164 @@
+"""Value, estimate, 95 % interval and budget of a number, from replicates of the curve.
+
+The recipe of JCGM 101:2008 (GUM supplement 1). With T the number of a curve,
+
+delta_r = T(smooth + noise_r, filtered) - T(smooth) + sum over inputs i of what a draw z_ir changes,
+
+and the interval is [value - 97.5 % quantile of delta, value - 2.5 % quantile]: what the number of
+the measured curve may be off, turned around. It holds the bias of T in noise, too: the largest of
+many noisy samples lies above the largest value there was. `estimate` is the value less the mean of
+delta.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.records.causes import NOISE, contribution
+from labpipe.records.curve import Interval
+from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.quality import Reason
+from labpipe.records.result import Contribution
+from labpipe.uncertainty.readings import Decide, Reading
+from labpipe.uncertainty.replicates import Input, Replicates
+
+_LOW, _HIGH = 0.025, 0.975
+_LOST, _NONE = 0.05, 0.5
+"""Shares of the replicates without a number: doubtful from the one on, failed from the other."""
+_OF_WINDOW, _OF_RECORD = 0.2, 0.03
+"""Share of the samples of a number, and of a branch, that noise may remember."""
+_KEPT = 0.5
+"""Share of the pieces of a record that its noise is to be judged by."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """A number with all that is known of its doubt.
+
+    Parameters
+    ----------
+    value : the plain number of the measured curve
+    off : shape (replicates,), in its unit: what the number of each replicate is off; NaN where a
+        replicate has none
+    budget : what the doubt is made of
+    n : samples that it rests on
+    doubts : why the interval may not be trusted, with the quantity whose noise it is
+    """
+
+    value: float
+    off: Floats
+    budget: tuple[Contribution, ...]
+    n: int
+    doubts: tuple[tuple[str, Reason], ...] = ()
+
+    @property
+    def estimate(self) -> float:
+        """The value without what noise adds to it on average."""
+        return self.value - float(np.nanmean(self.off))
+
+    @property
+    def error(self) -> float:
+        """Standard uncertainty of the estimate."""
+        return float(np.nanstd(self.off))
+
+    @property
+    def as_estimate(self) -> Estimate:
+        """The value with its standard uncertainty and its interval."""
+        return Estimate(self.value, self.error, self.n, self.interval)
+
+    @property
+    def interval(self) -> Interval:
+        """95 % interval."""
+        low, high = np.nanquantile(self.off, (_LOW, _HIGH)).tolist()
+        return Interval(self.value - high, self.value - low)
+
+
+def measure(
+    replicates: Replicates, decide: Decide, values: Sequence[float] | None = None
+) -> tuple[Measured, ...] | Failure:
+    """Measure numbers of a curve.
+
+    Parameters
+    ----------
+    replicates : of the curve
+    decide : from where the numbers are read
+    values : the plain numbers where they are read from more samples than the curve has
+
+    Returns
+    -------
+    Of each number of the reading; a failure where the measured curve does not have them, or half of
+    the replicates do not.
+    """
+    found = decide(replicates.measured)
+    if isinstance(found, Failure):
+        return found
+    if values is None:
+        values = [float(each) for each in found.numbers(replicates.measured)]
+    plain = decide(replicates.smooth)
+    if isinstance(plain, Failure):
+        return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
+    base = _numbers(plain, replicates)
+    drawn = [np.asarray(plain.numbers(each)) for each in replicates.traces()]
+    off = np.concatenate(drawn, axis=1) - base[:, None]
+    noise, parts = np.nanstd(off, axis=1), list[tuple[str, Floats]]()
+    for given in replicates.inputs:
+        low, high = (_moved(decide, plain, replicates, given, x) for x in (-1.0, 1.0))
+        z = replicates.draws(given)
+        off = off + np.where(z > 0.0, np.outer(base - low, z), np.outer(high - base, z))
+        parts.append((given.cause, 0.5 * (high - low) * given.deviation))
+    lost = float(np.isnan(off).any(axis=0).mean())
+    if lost >= _NONE:
+        return Failure("not_repeatable", f"{lost:.0%} of curves with such noise have none")
+    doubts = tuple(_doubts(replicates, plain.n, lost))
+    return tuple(
+        Measured(value, off[row], _budget(float(noise[row]), parts, row), found.n, doubts)
+        for row, value in enumerate(values)
+    )
+
+
+def _doubts(replicates: Replicates, count: int, lost: float) -> Iterator[tuple[str, Reason]]:
+    """Why an interval over so many samples may be too narrow."""
+    if lost > _LOST:
+        message = f"{lost:.0%} of curves with such noise have no such number"
+        yield "", Reason("not_repeatable", message)
+    for name, noise in replicates.noises.items():
+        if noise.is_none:
+            continue
+        longest = noise.longest * _OF_RECORD
+        if count > 1:
+            longest = min(longest, count * _OF_WINDOW)
+        if noise.memory > longest:
+            message = (
+                f"the noise of the {name} is as slow as what is measured: it remembers "
+                f"{noise.memory:.3g} samples, the number is read from {count}"
+            )
+            yield name, Reason("slow_noise", message)
+        if noise.kept < _KEPT:
+            message = f"the noise of the {name} is not alike over the record"
+            yield name, Reason("uneven_noise", message)
+
+
+def _numbers(reading: Reading, replicates: Replicates) -> Floats:
+    return np.array([float(each) for each in reading.numbers(replicates.smooth)])
+
+
+def _moved(
+    decide: Decide, plain: Reading, replicates: Replicates, given: Input, by: float
+) -> Floats:
+    """Numbers with an input so many standard uncertainties higher, its windows decided anew."""
+    trace = given.moved(replicates.smooth, by)
+    found = decide(trace)
+    reading = plain if isinstance(found, Failure) else found
+    return np.array([float(each) for each in reading.numbers(trace)])
+
+
+def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:
+    squares: dict[str, float] = {NOISE: noise}
+    for cause, change in parts:
+        squares[cause] = hypot(squares.get(cause, 0.0), float(change[row]))
+    return tuple(contribution(cause, change) for cause, change in squares.items() if change)

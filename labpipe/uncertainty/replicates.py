@@ -1,0 +1,241 @@
+"""Curves that a measured one may have been: its smooth record, with noise drawn anew.
+
+JCGM 101:2008 (GUM supplement 1): the uncertainty of a number is the spread of the number over draws
+of everything it rests on. The noise of the signals is drawn as records; an input that is the same
+for the whole record (a gain, a zero, an offset) is one draw a record, and what it changes is seen
+once, on the smooth record.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+from labpipe.uncertainty.drawn_noise import Noise, Singles, noise_of
+from labpipe.uncertainty.readings import Trace
+
+COUNT = 400
+"""Replicates: widths of intervals repeat within 5 %."""
+_CHUNK = 50
+"""Replicates that are read at once."""
+_PARTS, _PARTS_OF_CYCLE = 12, 40
+"""Intervals of the spline through a single loading, and through a branch of a cyclic test: with 40
+a tensile curve follows slow noise."""
+_PER_PART = 8
+"""Samples of an interval at least."""
+_DEGREE = 3
+
+Filter: TypeAlias = Callable[[Floats], Floats]
+Law: TypeAlias = Literal["normal", "uniform", "step"]
+"""What an input is drawn from, in its standard uncertainties: a normal or a rectangular
+distribution; a whole step of which the truth lies somewhere inside, behind the last sample."""
+STEP_DEVIATION = 1.0 / np.sqrt(12.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Input:
+    """Something that a whole record rests on, and that is known with an uncertainty.
+
+    Parameters
+    ----------
+    cause : in words, such as ``gain of the load cell``
+    moved : a trace as it is with the input so many standard uncertainties higher
+    law : what it is drawn from
+    draws : shape (replicates,), in standard uncertainties, where the input has been drawn before
+    stream : name of its stream of chance; the cause where it is empty
+    """
+
+    cause: str
+    moved: Callable[[Trace, float], Trace]
+    law: Law = "normal"
+    draws: Floats | None = None
+    stream: str = ""
+
+    @property
+    def deviation(self) -> float:
+        """Standard deviation of its draws, in the unit of `moved`."""
+        return float(STEP_DEVIATION) if self.law == "step" else 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Replicates:
+    """A curve and `COUNT` others that it may have been.
+
+    Parameters
+    ----------
+    measured : the curve that numbers are read from
+    smooth : without its noise and without filters, perhaps on fewer samples
+    displacement, force : shape (replicates, n) or, of a displacement without noise, (n,); m, N: the
+        smooth curve with noise, filtered; single precision
+    inputs : what else is drawn
+    seed : of all draws
+    noises : what the noise of force and displacement was taken for
+    """
+
+    measured: Trace
+    smooth: Trace
+    displacement: Singles
+    force: Singles
+    inputs: tuple[Input, ...]
+    seed: bytes
+    noises: Mapping[str, Noise]
+
+    def traces(self) -> Iterator[Trace]:
+        """The replicates, some at a time, in double precision."""
+        for first in range(0, len(self.force), _CHUNK):
+            rows = slice(first, first + _CHUNK)
+            force = self.force[rows].astype(np.float64)
+            moving = self.displacement.ndim > 1
+            displacement = self.displacement[rows] if moving else self.displacement[None]
+            whole = np.broadcast_to(displacement.astype(np.float64), force.shape)
+            yield replace(self.smooth, displacement=whole, force=force)
+
+    def draws(self, given: Input) -> Floats:
+        """Draws of an input, in its standard uncertainties, shape (replicates,): always the same.
+
+        Parameters
+        ----------
+        given : by whose cause the stream of numbers is chosen
+        """
+        if given.draws is not None:
+            return given.draws
+        rng, count = stream(self.seed, given.stream or given.cause), len(self.force)
+        if given.law == "normal":
+            return rng.standard_normal(count)
+        if given.law == "uniform":
+            return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), count)
+        return -rng.uniform(0.0, 1.0, count)
+
+    def displaced(self, by: float, *inputs: Input) -> Replicates:
+        """The same curves, displacement counted from another place.
+
+        Parameters
+        ----------
+        by : m, added to every displacement
+        inputs : that come in with it
+        """
+        return replace(
+            self,
+            measured=replace(self.measured, displacement=self.measured.displacement + by),
+            smooth=replace(self.smooth, displacement=self.smooth.displacement + by),
+            displacement=self.displacement + np.float32(by),
+            inputs=(*self.inputs, *inputs),
+        )
+
+
+def stream(seed: bytes, name: str) -> np.random.Generator:
+    """Make a stream of chance of its own for a name, the same for the same record.
+
+    Parameters
+    ----------
+    seed : of the record
+    name : of a signal or an input
+    """
+    found = hashlib.sha256(seed + name.encode()).digest()[:8]
+    return np.random.Generator(np.random.SFC64(int.from_bytes(found, "little")))
+
+
+def smooth_curve(time: Floats, values: Floats, cuts: Sequence[int], parts: int) -> Floats:
+    """Smooth curve through a record, piece by piece: least-squares cubic splines of even intervals.
+
+    Parameters
+    ----------
+    time, values : shape (n,); NaN stay NaN
+    cuts : numbers of the samples at which a new piece begins: turns, slips, the failure
+    parts : intervals of each piece at most
+
+    Returns
+    -------
+    Shape (n,). A piece of few samples gets fewer intervals, and a straight line at last.
+    """
+    from scipy.interpolate import make_lsq_spline
+
+    found = values.copy()
+    for low, high in pairwise(sorted({0, len(values), *(each for each in cuts)})):
+        known = ~np.isnan(values[low:high])
+        t, y = time[low:high][known], values[low:high][known]
+        if len(y) < 2 * _PER_PART or t[-1] <= t[0]:
+            found[low:high][known] = _line(t, y)
+            continue
+        x = (t - t[0]) / (t[-1] - t[0])
+        count = int(np.clip(len(y) // _PER_PART, 1, parts))
+        knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
+        spline = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)
+        found[low:high][known] = spline(x)
+    return found
+
+
+def _with_samples(knots: Floats, x: Floats) -> Floats:
+    """Knots without those in gaps, so that every spline of the basis has samples beneath it."""
+    inner = knots[4:-4]
+    counts = np.diff(np.searchsorted(x, np.concatenate([[0.0], inner, [1.0]])))
+    kept = [knot for knot, before in zip(inner, counts[:-1], strict=True) if before > _DEGREE]
+    while kept and (x > kept[-1]).sum() <= _DEGREE:
+        kept.pop()
+    return np.concatenate([knots[:4], kept, knots[-4:]])
+
+
+def _line(t: Floats, y: Floats) -> Floats:
+    """Straight line through a few samples; fewer than three are taken as they are."""
+    if len(y) < 3 or np.ptp(t) == 0.0:
+        return y
+    lever = t - t.mean()
+    found: Floats = y.mean() + lever * ((lever @ y) / (lever @ lever))
+    return found
+
+
+def replicated(
+    measured: Trace,
+    unfiltered: Trace,
+    cuts: Sequence[int],
+    filters: tuple[Filter, Filter],
+    inputs: tuple[Input, ...],
+) -> Replicates:
+    """Draw curves that a measured one may have been.
+
+    Parameters
+    ----------
+    measured : numbers are read from
+    unfiltered : the same without filters, on at most some 20 000 samples
+    cuts : samples of `unfiltered` at which a new piece begins
+    filters : what the protocol's filters make of displacements and of forces (..., n)
+    inputs : what else is drawn
+
+    Returns
+    -------
+    The same for the same curve: all draws are seeded by its samples.
+    """
+    cyclic = len(unfiltered.branches) > 1
+    parts = _PARTS_OF_CYCLE if cyclic else _PARTS
+    seed = hashlib.sha256(measured.force.tobytes() + measured.displacement.tobytes()).digest()
+    time, drawn, noises, smooth = unfiltered.time, [], {}, []
+    for name, act in zip(("displacement", "force"), filters, strict=True):
+        values: Floats = getattr(unfiltered, name)
+        curve = smooth_curve(time, values, cuts, parts)
+        noise = _noise(values, curve, unfiltered, cuts)
+        made = curve[None] if noise.is_none else _with_noise(curve, noise, stream(seed, name))
+        filtered = act(made).astype(np.float32)
+        drawn.append(filtered[0] if noise.is_none and name == "displacement" else filtered)
+        noises[name] = noise
+        smooth.append(curve)
+    force = np.broadcast_to(drawn[1], (COUNT, len(time)))
+    base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
+    return Replicates(measured, base, drawn[0], force, inputs, seed, noises)
+
+
+def _with_noise(curve: Floats, noise: Noise, rng: np.random.Generator) -> Floats:
+    return curve + noise.draw(len(curve), COUNT, rng)
+
+
+def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> Noise:
+    """Noise of a record by its branches up to where the specimen failed, or by all pieces."""
+    last = len(values) if trace.failed_at is None else trace.failed_at + 1
+    ends = sorted({0, last, *(each for each in cuts if each < last)})
+    pieces = [slice(low, high) for low, high in pairwise(ends)]
+    return noise_of([values[each] for each in pieces], [curve[each] for each in pieces])
