@@ -7,7 +7,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from labpipe.fits.one_path import OnePath
+from labpipe.fits.one_path import OnePath, known_samples
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
@@ -83,15 +83,10 @@ def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failu
 
 
 def _scan(displacement: Floats, force: Floats) -> _Scan | Failure:
-    order = _in_order(displacement, _known(displacement, force))
+    order = _in_order(displacement, known_samples(displacement, force))
     if isinstance(order, Failure):
         return order
     return _Scan.of(displacement[order], force[order])
-
-
-def _known(displacement: Floats, force: Floats) -> Ints:
-    """Samples with both displacement and force."""
-    return np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
 
 
 def _in_order(displacement: Floats, known: Ints) -> Ints | Failure:
@@ -283,15 +278,12 @@ class Hinges:
 
     Parameters
     ----------
-    order : shape (k,), samples that both quantities are known of, sorted by displacement; None for
-        all as they are
-    path : of these
+    path : of the samples that both quantities are known of, sorted by displacement
     scan : of the curve that was decided on
     places : shape (300,), on the scale of the scan
     moved : on that scale, how far the global optimum of that curve lies behind what the places find
     """
 
-    order: Ints | None
     path: OnePath
     scan: _Scan
     places: Floats
@@ -313,16 +305,13 @@ class Hinges:
         ``too_few_samples`` (fewer than 16), ``not_increasing`` when the displacement does not grow
         over the stretch.
         """
-        known = _known(displacement, force)
-        order = _in_order(displacement, known)
+        order = _in_order(displacement, known_samples(displacement, force))
         if isinstance(order, Failure):
             return order
-        path = OnePath.of(displacement[known], force[known]).take(np.searchsorted(known, order))
         scan = _Scan.of(displacement[order], force[order])
         beside = min(_BESIDE, max(_SIDE, len(order) // 8)) - 1
         places = np.linspace(scan.x[beside], scan.x[-1 - beside], _PLACES)
-        is_all = len(order) == len(force) and bool((np.diff(order) == 1).all())
-        found = cls(None if is_all else order, path, scan, places)
+        found = cls(OnePath.of(displacement, force, order), scan, places)
         return replace(found, moved=scan.best() - float(found._best(scan.y[None])[0]))
 
     @property
@@ -353,9 +342,7 @@ class Hinges:
         there. Products with hinges are exact, from sums of y and x y between places.
         A displacement with noise of its own counts as noise of the force (`OnePath`).
         """
-        y = self._taken(force)
-        if displacement is not None:
-            y = self.path.force(y, self._taken(displacement))
+        y = self.path.force(force, displacement)
         shape, y = y.shape[:-1], np.atleast_2d(y).reshape(-1, y.shape[-1])
         scan, (mean, spread) = self.scan, self.scan.spread
         inside = scan.x[_SIDE - 1], scan.x[-_SIDE]
@@ -381,15 +368,8 @@ class Hinges:
             f"{1e3 * stop:.4g} mm"
         )
 
-    def _taken(self, values: Floats) -> Floats:
-        """Values of the samples that were decided on, sorted."""
-        if self.order is None:
-            return values
-        taken: Floats = np.take(values, self.order, axis=-1)
-        return taken
-
     def _best(self, y: Floats) -> Floats:
-        """Break by the places and the parabola, shape (R,), of curves (R, k) sorted as `order`."""
+        """Break by the places and the parabola, shape (R,), of curves (R, k) in that order."""
         x, places, (mean, spread) = self.scan.x, self.places, self.scan.spread
         starts = np.concatenate([[0], np.searchsorted(x, places)])
         is_empty = np.diff(starts, append=len(x)) == 0

@@ -1,0 +1,213 @@
+"""End slope and onset of many curves at once, against one fit at a time, and how they scatter."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import binomtest, chi2
+
+from labpipe.fits.plateau import Tangents, cut_corners
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import Failure
+
+D = np.linspace(0.0, 0.05, 1001)
+OVER = 5e-3
+SCALE = 0.012
+INITIAL = 10.0 / SCALE
+SOFT: Floats = 10.0 * (1.0 - np.exp(-D / SCALE))
+"""The tangent is a tenth of the initial slope at SCALE ln 10, where the force is 9 N."""
+
+
+def tangents_of(d: Floats, f: Floats, over: float = OVER) -> Tangents:
+    found = Tangents.of(d, f, over=over)
+    assert isinstance(found, Tangents)
+    return found
+
+
+def noise(seed: int, *shape: int, deviation: float = 0.02) -> Floats:
+    return np.random.default_rng(seed).normal(0.0, deviation, shape)
+
+
+def parabola(d: Floats, f: Floats, at: float, over: float) -> tuple[float, float]:
+    """Slope and level at a place of the parabola over a stretch around it."""
+    inside = np.abs(d - at) <= 0.5 * over * (1.0 + 1e-9)
+    inside[np.argmax(d > at + 0.5 * over)] |= at + 0.5 * over < d[-1]  # the sample that is beyond
+    fit = np.polyfit(d[inside] - at, f[inside], 2)
+    return float(fit[1]), float(fit[2])
+
+
+def onset_of(d: Floats, f: Floats, slope: float) -> tuple[float, float]:
+    """The same by walking back, one tangent at a time."""
+    places = np.arange(d[-1] - 0.5 * OVER, 0.5 * OVER, -OVER / 8)
+    slopes = [parabola(d, f, place, OVER)[0] for place in places]
+    number = next(number for number, each in enumerate(slopes) if each >= slope)
+    at = float(np.interp(slope, slopes[number - 1 : number + 1], places[number - 1 : number + 1]))
+    return at, parabola(d, f, at, 0.5 * OVER)[1]
+
+
+def test_end_slope_and_its_line() -> None:
+    curves = SOFT + noise(1, 2, 3, len(D))
+    tangents = tangents_of(D, SOFT)
+    found = tangents.slope_at_end(curves)
+    assert found.shape == (2, 3)
+    for place in np.ndindex(2, 3):
+        slope, level = parabola(D, curves[place], 0.0475, OVER)
+        assert float(found[place]) == pytest.approx(slope, rel=1e-9)
+        assert tangents.level_at(0.0475, curves[place]) == pytest.approx(level, rel=1e-12)
+        begin = tangents.level_at(0.045, curves[place])
+        assert begin == pytest.approx(level - 0.0025 * slope, rel=1e-12)
+    assert tangents.slope_at_end(SOFT).shape == ()
+
+
+def test_onset_as_one_curve_at_a_time() -> None:
+    curves = SOFT + noise(2, 2, 3, len(D))
+    initial = INITIAL * (1.0 + noise(3, 2, 3))
+    place, force = tangents_of(D, SOFT).onset(curves, initial, slope_below=0.1)
+    assert place.shape == force.shape == (2, 3)
+    for each in np.ndindex(2, 3):
+        at, level = onset_of(D, curves[each], 0.1 * float(initial[each]))
+        assert float(place[each]) == pytest.approx(at, rel=1e-9)
+        assert float(force[each]) == pytest.approx(level, rel=1e-9)
+
+
+def test_a_curve_without_onset_among_many() -> None:
+    """Nowhere so steep: no number. Steep at its end: the place of the last tangent."""
+    curves = np.stack([SOFT, 20.0 * D, 500.0 * D])
+    place, force = tangents_of(D, SOFT).onset(curves, np.full(3, INITIAL), slope_below=0.1)
+    assert np.isnan(place).tolist() == np.isnan(force).tolist() == [False, True, False]
+    assert place[2] == pytest.approx(0.0475)
+    assert force[2] == pytest.approx(500.0 * 0.0475)
+
+
+def test_unknown_samples_and_displacements_of_their_own() -> None:
+    holes = SOFT.copy()
+    holes[[0, 400, 950]] = np.nan
+    known = ~np.isnan(holes)
+    curves = SOFT + noise(4, 3, len(D))
+    initial = np.full(3, INITIAL)
+    plain = tangents_of(D[known], SOFT[known])
+    found = tangents_of(D, holes)
+    assert found.slope_at_end(curves) == pytest.approx(plain.slope_at_end(curves[:, known]))
+    for one, other in zip(
+        found.onset(curves, initial, slope_below=0.1),
+        plain.onset(curves[:, known], initial, slope_below=0.1),
+        strict=True,
+    ):
+        assert one == pytest.approx(other)
+    off = noise(5, 3, len(D), deviation=2e-5)
+    seen = np.broadcast_to(SOFT, off.shape)
+    place, force = plain.onset(seen[:, known], initial, (D + off)[:, known], slope_below=0.1)
+    moved = SOFT - INITIAL * np.exp(-D / SCALE) * off
+    same = plain.onset(moved[:, known], initial, slope_below=0.1)
+    assert np.ptp(place) > 1e-5
+    assert place == pytest.approx(same[0], abs=2e-6)
+    assert force == pytest.approx(same[1], abs=2e-5)
+    ends = plain.slope_at_end(seen[:, known], (D + off)[:, known])
+    assert ends == pytest.approx(plain.slope_at_end(moved[:, known]), abs=0.01)
+
+
+def test_back_and_forth_and_waits() -> None:
+    """Samples count from when a place is first reached, and waits do no harm."""
+    d = np.concatenate([D[:500], np.full(50, D[499]), D[480:]])
+    f = np.interp(d, D, SOFT)
+    place, force = tangents_of(d, f).onset(f, np.array(INITIAL), slope_below=0.1)
+    assert float(place) == pytest.approx(SCALE * np.log(10.0), abs=1e-4)
+    assert float(force) == pytest.approx(9.0, abs=0.01)
+
+
+def test_tangents_end_where_there_is_none() -> None:
+    gap = (D > 0.012) & (D < 0.019)
+    tangents = tangents_of(D[~gap], SOFT[~gap])
+    assert tangents.places[-1] > 0.019
+    place, _ = tangents.onset(SOFT[~gap], np.array(INITIAL), slope_below=0.1)
+    assert float(place) == pytest.approx(SCALE * np.log(10.0), abs=1e-4)
+
+
+def test_says_why_not() -> None:
+    short = Tangents.of(D[:200], SOFT[:200], over=OVER)
+    assert short == Failure("not_reached", "the branch is 9.95 mm long, twice 5 mm is needed")
+    none = Tangents.of(D, np.full(len(D), np.nan), over=OVER)
+    assert isinstance(none, Failure)
+    assert none.code == "not_reached"
+    sparse = Tangents.of(D[::50], SOFT[::50], over=OVER)
+    assert sparse == Failure("too_few_samples", "3 samples in the stretch, 8 are needed")
+    jump = np.concatenate([np.linspace(0.0, 0.04, 100), np.linspace(0.0499, 0.05, 100)])
+    stuck = Tangents.of(jump, jump, over=OVER)
+    assert stuck == Failure("no_travel", "the displacement jumps over the stretch")
+    for at in (0.0451, 0.0453, 0.0457, 0.0459, 0.0463):
+        two = np.concatenate([np.linspace(0.0, 0.0449, 100), np.repeat([at, 0.05], 10)])
+        assert Tangents.of(two, two, over=OVER) == stuck
+
+
+def test_no_force_where_half_the_stretch_is_too_short() -> None:
+    """Eleven samples in a stretch are enough, six in its half are not."""
+    place, force = tangents_of(D[::10], SOFT[::10]).onset(
+        SOFT[::10], np.array(INITIAL), slope_below=0.1
+    )
+    assert float(place) == pytest.approx(SCALE * np.log(10.0), abs=1e-4)
+    assert np.isnan(force)
+
+
+def test_what_a_corner_hides() -> None:
+    """Two lines that meet: the tangent smears their corner, the parabola cuts it."""
+    force = np.where(D < 0.03, 300.0, 10.0) * (D - 0.03) + 9.0
+    at, level = tangents_of(D, force).onset(force, np.array(300.0), slope_below=0.1)
+    place, cut = cut_corners(D, force, float(at), 30.0, over=OVER)
+    assert 0.0 < float(at) - 0.03 < 0.5 * OVER
+    # Half the length smears half as far, and cuts half as much.
+    assert place == pytest.approx(0.5 * (0.03 - float(at)), rel=0.1)
+    assert cut == pytest.approx(
+        parabola(D, force, float(at), 0.5 * OVER)[1] - parabola(D, force, float(at), OVER)[1],
+        rel=1e-6,
+    )
+    assert abs(cut) > 0.005
+    assert float(level) == pytest.approx(float(np.interp(at, D, force)), abs=2.0 * abs(cut))
+    smooth = cut_corners(D, SOFT, SCALE * np.log(10.0), 0.1 * INITIAL, over=OVER)
+    assert abs(smooth[0]) < 2e-4
+
+
+def test_replicates_scatter_as_curves_do() -> None:
+    seeds = 200
+    tangents = tangents_of(D, SOFT)
+    initial = INITIAL * (1.0 + noise(10, seeds, deviation=0.01))
+    plain = np.array(
+        [onset_of(D, SOFT + noise(seed, len(D)), 0.1 * initial[seed]) for seed in range(seeds)]
+    )
+    drawn = tangents.onset(
+        SOFT + noise(999, 2000, len(D)),
+        INITIAL * (1.0 + noise(11, 2000, deviation=0.01)),
+        slope_below=0.1,
+    )
+    for number in range(2):
+        ratio = seeds * float(plain[:, number].std(ddof=1) / drawn[number].std()) ** 2
+        assert chi2.ppf(0.001, seeds) < ratio < chi2.ppf(0.999, seeds)
+    # By hand: the slope of a line has the deviation of the noise over the root of sum l^2.
+    inside = D >= 0.045
+    lever = D[inside] - D[inside].mean()
+    by_hand = 0.02 / np.sqrt(lever @ lever)
+    assert float(tangents.slope_at_end(SOFT + noise(998, 2000, len(D))).std()) == pytest.approx(
+        by_hand, rel=0.05
+    )
+
+
+def test_intervals_from_replicates_cover() -> None:
+    """Curves of noise, replicates about the curve without it; deltas as the engine takes them."""
+    seeds, hits = 200, np.zeros(3, dtype=int)
+    tangents = tangents_of(D, SOFT)
+    base = (*tangents.onset(SOFT, np.array(INITIAL), slope_below=0.1), tangents.slope_at_end(SOFT))
+    truth = (*base[:2], base[2] / INITIAL)
+    for seed in range(seeds):
+        value = INITIAL * (1.0 + float(noise(seed + 7000, deviation=0.01)))
+        f = SOFT + noise(seed, len(D))
+        found = tangents.onset(f, np.array(value), slope_below=0.1)
+        numbers = (*found, tangents.slope_at_end(f) / value)
+        initial = INITIAL * (1.0 + noise(seed + 9000, 200, deviation=0.01))
+        curves = SOFT + noise(seed + 5000, 200, len(D))
+        drawn = tangents.onset(curves, initial, slope_below=0.1)
+        shares = tangents.slope_at_end(curves) / initial
+        for number, each in enumerate((*drawn, shares)):
+            low, high = np.quantile(each - truth[number], [0.025, 0.975])
+            hits[number] += float(numbers[number]) - high <= truth[number]
+            hits[number] -= float(numbers[number]) - low < truth[number]
+    for count in hits.tolist():
+        assert binomtest(count, seeds, 0.95).pvalue > 0.003
