@@ -44,6 +44,8 @@ _FAST, _BAND = 256, 16
 """Half waves over a branch above which the record's own power stands for a process, in bands."""
 _MARGIN = 12
 """Correlation times after which the end of a drawn record has forgotten its beginning."""
+_ROUNDING = 1e-9
+"""Share of its range below which what a signal has beside a curve is arithmetic and no noise."""
 _SURE = 1e-4
 """Chance below which a process is not drawn."""
 
@@ -98,7 +100,7 @@ class Noise:
     squares : shape (g,), in the unit of the signal, squared: the variance at frequency zero times
         `freedom`
     freedom : degrees of freedom of the variance
-    longest : samples of the longest branch
+    longest, count : samples of the longest branch, and of all
     kept : share of the pieces that were judged by
     angles, power : shape (b,): from the first angle per sample on the record's own power in bands;
         empty for a short record
@@ -108,6 +110,7 @@ class Noise:
     squares: Floats
     freedom: int
     longest: int
+    count: int
     kept: float
     angles: Floats
     power: Floats
@@ -197,11 +200,15 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         for each in branches
         for first in range(0, len(each) - width + 1, max(width, 1))
     ]
-    known = np.array([piece for piece in pieces if not np.isnan(piece).any()])
+    # A piece that stands to the last digit, saturated or frozen, says nothing of the noise.
+    moving = [piece for piece in pieces if np.ptp(piece) > 0.0]
+    known = np.array([piece for piece in moving if not np.isnan(piece).any()])
     if width < _LEAST or not len(known):
-        return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0.0, np.zeros(0), np.zeros(0))
+        return _silence(longest)
     basis = _polynomials(width)
     left = known - (known @ basis) @ basis.T
+    if np.abs(left).max() <= _ROUNDING * np.ptp(known):
+        return _silence(longest)
     power = np.sum(left**2, axis=1)
     is_sound = power <= _CLIFF * np.median(power)
     terms = min(_WAVES, width)
@@ -219,10 +226,16 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         squares,
         freedom,
         longest,
-        float(is_sound.sum()) / len(pieces),
+        sum(len(each) for each in branches),
+        float(is_sound.sum()) / len(moving),
         angles,
         fast,
     )
+
+
+def _silence(longest: int) -> Noise:
+    none = np.zeros(0)
+    return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, 1.0, none, none)
 
 
 def _polynomials(width: int) -> Floats:

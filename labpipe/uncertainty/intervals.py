@@ -30,8 +30,8 @@ from labpipe.uncertainty.replicates import Input, Replicates
 _LOW, _HIGH = 0.025, 0.975
 _LOST, _NONE = 0.05, 0.5
 """Shares of the replicates without a number: doubtful from the one on, failed from the other."""
-_OF_WINDOW, _OF_RECORD = 0.2, 0.03
-"""Share of the samples of a number, and of a branch, that noise may remember."""
+_OF_WINDOW, _OF_RECORD = 0.2, 0.02
+"""Share of the samples of a number, and of the record, that noise may remember."""
 _KEPT = 0.5
 """Share of the pieces of a record that its noise is to be judged by."""
 
@@ -129,7 +129,7 @@ def _doubts(replicates: Replicates, count: int, lost: float) -> Iterator[tuple[s
     for name, noise in replicates.noises.items():
         if noise.is_none:
             continue
-        longest = noise.longest * _OF_RECORD
+        longest = noise.count * _OF_RECORD
         if count > 1:
             longest = min(longest, count * _OF_WINDOW)
         if noise.memory > longest:
