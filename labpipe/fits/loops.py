@@ -62,6 +62,26 @@ def secant_stiffness(
     return Estimate(slope, float(np.sqrt(variance * (weight @ weight)) / abs(travel)), count)
 
 
+def energy_of(displacement: Floats, force: Floats) -> Floats:
+    """Integral of force over displacement by trapezoids, J, shape (...).
+
+    Parameters
+    ----------
+    displacement, force : shape (..., n), m, N; either may be shape (n,), the same for all rows
+
+    Examples
+    --------
+    >>> energy_of(np.array([0.0, 1.0, 3.0]), np.array([[0.0, 2.0, 2.0], [1.0, 1.0, 1.0]]))
+    array([5., 3.])
+    """
+    steps = np.empty_like(displacement)
+    np.subtract(displacement[..., 2:], displacement[..., :-2], out=steps[..., 1:-1])
+    steps[..., 0] = displacement[..., 1] - displacement[..., 0]
+    steps[..., -1] = displacement[..., -1] - displacement[..., -2]
+    work: Floats = 0.5 * np.vecdot(steps, force)
+    return work
+
+
 def loop_energy(
     time: Floats, displacement: Floats, force: Floats, *, clock_error: float
 ) -> Estimate | Failure:

@@ -7,7 +7,8 @@ from math import hypot
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.fits.least_squares import slope_of_line, zero_of_line
+from labpipe.records.arrays import Floats, Samples, samples_of
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
@@ -21,6 +22,44 @@ _FOOT = 5.0
 _LEAST_AT_FOOT = 8
 _BACK = 0.02
 """Share of the branch that a line through its foot may be followed back beyond its beginning."""
+
+
+def toe_line(
+    displacement: Floats, force: Floats, *, start_share: float, stop_share: float
+) -> Samples | Failure:
+    """Samples of the linear region whose line says where the specimen is taut.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; the loading branch in order of time, force zeroed;
+        NaN in either are left out
+    start_share, stop_share : of the largest force; the samples between the first rise to one and
+        the first rise to the other
+
+    Returns
+    -------
+    The samples, or a failure: ``too_few_samples`` (fewer than 8 in the region), ``not_rising`` when
+    the force does not rise there, ``not_reached`` when the branch begins above the lower share. The
+    slack is where the line through them is zero: `labpipe.fits.straight_lines.zero_of_line`.
+    """
+    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    d, f = displacement[known], force[known]
+    if len(d) < _LEAST:
+        return Failure("too_few_samples", f"{len(d)} samples, {_LEAST} are needed")
+    top = int(np.argmax(f))
+    first, last = (
+        _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
+    )
+    if first == 0:
+        found = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
+        return Failure("not_reached", found)
+    if last - first < _LEAST:
+        found = f"{max(last - first, 0)} samples in the linear region, {_LEAST} are needed"
+        return Failure("too_few_samples", found)
+    region = slice(first, last)
+    if np.isnan(zero_of_line(d[region], f[region])):
+        return Failure("not_rising", "the force does not rise in the linear region")
+    return samples_of(known[region])
 
 
 def fit_slack(
@@ -49,21 +88,10 @@ def fit_slack(
     is where the force crosses a share: halfway between the first sample above and the last one
     below before the peak, so that single noisy samples do not choose the region.
     """
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    d, f = displacement[known], force[known]
-    if len(d) < _LEAST:
-        return Failure("too_few_samples", f"{len(d)} samples, {_LEAST} are needed")
-    top = int(np.argmax(f))
-    first, last = (
-        _rise(f[: top + 1], share * float(f[top])) for share in (start_share, stop_share)
-    )
-    if first == 0:
-        found = f"the branch begins at {f[0]:.4g} N, above {start_share:.0%} of {f[top]:.4g} N"
-        return Failure("not_reached", found)
-    if last - first < _LEAST:
-        found = f"{max(last - first, 0)} samples in the linear region, {_LEAST} are needed"
-        return Failure("too_few_samples", found)
-    return _foot(d[first:last], f[first:last])
+    region = toe_line(displacement, force, start_share=start_share, stop_share=stop_share)
+    if isinstance(region, Failure):
+        return region
+    return _foot(displacement[region], force[region])
 
 
 def _rise(force: Floats, height: float) -> int:
@@ -144,35 +172,79 @@ def find_branch_slack(
     >>> round(1e3 * found.displacement.value, 6)
     2.0
     """
+    found = take_up(displacement, force)
+    if isinstance(found, Failure):
+        return found
+    d, f = displacement[found.foot], force[found.foot]
+    if not found.is_line:
+        return BranchSlack(Estimate(float(d[0]), float(np.ptp(d)), len(d)), found.sample)
+    lever, slope, at = d - d.mean(), float(slope_of_line(d, f)), float(zero_of_line(d, f))
+    variance = long_run_variance(f - f.mean() - slope * lever, parameters=2)
+    back = at - float(d.mean())
+    at_zero = float(np.sqrt(variance * (1.0 / len(d) + back**2 / (lever @ lever))))
+    error = hypot(at_zero, zero_error) / slope
+    return BranchSlack(Estimate(at, error, len(d)), found.sample)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TakeUp:
+    """From which samples of a loading branch it is read where the force begins.
+
+    Parameters
+    ----------
+    sample : first one of the branch whose force is not zero
+    foot : of the force
+    is_line : whether the place is where a line through the foot is zero; else it is that of the
+        foot's first sample, as no line rises there
+    limit : N, up to which a force passes for zero
+    """
+
+    sample: int
+    foot: Samples
+    is_line: bool
+    limit: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Displacement at zero force, m, shape (...); NaN where the line does not rise.
+
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N, of the branch
+        """
+        d = displacement[..., self.foot]
+        return zero_of_line(d, force[..., self.foot]) if self.is_line else d[..., 0]
+
+
+def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) -> TakeUp | Failure:
+    """Decide from which samples of a loading branch it is read where the force begins.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
+        in either are passed over
+    limit : N, up to which a force passes for zero; None for what the noise of the force says, which
+        a curve without noise does not show
+
+    Returns
+    -------
+    The samples, or a failure as `find_branch_slack` has it; its notes say how.
+    """
     known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
     if len(known) < 2 * _LEAST_AT_FOOT:
         return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST_AT_FOOT} are needed")
     d, f = displacement[known], force[known]
-    limit = _CLEAR * fast_noise(f)
+    limit = _CLEAR * fast_noise(f) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
         found = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"
         return Failure("no_force", found)
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
-    at, rises = _followed_back(d[first:], f[first:], limit, zero_error)
-    if not len(within) and not (rises and at.value >= d[0] - _BACK * float(np.ptp(d))):
+    beyond = np.flatnonzero(f[first:] > _FOOT * limit)
+    last = first + max(_LEAST_AT_FOOT, int(beyond[0]) if len(beyond) else len(f) - first)
+    at = float(zero_of_line(d[first:last], f[first:last]))
+    is_line = not np.isnan(at)
+    if not len(within) and not (is_line and at >= d[0] - _BACK * float(np.ptp(d))):
         found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
         return Failure("not_unloaded", found)
-    return BranchSlack(at, int(known[first]))
-
-
-def _followed_back(d: Floats, f: Floats, limit: float, zero_error: float) -> tuple[Estimate, bool]:
-    """Where a line through the foot of a force is zero; if none rises, its first sample."""
-    beyond = np.flatnonzero(f > _FOOT * limit)
-    foot = slice(0, max(_LEAST_AT_FOOT, int(beyond[0]) if len(beyond) else len(f)))
-    d, f = d[foot], f[foot]
-    lever = d - d.mean()
-    travel = float(lever @ lever)
-    slope = float(lever @ f) / travel if travel > 0.0 else 0.0
-    if slope <= 0.0:
-        return Estimate(float(d[0]), float(np.ptp(d)), len(d)), False
-    back = -float(f.mean()) / slope
-    variance = long_run_variance(f - f.mean() - slope * lever, parameters=2)
-    at_zero = float(np.sqrt(variance * (1.0 / len(d) + back**2 / travel)))
-    return Estimate(float(d.mean()) + back, hypot(at_zero, zero_error) / slope, len(d)), True
+    return TakeUp(int(known[first]), samples_of(known[first:last]), is_line, limit)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Samples, samples_of
 from labpipe.records.estimates import Estimate, Failure, scaled
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
 
@@ -37,27 +37,6 @@ class StraightLine:
     start: float
     stop: float
     n: int
-
-
-def line_slope(displacement: Floats, force: Floats) -> Floats:
-    """Slope of the straight line by least squares, for as many curves as there are.
-
-    Parameters
-    ----------
-    displacement, force : shape (..., n), m, N, without NaN
-
-    Returns
-    -------
-    Shape (...), N/m: sum l F / sum l^2 with l = displacement less its mean.
-
-    Examples
-    --------
-    >>> float(line_slope(np.array([0.0, 1.0, 2.0]), np.array([1.0, 2.0, 6.0])))
-    2.5
-    """
-    lever = displacement - displacement.mean(axis=-1, keepdims=True)
-    slope: Floats = np.vecdot(lever, force) / np.vecdot(lever, lever)
-    return slope
 
 
 def timed_slope(time: Floats, displacement: Floats, force: Floats) -> Floats:
@@ -140,6 +119,40 @@ def _straight_line(fit: LinearFit, d: Floats, middle: float) -> StraightLine:
     )
 
 
+def compliance_window(
+    displacement: Floats, force: Floats, *, start: float, stop: float
+) -> Samples | Failure:
+    """Samples between which the force first rises from one value to another.
+
+    Parameters
+    ----------
+    displacement, force : shape (n,), m, N; the loading branch of a stiff-bar test; NaN in either
+        are left out
+    start, stop : N, force window; below it grips and joints settle
+
+    Returns
+    -------
+    The samples, or a failure: ``too_few_samples``, ``no_travel`` when the force stands still,
+    ``not_reached`` when it does not reach `stop`.
+    """
+    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    f = force[known]
+    if len(f) == 0 or float(f.max()) < stop:
+        most = float(f.max()) if len(f) else 0.0
+        return Failure(
+            "not_reached", f"the force reaches {most:.4g} N, the window ends at {stop:.4g} N"
+        )
+    last = int(np.argmax(f >= stop))
+    below = np.flatnonzero(f[:last] < start)
+    inside = known[int(below[-1]) + 1 if len(below) else 0 : last + 1]
+    if len(inside) < LEAST_OF_LINE:
+        message = f"{len(inside)} samples in the stretch, {LEAST_OF_LINE} are needed"
+        return Failure("too_few_samples", message)
+    if np.ptp(force[inside]) == 0.0:
+        return Failure("no_travel", "the force does not change over the stretch")
+    return samples_of(inside)
+
+
 def fit_compliance(
     displacement: Floats, force: Floats, *, start: float, stop: float
 ) -> Estimate | Failure:
@@ -162,17 +175,10 @@ def fit_compliance(
     whose own compliance does not matter. The window is cut where the force first rises through its
     ends. Interval as in `labpipe.fits.straight_lines.fit_line`.
     """
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    d, f = displacement[known], force[known]
-    if len(f) == 0 or float(f.max()) < stop:
-        most = float(f.max()) if len(f) else 0.0
-        return Failure(
-            "not_reached", f"the force reaches {most:.4g} N, the window ends at {stop:.4g} N"
-        )
-    last = int(np.argmax(f >= stop))
-    below = np.flatnonzero(f[:last] < start)
-    first = int(below[-1]) + 1 if len(below) else 0
-    line = fit_line(f[first : last + 1], d[first : last + 1])
+    inside = compliance_window(displacement, force, start=start, stop=stop)
+    if isinstance(inside, Failure):
+        return inside
+    line = fit_line(force[inside], displacement[inside])
     if isinstance(line, Failure):
         return line
     if line.slope.value <= 0.0:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
 Flags: TypeAlias = NDArray[np.bool_]
+Samples: TypeAlias = slice | Ints
+"""Which samples of the last axis, in order: a stretch where they follow one another."""
 Vector: TypeAlias = Annotated[Floats, "n"]
 """Shape (n,), with one n in all of a record."""
 
@@ -122,6 +124,26 @@ def median(values: Floats) -> float:
     return upper if len(values) % 2 else 0.5 * (float(ordered[:half].max()) + upper)
 
 
+def part_of(samples: Samples, stretch: slice) -> Samples:
+    """Take some of the samples: those with the numbers of a stretch among them."""
+    if isinstance(samples, slice):
+        return slice(samples.start + stretch.start, samples.start + stretch.stop)
+    return samples[stretch]
+
+
+def ratio(over: Floats, under: Floats) -> Floats:
+    """Divide; NaN where there is nothing to divide by.
+
+    Parameters
+    ----------
+    over, under : shape (...), of shapes that go together
+    """
+    shape = np.broadcast_shapes(np.shape(over), np.shape(under))
+    known: Floats = np.full(shape, np.nan)
+    np.divide(over, under, out=known, where=np.not_equal(under, 0.0))
+    return known
+
+
 def stretches_of(flags: Flags) -> list[tuple[int, int]]:
     """Find the runs of flagged samples.
 
@@ -135,6 +157,24 @@ def stretches_of(flags: Flags) -> list[tuple[int, int]]:
     """
     edges = np.flatnonzero(np.diff(np.pad(flags.astype(np.int8), 1)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def samples_of(at: Ints) -> Samples:
+    """Take numbers of samples for a stretch where they are one, which is taken without a copy.
+
+    Parameters
+    ----------
+    at : shape (m,), ascending
+
+    Examples
+    --------
+    >>> samples_of(np.array([3, 4, 5])), samples_of(np.array([3, 5]))
+    (slice(3, 6, None), array([3, 5]))
+    """
+    if not len(at):
+        return slice(0, 0)
+    stretch = slice(int(at[0]), int(at[-1]) + 1)
+    return stretch if stretch.stop - stretch.start == len(at) else at
 
 
 def times_of(flags: Flags, time: Floats) -> tuple[tuple[float, float], ...]:

@@ -11,7 +11,12 @@ from typing import ClassVar, Literal, TypeAlias
 import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
-from labpipe.fits.loops import LEAST_OF_LOOP, residual_after_unloading, sense_of_loading
+from labpipe.fits.loops import (
+    LEAST_OF_LOOP,
+    energy_of,
+    residual_after_unloading,
+    sense_of_loading,
+)
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
@@ -339,8 +344,7 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
         return Failure("too_few_samples", message)
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        work = np.trapezoid(trace.force[..., stretch], trace.displacement[..., stretch])
-        return (np.asarray(work, dtype=np.float64),)
+        return (energy_of(trace.displacement[..., stretch], trace.force[..., stretch]),)
 
     return Reading(numbers, len(force))
 

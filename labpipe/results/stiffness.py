@@ -9,19 +9,19 @@ from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 
+from labpipe.fits.least_squares import slope_of_line
 from labpipe.fits.loops import secant_stiffness
 from labpipe.fits.slack import find_branch_slack
 from labpipe.fits.straight_lines import (
     LEAST_OF_LINE,
     annulus_area,
     fit_compliance,
-    line_slope,
     rectangle_area,
     thin_wall_area,
     timed_slope,
 )
 from labpipe.fits.two_segments import fit_two_segments
-from labpipe.records.arrays import Floats, Ints
+from labpipe.records.arrays import Floats, Ints, samples_of
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
@@ -355,14 +355,13 @@ def slope_of(chosen: Ints, *, by_time: bool) -> Reading:
     chosen : shape (n,), numbers of samples in order
     by_time : with time as instrument, for a displacement that is noisy itself
     """
-    is_whole = len(chosen) == chosen[-1] + 1 - chosen[0]
-    part = slice(int(chosen[0]), int(chosen[-1]) + 1) if is_whole else chosen
+    part = samples_of(chosen)
 
     def numbers(trace: Trace) -> tuple[Floats]:
         displacement, force = trace.displacement[..., part], trace.force[..., part]
         if by_time:
             return (timed_slope(trace.time[part], displacement, force),)
-        return (line_slope(displacement, force),)
+        return (slope_of_line(displacement, force),)
 
     return Reading(numbers, len(chosen))
 

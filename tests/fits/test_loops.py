@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.fits.loops import (
+    energy_of,
     largest_sample,
     loop_energy,
     resolution,
@@ -14,6 +15,7 @@ from labpipe.fits.loops import (
 )
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure
+from tests.builders.noise_rows import KINDS, noise_rows, spreads
 
 STIFFNESS = 20.0
 
@@ -150,3 +152,30 @@ def test_a_loop_of_few_samples_has_its_area() -> None:
     d, f = np.array([0.0, 1.0, 2.0, 1.0, 0.0]), np.array([0.0, 3.0, 4.0, 1.0, 0.0])
     found = value(loop_energy(np.arange(5.0), d, f, clock_error=0.0))
     assert found.value == pytest.approx(float(np.trapezoid(f, d)))
+
+
+def test_energy_of_many_rows_is_the_trapezoid_of_each() -> None:
+    rng = np.random.default_rng(3)
+    d, f = rng.normal(size=(2, 3, 40))
+    expected = [float(np.trapezoid(force, path)) for path, force in zip(d, f, strict=True)]
+    np.testing.assert_allclose(energy_of(d, f), expected, rtol=1e-12)
+    exact = [float(np.trapezoid(force, d[0])) for force in f]
+    np.testing.assert_allclose(energy_of(d[0], f), exact, rtol=1e-12)
+    # 1 N over 2 mm, then 3 N over 1 mm, halfway from one to the other in between
+    assert energy_of(np.array([0.0, 2e-3, 3e-3]), np.array([1.0, 1.0, 3.0])) == pytest.approx(4e-3)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_energy_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    _, path, force = loop()
+    shape = (200, len(path))
+    paths = path + noise_rows(kind, 5e-5, shape, seed=1)
+    forces = force + noise_rows(kind, 1e-3, shape, seed=2)
+    tests, replicates = spreads(lambda _d, _f: energy_of, paths, forces)
+    assert replicates == pytest.approx(tests, rel=1e-9)
+    if kind == "white":
+        # By hand: noise of each sample times half the step of the other over two samples, and
+        # times the noise of that.
+        steps, rises = np.gradient(path), np.gradient(force)
+        parts = 1e-3 * steps, 5e-5 * rises, np.full(len(path), 1e-3 * 5e-5 / np.sqrt(2.0))
+        assert replicates == pytest.approx(np.linalg.norm(np.concatenate(parts)), rel=0.15)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.slack import BranchSlack, find_branch_slack
+from labpipe.fits.slack import BranchSlack, TakeUp, find_branch_slack, take_up
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
+from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
 
 D = np.concatenate([np.full(100, 0.002), np.linspace(0.002, 0.012, 500)])
 """A string gets taut first, then pulls."""
@@ -68,3 +69,48 @@ def test_says_why_not() -> None:
     assert isinstance(loaded, Failure)
     assert loaded.code == "not_unloaded"
     assert loaded.message.startswith("the branch begins at 3.")
+
+
+def test_take_up_of_many_rows() -> None:
+    """0.5 N less over 500 N/m: 1 mm later. A row that falls has no place."""
+    found = take_up(D, F)
+    assert isinstance(found, TakeUp)
+    rows = found.of(D, np.array([F, F - 0.5, -F]))
+    np.testing.assert_allclose(rows, [0.002, 0.003, np.nan], atol=1e-12)
+    moved = found.of(D + np.array([[0.0], [0.004]]), F)
+    np.testing.assert_allclose(moved, [0.002, 0.006], atol=1e-12)
+
+
+def test_take_up_without_a_line_is_at_the_first_sample() -> None:
+    path = np.full(40, 0.001)
+    found = take_up(path, np.where(np.arange(40) < 30, 0.0, 5.0))
+    assert isinstance(found, TakeUp)
+    assert not found.is_line
+    assert found.of(path + np.array([[0.0], [1.0]]), path).tolist() == [0.001, 1.001]
+
+
+def test_take_up_of_a_curve_without_noise() -> None:
+    """What passes for zero on the curve that was measured passes for it here too."""
+    measured = take_up(D, F + np.random.default_rng(1).normal(0.0, 0.004, len(D)))
+    assert isinstance(measured, TakeUp)
+    assert measured.limit == pytest.approx(4 * 0.004, rel=0.2)
+    again = take_up(D, F, limit=measured.limit)
+    assert isinstance(again, TakeUp)
+    assert F[again.sample - 1] <= measured.limit < F[again.sample]
+    last = np.arange(len(D))[again.foot][-1]
+    assert last - again.sample == 7 or F[last] <= 5.0 * measured.limit < F[last + 1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_take_up_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    """Over a foot of 4 to 20 standard deviations; which samples it has is noise, too."""
+    shape = (200, len(D))
+    force = F + noise_rows(kind, 0.02, shape, seed=1)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        found = take_up(d, f)
+        assert isinstance(found, TakeUp)
+        return found.of
+
+    tests, replicates = spreads(decide, D + np.zeros(shape), force)
+    assert replicates == pytest.approx(tests, rel=0.5)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.straight_lines import correct_displacement, fit_compliance
+from labpipe.fits.least_squares import slope_of_line
+from labpipe.fits.straight_lines import compliance_window, correct_displacement, fit_compliance
 from labpipe.records.estimates import Estimate, Failure
 
 F = np.linspace(0.0, 1000.0, 201)
@@ -39,3 +40,15 @@ def test_correction_takes_the_machine_off() -> None:
     corrected = correct_displacement(np.array([0.0, 1e-3, 2e-3]), force, compliance=1e-6)
     assert corrected[:2] == pytest.approx([0.0, 0.9e-3])
     assert np.isnan(corrected[2])
+
+
+def test_compliance_of_many_rows() -> None:
+    """Steps of 5 N: 300 N are in sample 60, 900 N in 180."""
+    window = compliance_window(D, F, start=300.0, stop=900.0)
+    assert window == slice(60, 181)
+    straight = 2e-7 * F
+    rows = slope_of_line(F[window], np.array([straight, 3.0 * straight + 1e-4])[:, window])
+    np.testing.assert_allclose(rows, [2e-7, 6e-7])
+    held = compliance_window(D, np.repeat([0.0, 500.0], [100, 101]), start=400.0, stop=450.0)
+    assert isinstance(held, Failure)
+    assert held.code == "too_few_samples"

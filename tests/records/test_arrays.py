@@ -16,6 +16,9 @@ from labpipe.records.arrays import (
     Vector,
     frozen,
     median,
+    part_of,
+    ratio,
+    samples_of,
     stretches_of,
     times_of,
 )
@@ -101,3 +104,24 @@ def test_arrays_of_a_record_are_read_only_and_of_their_type() -> None:
 def test_an_array_of_another_shape_is_refused(name: str, value: object, message: str) -> None:
     with pytest.raises(ValueError, match=message):
         _track(**{name: value})
+
+
+def test_samples_that_follow_one_another_are_a_stretch() -> None:
+    assert samples_of(np.array([3, 4, 5])) == slice(3, 6)
+    assert samples_of(np.array([], dtype=np.int64)) == slice(0, 0)
+    scattered = samples_of(np.array([3, 5]))
+    assert isinstance(scattered, np.ndarray)
+    assert scattered.tolist() == [3, 5]
+
+
+def test_some_of_the_samples() -> None:
+    assert part_of(slice(10, 20), slice(2, 5)) == slice(12, 15)
+    some = part_of(np.array([1, 4, 6, 9]), slice(1, 3))
+    assert isinstance(some, np.ndarray)
+    assert some.tolist() == [4, 6]
+
+
+def test_nothing_to_divide_by_is_nan() -> None:
+    found = ratio(np.array([1.0, 3.0]), np.array([[2.0], [0.0]]))
+    np.testing.assert_array_equal(found, [[0.5, 1.5], [np.nan, np.nan]])
+    assert ratio(np.array(6.0), np.array(4.0)) == 1.5

@@ -1,0 +1,283 @@
+"""Stiffnesses of the branches of a cycle, time as instrument: behind the take-up, after a turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.fits.least_squares import polynomial_weights
+from labpipe.fits.slack import TakeUp, take_up
+from labpipe.records.arrays import Flags, Floats, Samples, part_of, ratio, samples_of
+from labpipe.records.curve import Branch
+from labpipe.records.estimates import Failure
+from labpipe.signal.filters import moving_average
+
+_LEAST = 8
+_FILTER = 11
+"""Samples that a path is averaged over before a window is cut from it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowSlope:
+    """Slope of force against displacement over a window of a path, time as instrument.
+
+    Parameters
+    ----------
+    known : samples of the branch with a force and a displacement, m of them
+    time : shape (m,), s
+    path, furthest : shape (m,), m, how far the branch has come, without noise as far as possible,
+        and how far it has been so far
+    low, high : m, ends of the window
+    """
+
+    known: Samples
+    time: Floats
+    path: Floats
+    furthest: Floats
+    low: float
+    high: float
+
+    def inside(self, later: Floats | float = 0.0) -> tuple[slice, Flags]:
+        """Samples within the window, up to where the path is first beyond it.
+
+        Parameters
+        ----------
+        later : m, shape (...), by how much further along the path the window lies
+
+        Returns
+        -------
+        Stretch of the known samples that holds all windows, and which of it each holds, shape
+        (..., stretch).
+        """
+        low, high = (np.asarray(end + later) for end in (self.low, self.high))
+        start = np.searchsorted(self.furthest, low)
+        stop = np.searchsorted(self.furthest, high, side="right")
+        stretch = slice(int(start.min()), max(int(stop.max()), int(start.min())))
+        numbers = np.arange(stretch.start, stretch.stop)
+        is_in: Flags = self.path[stretch] >= low[..., np.newaxis]
+        is_in &= numbers < stop[..., np.newaxis]
+        return stretch, is_in
+
+    @property
+    def window(self) -> Samples:
+        """Samples of the branch within the window."""
+        stretch, inside = self.inside()
+        known = part_of(self.known, stretch)
+        numbers = np.arange(known.start, known.stop) if isinstance(known, slice) else known
+        return samples_of(numbers[inside])
+
+    def of(self, displacement: Floats, force: Floats, later: Floats | float = 0.0) -> Floats:
+        """Slope, N/m, shape (...); NaN where the window holds fewer than 8 samples, or no travel.
+
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N, of the branch
+        later : m, shape (...), as for `inside`
+        """
+        stretch, inside = self.inside(later)
+        known, time = part_of(self.known, stretch), self.time[stretch]
+        count = inside.sum(axis=-1)
+        enough = np.where(count < _LEAST, 0, count)
+        middle = ratio(np.asarray(inside @ time), enough)
+        weight = np.where(inside, time - middle[..., np.newaxis], 0.0)
+        return ratio(
+            np.vecdot(weight, force[..., known]), np.vecdot(weight, displacement[..., known])
+        )
+
+
+def window_slope(
+    time: Floats, displacement: Floats, force: Floats, path: Floats, *, low: float, high: float
+) -> WindowSlope | Failure:
+    """Decide from which samples of a branch a stiffness is read.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where not known
+    path : shape (n,), m, how far the branch has come
+    low, high : m, of the path
+
+    Returns
+    -------
+    The window, or a failure ``not_reached``, ``too_few_samples`` or ``no_travel``.
+
+    Notes
+    -----
+    The window is cut by the path averaged over 11 samples, and ends where it is first left, so that
+    noise moves its ends little. k = sum (t - mean t) F / sum (t - mean t) d: time stands in as the
+    instrument, because ordinary least squares of F on a displacement that is itself noisy comes out
+    too small (by the ratio of noise variance to variance; Fuller, Measurement Error Models, 1987,
+    sec. 1.4).
+    """
+    travelled = moving_average(path, window=min(_FILTER, len(path) - 1 + len(path) % 2))
+    if not (travelled > high).any():
+        reached = float(np.max(travelled, where=~np.isnan(travelled), initial=-np.inf))
+        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
+    furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
+    known = samples_of(np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)))
+    found = WindowSlope(known, time[known], travelled[known], furthest[known], low, high)
+    inside = displacement[found.window]
+    if len(inside) < _LEAST:
+        message = f"{len(inside)} samples in the stretch, {_LEAST} are needed"
+        return Failure("too_few_samples", message)
+    if np.ptp(inside) == 0.0:
+        return Failure("no_travel", "the displacement does not change over the stretch")
+    return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Turn:
+    """Value of a signal where a branch begins: a parabola through its beginning.
+
+    Parameters
+    ----------
+    samples : of the signal
+    weights : shape (samples,), of each in the value
+    """
+
+    samples: Samples
+    weights: Floats
+
+    def of(self, values: Floats) -> Floats:
+        """Value at the turn, shape (...), of a signal of shape (..., n)."""
+        found: Floats = np.vecdot(values[..., self.samples], self.weights)
+        return found
+
+
+def turn_at(time: Floats, values: Floats, *, at: float, first: int, stop: int) -> Turn:
+    """Decide from which samples the value is read at the turn that a branch begins with.
+
+    Parameters
+    ----------
+    time, values : shape (n,), s, and any unit; NaN are left out
+    at : s, of the turn: a branch may hold some of the wait before it
+    first, stop : samples of the branch
+
+    Returns
+    -------
+    A parabola through the first tenth of the branch behind the turn, 50 samples at most; the
+    branch's first sample where that holds fewer than 8.
+    """
+    start = max(first, int(np.searchsorted(time, at)))
+    begin = np.arange(start, start + min(50, (stop - start) // 10))
+    begin = begin[~np.isnan(values[begin])]
+    if len(begin) < _LEAST:
+        return Turn(samples_of(np.array([first])), np.ones(1))
+    return Turn(samples_of(begin), polynomial_weights(time[begin] - at, degree=2)[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadingSlope:
+    """Stiffness over a length behind where the force takes up.
+
+    Parameters
+    ----------
+    take_up : of the branch
+    slope : of the branch from the first sample that is taut
+    ahead : m, from where the force takes up to the middle of the window
+    """
+
+    take_up: TakeUp
+    slope: WindowSlope
+    ahead: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Stiffness, N/m, shape (...), of a branch of shape (..., n), m, N; NaN for none.
+
+        The window begins where the force of each row takes up.
+        """
+        taut = displacement[..., self.take_up.sample :]
+        begins = self.take_up.of(displacement, force) + self.ahead
+        later = begins - taut[..., self.slope.window].mean(axis=-1)
+        return self.slope.of(taut, force[..., self.take_up.sample :], later)
+
+
+def loading_slope(
+    time: Floats,
+    displacement: Floats,
+    force: Floats,
+    *,
+    over: float,
+    like: LoadingSlope | None = None,
+) -> LoadingSlope | Failure:
+    """Decide from where the stiffness of a loading branch is read.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, of the branch; NaN where not known
+    over : m, the length behind the take-up
+    like : how it was decided on the branch as measured: where the curve at hand is without noise,
+        it says what passes for zero
+
+    Returns
+    -------
+    The samples, or a failure as `labpipe.fits.slack.take_up` or `window_slope` has it.
+    """
+    limit = None if like is None else like.take_up.limit
+    begin = take_up(displacement, force, limit=limit)
+    if isinstance(begin, Failure):
+        return begin
+    start, taut = float(begin.of(displacement, force)), slice(begin.sample, None)
+    path = displacement[taut]
+    slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + over)
+    if isinstance(slope, Failure):
+        return slope
+    return LoadingSlope(begin, slope, float(path[slope.window].mean()) - start)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnloadingSlope:
+    """Stiffness over a length just after a turn.
+
+    Parameters
+    ----------
+    turn : of the curve
+    branch : samples of the curve
+    slope : of the branch
+    sense : 1 where loading makes the displacement larger, else -1
+    ahead : m, from the displacement at the turn to that in the middle of the window
+    """
+
+    turn: Turn
+    branch: slice
+    slope: WindowSlope
+    sense: float
+    ahead: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Stiffness, N/m, shape (...), of a curve of shape (..., n), m, N; NaN for none.
+
+        The window is as far off the turn of each row.
+        """
+        d, f = displacement[..., self.branch], force[..., self.branch]
+        middle = d[..., self.slope.window].mean(axis=-1)
+        later = self.sense * (middle - self.turn.of(displacement) - self.ahead)
+        return self.slope.of(d, f, later)
+
+
+def unloading_slope(
+    time: Floats, displacement: Floats, force: Floats, part: Branch, *, over: float, sense: float
+) -> UnloadingSlope | Failure:
+    """Decide from where the stiffness just after a turn is read.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N, of the curve; NaN where not known
+    part : the branch that begins with the turn
+    over : m, the length behind the turn; its first tenth, where the motion turns, is left out
+    sense : 1 where loading makes the displacement larger, else -1
+
+    Returns
+    -------
+    The samples, or a failure as `window_slope` has it.
+    """
+    turn = turn_at(time, displacement, at=part.start_time, first=part.start, stop=part.stop)
+    start, branch = float(turn.of(displacement)), slice(part.start, part.stop)
+    off = sense * (start - displacement[branch])
+    slope = window_slope(
+        time[branch], displacement[branch], force[branch], off, low=0.1 * over, high=over
+    )
+    if isinstance(slope, Failure):
+        return slope
+    ahead = float(displacement[branch][slope.window].mean()) - start
+    return UnloadingSlope(turn, branch, slope, sense, ahead)

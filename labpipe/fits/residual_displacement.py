@@ -1,0 +1,235 @@
+"""What unloading leaves: the displacement when the force is back at zero."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from labpipe.fits.least_squares import polynomial_weights, slope_of_line, zero_of_line
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_of
+from labpipe.records.estimates import Failure
+from labpipe.uncertainty.noise import fast_noise
+
+_SMALL = 0.02
+"""Share of the largest force of a branch that may pass for zero at most."""
+_CLEAR = 4.0
+"""Standard deviations of noise above which a force is not zero."""
+_REACH = 0.1
+"""Share of a branch on each side of its zero that a parabola is fitted to."""
+_LEAST = 8
+_LEAST_IN_FOOT = 4
+_ROUNDING = 1e-9
+"""Share of its way by which arithmetic moves a displacement that rests."""
+_STEPS = 4
+"""Steps to the root of a parabola that begins near it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ThroughZero:
+    """The force goes on below zero: parabolas through force and displacement around that.
+
+    Parameters
+    ----------
+    near : samples of the branch
+    time : shape (near,), s, from about when the force is zero
+    limit : N, up to which a force passes for zero
+    """
+
+    near: Samples
+    time: Floats
+    limit: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Displacement at zero force, m, shape (...); `force` and it shape (..., n)."""
+        weights = polynomial_weights(self.time, degree=2).T
+        level, slope, bend = np.moveaxis(force[..., self.near] @ weights, -1, 0)
+        at = np.zeros_like(level)
+        for _ in range(_STEPS):
+            step = ratio(level + at * (slope + at * bend), slope + 2.0 * at * bend)
+            at = np.clip(at - step, self.time[0], self.time[-1])
+        place, speed, curve = np.moveaxis(displacement[..., self.near] @ weights, -1, 0)
+        found: Floats = place + at * (speed + at * curve)
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtRest:
+    """The string is slack and the displacement rests: its mean.
+
+    Parameters
+    ----------
+    rest : samples of the branch
+    limit : N, up to which a force passes for zero
+    """
+
+    rest: Samples
+    limit: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Mean displacement, m, shape (...); `displacement` shape (..., n)."""
+        del force
+        found: Floats = displacement[..., self.rest].mean(axis=-1)
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedToZero:
+    """The foot of the force is followed to zero, and the displacement along the second before.
+
+    Parameters
+    ----------
+    foot, near : samples of the branch
+    foot_time, near_time : shape (foot,), (near,), s, from the end of the foot
+    is_line : whether a line through the foot falls to zero; else zero is at its end
+    limit : N, up to which a force passes for zero
+    """
+
+    foot: Samples
+    near: Samples
+    foot_time: Floats
+    near_time: Floats
+    is_line: bool
+    limit: float
+
+    def of(self, displacement: Floats, force: Floats) -> Floats:
+        """Displacement at zero force, m, shape (...); NaN where a line no longer falls.
+
+        Parameters
+        ----------
+        displacement, force : shape (..., n), m, N, of the branch
+        """
+        at = _zero_time(self.foot_time, force[..., self.foot]) if self.is_line else np.zeros(())
+        d = displacement[..., self.near]
+        ahead = at - self.near_time.mean()
+        found: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
+        return found
+
+
+Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero
+"""The way in which an unloading ends, and the samples that its number is read from."""
+
+
+def unloaded(
+    time: Floats,
+    displacement: Floats,
+    force: Floats,
+    *,
+    force_below: float,
+    like: Unloaded | None = None,
+) -> Unloaded | Failure:
+    """Decide from where the displacement is read that is left when the force is back at zero.
+
+    Parameters
+    ----------
+    time, displacement, force : shape (n,), s, m, N; one unloading branch; NaN are left out
+    force_below : N; a force is taken for zero when it stays within this. A weak specimen needs
+        less: never more than a fiftieth of the largest force, unless its noise (four standard
+        deviations) is more
+    like : how the same branch ends as it was measured: where the curve at hand is without noise,
+        it says what passes for zero, and which way it ends
+
+    Returns
+    -------
+    The way and its samples, or a failure: ``force_not_zero`` when the branch ends before the force
+    is back at zero, ``too_few_samples``.
+
+    Notes
+    -----
+    Three ways to end. The force goes on below zero: parabolas through force and displacement, over
+    a tenth of the branch on each side, say when it is zero and where the specimen is then. The
+    string gets slack (the force between five limits and one, followed by a straight line, would
+    have fallen by three limits more, and stays within two) and the displacement rests: the mean
+    over that rest. Else the line is followed to zero, and the displacement along a line through the
+    second before, since it may have a kink there.
+    """
+    known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
+    branch = _Branch(known, time[known], displacement[known], force[known])
+    f = branch.force
+    if len(f) < 2 * _LEAST:
+        return Failure("too_few_samples", f"{len(f)} samples, {2 * _LEAST} are needed")
+    if like is None:
+        limit = max(_CLEAR * fast_noise(f), min(force_below, _SMALL * float(f.max())))
+    else:
+        limit = like.limit
+    above = np.flatnonzero(f > limit)
+    if len(above) == 0:
+        return Failure("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
+    if above[-1] >= len(f) - 3:
+        found = f"the force ends at {f[-3:].mean():.4g} N, above the limit of {limit:.4g} N"
+        return Failure("force_not_zero", found)
+    goes_on = bool(np.median(f[-_LEAST:]) < -limit)
+    if goes_on if like is None else isinstance(like, ThroughZero):
+        return branch.through_zero(limit)
+    return branch.slack_or_followed(limit, like)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Branch:
+    """An unloading branch without blanks.
+
+    Parameters
+    ----------
+    known : shape (n,), which samples of the branch
+    time, displacement, force : shape (n,), s, m, N
+    """
+
+    known: Ints
+    time: Floats
+    displacement: Floats
+    force: Floats
+
+    def samples(self, chosen: Flags | slice) -> Samples:
+        """Numbers of chosen ones in the branch."""
+        return samples_of(self.known[chosen])
+
+    def through_zero(self, limit: float) -> ThroughZero | Failure:
+        """Samples around where the force passes through zero."""
+        time = self.time
+        middle = time[min(int((self.force > 0.0).sum()), len(time) - 1)]
+        near = np.abs(time - middle) <= _REACH * (time[-1] - time[0])
+        if near.sum() < _LEAST:
+            message = f"{int(near.sum())} samples near zero force, {_LEAST} are needed"
+            return Failure("too_few_samples", message)
+        return ThroughZero(self.samples(near), time[near] - middle, limit)
+
+    def slack_or_followed(self, limit: float, like: Unloaded | None) -> Unloaded | Failure:
+        """The foot of the force and what comes behind, where the force stays near zero."""
+        last = int(np.flatnonzero(self.force > limit)[-1])
+        far = np.flatnonzero(self.force > 5.0 * limit)
+        foot = slice(int(far[-1]) if len(far) else 0, last + 1)
+        end = float(self.time[last])
+        from_end = self.time - end
+        at, slope = np.nan, 0.0
+        if foot.stop - foot.start >= _LEAST_IN_FOOT:
+            at = float(_zero_time(from_end[foot], self.force[foot]))
+            slope = float(slope_of_line(from_end[foot], self.force[foot]))
+        falls = not np.isnan(at)
+        zero = end + at if falls else end
+        rest = self.time > zero + 0.2
+        has_stopped = falls and slope * (self.time[-1] - zero) < -3.0 * limit
+        rests = has_stopped and self._is_slack(rest, limit)
+        if rests if like is None else isinstance(like, AtRest) and rest.any():
+            return AtRest(self.samples(rest), limit)
+        near = (self.time >= zero - 1.0) & (self.time <= zero)
+        if near.sum() < _LEAST:
+            found = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
+            return Failure("too_few_samples", found)
+        places, times = (self.samples(foot), self.samples(near)), (from_end[foot], from_end[near])
+        return FollowedToZero(*places, *times, falls, limit)
+
+    def _is_slack(self, rest: Flags, limit: float) -> bool:
+        """Whether the force stays near zero and the displacement moves by no more than noise."""
+        if rest.sum() < _LEAST or np.abs(self.force[rest]).max() > 2.0 * limit:
+            return False
+        at, values = self.time[rest] - self.time[rest].mean(), self.displacement[rest]
+        slope = float(slope_of_line(at, values))
+        noise = values - values.mean() - slope * at
+        still = 3.0 * float(noise.std()) + _ROUNDING * float(np.ptp(self.displacement))
+        return abs(slope) * float(np.ptp(at)) <= still
+
+
+def _zero_time(time: Floats, force: Floats) -> Floats:
+    """When a falling line is zero, s, shape (...); NaN where it does not fall."""
+    return zero_of_line(time, -force)

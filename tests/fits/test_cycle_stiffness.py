@@ -1,0 +1,223 @@
+"""Stiffness of the branches of a cycle, time as instrument, by hand and over many tests."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.fits.cycle_stiffness import (
+    LoadingSlope,
+    UnloadingSlope,
+    WindowSlope,
+    loading_slope,
+    turn_at,
+    unloading_slope,
+    window_slope,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Direction
+from labpipe.records.estimates import Failure
+from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
+
+TIME = np.arange(0.0, 40.0, 0.05)
+UP = 1e-3 * TIME
+"""1 mm/s up to 40 mm."""
+
+
+def windowed(path: Floats, force: Floats, low: float, high: float) -> WindowSlope:
+    found = window_slope(TIME, path, force, path, low=low, high=high)
+    assert isinstance(found, WindowSlope), found
+    return found
+
+
+def test_slope_is_exact_on_a_line() -> None:
+    force = 20.0 * UP + 1.0
+    found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
+    assert found.of(UP, force) == pytest.approx(20.0, rel=1e-12)
+    assert found.window == slice(80, 181)  # 4.00 to 9.00 mm in steps of 0.05 mm
+
+
+def test_slope_is_that_of_the_definition() -> None:
+    """On a parabola, k between a and b is 2 c times their middle: here 2 x 300 x 6.5 mm."""
+    force = 300.0 * UP**2
+    found = windowed(UP, force, 0.004 - 1e-9, 0.009 + 1e-9)
+    assert found.of(UP, force) == pytest.approx(3.9, rel=1e-9)
+    # and one that lies 10 mm later, 2 x 300 x 10 mm more
+    assert found.of(UP, force, 0.01) == pytest.approx(9.9, rel=1e-9)
+    rows = found.of(UP, force, np.array([0.0, 0.01, 0.02]))
+    np.testing.assert_allclose(rows, [3.9, 9.9, 15.9], rtol=1e-9)
+
+
+def test_rows_are_as_each_alone() -> None:
+    rng = np.random.default_rng(1)
+    path = UP + rng.normal(0, 1e-4, (3, len(UP)))
+    force = 20.0 * UP + rng.normal(0, 1e-2, (3, len(UP)))
+    path[:, 200:203] = np.nan
+    found, later = windowed(path[0], force[0], 0.008, 0.02), np.array([0.0, 1e-3, -2e-3])
+    alone = [found.of(d, f, shift) for d, f, shift in zip(path, force, later, strict=True)]
+    np.testing.assert_allclose(found.of(path, force, later), alone, rtol=1e-12)
+    assert np.isfinite(alone).all()
+
+
+def test_slope_is_not_made_small_by_a_noisy_displacement() -> None:
+    rng = np.random.default_rng(2)
+    path = UP + rng.normal(0, 3e-3, (400, len(UP)))
+    force = 20.0 * UP + rng.normal(0, 1e-3, path.shape)
+    found = windowed(UP, 20.0 * UP, 0.01, 0.02)
+    assert np.median(found.of(path, force)) == pytest.approx(20.0, rel=0.03)
+    inside = slice(200, 400)
+    plain = [
+        float(np.polyfit(d[inside], f[inside], 1)[0]) for d, f in zip(path, force, strict=True)
+    ]
+    assert np.median(plain) < 0.6 * 20.0
+
+
+def test_the_window_ends_where_it_is_first_left() -> None:
+    """Up to 10 mm, back, and up again: the second way up has another stiffness."""
+    path = np.concatenate([UP[:200], UP[:200][::-1], UP[:400]])
+    time = np.arange(0.0, 0.05 * len(path), 0.05)
+    force = np.concatenate([20.0 * UP[:200], np.zeros(200), 50.0 * UP[:400]])
+    found = window_slope(time, path, force, path, low=0.002, high=0.008)
+    assert isinstance(found, WindowSlope)
+    assert found.of(path, force) == pytest.approx(20.0, rel=1e-9)
+
+
+def test_too_few_samples_for_a_row_are_no_number() -> None:
+    found = windowed(UP, UP, 0.005, 0.02)
+    assert np.isnan(found.of(UP, UP, np.array([0.03496, 1.0]))).tolist() == [True, True]
+    assert np.isfinite(found.of(UP, UP, 0.03))
+
+
+def test_slope_says_why_not() -> None:
+    wanted = window_slope(TIME, UP, UP, UP, low=0.005, high=0.05)
+    message = "the branch reaches 0.03995 m, 0.05 m is asked"
+    assert wanted == Failure("not_reached", message)
+    few = window_slope(TIME, UP, UP, UP, low=0.00501, high=0.0053)
+    assert few == Failure("too_few_samples", "5 samples in the stretch, 8 are needed")
+    still = window_slope(TIME, np.ones_like(UP), UP, UP, low=0.005, high=0.009)
+    assert still == Failure("no_travel", "the displacement does not change over the stretch")
+    blank = window_slope(
+        TIME, np.full_like(UP, np.nan), UP, np.full_like(UP, np.nan), low=0, high=1
+    )
+    assert isinstance(blank, Failure)
+    assert blank.code == "not_reached"
+
+
+def test_value_at_a_turn_is_that_of_the_parabola() -> None:
+    """Of 800 samples the first 50; time counts from the turn, in mid-step."""
+    values = 3.0 + 0.5 * (TIME - 0.03) - 2.0 * (TIME - 0.03) ** 2
+    turn = turn_at(TIME, values, at=0.03, first=0, stop=len(TIME))
+    assert turn.samples == slice(1, 51)
+    assert turn.of(values) == pytest.approx(3.0, abs=1e-12)
+    np.testing.assert_allclose(turn.of(np.array([values, 2.0 * values])), [3.0, 6.0])
+    values[5] = np.nan
+    assert turn_at(TIME, values, at=0.03, first=0, stop=len(TIME)).of(values) == pytest.approx(3.0)
+
+
+def test_a_short_branch_begins_at_its_first_sample() -> None:
+    turn = turn_at(TIME, UP, at=TIME[10], first=10, stop=60)
+    assert turn.of(UP) == UP[10]
+
+
+BRANCH = Branch(0, len(TIME), 1, Direction.UNLOADING, 0.0, float(TIME[-1]))
+
+
+def unloading(sense: float) -> tuple[UnloadingSlope, Floats, Floats]:
+    """Back from 50 mm, under 300 (d - 10 mm)^2; read from 1 to 10 mm off the turn."""
+    path, force = sense * (0.05 - UP), sense * 300.0 * (0.05 - UP - 0.01) ** 2
+    found = unloading_slope(TIME, path, force, BRANCH, over=0.01, sense=sense)
+    assert isinstance(found, UnloadingSlope), found
+    return found, path, force
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_unloading_is_read_behind_its_turn(sense: float) -> None:
+    """In the middle 5.5 mm off the turn: 2 x 300 x 34.5 mm."""
+    found, path, force = unloading(sense)
+    assert found.turn.of(path) == pytest.approx(sense * 0.05)
+    assert found.of(path, force) == pytest.approx(20.7, rel=1e-3)
+
+
+@pytest.mark.parametrize("sense", [1.0, -1.0])
+def test_the_window_of_a_row_follows_its_turn(sense: float) -> None:
+    """A turn seen 0.8 mm further up, to whose window 20.7 + 2 x 300 x 0.8 mm belong."""
+    found, path, force = unloading(sense)
+    weights = 1.016 * found.turn.weights
+    higher = replace(found, turn=replace(found.turn, weights=weights))
+    assert higher.of(path, force) == pytest.approx(20.7 + 0.48, rel=1e-3)
+
+
+def test_a_row_that_is_higher_throughout_is_read_from_the_same_samples() -> None:
+    found, path, force = unloading(1.0)
+    rows = path + np.array([[0.0], [0.003], [-0.02]])
+    np.testing.assert_allclose(found.of(rows, force), found.of(path, force), rtol=1e-9)
+    begun = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    assert isinstance(begun, LoadingSlope)
+    rows = UP + np.array([[0.0], [0.003], [-0.02]])
+    one = begun.of(UP, taking_up(UP))
+    np.testing.assert_allclose(begun.of(rows, taking_up(UP)), one, rtol=1e-9)
+
+
+def test_the_window_of_a_row_follows_its_take_up() -> None:
+    """80 mN less move the zero of 20 N/m by 4 mm, to where there are 800 x 4 mm more N/m."""
+    begun = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    assert isinstance(begun, LoadingSlope)
+    one, lower = begun.of(UP, taking_up(UP) - np.array([[0.0], [0.08]]))
+    assert lower - one == pytest.approx(3.2, rel=0.03)
+
+
+def taking_up(path: Floats) -> Floats:
+    """Slack up to 5 mm, then 20 N/m that grow by 0.8 N/m each mm."""
+    beyond = np.maximum(path - 0.005, 0.0)
+    return 20.0 * beyond + 400.0 * beyond**2
+
+
+def test_loading_is_read_behind_the_take_up() -> None:
+    """Of 20 x + 400 x^2 over 5 mm: 20 + 800 x 2.5 mm."""
+    found = loading_slope(TIME, UP, taking_up(UP), over=0.005)
+    assert isinstance(found, LoadingSlope)
+    assert found.take_up.of(UP, taking_up(UP)) == pytest.approx(0.005, abs=2e-4)
+    assert found.of(UP, taking_up(UP)) == pytest.approx(22.0, rel=5e-3)
+    assert isinstance(loading_slope(TIME, UP, -UP, over=0.005), Failure)
+
+
+def test_a_curve_without_noise_takes_zero_from_the_one_measured() -> None:
+    noisy = taking_up(UP) + np.random.default_rng(3).normal(0, 2e-3, len(UP))
+    measured = loading_slope(TIME, UP, noisy, over=0.005)
+    assert isinstance(measured, LoadingSlope)
+    again = loading_slope(TIME, UP, taking_up(UP), over=0.005, like=measured)
+    assert isinstance(again, LoadingSlope)
+    assert again.take_up.limit == measured.take_up.limit > 0.0
+    assert again.take_up.sample == pytest.approx(measured.take_up.sample, abs=8)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_loading_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    shape = (200, len(UP))
+    path = UP + noise_rows(kind, 2e-5, shape, seed=1)
+    force = taking_up(UP) + noise_rows(kind, 2e-3, shape, seed=2)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        found = loading_slope(TIME, d, f, over=0.005)
+        assert isinstance(found, LoadingSlope)
+        return found.of
+
+    tests, replicates = spreads(decide, path, force)
+    assert replicates == pytest.approx(tests, rel=0.25)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_unloading_of_replicates_scatters_as_tests_do(kind: str) -> None:
+    shape = (200, len(UP))
+    path = 0.05 - UP + noise_rows(kind, 2e-5, shape, seed=3)
+    force = 300.0 * (0.05 - UP) ** 2 + noise_rows(kind, 5e-3, shape, seed=4)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        found = unloading_slope(TIME, d, f, BRANCH, over=0.01, sense=1.0)
+        assert isinstance(found, UnloadingSlope)
+        return found.of
+
+    tests, replicates = spreads(decide, path, force)
+    assert replicates == pytest.approx(tests, rel=0.2)

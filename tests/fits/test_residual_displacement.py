@@ -1,0 +1,186 @@
+"""Displacement left at zero force: after slack, beyond zero, and where zero is not reached."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.fits.residual_displacement import (
+    AtRest,
+    FollowedToZero,
+    ThroughZero,
+    Unloaded,
+    unloaded,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.estimates import Failure
+from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
+
+TIME = np.arange(0.0, 53.0, 0.02)
+PATH = 0.053 - 1e-3 * TIME
+LEFT = 0.012
+FORCE = 24.0 * (PATH - LEFT)
+LIMIT = 5e-3
+WAYS = {
+    ThroughZero: (PATH, FORCE),
+    AtRest: (np.maximum(PATH, LEFT), np.maximum(FORCE, 0.0)),
+    FollowedToZero: (PATH, np.maximum(FORCE, 0.0)),
+}
+"""The three ways to end, at 12 mm: through zero, with a string that gets slack, and followed."""
+
+
+def decided(path: Floats, force: Floats, like: Unloaded | None = None) -> Unloaded:
+    found = unloaded(TIME, path, force, force_below=LIMIT, like=like)
+    assert not isinstance(found, Failure), found
+    return found
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_it_is_where_the_force_is_back_at_zero(way: type[Unloaded]) -> None:
+    path, force = WAYS[way]
+    found = decided(path, force)
+    assert isinstance(found, way)
+    assert found.of(path, force) == pytest.approx(LEFT, abs=1e-12)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_rows_are_as_each_alone(way: type[Unloaded]) -> None:
+    path, force = WAYS[way]
+    rng = np.random.default_rng(1)
+    paths, forces = (each + rng.normal(0, 1e-5, (3, len(TIME))) for each in (path, force))
+    found = decided(path, force)
+    alone = [found.of(d, f) for d, f in zip(paths, forces, strict=True)]
+    np.testing.assert_allclose(found.of(paths, forces), alone, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("way", "moved"), [(ThroughZero, 1e-4), (FollowedToZero, 1e-4), (AtRest, 0)]
+)
+def test_a_force_that_is_too_high_by_so_much_is_zero_so_much_later(
+    way: type[Unloaded], moved: float
+) -> None:
+    """2.4 mN over 24 N/m: 0.1 mm less; a string at rest is not asked for its force."""
+    path, force = WAYS[way]
+    found = decided(path, force)
+    higher = force + np.where(force > 0.0, 2.4e-3, 0.0)
+    if way is ThroughZero:
+        higher = force + 2.4e-3
+    assert found.of(path, higher) - found.of(path, force) == pytest.approx(-moved, abs=1e-9)
+
+
+def test_through_zero_by_hand() -> None:
+    """A force 5 (t - t_0) + 2 (t - t_0)^2, and a displacement that is 4 mm then."""
+    after = TIME - 41.013
+    force = -0.05 * after + 2e-4 * after**2
+    path = 0.004 - 1e-3 * after + 1e-5 * after**2
+    found = decided(path, force)
+    assert isinstance(found, ThroughZero)
+    assert found.of(path, force) == pytest.approx(0.004, abs=1e-12)
+
+
+def test_a_foot_that_no_longer_falls_is_no_number() -> None:
+    path, force = WAYS[FollowedToZero]
+    found = decided(path, force)
+    rows = found.of(path, np.array([force, force[::-1]]))
+    assert np.isnan(rows).tolist() == [False, True]
+
+
+def test_a_foot_of_few_samples_is_not_followed() -> None:
+    """The force is lost between two samples: the displacement is that of the last one above."""
+    force = np.where(TIME < 40.0, 1.0, 0.0)
+    found = decided(PATH, force)
+    assert isinstance(found, FollowedToZero)
+    assert not found.is_line
+    rows = found.of(np.array([PATH, PATH + 0.001]), force)
+    np.testing.assert_allclose(rows, [PATH[1999], PATH[1999] + 0.001], atol=1e-12)
+
+
+def test_gaps_are_passed_over() -> None:
+    for path, force in WAYS.values():
+        holes = force.copy()
+        holes[::9] = np.nan
+        assert decided(path, holes).of(path, holes) == pytest.approx(LEFT, abs=1e-9)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_curve_without_noise_ends_as_the_one_that_was_measured(way: type[Unloaded]) -> None:
+    path, force = WAYS[way]
+    rng = np.random.default_rng(2)
+    noisy = path + rng.normal(0, 1e-5, len(TIME)), force + rng.normal(0, 2e-3, len(TIME))
+    measured = decided(*noisy)
+    again = decided(path, force, like=measured)
+    assert type(again) is type(measured) is way
+    assert again.limit == measured.limit
+    # Shown a rest that creeps by more than no noise at all, it is a rest all the same.
+    creeping = path - np.where(path <= LEFT, 1e-8 * TIME, 0.0)
+    assert type(decided(creeping, force, like=measured)) is way
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("way", WAYS)
+def test_replicates_scatter_as_tests_do(way: type[Unloaded], kind: str) -> None:
+    path, force = WAYS[way]
+    shape = (200, len(TIME))
+    paths = path + noise_rows(kind, 1e-5, shape, seed=1)
+    forces = force + noise_rows(kind, 2e-4, shape, seed=2)
+
+    def decide(d: Floats, f: Floats) -> Number:
+        found = decided(d, f)
+        assert isinstance(found, way)
+        return found.of
+
+    tests, replicates = spreads(decide, paths, forces)
+    assert replicates == pytest.approx(tests, rel=0.2)
+
+
+def test_a_weak_force_is_not_followed_from_far_off() -> None:
+    """22 mN at the most, curved, through zero: a straight line from 5 mN would end at 20 mm."""
+    beyond = PATH - LEFT
+    force = 0.27 * beyond + 5.5 * beyond**2
+    found = decided(PATH, force)
+    assert found.of(PATH, force) == pytest.approx(LEFT, abs=1e-4)
+
+
+def test_a_string_that_is_slack_only_for_a_moment() -> None:
+    """A quick test: half a second of slack after a fall at 4 mm/s."""
+    time = np.arange(0.0, 3.0, 0.02)
+    path = np.maximum(0.0107 - 4e-3 * time, 0.0007)
+    force = 20.0 * (path - 0.0007)
+    found = unloaded(time, path, force, force_below=LIMIT)
+    assert isinstance(found, AtRest)
+    assert found.of(path, force) == pytest.approx(0.0007, abs=1e-5)
+    brief = time < 2.7
+    found = unloaded(time[brief], path[brief], force[brief], force_below=LIMIT)
+    assert isinstance(found, FollowedToZero)
+    assert found.of(path[brief], force[brief]) == pytest.approx(0.0007, abs=5e-5)
+
+
+def test_it_is_not_extrapolated() -> None:
+    found = unloaded(TIME[:1500], PATH[:1500], FORCE[:1500], force_below=LIMIT)
+    assert isinstance(found, Failure)
+    assert found.code == "force_not_zero"
+    assert "above the limit of 0.005 N" in found.message
+
+
+def test_a_weak_force_that_does_not_come_back_is_no_zero() -> None:
+    """4 mN are below the limit of the protocol, but a fifth of what the specimen bore."""
+    beyond = PATH - 0.01
+    kept = beyond > 0.012
+    force = (0.27 * beyond + 5.5 * beyond**2)[kept]
+    found = unloaded(TIME[kept], PATH[kept], force, force_below=LIMIT)
+    assert isinstance(found, Failure)
+    assert found.code == "force_not_zero"
+    assert found.message.startswith("the force ends at 0.004")
+
+
+def test_too_few() -> None:
+    few = np.linspace(0.0, 1.0, 10)
+    found = unloaded(few, few, 1.0 - few, force_below=LIMIT)
+    assert found == Failure("too_few_samples", "10 samples, 16 are needed")
+    many, noise = np.linspace(0.0, 1.0, 40), np.tile([0.01, -0.01], 20)
+    found = unloaded(many, many, noise, force_below=LIMIT)
+    assert found == Failure("too_few_samples", "40 samples, none above 0.04322 N")
+    sparse = np.arange(0.0, 60.0, 1.0)
+    path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
+    found = unloaded(sparse, path, fallen, force_below=LIMIT)
+    assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
