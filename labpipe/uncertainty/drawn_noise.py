@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
+from scipy.special import chdtri
 
 from labpipe.records.arrays import Floats
 
@@ -34,6 +35,9 @@ _PER_COLUMN = 8
 """Samples of a piece for each of them, at least."""
 _CLIFF = 4.0
 """Times the median variance, beyond which a piece holds a corner or a step of the curve."""
+_ODD, _ROUNDS = 1e-4, 4
+"""Chance of what is left of a piece by the process that is most likely, below which the piece holds
+a kink of the curve."""
 _TIMES, _BRIEFEST, _LONGEST = 24, 0.4, 20
 """Correlation times, from so many samples to the longest branch over so much."""
 _FLOORS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
@@ -211,13 +215,20 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         return _silence(longest)
     power = np.sum(left**2, axis=1)
     is_sound = power <= _CLIFF * np.median(power)
-    terms = min(_WAVES, width)
+    terms, kept = min(_WAVES, width), int(is_sound.sum())
     waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
     processes = _processes(longest)
-    likelihood, squares, freedom = _likelihood(
-        processes.spectra(np.pi * np.arange(terms) / width), waves, columns
-    )
+    spectra = processes.spectra(np.pi * np.arange(terms) / width)
+    for _ in range(_ROUNDS):
+        likelihood, squares, freedom = _likelihood(spectra, waves, columns)
+        best = np.argmax(likelihood + np.log(processes.prior))
+        whitened = _whitened(spectra[best], waves, columns)
+        each = terms - columns.shape[1]
+        odd = whitened > np.median(whitened) * chdtri(each, _ODD) / chdtri(each, 0.5)
+        if not odd.any():
+            break
+        waves, kept = waves[~odd], kept - int(odd.sum())
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
     angles, fast = _own_power(branches, smooth)
@@ -227,7 +238,7 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         freedom,
         longest,
         sum(len(each) for each in branches),
-        float(is_sound.sum()) / len(moving),
+        kept / len(moving),
         angles,
         fast,
     )
@@ -260,6 +271,15 @@ def _likelihood(spectra: Floats, waves: Floats, columns: Floats) -> tuple[Floats
     with np.errstate(divide="ignore"):
         likelihood = -0.5 * (count * logs + freedom * np.log(squares))
     return np.nan_to_num(likelihood, posinf=0.0), squares, freedom
+
+
+def _whitened(spectrum: Floats, waves: Floats, columns: Floats) -> Floats:
+    """Sum of squares of each piece, every wave by its own power: alike where the noise is."""
+    score = (waves / spectrum) @ columns
+    information = columns.T @ (columns / spectrum[:, None])
+    explained = np.sum(score * np.linalg.solve(information, score.T).T, axis=1)
+    found: Floats = np.sum(waves**2 / spectrum, axis=1) - explained
+    return found
 
 
 def _own_power(branches: Sequence[Floats], smooth: Sequence[Floats]) -> tuple[Floats, Floats]:
