@@ -53,6 +53,7 @@ class Take:
     repaired : tracks of the markers along the specimen
     frame : of the specimen
     rest : shape (frames,), the frames that the frame was found in
+    scale_error : standard uncertainty of the scale of the cameras, as a ratio
     """
 
     tracks: MarkerTracks | None = None
@@ -61,6 +62,7 @@ class Take:
     repaired: RepairedTracks | None = None
     frame: SpecimenFrame | None = None
     rest: Flags | None = None
+    scale_error: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +104,9 @@ def calibrated(
     curve, found = protocol.curve, list[Finding]()
     signals = Signals() if curve is None else Signals(curve.force, curve.displacement)
     take = Take()
+    scales: dict[str, float] = {
+        role: source.camera_uncertainty for role, source in protocol.sources.items()
+    }
     turned = [] if curve is None else [getattr(curve, word) for word in curve.reverse or ()]
     for role, recording in recordings.items():
         found += [
@@ -111,7 +116,7 @@ def calibrated(
         if recording.markers is not None:
             _check_clock(recording.markers.time, role, fewest=2)
             _check_markers(recording.markers, role)
-            take = Take(recording.markers, role)
+            take = Take(recording.markers, role, scale_error=scales[role])
         for channel in recording.channels:
             clock, source = recording.clock(channel.clock), protocol.channels[channel.name]
             _check_clock(clock.time, role, fewest=_FEWEST)

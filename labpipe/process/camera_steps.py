@@ -120,8 +120,13 @@ def turn_into_specimen(
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
         travel = travel - np.nanmean(travel[rest])
-        signals = signals.with_new("travel", Signal(tracks.time, travel, "m", take.role))
+        signals = signals.with_new("travel", _seen(tracks.time, travel, take))
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), found
+
+
+def _seen(time: Floats, values: Floats, take: Take) -> Signal:
+    """A length that cameras saw, on their clock and with what is known of their scale."""
+    return Signal(time, values, "m", take.role, relative_error=take.scale_error)
 
 
 def _frame(
@@ -171,7 +176,7 @@ def fit_shapes(
     )
     found.append(worth_knowing("shape_fit", take.role, said))
     if take.clamp is not None:
-        signals = signals.with_new("deflection", _deflection(fit, rest, take.role))
+        signals = signals.with_new("deflection", _deflection(fit, rest, take))
         stretch = tracks.time[rest]
         at_rest_for = (float(stretch[0]), float(stretch[-1]))
         signals = replace(signals, zeroed={**signals.zeroed, "deflection": at_rest_for})
@@ -202,7 +207,7 @@ def _shape(
     )
 
 
-def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
+def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     """Deflection of the pull point, and what it is with other offsets and another shape.
 
     One more term is as good an assumption as the one taken: the change counts as the half width of
@@ -216,7 +221,7 @@ def _deflection(fit: ShapeFit, rest: Flags, role: str) -> Signal:
     moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.tip_moved.items()}
     if usable:
         moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
-    return Signal(fit.shape.time, values, "m", role, zero_error=error, moved=moved)
+    return replace(_seen(fit.shape.time, values, take), zero_error=error, moved=moved)
 
 
 def _said(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -392,9 +397,7 @@ def bend_between_supports(
     )
     made = replace(
         prepared,
-        signals=prepared.signals.with_new(
-            "mid_span", _mid_span(shape, tracks.time, rest, take.role)
-        ),
+        signals=prepared.signals.with_new("mid_span", _mid_span(shape, tracks.time, rest, take)),
         shape=_stored(sections, shape, tracks.time, repaired.flags),
         span=SpanBend(shape, tracks.time, rest),
     )
@@ -405,11 +408,11 @@ def _given_up(prepared: Prepared, why: Failure) -> tuple[Prepared, list[Finding]
     return replace(prepared, span=why), [not_available(why.code, "markers", why.message)]
 
 
-def _mid_span(shape: SpanShape, time: Floats, rest: Flags, role: str) -> Signal:
+def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
     deflection = shape.bent.deflection
     known = deflection[rest & np.isfinite(deflection)]
     zero = float(np.sqrt(long_run_variance(known, parameters=1) / len(known)))
-    return Signal(time, deflection - known.mean(), "m", role, zero_error=zero)
+    return replace(_seen(time, deflection - known.mean(), take), zero_error=zero)
 
 
 def _bent_most(sections: Sections) -> Flags:

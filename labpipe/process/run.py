@@ -15,6 +15,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, StoreError, complaint
+from labpipe.process.certificates import day_of_test, is_dated
 from labpipe.process.reading import read_inputs
 from labpipe.process.story import reduce_recordings
 from labpipe.process.targets import RESULT_FILE
@@ -130,7 +131,8 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         If a recording lacks what a step cannot do without.
     """
     try:
-        reduced = reduce_recordings(raw.recordings, protocol)
+        tested = day_of_test(raw.test_yaml, raw.recordings) if is_dated(protocol) else None
+        reduced = reduce_recordings(raw.recordings, protocol, tested=tested)
     except ProcessingError as error:
         message = f"{raw.test}, {error}"
         raise ProcessingError(message) from error

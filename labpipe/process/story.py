@@ -13,8 +13,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from datetime import date
 
 from labpipe.process.calibrated_signals import Prepared, calibrated, check_channels
+from labpipe.process.certificates import check_due
 from labpipe.process.clock_joining import join_clocks
 from labpipe.process.curve_corrections import (
     aligned,
@@ -43,6 +45,7 @@ from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
 from labpipe.records.signals import Clocks
+from labpipe.results.beam import BendingStiffness
 from labpipe.results.evidence import Evidence, LoadString, Setup
 from labpipe.results.kinds import to_result
 from labpipe.results.shapes import MomentCurvature
@@ -64,13 +67,16 @@ class Reduced:
     lines: tuple[FittedLine, ...]
 
 
-def reduce_recordings(recordings: Mapping[str, Recording], protocol: Protocol) -> Reduced:
+def reduce_recordings(
+    recordings: Mapping[str, Recording], protocol: Protocol, *, tested: date | None = None
+) -> Reduced:
     """Reduce the recordings of one test to stages and results.
 
     Parameters
     ----------
     recordings : by role, their channels named and in SI units as the protocol says
     protocol : resolved
+    tested : day of the test, for the certificates of its instruments; None where it is not known
 
     Raises
     ------
@@ -79,6 +85,7 @@ def reduce_recordings(recordings: Mapping[str, Recording], protocol: Protocol) -
     """
     prepared, found = calibrated(recordings, protocol)
     findings = Findings() + found + check_channels(prepared.signals, protocol)
+    findings += check_due(protocol, tested)
     prepared, found = all_steps(prepared, protocol)
     findings += found
     if protocol.curve is None or protocol.branches is None:
@@ -190,6 +197,7 @@ def _evidence(
         length=specimen.length,
         span=specimen.span,
         section={name: size for name, size in sizes.items() if size is not None},
+        uncertainties=_uncertainties(protocol),
         string=None
         if string is None
         else LoadString(string.length, string.counterweight, string.at_rest),
@@ -206,6 +214,17 @@ def _evidence(
         span=prepared.span,
         findings=findings,
     )
+
+
+def _uncertainties(protocol: Protocol) -> dict[str, float]:
+    """Of the sizes of the specimen; as a bending stiffness says, where the specimen does not."""
+    said = protocol.specimen.uncertainty
+    of_results = {
+        entry.length: entry.length_uncertainty
+        for entry in protocol.results
+        if isinstance(entry, BendingStiffness) and entry.length_uncertainty is not None
+    }
+    return of_results | (said.stated if said is not None else {})
 
 
 def with_results(test: Evidence, protocol: Protocol) -> Reduced:

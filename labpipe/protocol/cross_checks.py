@@ -17,6 +17,7 @@ from labpipe.protocol.outline import (
     result_names,
     source_faults,
 )
+from labpipe.protocol.uncertainties import length_faults, size_faults
 from labpipe.protocol.values import SI_UNITS
 from labpipe.records.declarations import STEPS, Needs, defaults_of, existing_in
 from labpipe.units import si_factor
@@ -41,6 +42,7 @@ def cross_faults(data: Values) -> list[Fault]:
     outline = outline_of(data)
     checks: tuple[Callable[[Outline], Faults], ...] = (
         source_faults,
+        _size_faults,
         _step_faults,
         _align_faults,
         _curve_faults,
@@ -51,6 +53,15 @@ def cross_faults(data: Values) -> list[Fault]:
         _group_faults,
     )
     return [fault for check in checks for fault in check(outline)]
+
+
+def _size_faults(outline: Outline) -> Faults:
+    """Find sizes that are known no better than they are large, or in two ways."""
+    specimen = outline.block("specimen")
+    yield from size_faults(specimen)
+    for entry in outline.results:
+        if entry.tag == "bending-stiffness":
+            yield from length_faults(specimen, entry.values, ("results", entry.number))
 
 
 def _step_faults(outline: Outline) -> Faults:

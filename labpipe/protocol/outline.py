@@ -13,6 +13,7 @@ from typing import Any, Final, TypeAlias
 from labpipe.errors import Fault, KeyPath, nearest
 from labpipe.protocol.faults import did_you_mean, one_of
 from labpipe.protocol.source import MARKER_READERS, READERS, ROLES, si_unit_like
+from labpipe.protocol.uncertainties import certificate_faults
 from labpipe.protocol.values import SI_UNITS
 from labpipe.records.declarations import STEPS
 from labpipe.results import KINDS
@@ -24,8 +25,10 @@ RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 
 CHANNEL_KEYS = (
     *("channel", "unit", "wrong_unit_in_file", "calibration"),
-    *("quantity", "plausible_peak", "scale_uncertainty"),
+    *("quantity", "plausible_peak", "scale_uncertainty", "certificate"),
 )
+_OF_CAMERAS = frozenset({"scale_uncertainty", "certificate"})
+"""Keys of a channel that marker tracks have, too."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +157,7 @@ def outline_of(data: Values) -> Outline:
         said = source.get("reader")
         words = said if isinstance(said, list) else [said]
         readers[role] = [word for word in words if word in READERS]
-        if any(key in source for key in CHANNEL_KEYS):
+        if channel_keys(role, source):
             name = role if role in ROLES else nearest(role, list(ROLES), most=1)[0]
             channels.append(_channel(name, role, ("sources", role), source))
         for name in _block(source, "channels"):
@@ -171,6 +174,18 @@ def outline_of(data: Values) -> Outline:
         "markers" in sources or any(MARKER_READERS & {*known} for known in readers.values()),
         has_clamp,
     )
+
+
+def channel_keys(role: str, source: Values) -> list[str]:
+    """List the keys of a source that are those of a channel.
+
+    Parameters
+    ----------
+    role : what may be said of cameras is no channel's in the role ``markers``
+    source : the block as written
+    """
+    others = _OF_CAMERAS if role == "markers" else frozenset[str]()
+    return [key for key in CHANNEL_KEYS if key in source and key not in others]
 
 
 def _block(data: Values, *path: str) -> Values:
@@ -228,6 +243,8 @@ def source_faults(outline: Outline) -> Iterator[Fault]:
     yield from _name_faults(outline)
     for channel in outline.channels:
         yield from _unit_faults(channel)
+        yield from certificate_faults(channel.values, channel.path)
+    yield from certificate_faults(outline.block("sources", "markers"), ("sources", "markers"))
 
 
 def _content_faults(outline: Outline, role: str) -> Iterator[Fault]:
@@ -242,7 +259,7 @@ def _content_faults(outline: Outline, role: str) -> Iterator[Fault]:
         remedy = f"Use one of {one_of('', valid)}."
         yield Fault((*path, "reader"), expected, found, remedy)
         return
-    short = [key for key in CHANNEL_KEYS if key in source]
+    short = channel_keys(role, source)
     if role == "markers" and (short or "channels" in source):
         key = "channels" if "channels" in source else short[0]
         yield Fault((*path, key), "no channels beside marker tracks", f"the key {key!r}", _OUT)

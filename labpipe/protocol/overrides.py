@@ -45,13 +45,13 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
     gone: dict[KeyPath, object] = {}
     said = sheet.data if isinstance(sheet.data, Mapping) else {}
     specimen, overrides = said.get("specimen") or {}, said.get("overrides") or {}
-    for key in SHEET_DIMENSIONS:
-        if specimen.get(key) is not None:
-            _put(merged, f"specimen.{key}", sheet, ("specimen", key), gone)
+    own = _own_sizes(specimen)
+    for key, path in own.items():
+        _put(merged, key, sheet, path, gone)
     for key, override in overrides.items():
         place = ("overrides", key, "value")
-        if key.removeprefix("specimen.") in SHEET_DIMENSIONS and specimen.get(key[9:]) is not None:
-            found = f"{override['value']!r} beside {specimen[key[9:]]!r} in 'specimen'"
+        if key in own:
+            found = f"{override['value']!r} beside {sheet.at(own[key])!r} in 'specimen'"
             fault = Fault(place, f"{key!r} once", found, "Keep the one in 'specimen'.")
             merged.faults.append(sheet.place(fault))
         elif key in _LEFT:
@@ -64,6 +64,19 @@ def with_overrides(protocol: Document, sheet: Document) -> Document:
         align.setdefault("because", overrides["align"]["because"])
     _take_out(merged, gone)
     return merged
+
+
+def _own_sizes(specimen: Mapping[str, Any]) -> dict[str, KeyPath]:
+    """Where a sheet's own specimen says what the protocol's does, by dotted key of the protocol."""
+    own: dict[str, KeyPath] = {
+        f"specimen.{key}": ("specimen", key)
+        for key in SHEET_DIMENSIONS
+        if specimen.get(key) is not None
+    }
+    return own | {
+        f"specimen.uncertainty.{key}": ("specimen", "uncertainty", key)
+        for key in specimen.get("uncertainty") or ()
+    }
 
 
 def _take_out(merged: Document, gone: Mapping[KeyPath, object]) -> None:

@@ -19,6 +19,7 @@ from labpipe.protocol.cross_checks import cross_faults
 from labpipe.protocol.faults import error_of
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import ChannelSource, Role, Source
+from labpipe.protocol.uncertainties import SizeUncertainties
 from labpipe.protocol.values import FileStem, Remark, Text
 from labpipe.records.declarations import (
     Above,
@@ -39,6 +40,7 @@ from labpipe.records.declarations import (
     Speed,
     Step,
     Tagged,
+    Uncertainty,
     Whole,
 )
 from labpipe.results import KINDS
@@ -67,6 +69,9 @@ class SpecimenBlock(Block):
     length: Length | None = Field(None, description="Free length; a test sheet can give its own")
     span: Length | None = Field(None, description="Distance of the supports")
     section: Section | None = None
+    uncertainty: SizeUncertainties | None = Field(
+        None, description="Standard uncertainties of these sizes; a test sheet can give its own"
+    )
 
 
 class LoadString(Block):
@@ -177,7 +182,9 @@ class MachineCompliance(Block):
     """How far frame and grips give way; times the force, it is taken off the displacement."""
 
     value: Compliance = Field(description="From a test of a stiff bar, protocol stiff-bar")
-    uncertainty: Ratio = Field(0.0, description="Standard uncertainty, as a share of the value")
+    uncertainty: Uncertainty = Field(
+        0.0, description="Standard uncertainty, as a share of the value"
+    )
 
 
 class Failure(Block):

@@ -30,7 +30,16 @@ from labpipe.errors import Fault, UsageError, complaint
 from labpipe.protocol.faults import did_you_mean, error_of, faults_of, raised, shown
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.source import Role
-from labpipe.protocol.values import FileStem, Line, Remark, Text, file_inside, one_or_several
+from labpipe.protocol.uncertainties import SizeUncertainties
+from labpipe.protocol.values import (
+    FileStem,
+    Line,
+    Remark,
+    Text,
+    file_inside,
+    one_or_several,
+    parse_day,
+)
 from labpipe.records.declarations import Length, Offset, Snake, Whole
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
@@ -311,6 +320,9 @@ class SheetSpecimen(Block):
     spool: Line
     sample: Line
     length: Length | None = Field(None, description="Free length; overrides the protocol's")
+    uncertainty: SizeUncertainties | None = Field(
+        None, description="Standard uncertainties of sizes; override the protocol's"
+    )
     bundle: SheetBundle | None = Field(None, description="What a harness bundle is made of")
     labels: Annotated[dict[Snake, Line], BeforeValidator(_nothing_is_empty)] = Field(
         {}, description="Any other words on the specimen, by name"
@@ -401,18 +413,9 @@ FileNames = Annotated[
 ]
 
 
-def _date(value: object) -> date | None:
-    if value is None or type(value) is date:
-        return value
-    try:
-        return date.fromisoformat(str(value))
-    except ValueError as error:
-        raise error_of(expected="a date such as 2026-03-04", found=value) from error
-
-
-Day = Annotated[
+DayOrNothing = Annotated[
     date | None,
-    BeforeValidator(_date),
+    BeforeValidator(lambda value: None if value is None else parse_day(value)),
     WithJsonSchema({"type": ["string", "null"], "format": "date"}),
 ]
 
@@ -432,7 +435,7 @@ class TestSheet(Block):
     test: FileStem
     protocol: Text = Field(description="Name of a protocol, or a path to one")
     specimen: SheetSpecimen
-    date: Day = None
+    date: DayOrNothing = None
     operator: Remark = ""
     files: dict[Role, FileNames] = Field(
         min_length=1, description="By role: a file, or the parts of one recording in order"

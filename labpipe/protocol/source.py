@@ -13,8 +13,9 @@ from pydantic import (
 )
 
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.uncertainties import Certificate, standard_uncertainty
 from labpipe.protocol.values import SI_UNITS, Text, one_or_several
-from labpipe.records.declarations import Ratio, Snake
+from labpipe.records.declarations import Snake, Uncertainty
 from labpipe.records.recording import EXPORT_FORMATS
 from labpipe.units import parse_quantity, si_factor
 
@@ -66,7 +67,7 @@ class Calibration(Block):
 
     gain: Text = Field(description="Such as 0.5 N/V: target unit per unit of the channel")
     offset: Text | None = Field(None, description="Such as 0.01 N: added after the gain")
-    gain_uncertainty: Ratio = Field(
+    gain_uncertainty: Uncertainty = Field(
         0.0, description="Standard uncertainty of the gain, such as 1 %"
     )
 
@@ -84,8 +85,11 @@ class ChannelSource(Block):
     calibration: Calibration | None = None
     quantity: Snake | None = Field(None, description="Needed where the name does not say it")
     plausible_peak: PlausiblePeak | None = None
-    scale_uncertainty: Ratio = Field(
-        0.0, description="Standard uncertainty of the scale, as the certificate of a load cell says"
+    scale_uncertainty: Uncertainty = Field(
+        0.0, description="Standard uncertainty of the scale, as the class of a load cell says"
+    )
+    certificate: Certificate | None = Field(
+        None, description="Of the calibration; its uncertainty is that of gain and scale together"
     )
     _name: str = PrivateAttr("")
     _key: str = PrivateAttr("")
@@ -124,6 +128,8 @@ class ChannelSource(Block):
     @property
     def gain_uncertainty(self) -> float:
         """Standard uncertainty of gain and scale as a ratio; 0 where it is not stated."""
+        if (certified := standard_uncertainty(self.certificate)) is not None:
+            return certified
         gain = 0.0 if self.calibration is None else self.calibration.gain_uncertainty
         return hypot(gain, self.scale_uncertainty)
 
@@ -162,7 +168,12 @@ class Source(Block):
     calibration: Calibration | None = None
     quantity: Snake | None = None
     plausible_peak: PlausiblePeak | None = None
-    scale_uncertainty: Ratio | None = None
+    scale_uncertainty: Uncertainty | None = Field(
+        None, description="Of one channel named like the role, or of the cameras"
+    )
+    certificate: Certificate | None = Field(
+        None, description="Of one channel named like the role, or of the cameras"
+    )
     channels: dict[Snake, ChannelSource] | None = None
     _role: str = PrivateAttr("")
 
@@ -184,10 +195,17 @@ class Source(Block):
                 quantity=self.quantity,
                 plausible_peak=self.plausible_peak,
                 scale_uncertainty=self.scale_uncertainty or 0.0,
+                certificate=self.certificate,
             )
             return {self._role: single.named(self._role, key)}
         several = (self.channels or {}).items()
         return {name: each.named(name, f"{key}.channels.{name}") for name, each in several}
+
+    @property
+    def camera_uncertainty(self) -> float:
+        """Standard uncertainty of the scale of marker tracks, as a ratio; 0 where not stated."""
+        certified = standard_uncertainty(self.certificate)
+        return (self.scale_uncertainty or 0.0) if certified is None else certified
 
     def in_role(self, role: str) -> Source:
         """Give back the same source, knowing its role."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass
+from datetime import date
 from pathlib import PurePosixPath, PureWindowsPath
 from types import MappingProxyType
 from typing import Annotated, Any, Final
@@ -243,6 +244,26 @@ def is_name_of_a_test(text: str) -> bool:
     return fits and _DEVICE.fullmatch(text) is None and not text.endswith(".")
 
 
+def parse_day(value: object) -> date:
+    """Read a day as ISO 8601 writes it.
+
+    Parameters
+    ----------
+    value : such as ``2026-03-04``, or a date that YAML has made of it
+
+    Raises
+    ------
+    PydanticCustomError
+        If it is no day.
+    """
+    if type(value) is date:
+        return value
+    try:
+        return date.fromisoformat(str(value))
+    except ValueError as error:
+        raise error_of(expected="a date such as 2026-03-04", found=value) from error
+
+
 def _file_stem(value: object) -> str:
     text = _text(value)
     if _NAME.fullmatch(text) is None:
@@ -320,6 +341,9 @@ Remark = Annotated[
     WithJsonSchema({"type": ["string", "null"]}),
 ]
 """Text that may be empty or left out."""
+Day = Annotated[
+    date, BeforeValidator(parse_day), WithJsonSchema({"type": "string", "format": "date"})
+]
 FileStem = Annotated[
     str,
     BeforeValidator(_file_stem),

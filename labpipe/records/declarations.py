@@ -154,6 +154,8 @@ Speed: TypeAlias = Annotated[float, Quantity("m/s", "mm/s", "1 mm/s", above=0.0)
 Curvature: TypeAlias = Annotated[float, Quantity("1/m", "1/m", "20 1/m", above=0.0)]
 Frequency: TypeAlias = Annotated[float, Quantity("Hz", "Hz", "10 Hz", above=0.0)]
 Ratio: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0)]
+Uncertainty: TypeAlias = Annotated[float, Quantity("1", "%", "0.2 %", least=0.0, most=1.0)]
+"""A standard uncertainty as a share of what it belongs to."""
 Share: TypeAlias = Annotated[float, Quantity("1", "%", "10 %", above=0.0, most=1.0)]
 """A part of a whole."""
 Snake: TypeAlias = Annotated[
@@ -342,7 +344,7 @@ class TravelFromSpeed(_Step):
     force: Annotated[ChannelName, "Channel in which the turn is looked for"]
     window: Annotated[Duration, "On each side of the force's corner at the turn"] = 1.0
     rate: Annotated[Frequency, "How often the displacement is made"] = 50.0
-    speed_uncertainty: Annotated[Ratio, "Standard uncertainty of rig's speed"] = 0.005
+    speed_uncertainty: Annotated[Uncertainty, "Standard uncertainty of rig's speed"] = 0.005
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -238,13 +238,20 @@ class BendingStiffness(OfStiffness):
         Literal["cantilever", "three-point"],
         "cantilever: K L^3 / 3, L specimen.length; three-point: K L^3 / 48, L the span",
     ]
-    length_uncertainty: Annotated[Distance, "Standard uncertainty of L"] = 0.0
+    length_uncertainty: Annotated[
+        Distance | None, "Standard uncertainty of L, where specimen.uncertainty does not say it"
+    ] = None
     name: Annotated[Snake, "Such as bending_stiffness_at_start"] = "bending_stiffness"
     corrections: Annotated[
         tuple[Literal["large-deflection", "roller-radius", "roller-friction"], ...],
         "Of three-point: what an exactly bent elastic beam does otherwise",
     ] = ()
     roller: Roller | None = None
+
+    @property
+    def length(self) -> str:
+        """Key of the specimen's size that the formula takes."""
+        return _FORMULAS[self.support][0]
 
     @staticmethod
     def between(entry: Mapping[str, object]) -> Iterator[Fault]:

@@ -12,7 +12,7 @@ from labpipe.bending.law_table import law_points
 from labpipe.fits.loops import secant_stiffness
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.curve import Bending, Branch, Curve, MeasuredLaw
-from labpipe.records.declarations import Curvature, Needs, Output, Snake
+from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.records.quality import Reason, worth_knowing
 from labpipe.results.cycles import rectangle
@@ -31,6 +31,8 @@ from labpipe.signal.turning_points import noise_level
 from labpipe.uncertainty.linear_fits import fit_linear
 from labpipe.uncertainty.noise import long_run_variance
 
+_SPAN = "mid_span"
+"""Signal of what cameras see of mid-span, and what rests on them alone."""
 _AT_TURN = 2.0
 """s on each side of the turn that a value there is read from."""
 _BESIDE, _LEAST = 8.0, 5
@@ -167,7 +169,7 @@ def _at_hand(test: Evidence) -> _Parts | Failure:
         return bend
     if bend is None or curve is None or branch is None:
         return blocked_or(test, NO_LOADING)
-    fit = test.clocks.others.get(test.signals.raw["mid_span"].clock)
+    fit = test.clocks.others.get(test.signals.raw[_SPAN].clock)
     return bend, curve, branch, bend.time if fit is None else fit.to_marker_time(bend.time)
 
 
@@ -177,8 +179,10 @@ class MidSpan(Window):
 
     result: ClassVar = "mid-span"
     outputs: ClassVar = (
-        Output("mid_span_bending_stiffness", "N*m^2", "Mid span bending stiffness"),
-        Output("mid_span_curvature", "1/m", "Mid span curvature", ("displacement", "clock")),
+        Output(
+            "mid_span_bending_stiffness", "N*m^2", "Mid span bending stiffness", (*CURVE, _SPAN)
+        ),
+        Output("mid_span_curvature", "1/m", "Mid span curvature", ("displacement", "clock", _SPAN)),
     )
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     corrections: Annotated[

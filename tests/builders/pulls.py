@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import date
 from typing import Any
 
 import numpy as np
@@ -56,12 +57,14 @@ def reduction(
     specimen: str = "{length: 100 mm}",
     time: bool = True,
     scale: str = "0 %",
+    more: str = "",
+    tested: date | None = None,
 ) -> Reduced:
-    """What a pull sampled at 10 Hz comes to, or its rows without times."""
+    """What a pull sampled at 10 Hz comes to, or its rows without times; more keys of the force."""
     listed = "".join(f"  - {{result: {each}}}\n" for each in results)
     text = (
         "version: 1\nname: p\nsources:\n  frame:\n    reader: load-frame\n    channels:\n"
-        f"      force: {{channel: F, scale_uncertainty: {scale}}}\n"
+        f"      force: {{channel: F, scale_uncertainty: {scale}{more and ', '}{more}}}\n"
         "      displacement: {channel: D}\n"
         f"specimen: {specimen}\n"
         f"curve: {{force: force, displacement: displacement{curve and ', '}{curve}}}\n"
@@ -75,7 +78,7 @@ def reduction(
         Channel("displacement", "D", travel, unit="m", clock=clock.name),
     )
     recording = Recording("load-frame", clocks=(clock,), channels=channels)
-    return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"))
+    return reduce_recordings({"frame": recording}, parse_protocol(text, "p.yaml"), tested=tested)
 
 
 def pulled(travel: Floats, force: Floats, **asked: Any) -> tuple[Evidence, dict[str, Result]]:

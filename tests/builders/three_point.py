@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from datetime import date
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -185,16 +186,17 @@ def reduced(
     *,
     without: tuple[str, ...] = (),
     change: tuple[tuple[str, str], ...] = (),
+    tested: date | None = None,
 ) -> tuple[Evidence, dict[str, Result]]:
     """Reduce a test by the shipped protocol and the rod's span, with some changes of their text."""
     text = CONDUIT.read_text(encoding="utf-8")
-    text = text.replace("specimen: {section", "specimen: {span: 152.4 mm, section")
+    text = text.replace("  section: {outer", "  span: 152.4 mm\n  section: {outer")
     for old, new in change:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     made = {role: each for role, each in recordings(record).items() if role not in without}
     protocol = without_absent(parse_protocol(text, "conduit-bundle.yaml"), made)
-    done = reduce_recordings(made, protocol)
+    done = reduce_recordings(made, protocol, tested=tested)
     return done.evidence, {each.name: each for each in done.results}
 
 

@@ -100,7 +100,7 @@ def test_a_string_cannot_push(protocol: Protocol) -> None:
 def test_what_presses_on_two_supports_cannot_pull(repository: Path) -> None:
     path = repository / "protocols" / "conduit-bundle.yaml"
     text = path.read_text(encoding="utf-8").replace("speed: 0.5 mm/s", "speed: 1 mm/s")
-    text = text.replace("specimen: {", "specimen: {span: 152.4 mm, ")
+    text = text.replace("  section:", "  span: 152.4 mm\n  section:")
     bending = parse_protocol(text, "conduit-bundle.yaml")
     load = np.clip(200.0 * (SHARP - 0.005), 0.0, None)
     for drift, doubtful in ((-1e-4, False), (-0.01, True)):

@@ -49,6 +49,18 @@ def test_the_words_on_a_bundle_reach_the_result_and_stay_when_it_is_processed_ag
     assert read_result(lab.result).specimen == first
 
 
+def test_a_date_after_the_due_one_of_a_certificate_is_seen_again_and_again(lab: Lab) -> None:
+    path = lab.raw / "test.yaml"
+    sheet = yaml.safe_load(path.read_text(encoding="utf-8")) | {"date": "2026-02-01"}
+    certificate = {"number": "LC-7", "date": "2025-01-10", "due": "2026-01-10"}
+    sheet["overrides"]["sources.force.certificate"] = {"value": certificate, "because": "another"}
+    path.write_text(yaml.safe_dump(sheet), encoding="utf-8")
+    for source in (path, lab.result):
+        found = {each.name: each for each in process_test(source, figures=False).result.results}
+        assert "calibration_overdue: " in found["peak_force.1"].why
+        assert found["peak_displacement.1"].status is Status.OK
+
+
 def test_failed_results_are_counted(lab: Lab) -> None:
     lab.override("branches.min_stroke", "500 mm")
     made = process_test(lab.raw / "test.yaml", figures=False)

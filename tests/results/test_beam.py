@@ -254,7 +254,7 @@ def test_the_size_of_each_correction_is_said() -> None:
 def test_corrections_without_what_they_need(corrections: str, told: str) -> None:
     text = CONDUIT.read_text(encoding="utf-8")
     if "cantilever" in corrections:
-        text = text.replace("support: three-point, ", "")
+        text = text.replace("support: three-point,", "")
     with pytest.raises(ProtocolError) as info:
         parse_protocol(text.replace(OLD, corrections), "p.yaml")
     assert told in str(info.value)
