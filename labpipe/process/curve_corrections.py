@@ -164,9 +164,8 @@ def _without_compliance(test: Evidence, compliance: MachineCompliance) -> Correc
     message = (
         f"{1e6 * value:.4g} um/N x force taken off the displacement, {most:.4g} um at the most"
     )
-    return _with_displacement(test, curve, signal), [
-        worth_knowing("compliance_removed", test.signals.displacement, message)
-    ]
+    made = replace(_with_displacement(test, curve, signal), compliance=value)
+    return made, [worth_knowing("compliance_removed", test.signals.displacement, message)]
 
 
 def _refuse_backwards(test: Evidence, curve: Curve, corrected: Floats, value: float) -> None:

@@ -129,6 +129,7 @@ class Evidence:
     bending : measured moment-curvature, or why there is none; None where not asked for
     failure : where the specimen broke; None where it did not, or is not asked for
     slips : the slip ledger
+    compliance : m/N, of frame and grips, times the force taken off the displacement
     slack : displacement before the specimen was taut, m; None where not asked for
     cut_at : by quantity, s on the clock of the curve, where its record ends in mid-branch
     stiffnesses : by name, of the results so far
@@ -147,6 +148,7 @@ class Evidence:
     bending: Bending | Failure | None = None
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
+    compliance: float = 0.0
     slack: Estimate | Failure | None = None
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)

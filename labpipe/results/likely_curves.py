@@ -50,14 +50,16 @@ def likely_curves(test: Evidence) -> Replicates | None:
     measured = traced(test)
     block = -(-len(curve.time) // _MOST)
     force = _repaired(test, _on_curve(test, unfiltered, curve.time))
-    plain = replace(measured, displacement=_unfiltered_displacement(test, curve), force=force)
+    machine = _unfiltered_displacement(test, curve) + test.compliance * curve.force
+    plain = replace(measured, displacement=machine, force=force)
     grid = _blocked(plain, block)
     cuts = _cuts(test, grid, block)
     both = test.signals.displacement, test.signals.force
     first, second = (
         partial(_filtered, acts=_acts(test, name, grid.time), cuts=cuts) for name in both
     )
-    return replicated(measured, grid, cuts, (first, second), tuple(_inputs(test, block)))
+    inputs = tuple(_inputs(test, block))
+    return replicated(measured, grid, cuts, (first, second), inputs, compliance=test.compliance)
 
 
 def traced(test: Evidence) -> Trace:
@@ -188,9 +190,10 @@ def _filtered(values: Floats, *, acts: Sequence[Act], cuts: Sequence[int]) -> Fl
 def _inputs(test: Evidence, block: int) -> Iterator[Input]:
     """What is the same for the whole record, and known with an uncertainty."""
     force, displacement = test.raw_force, test.displacement
+    gain, raised = (partial(each, compliance=test.compliance) for each in (_gain, _raised))
     for cause, by, moved in (
-        (SCALE_OF_FORCE, force.relative_error, _gain),
-        (ZERO_OF_FORCE, force.zero_error, _raised),
+        (SCALE_OF_FORCE, force.relative_error, gain),
+        (ZERO_OF_FORCE, force.zero_error, raised),
         (SCALE_OF_DISPLACEMENT, displacement.relative_error, _scaled),
         (ZERO_OF_DISPLACEMENT, displacement.zero_error, displaced),
     ):
@@ -224,12 +227,18 @@ def _means(values: Floats, block: int) -> Floats:
     return found
 
 
-def _gain(trace: Trace, x: float, *, by: float) -> Trace:
-    return replace(trace, force=trace.force * (1.0 + x * by))
+def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
+    return _more_force(trace, x * by * trace.force, compliance)
 
 
-def _raised(trace: Trace, x: float, *, by: float) -> Trace:
-    return replace(trace, force=trace.force + x * by)
+def _raised(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
+    return _more_force(trace, np.full(len(trace.time), x * by), compliance)
+
+
+def _more_force(trace: Trace, more: Floats, compliance: float) -> Trace:
+    """A trace with more force, and so with less displacement where the frame gives way."""
+    displacement = trace.displacement - compliance * more
+    return replace(trace, force=trace.force + more, displacement=displacement)
 
 
 def _scaled(trace: Trace, x: float, *, by: float) -> Trace:

@@ -196,6 +196,8 @@ def replicated(
     cuts: Sequence[int],
     filters: tuple[Filter, Filter],
     inputs: tuple[Input, ...],
+    *,
+    compliance: float = 0.0,
 ) -> Replicates:
     """Draw curves that a measured one may have been.
 
@@ -206,6 +208,7 @@ def replicated(
     cuts : samples of `unfiltered` at which a new piece begins
     filters : what the protocol's filters make of displacements and of forces (..., n)
     inputs : what else is drawn
+    compliance : m/N, times the force to be taken off the displacement of `unfiltered`
 
     Returns
     -------
@@ -225,8 +228,12 @@ def replicated(
         noises[name] = noise
         smooth.append(curve)
     force = np.broadcast_to(drawn[1], (COUNT, len(time)))
+    displacement = drawn[0]
+    if compliance:
+        smooth[0] = smooth[0] - compliance * smooth[1]
+        displacement = displacement - np.float32(compliance) * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
-    return Replicates(measured, base, drawn[0], force, inputs, seed, noises)
+    return Replicates(measured, base, displacement, force, inputs, seed, noises)
 
 
 def _with_noise(curve: Floats, noise: Noise, rng: np.random.Generator) -> Floats:
