@@ -114,8 +114,8 @@ def result_line(result: Result, display: Mapping[str, str], width: int) -> str:
         return shown
     low, high = factor * result.interval.lower, factor * result.interval.upper
     interval = f"95 %: {low:.5g} to {high:.5g}"
-    if result.stands_apart and result.estimate is not None:
-        interval = f"estimate {factor * result.estimate:.5g}, {interval}"
+    if result.apart is not None:
+        interval = f"estimate {factor * result.apart:.5g}, {interval}"
     if result.largest_share is None:
         return f"{shown} {interval}"
     cause, share = result.largest_share

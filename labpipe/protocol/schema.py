@@ -264,6 +264,7 @@ FigureName: TypeAlias = Literal[
     "moment-curvature",
     "timeline",
     "marker-quality",
+    "uncertainty-budget",
 ]
 
 

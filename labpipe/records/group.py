@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from labpipe.records.arrays import ArrayRecord, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import Contribution, Result, Specimen
+from labpipe.records.result import Contribution, Result, Specimen, apart_from
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +84,11 @@ class MeanInterval:
     reason: Reason | None = None
     estimate: float | None = None
     common: tuple[Contribution, ...] = ()
+
+    @property
+    def apart(self) -> float | None:
+        """The estimate where a reader must see it beside the mean, as `apart_from` says."""
+        return apart_from(self.mean, self.estimate, self.interval)
 
 
 @dataclass(frozen=True, slots=True)

@@ -37,6 +37,24 @@ class Contribution:
     is_common: bool = False
 
 
+def apart_from(value: float, estimate: float | None, interval: Interval | None) -> float | None:
+    """Tell whether an estimate is so far from its value that a reader must see both.
+
+    Parameters
+    ----------
+    value, estimate, interval : in one unit; the interval is that of the estimate
+
+    Returns
+    -------
+    The estimate where it is off by more than half of the half width of the interval: the largest
+    sample of a noisy plateau lies above what was there, even above its interval. None elsewhere.
+    """
+    if estimate is None or interval is None:
+        return None
+    half = 0.5 * (interval.upper - interval.lower)
+    return estimate if abs(value - estimate) > 0.5 * half else None
+
+
 @dataclass(frozen=True, slots=True)
 class Result:
     """A number with unit, 95 % interval, status and reasons.
@@ -102,16 +120,9 @@ class Result:
         return None if found is None or found[1] == 0.0 else (found[0].cause, found[1])
 
     @property
-    def stands_apart(self) -> bool:
-        """Whether the estimate is so far from the value that a reader must see both.
-
-        That is by more than half of the half width of the interval: the largest sample of a noisy
-        plateau lies above what was there, even above its interval.
-        """
-        if self.value is None or self.estimate is None or self.interval is None:
-            return False
-        half = 0.5 * (self.interval.upper - self.interval.lower)
-        return abs(self.value - self.estimate) > 0.5 * half
+    def apart(self) -> float | None:
+        """The estimate where a reader must see it beside the value, as `apart_from` says."""
+        return None if self.value is None else apart_from(self.value, self.estimate, self.interval)
 
     @property
     def why(self) -> str:

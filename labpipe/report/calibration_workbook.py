@@ -36,6 +36,7 @@ from labpipe.report.report_workbook import (
     save_sheets,
     sheet_name,
     sheet_of_columns,
+    yes,
 )
 
 EXTERNAL_CURVES, EXTERNAL_POINTS = "external curves", "external curves, points"
@@ -150,14 +151,14 @@ def _parameter(parameter: CalibratedParameter) -> tuple[Value, ...]:
     ends: tuple[Value, ...] = (None, None, "", "", None, None)
     if interval is not None:
         ends = (
-            up * interval.lower, up * interval.upper, _yes(parameter.is_open_below),
-            _yes(parameter.is_open_above), parameter.log_error, parameter.freedom,
+            up * interval.lower, up * interval.upper, yes(parameter.is_open_below),
+            yes(parameter.is_open_above), parameter.log_error, parameter.freedom,
         )  # fmt: skip
     prior: tuple[Value, ...] = (None, None, None, None, "")
     if conflict is not None:
         prior = (
             up * conflict.centre, conflict.factor, up * conflict.alone, conflict.size,
-            _yes(conflict.contradicts),
+            yes(conflict.contradicts),
         )  # fmt: skip
     words = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
     named = (typeset(shown.words).rstrip("."), parameter.name, shown.scale.unit or "1")
@@ -195,7 +196,7 @@ def _source(source: SourceCalibration | None) -> Iterator[tuple[Value, ...]]:
     yield (f"{head}mu_p", source.insulation_friction, "1")
     yield (f"{head}F_rad", source.radial_force, "N")
     yield (f"{head}start", ", ".join(f"{value:g}" for value in source.start), "")
-    yield (f"{head}converged", _yes(source.converged), "")
+    yield (f"{head}converged", yes(source.converged), "")
     yield (f"{head}iterations", source.iterations, "1")
     yield (f"{head}SSE", source.sse, "N²")
     yield (f"{head}RMSE", source.rmse, "N")
@@ -231,7 +232,7 @@ def _singular(what: str, found: Separability) -> Iterator[tuple[Value, ...]]:
         named = dict(zip(found.names, weights.tolist(), strict=True))
         yield (what, value, *_by_name(named))
     for name, is_known in found.are_identified.items():
-        yield ("told apart", name, *_by_name({name: _yes(is_known)}))
+        yield ("told apart", name, *_by_name({name: yes(is_known)}))
 
 
 def _by_name(values: Mapping[str, Value]) -> tuple[Value, ...]:
@@ -342,10 +343,6 @@ def _prediction(group: ValidationGroup) -> Iterator[Column]:
         ("model of the mean sample, upper", found.upper_mean),
     ):
         yield column(name, FORCE, values)
-
-
-def _yes(value: bool) -> str:
-    return "yes" if value else "no"
 
 
 _READ_ME = "read me"

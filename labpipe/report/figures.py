@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from labpipe.records.result import TestResult
 from labpipe.report.bending_figure import draw_moment_curvature
+from labpipe.report.budget_figures import draw_budget
 from labpipe.report.curve_figures import (
     draw_force_displacement,
     draw_stiffness_lines,
@@ -27,6 +28,7 @@ FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "moment-curvature": draw_moment_curvature,
     "timeline": draw_timeline,
     "marker-quality": draw_marker_quality,
+    "uncertainty-budget": draw_budget,
 }
 
 

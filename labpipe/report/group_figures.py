@@ -15,6 +15,7 @@ import numpy as np
 from labpipe.records.curve import Interval, SlipDecision
 from labpipe.records.group import Band, Group, GroupNumber, MeanInterval, Sample, SampleCurve
 from labpipe.records.result import Status
+from labpipe.report.budget_figures import budgets_to_draw, draw_group_budgets
 from labpipe.report.figure_page import GREY, keep_in_view, line_key, panel_grid
 from labpipe.report.group_plots import (
     RED,
@@ -313,7 +314,8 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    Curves, normalised curves, slips, fitted lines, numbers, by names without that of the group.
+    Curves, normalised curves, slips, fitted lines, numbers, budgets, by names without
+    that of the group.
     """
     about = f"{group.name}, {count_words(group)}"
     yield FigureToSave(
@@ -344,6 +346,9 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
         yield FigureToSave(
             "numbers", partial(draw_dots, group), _DOTS, f"Each sample's {names}: {about}."
         )
+    if budgets_to_draw(group):
+        alt = f"Shares of the causes of the intervals of {about}."
+        yield FigureToSave("budgets", partial(draw_group_budgets, group), _BUDGETS, alt)
 
 
 _LINES = (
@@ -351,6 +356,11 @@ _LINES = (
     " sample (grey). The slopes in the key are those of the table of means. Broad and pale: the"
     " windows that the protocol sets. Dotted: the two segments whose break point was fitted too."
     " The curves go on beyond the right edge."
+)
+_BUDGETS = (
+    "What the intervals are made of. (a) Of one test: medians of the shares of its variance over"
+    " the samples, scaled to 100 %. (b) Of the mean of the group, with half the width of its"
+    " interval: more samples make the scatter smaller, and not what is hatched."
 )
 _DOTS = (
     "A dot and its 95 % interval for each sample, for the mean of each spool and for the mean that"

@@ -223,7 +223,7 @@ def _result_cell(result: Result | None, factor: float) -> Cell:
         return Cell(DASH, "not asked for")
     if result.value is None:
         return Cell(DASH, result.reasons[0].code.replace("_", " "))
-    written = write_number(result.value, result.interval, factor)
+    written = write_number(result.value, result.interval, factor, apart=result.apart)
     mark = "?" if result.status is Status.DOUBTFUL else ""
     return Cell(written.value, written.interval, mark)
 

@@ -306,7 +306,7 @@ def fields_in_words(difference: Difference) -> str:
 def _row(difference: Difference, display: Mapping[str, str], below: str) -> tuple[Cell, ...]:
     shown = shown_in(difference.name, difference.unit, display)
     found = difference.difference
-    written = write_number(found.mean, found.interval, shown.factor)
+    written = write_number(found.mean, found.interval, shown.factor, apart=found.apart)
     none = sentences([found.reason]) or DASH
     margin = nan if difference.margin is None else difference.margin
     matters = write_number(margin, None, shown.factor, digits=3).value

@@ -21,6 +21,7 @@ from labpipe.report.concerns import find_concerns
 from labpipe.report.group_plots import group_scale
 from labpipe.report.questions import fields_in_words
 from labpipe.report.wording import Scale, display_of, in_words, printable, shown_in
+from labpipe.statistics.group_budgets import group_budget
 
 if TYPE_CHECKING:
     from openpyxl.cell import Cell
@@ -254,6 +255,9 @@ _ABOUT = (
     "Of a sample, the interval says how well this one sample was measured. Of a mean, it is based"
     " on Student's t with n - 1 degrees of freedom, with what all tests of a rig share, and holds"
     " the mean of all such specimens.",
+    "Budgets: what one standard uncertainty of each cause changes, and its share of the variance."
+    " 'yes': all tests of a rig share the cause, so it does not average out. Where an estimate is"
+    " given, the interval is that of the estimate, and may leave the plain value out.",
     "Mean over: samples, or spool means where samples of one spool are too much alike.",
     "Curves: lower and upper hold the mean at one displacement, lower_all and upper_all the whole"
     " mean curve. Only displacements at which every sample has data.",
@@ -296,6 +300,10 @@ def _tables(campaign: Campaign) -> Iterator[tuple[str, _Table]]:
     yield "spools", _spools(campaign)
     yield "samples", _samples(campaign)
     yield "comparisons", _comparisons(campaign)
+    for name, made in (("budgets", _budgets), ("budgets of groups", _group_budgets)):
+        table = made(campaign)
+        if table[1]:
+            yield name, table
     if campaign.places:
         yield "slipping and sticking", _places(campaign)
     for group in campaign.groups:
@@ -364,7 +372,7 @@ def _spools(campaign: Campaign) -> _Table:
 def _samples(campaign: Campaign) -> _Table:
     heads = (
         "group", "test", "type", "spool", "sample", "protocol", "number", "result", "value",
-        "unit", "lower", "upper", "status", "reason", "method",
+        "unit", "lower", "upper", "estimate", "status", "reason", "method",
     )  # fmt: skip
     rows: list[Row] = []
     for group in campaign.groups:
@@ -377,8 +385,49 @@ def _samples(campaign: Campaign) -> _Table:
                 ends = _ends(result.interval, scale.factor)
                 about = (str(result.status), result.why, result.how)
                 number = (in_words(result.name), result.name)
-                rows.append((*head, *number, value, scale.unit, *ends, *about))
+                estimate = None if result.estimate is None else scale.factor * result.estimate
+                rows.append((*head, *number, value, scale.unit, *ends, estimate, *about))
     return heads, rows
+
+
+def _budgets(campaign: Campaign) -> _Table:
+    heads = (
+        "group", "test", "number", "result", "unit", "cause", "change", "share", "all tests share",
+    )  # fmt: skip
+    rows: list[Row] = []
+    for group in campaign.groups:
+        for sample in group.samples:
+            for result in sample.results:
+                scale = shown_in(result.name, result.unit, sample.display)
+                head = (group.name, sample.test, in_words(result.name), result.name, scale.unit)
+                for each, share in zip(result.budget, result.shares, strict=True):
+                    change = scale.factor * each.change
+                    rows.append((*head, each.cause, change, share, yes(each.is_common)))
+    return heads, rows
+
+
+def _group_budgets(campaign: Campaign) -> _Table:
+    heads = (
+        "group", "number", "result", "unit", "cause", "median share of tests",
+        "change of the mean", "share of its interval", "all tests share",
+    )  # fmt: skip
+    rows: list[Row] = []
+    for group in campaign.groups:
+        for number in group.numbers:
+            scale = shown_in(number.name, number.unit, display_of(group))
+            head = (group.name, in_words(number.name), number.name, scale.unit)
+            own, mean = group_budget(number), number.mean
+            common = {} if mean is None else {each.cause: each for each in mean.chosen.common}
+            for cause in dict.fromkeys([*own.of_tests, *own.of_mean]) if own.of_tests else ():
+                change = scale.factor * common[cause].change if cause in common else None
+                shares = own.of_tests.get(cause), change, own.of_mean.get(cause)
+                rows.append((*head, cause, *shares, yes(cause in common)))
+    return heads, rows
+
+
+def yes(value: bool) -> str:
+    """Word a truth value for a cell."""
+    return "yes" if value else "no"
 
 
 def _comparisons(campaign: Campaign) -> _Table:

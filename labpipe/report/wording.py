@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -247,16 +247,21 @@ def heading(name: str, unit: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """A number as text, with the ends of its interval; both empty where it has none."""
+    """A number as text, with the ends of its interval; both empty where it has none.
+
+    The estimate is empty unless it stands apart from the value.
+    """
 
     value: str
     lower: str = ""
     upper: str = ""
+    estimate: str = ""
 
     @property
     def interval(self) -> str:
         """The interval in words, such as ``46.3 to 58.3``; empty where there is none."""
-        return f"{self.lower} to {self.upper}" if self.lower else ""
+        about = f"estimate {self.estimate}, " if self.estimate else ""
+        return f"{about}{self.lower} to {self.upper}" if self.lower else ""
 
     @property
     def text(self) -> str:
@@ -265,7 +270,12 @@ class Written:
 
 
 def write_number(
-    value: float, interval: Interval | None, factor: float = 1.0, *, digits: int = _DIGITS_ALONE
+    value: float,
+    interval: Interval | None,
+    factor: float = 1.0,
+    *,
+    digits: int = _DIGITS_ALONE,
+    apart: float | None = None,
 ) -> Written:
     """Write a number with as many digits as its interval supports.
 
@@ -274,10 +284,11 @@ def write_number(
     value, interval : in SI; a value that is not finite is written as a dash
     factor : from SI to the display unit
     digits : significant digits of a number without an interval
+    apart : estimate that stands apart from the value, in SI; None where the value says it all
 
     Returns
     -------
-    With an interval, all three numbers to the second significant digit of half its width
+    With an interval, all numbers to the second significant digit of half its width
     (the convention of the GUM, 7.2.6); without one, `digits` significant digits.
 
     Examples
@@ -287,7 +298,8 @@ def write_number(
     >>> write_number(1234.567, None).value
     '1235'
     """
-    return _written(value, interval, factor, _place(value, interval, factor, digits))
+    place = _place(value, interval, factor, digits)
+    return _written([value, *_ends(interval), *([] if apart is None else [apart])], factor, place)
 
 
 def write_mean(
@@ -317,7 +329,8 @@ def write_mean(
     wanted = [_place_of_mean(each, factor) for each in parts]
     place = min([_place_of_mean(mean, factor), *([max(wanted)] if wanted else [])])
     kept = max(place, supported - _BEYOND_INTERVAL)
-    return _written(mean.mean, mean.interval, factor, kept)
+    apart = [] if mean.apart is None else [mean.apart]
+    return _written([mean.mean, *_ends(mean.interval), *apart], factor, kept)
 
 
 def _place_of_mean(mean: MeanInterval, factor: float) -> int:
@@ -329,20 +342,22 @@ def _place_of_mean(mean: MeanInterval, factor: float) -> int:
 
 def _place(value: float, interval: Interval | None, factor: float, digits: int) -> int:
     """Power of ten of the last digit that an interval supports; of `digits` without one."""
-    ends = (interval.lower, interval.upper) if interval is not None else ()
-    shown = [factor * number for number in (value, *ends)]
-    half = (max(shown[1:]) - min(shown[1:])) / 2.0 if ends else 0.0
+    shown = [factor * number for number in (value, *_ends(interval))]
+    half = (max(shown[1:]) - min(shown[1:])) / 2.0 if shown[1:] else 0.0
     if not all(map(math.isfinite, shown)) or not half > 0.0:
         return _last_place(max(map(abs, shown)), digits)
     return _last_place(half, _DIGITS_OF_INTERVAL)
 
 
-def _written(value: float, interval: Interval | None, factor: float, place: int) -> Written:
-    if not math.isfinite(value):
+def _ends(interval: Interval | None) -> tuple[float, ...]:
+    return () if interval is None else (interval.lower, interval.upper)
+
+
+def _written(numbers: Sequence[float], factor: float, place: int) -> Written:
+    """Value, ends and estimate, as many as there are, with a dash for what is not finite."""
+    if not math.isfinite(numbers[0]):
         return Written("\u2013")
-    ends = (interval.lower, interval.upper) if interval is not None else ()
-    shown = [factor * number for number in (value, *ends)]
-    return Written(*_alike(shown, place))
+    return Written(*_alike([factor * number for number in numbers], place))
 
 
 def _last_place(size: float, digits: int) -> int:

@@ -158,7 +158,9 @@ def _moved(
 
 
 def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:
-    squares: dict[str, float] = {NOISE: noise}
+    """Rows of causes; a cause of several inputs has no sign."""
+    changes: dict[str, float] = {NOISE: noise}
     for cause, change in parts:
-        squares[cause] = hypot(squares.get(cause, 0.0), float(change[row]))
-    return tuple(contribution(cause, change) for cause, change in squares.items() if change)
+        before, by = changes.get(cause, 0.0), float(change[row])
+        changes[cause] = hypot(before, by) if before else by
+    return tuple(contribution(cause, change) for cause, change in changes.items() if change)

@@ -19,7 +19,14 @@ from labpipe.virtual_lab import CantileverScenario
 from tests.builders.reasons import why
 from tests.builders.small_tests import Lab, Run, State, make_lab, small_scenario, state
 
-FIGURES = ("force-displacement", "wire-shapes", "moment-curvature", "timeline", "marker-quality")
+FIGURES = (
+    "force-displacement",
+    "wire-shapes",
+    "moment-curvature",
+    "timeline",
+    "marker-quality",
+    "uncertainty-budget",
+)
 QUICK = CantileverScenario(name="T1")
 """The usual test with all its mishaps, at 1 kHz as in the demo."""
 QUICK = replace(QUICK, clocks=replace(QUICK.clocks, rate=1000.0))

@@ -58,7 +58,8 @@ def test_without_cameras_shape_and_twist_are_not_asked_for(whole: Protocol) -> N
     asked = {each.result for each in kept.results}
     assert not {"mid-span", "twist"} & asked
     assert "clock" in asked
-    assert kept.report.figures == ("force-displacement", "stiffness-lines", "timeline")
+    drawn = ("force-displacement", "stiffness-lines", "timeline", "uncertainty-budget")
+    assert kept.report.figures == drawn
     assert "mid_span_bending_stiffness" not in kept.groups.main
     assert kept.markers is None
 

@@ -89,7 +89,7 @@ CASES = {
         ("wire-shapes", "wire-shape"),
         "p.yaml, line 30, column 33 (report.figures.1): expected one of 'wire-shapes',"
         " 'force-displacement', 'timeline', 'stiffness-lines', 'moment-curvature',"
-        " 'marker-quality', found 'wire-shape'."
+        " 'uncertainty-budget', ..., found 'wire-shape'."
         " Did you mean 'wire-shapes'?",
     ),
     "speed": (

@@ -45,8 +45,8 @@ def test_shares_of_the_variance() -> None:
 def test_an_estimate_apart_from_its_value(estimate: float | None, is_apart: bool) -> None:
     interval = Interval(7.0, 11.0)
     found = Result("energy.1", 10.0, "J", interval, estimate=estimate)
-    assert found.stands_apart is is_apart
+    assert found.apart == (estimate if is_apart else None)
 
 
 def test_an_estimate_without_an_interval_says_nothing() -> None:
-    assert not Result("energy.1", 10.0, "J", estimate=3.0).stands_apart
+    assert Result("energy.1", 10.0, "J", estimate=3.0).apart is None

@@ -102,8 +102,9 @@ def test_a_campaign_without_fault_says_so() -> None:
     assert ".s1 {fill: none}" in page
 
 
-def test_what_all_tests_share_is_not_in_an_interval_and_the_page_says_so(page: str) -> None:
-    assert page.count("Errors that all tests on one machine share") == 1
+def test_what_all_tests_share_is_in_the_intervals_and_the_page_says_so(page: str) -> None:
+    assert page.count("<dt>What all tests of a rig share</dt>") == 1
+    assert "<dt>Value and estimate</dt>" in page
     assert "A mean keeps three significant digits" in page
 
 

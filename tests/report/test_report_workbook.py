@@ -12,9 +12,12 @@ from openpyxl.workbook import Workbook
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import Reason
+from labpipe.records.result import Contribution
 from labpipe.report.report_workbook import save_workbook
+from labpipe.report.wording import shown_in
+from labpipe.statistics.groups import build_group as grouped
 from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, conduit_cases, three_of
-from tests.builders.campaigns import build_campaign, build_group, build_sample
+from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
 
 
 def saved(campaign: Campaign, folder: Path) -> Workbook:
@@ -55,6 +58,49 @@ def test_numbers_are_numbers_in_display_units(book: Workbook) -> None:
     failed = next(row for row in rows if row["status"] == "failed")
     assert (failed["value"], failed["lower"]) == (None, None)
     assert failed["reason"].startswith("too_few_samples: ")
+
+
+def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
+    """Noise and scale alike: half each; three tests on one rig are all too strong by 0.3 %."""
+    samples = [
+        replace(
+            sample,
+            results=tuple(
+                replace(each, budget=_budget(each.value)) for each in sample.results if each.value
+            ),
+        )
+        for sample in six_samples()[:3]
+    ]
+    group = grouped("tube", "twist-tube", samples)
+    campaign = Campaign("Synthetic", (group,))
+    book = saved(campaign, tmp_path)
+    first = table(book, "budgets")[1]
+    assert (first["cause"], first["all tests share"]) == ("scale of the force", "yes")
+    assert first["share"] == pytest.approx(0.5)
+    value = samples[0].results[0].value or 0.0
+    scale = shown_in(first["result"], samples[0].results[0].unit, samples[0].display)
+    assert (first["unit"], first["change"]) == (scale.unit, pytest.approx(0.003 * value * scale[0]))
+    rows = {
+        row["cause"]: row
+        for row in table(book, "budgets of groups")
+        if row["result"] == first["result"]
+    }
+    assert list(rows) == ["noise", "scale of the force", "scatter of the tests"]
+    mean = group.numbers[0].mean
+    assert mean is not None
+    assert rows["scale of the force"]["change of the mean"] == pytest.approx(
+        0.003 * mean.chosen.mean * scale.factor
+    )
+    assert rows["noise"]["median share of tests"] == pytest.approx(0.5)
+    shares = [row["share of its interval"] for row in rows.values()]
+    assert shares[0] is None
+    assert sum(shares[1:]) == pytest.approx(1.0)
+
+
+def _budget(value: float) -> tuple[Contribution, ...]:
+    size = 0.003 * value
+    scale = Contribution("scale of the force", size, is_common=True)
+    return Contribution("noise", size), scale
 
 
 def test_means_and_spools(book: Workbook) -> None:

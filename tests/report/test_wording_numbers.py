@@ -143,3 +143,14 @@ def test_angles_and_stiffnesses_take_their_display_units() -> None:
     display = {"angle": "deg", "bending_stiffness": "N*mm^2"}
     assert shown_in("twist", "rad", display).factor == pytest.approx(57.29578, rel=1e-6)
     assert shown_in("bending_stiffness", "N*m^2", display) == (1e6, "N*mm^2")
+
+
+def test_an_estimate_that_stands_apart_is_written_with_the_interval() -> None:
+    interval = Interval(51.68, 51.86)
+    assert (
+        write_number(51.881, interval, apart=51.77).text
+        == "51.881 (estimate 51.770, 51.680 to 51.860)"
+    )
+    assert write_number(51.881, interval).text == "51.881 (51.680 to 51.860)"
+    mean = MeanInterval(51.881, interval, 0.1, 3, estimate=51.77)
+    assert write_mean(mean).interval == "estimate 51.770, 51.680 to 51.860"

@@ -1,0 +1,288 @@
+"""What intervals are made of: shares of the causes, a bar per number, of a test and of a group."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from labpipe.records.causes import (
+    CENTRE,
+    CLOCK_DRIFT,
+    CLOCK_OFFSET,
+    COMPLIANCE,
+    GRIP,
+    IS_COMMON,
+    LENGTH,
+    MARKER_SIDE,
+    NOISE,
+    NOISE_OF_DISPLACEMENT,
+    NOISE_OF_FORCE,
+    PULL,
+    REPAIRED_SLIPS,
+    SCALE_OF_DISPLACEMENT,
+    SCALE_OF_FORCE,
+    SECTION,
+    SHAPE,
+    SLACK,
+    SPAN,
+    SPEED,
+    STEP,
+    TURN,
+    ZERO_OF_DISPLACEMENT,
+    ZERO_OF_FORCE,
+)
+from labpipe.records.curve import Interval
+from labpipe.records.group import Group, GroupNumber
+from labpipe.records.result import Result, TestResult
+from labpipe.report.figure_page import (
+    DOUBLE_COLUMN,
+    GREY,
+    Words,
+    area_key,
+    keyed_page,
+    new_page,
+    panel_letter,
+    say,
+)
+from labpipe.report.group_plots import count_words
+from labpipe.report.wording import (
+    Scale,
+    display_of,
+    footnote,
+    in_words,
+    is_main,
+    shown_in,
+    title,
+    unit_words,
+    write_number,
+)
+from labpipe.statistics.group_budgets import SCATTER, group_budget, in_order
+
+if TYPE_CHECKING:
+    from matplotlib.artist import Artist
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_THICK = 0.74
+"""Of a bar, as a share of its row."""
+_ROW, _FRAME = 6.0, 22.0
+"""mm: height of a bar with its gap, and of axis and heading."""
+MOST_BARS = 20
+_LEAST_SHOWN = 0.02
+"""Share from which a cause has a colour of its own in one of the bars."""
+_LEAST_WRITTEN = 0.10
+"""Share from which a bar has room for its number."""
+_SMALLER = "causes under 2 % in every bar"
+_HATCH = "////"
+_COLOURS: Mapping[str, str] = {
+    SCATTER: "#4d4d4d",
+    NOISE: "#8c8c8c",
+    NOISE_OF_FORCE: "#8c8c8c",
+    NOISE_OF_DISPLACEMENT: "#c4c4c4",
+    SCALE_OF_FORCE: "#d55e00",
+    ZERO_OF_FORCE: "#f4b183",
+    SCALE_OF_DISPLACEMENT: "#0072b2",
+    ZERO_OF_DISPLACEMENT: "#8ec3e6",
+    SHAPE: "#cc79a7",
+    COMPLIANCE: "#009e73",
+    TURN: "#93d5c0",
+    SPEED: "#00674b",
+    GRIP: "#f3d38a",
+    PULL: "#e69f00",
+    CENTRE: "#946700",
+    MARKER_SIDE: "#8a4f72",
+    CLOCK_OFFSET: "#6f4aa8",
+    CLOCK_DRIFT: "#bba7dd",
+    LENGTH: "#7a3b1d",
+    SPAN: "#7a3b1d",
+    SECTION: "#7a3b1d",
+    SLACK: "#56b4e9",
+    REPAIRED_SLIPS: "#b0124f",
+    STEP: "#f2a6bd",
+}
+"""One family of colours for each instrument; a cause has the same colour in every figure."""
+_OTHER = "#ededed"
+_DARK = 0.45
+"""Brightness below which white reads better on a colour than black."""
+
+
+class Bar(NamedTuple):
+    """One number: what it is called, the shares of its interval, what stands to its right."""
+
+    name: str
+    shares: Mapping[str, float]
+    words: str = ""
+
+
+def draw_budget(result: TestResult) -> Figure:
+    """Draw what the intervals of a test are made of: shares of the variance, a bar per number.
+
+    Numbers of later cycles, of single slips and of the clocks are left out.
+    """
+    own = [each for each in result.results if each.largest_share is not None]
+    shown = [each for each in own if is_main(each.name) and _is_first(each.name)][:MOST_BARS]
+    if not shown:
+        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=40)
+        say(page.subplots(), "No number of this test says what its interval is made of.")
+        return page
+    bars = [_bar(each, result.display) for each in shown]
+    words = Words(title(result), footnote(result), _keys(bars))
+    height = _FRAME + _ROW * len(bars)
+    page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN, columns=4)
+    plot_bars(bars, page.subplots())
+    return page
+
+
+def _is_first(name: str) -> bool:
+    return name.partition(".")[2] in {"", "1"}
+
+
+def _bar(result: Result, display: Mapping[str, str]) -> Bar:
+    rows = zip(result.budget, result.shares, strict=True)
+    scale = shown_in(result.name, result.unit, display)
+    shares = {row.cause: share for row, share in rows}
+    return Bar(in_words(result.name), shares, half_width(result.interval, scale))
+
+
+def half_width(interval: Interval | None, scale: Scale) -> str:
+    """Half the width of an interval in words, such as ``-+ 0.11 mm``; empty without one."""
+    if interval is None:
+        return ""
+    half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
+    return f"\u00b1 {write_number(half, None, digits=2).value} {unit_words(scale.unit)}".strip()
+
+
+def plot_bars(
+    bars: Sequence[Bar], axes: Axes, *, has_names: bool = True, of: str = "variance"
+) -> None:
+    """Draw shares side by side, a bar per number, the first on top.
+
+    Parameters
+    ----------
+    bars : with shares that add to one; without any, a place is left free
+    axes : to draw on; hatched is what all tests of a rig share
+    has_names : whether the numbers are named at the left
+    of : what the shares are shares of
+    """
+    from matplotlib.patches import Rectangle
+
+    named = set(_named(bars))
+    beside = axes.get_yaxis_transform()
+    for height, bar in enumerate(bars):
+        start = 0.0
+        for cause, share in _parts(bar.shares, named).items():
+            corner = 100 * start, height - _THICK / 2
+            axes.add_artist(Rectangle(corner, 100 * share, _THICK, **_look(cause)))
+            if share >= _LEAST_WRITTEN:
+                _write(axes, 100 * (start + share / 2), height, share, cause)
+            start += share
+        axes.text(1.01, height, bar.words, transform=beside, size=8, va="center")
+        if has_names:
+            axes.text(-0.01, height, bar.name, transform=beside, size=8, va="center", ha="right")
+    if any(bar.words for bar in bars):
+        axes.text(1.01, -0.8, "95 %", transform=beside, size=7, color=GREY, va="center")
+    axes.set_yticks([])
+    axes.set_ylim(len(bars) - 0.5, -0.5)
+    axes.set_xlim(0.0, 100.0)
+    axes.spines["left"].set_visible(False)
+    axes.set_xlabel(f"Share of the {of} (%)")
+
+
+def _write(axes: Axes, at: float, height: float, share: float, cause: str) -> None:
+    """Put a share on its colour; on hatched ground it has a patch below it."""
+    from matplotlib.colors import to_rgb
+
+    ground = _COLOURS.get(cause, _OTHER)
+    red, green, blue = to_rgb(ground)
+    is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
+    is_hatched = IS_COMMON.get(cause, False)
+    words = axes.text(
+        at, height, f"{100 * share:.0f}", ha="center", va="center", size=7,
+        color="white" if is_dark else "black",
+        bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
+    )  # fmt: skip
+    words.set_in_layout(False)  # it lies on its bar
+
+
+def _parts(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
+    """Shares in the order of the key; what has no colour of its own in one piece at the end."""
+    ordered = {cause: shares[cause] for cause in _listed(shares)}
+    parts = {cause: share for cause, share in ordered.items() if cause in named}
+    rest = sum(share for cause, share in ordered.items() if cause not in named)
+    return {**parts, **({_SMALLER: rest} if rest > 0.0 else {})}
+
+
+def _listed(causes: Iterable[str]) -> list[str]:
+    every = set(causes)
+    return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
+
+
+def _named(bars: Sequence[Bar]) -> list[str]:
+    """Causes that have a share worth seeing in one of the bars."""
+    every = {cause for bar in bars for cause, share in bar.shares.items() if share >= _LEAST_SHOWN}
+    return _listed(every)
+
+
+def _look(cause: str) -> dict[str, Any]:
+    is_common = IS_COMMON.get(cause, False)
+    look = {"facecolor": _COLOURS.get(cause, _OTHER), "edgecolor": "white", "linewidth": 0.6}
+    return {**look, "hatch": _HATCH} if is_common else look
+
+
+def _keys(bars: Sequence[Bar]) -> list[Artist]:
+    named = _named(bars)
+    rest = any(_SMALLER in _parts(bar.shares, set(named)) for bar in bars)
+    causes = [*named, *([_SMALLER] if rest else [])]
+    keys = [area_key(cause, **_look(cause)) for cause in causes]
+    if any(IS_COMMON.get(cause, False) for cause in named):
+        hatched = {"facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": _HATCH}
+        keys.append(area_key("hatched: all tests share it", **hatched))
+    return keys
+
+
+def budgets_to_draw(group: Group) -> list[GroupNumber]:
+    """Pick the numbers of a group that have budgets: no later cycles, no slips, no clocks.
+
+    Parameters
+    ----------
+    group : with or without samples
+    """
+    own = [each for each in group.numbers if is_main(each.name) and _is_first(each.name)]
+    return [each for each in own if group_budget(each).of_tests][:MOST_BARS]
+
+
+def draw_group_budgets(group: Group) -> Figure:
+    """Draw what intervals of the tests of a group, and of its means, are made of.
+
+    Parameters
+    ----------
+    group : one that has `budgets_to_draw`
+    """
+    numbers = budgets_to_draw(group)
+    budgets = [group_budget(each) for each in numbers]
+    of_tests = [
+        Bar(in_words(number.name), budget.of_tests)
+        for number, budget in zip(numbers, budgets, strict=True)
+    ]
+    of_means = [
+        Bar("", budget.of_mean, _half_of_mean(group, number))
+        for number, budget in zip(numbers, budgets, strict=True)
+    ]
+    heading = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
+    words = Words(heading, "", _keys([*of_tests, *of_means]))
+    height = _FRAME + 4.0 + _ROW * len(numbers)
+    page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN, columns=4)
+    left, right = page.subplots(1, 2, width_ratios=(1.0, 0.8))
+    plot_bars(of_tests, left)
+    if any(bar.shares for bar in of_means):
+        plot_bars(of_means, right, has_names=False, of="squared half width")
+        panel_letter(right, "b", "Mean of the group")
+    else:
+        say(right, "No mean of this group has an interval.")
+    panel_letter(left, "a", "One test: median shares")
+    return page
+
+
+def _half_of_mean(group: Group, number: GroupNumber) -> str:
+    scale = shown_in(number.name, number.unit, display_of(group))
+    return "" if number.mean is None else half_width(number.mean.chosen.interval, scale)

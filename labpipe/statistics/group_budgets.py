@@ -1,0 +1,69 @@
+"""What the intervals of a group are made of: those of its tests, and that of the mean."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from statistics import median
+
+from labpipe.records.causes import IS_COMMON
+from labpipe.records.curve import Interval
+from labpipe.records.group import GroupNumber, MeanInterval
+from labpipe.statistics.shared_causes import standard_uncertainty
+
+SCATTER = "scatter of the tests"
+"""What the mean has beside the causes of its tests: how these differ, for any reason."""
+
+
+@dataclass(frozen=True, slots=True)
+class GroupBudget:
+    """What intervals of one number are made of, as shares that add to one.
+
+    Parameters
+    ----------
+    of_tests : by cause, median share of the variance over the tests; empty without budgets
+    of_mean : by `SCATTER` and common cause, share of the squared half width; empty without an
+        interval
+    """
+
+    of_tests: Mapping[str, float]
+    of_mean: Mapping[str, float]
+
+
+def group_budget(number: GroupNumber) -> GroupBudget:
+    """Sum up the budgets of the tests of a group, and make that of their mean.
+
+    Parameters
+    ----------
+    number : of a group; tests without a budget do not count
+
+    Returns
+    -------
+    Causes in the order of `IS_COMMON`. Medians need not add to one and are scaled so that they do;
+    a test that lacks a cause has a share of zero of it.
+    """
+    tests = [
+        {row.cause: share for row, share in zip(each.budget, each.shares, strict=True)}
+        for each in number.values.values()
+        if each.largest_share is not None
+    ]
+    causes = in_order({cause for each in tests for cause in each})
+    medians = {cause: median(each.get(cause, 0.0) for each in tests) for cause in causes}
+    total = sum(medians.values())
+    shares = {cause: share / total for cause, share in medians.items() if share > 0.0}
+    return GroupBudget(shares, {} if number.mean is None else _of_mean(number.mean.chosen))
+
+
+def in_order(causes: set[str]) -> list[str]:
+    """Causes as budgets and figures list them; those that are not known here come last."""
+    return [*(each for each in IS_COMMON if each in causes), *sorted(causes - set(IS_COMMON))]
+
+
+def _of_mean(mean: MeanInterval) -> dict[str, float]:
+    if mean.interval is None or not mean.interval.upper > mean.interval.lower:
+        return {}
+    half = 0.5 * (mean.interval.upper - mean.interval.lower)
+    normal = Interval.normal_95(0.0, 1.0).upper / half
+    common = {each.cause: (normal * each.change) ** 2 for each in mean.common if each.change}
+    scatter = 1.0 - (normal * standard_uncertainty(mean.common)) ** 2
+    return {SCATTER: scatter, **{cause: common[cause] for cause in in_order(set(common))}}
