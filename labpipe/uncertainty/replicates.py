@@ -30,6 +30,8 @@ a tensile curve follows slow noise."""
 _PER_PART = 8
 """Samples of an interval at least."""
 _DEGREE = 3
+_APART = 2.5
+"""Steps of the steeper side of a cut that two pieces are apart at most where they meet."""
 
 Filter: TypeAlias = Callable[[Floats], Floats]
 Law: TypeAlias = Literal["normal", "uniform", "step"]
@@ -156,8 +158,8 @@ def smooth_curve(time: Floats, values: Floats, cuts: Sequence[int], parts: int) 
     """
     from scipy.interpolate import make_lsq_spline
 
-    found = values.copy()
-    for low, high in pairwise(sorted({0, len(values), *(each for each in cuts)})):
+    found, ends = values.copy(), sorted({0, len(values), *cuts})
+    for low, high in pairwise(ends):
         known = ~np.isnan(values[low:high])
         t, y = time[low:high][known], values[low:high][known]
         if len(y) < 2 * _PER_PART or t[-1] <= t[0]:
@@ -168,7 +170,25 @@ def smooth_curve(time: Floats, values: Floats, cuts: Sequence[int], parts: int) 
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         spline = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)
         found[low:high][known] = spline(x)
+    for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
+        if cut - before > 1 and after - cut > 1:
+            _meet(found, cut)
     return found
+
+
+def _meet(values: Floats, cut: int) -> None:
+    """Let two pieces meet where they cross: a turn lies between two samples, not at the cut.
+
+    A piece that begins a sample early, or ends one late, runs past the corner. There the other one
+    holds, carried on by a sample: the lower of both where the slope falls, else the higher. Pieces
+    that are farther apart than their slopes explain, as at a failure, stay as they are.
+    """
+    left, right = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
+    ahead, back = values[cut - 1] + left, values[cut] - right
+    if not abs(ahead - values[cut]) <= _APART * max(abs(left), abs(right)):
+        return
+    pick = min if left > right else max
+    values[cut - 1], values[cut] = pick(values[cut - 1], back), pick(values[cut], ahead)
 
 
 def _with_samples(knots: Floats, x: Floats) -> Floats:
