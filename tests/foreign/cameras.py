@@ -145,7 +145,7 @@ def wire_cantilever(chance: Chance, folder: Path) -> Made:
     """A single wire; three cycles of 24 mm."""
     rigidity = (1.6e-3, 2.0e-3, 2.4e-3)[chance.variety]
     wire = Wire(0.085, rigidity, ((1.5e-2, 4.0), (2e-3, 0.6)))
-    way = Way(24e-3, 2e-3, 3, 4.0, chance.dwell)
+    way = Way(24e-3, 2e-3, 3, chance.rest, chance.dwell)
     rig = Clamped(wire, way, 0.5, 6e-3, 4e-3, 0.8e-3, 10e-3, 8)
     truth = clamped(chance, folder, rig)
     changed = {"rig__stroke": "24 mm", "rig__crosshead_speed": "2 mm/s"}
@@ -163,7 +163,7 @@ def taped_bundle(chance: Chance, folder: Path) -> Made:
     """Wires in tape that slip on one another; two cycles of 24 mm."""
     rigidity = (1.2e-2, 1.5e-2, 1.8e-2)[chance.variety]
     wire = Wire(0.1143, rigidity, ((2.4e-2, 0.7),))
-    way = Way(24e-3, 2e-3, 2, 4.0, chance.dwell)
+    way = Way(24e-3, 2e-3, 2, chance.rest, chance.dwell)
     rig = Clamped(wire, way, 0.89, 6e-3, 6.35e-3, 2.75e-3, 12.7e-3, 9)
     truth = clamped(chance, folder, rig)
     changed = {"rig__stroke": "24 mm", "rig__crosshead_speed": "2 mm/s", "rig__cycles": "2"}
@@ -268,7 +268,7 @@ def _press(chance: Chance, folder: Path, rig: Conduit, early: float) -> None:
     volts = (force * (1.0 + chance.error(0.002)) - 0.002846) / -0.21082
     write_mat(folder / "rec1_007.mat", ticks, {"Model Root/Load Cell/Out1": volts})
     time = np.arange(rig.begin, rig.end, 1.0 / FPS)
-    crosshead = noisy(rig.way.travel(time), "white", 1e-7, 1.0 / FPS, chance.rng)
+    crosshead = noisy(rig.way.travel(time), "white", min(chance.loud, 1.0) * 1e-7, 1.0 / FPS, chance.rng)
     columns = [("Crosshead", "mm", 1e3 * crosshead), ("Time", "sec", time - rig.begin + 0.02)]
     write_mts(folder / "run.txt", columns)
 

@@ -184,7 +184,8 @@ def force_displacement(chance: Chance, folder: Path) -> Made:
     travel, which = way.travel(start + time), way.stroke_at(start + time)
     laws = loop.strokes((way.stroke, 0.0) * way.cycles)
     force = np.select([which == i for i in range(len(laws))], [law(travel) for law in laws])
-    force, travel = chance.noisy(force, 1e-3), noisy(travel, "white", 1e-6, 1e-3, chance.rng)
+    force = chance.noisy(force, 1e-3)
+    travel = noisy(travel, "white", min(chance.loud, 1.0) * 1e-6, 1e-3, chance.rng)
     signals = {"Model Root/Force": force, "Model Root/Displacement": 1e3 * travel}
     write_mat(folder / "rec1_007.mat", time, signals)
     write_sheet(folder, sheet(chance, {}, {"force": "rec1_007.mat"}))

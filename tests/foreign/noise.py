@@ -64,6 +64,34 @@ def drifting(n: int, _: float, rng: Random) -> Array:
     return np.asarray(0.5 * rng.standard_normal(n) + 1.5 * wander, dtype=np.float64)
 
 
+def periodic(n: int, dt: float, rng: Random) -> Array:
+    """A pump: one wave of some seconds, and little else."""
+    time, period = dt * np.arange(n), rng.uniform(1.5, 4.0)
+    wave = np.sin(2.0 * np.pi * (time / period + rng.uniform()))
+    return np.asarray(1.4 * wave + 0.2 * rng.standard_normal(n), dtype=np.float64)
+
+
+def louder(n: int, _: float, rng: Random) -> Array:
+    """White, and six times as large from somewhere in the record on."""
+    size = np.where(np.arange(n) < rng.uniform(0.2, 0.8) * n, 0.3, 1.8)
+    return np.asarray(size * rng.standard_normal(n), dtype=np.float64)
+
+
+def jumping(n: int, _: float, rng: Random) -> Array:
+    """White, and a zero that jumps once, by eight times as much."""
+    jump = 4.0 * (np.arange(n) > rng.uniform(0.2, 0.8) * n)
+    return np.asarray(0.5 * rng.standard_normal(n) + jump, dtype=np.float64)
+
+
+def slow(n: int, _: float, rng: Random) -> Array:
+    """First-order autoregressive with a memory of a tenth of the record."""
+    return remembering(n, 10.0 * MEMORY / n, rng)
+
+
+KINDS = ("white", "memory", "pink", "hum", "steps", "drift")
+"""Of the study."""
+ATTACKS = ("periodic", "louder", "jump", "slow", "coarse")
+"""Worse than an interval can be asked to hold: it is to be wider, or doubtful."""
 MAKERS: dict[str, Maker] = {
     "white": white,
     "memory": remembering,
@@ -71,14 +99,19 @@ MAKERS: dict[str, Maker] = {
     "hum": hum,
     "steps": quiet,
     "drift": drifting,
+    "periodic": periodic,
+    "louder": louder,
+    "jump": jumping,
+    "slow": slow,
+    "coarse": quiet,
 }
-KINDS = tuple(MAKERS)
+STEPS = {"steps": 7.0, "coarse": 60.0}
+"""Of a converter, in sizes of the noise that there is: a third of the usual."""
 
 
 def noisy(values: Array, kind: str, size: float, dt: float, rng: Random) -> Array:
-    """Values with noise of one kind; `steps` are rounded to seven times the noise they have."""
+    """Values with noise of one kind, rounded where that has steps."""
     out = values + size * MAKERS[kind](len(values), dt, rng)
-    if kind == "steps":
-        step = 7.0 * size / 3.0
+    if step := STEPS.get(kind, 0.0) * size / 3.0:
         out = step * np.round(out / step)
     return np.asarray(out, dtype=np.float64)

@@ -39,6 +39,9 @@ class Chance:
     noise : word of `noise.MAKERS`
     fault : what goes wrong at the rig, or nothing
     exact : load cell, offsets and lengths are as stated, and noise is a fifth
+    loud : times the usual noise; 0 for none at all
+    samples : of a load frame while it pulls; as many as its rate makes if 0
+    rest : s, that a cantilever stands still first and last
     """
 
     kind: str
@@ -46,6 +49,9 @@ class Chance:
     noise: str = "white"
     fault: str = ""
     exact: bool = False
+    loud: float = 1.0
+    samples: int = 0
+    rest: float = 4.0
 
     @cached_property
     def rng(self) -> np.random.Generator:
@@ -59,7 +65,7 @@ class Chance:
 
     def size(self, peak: float) -> float:
         """Noise of a force, N."""
-        return (0.0003 if self.exact else 0.0015) * peak
+        return self.loud * (0.0003 if self.exact else 0.0015) * peak
 
     @property
     def variety(self) -> int:
@@ -75,6 +81,12 @@ class Chance:
         """Of a load frame, Hz: many write ten samples a second, which they average."""
         return 10.0 if self.seed // 108 % 2 else usual
 
+    def rate_over(self, lasts: float, usual: float) -> float:
+        """The same, of a pull that lasts so many seconds; a few samples may be all there are."""
+        if not self.samples:
+            return self.rate(usual)
+        return (self.samples + (0.618 * self.seed) % 1.0) / lasts
+
     def noisy(self, force: Array, dt: float) -> Array:
         """The force as the instrument gives it."""
         peak = float(np.abs(force).max())
@@ -84,7 +96,7 @@ class Chance:
     def seen(self, places: Array) -> Array:
         """Places as cameras see them: white noise of 15 um, or pink of 6."""
         kind, size = ("white", 15e-6) if self.seed // 54 % 2 == 0 else ("pink", 6e-6)
-        size *= 0.3 if self.exact else 1.0
+        size *= min(self.loud, 1.0) * (0.3 if self.exact else 1.0)
         flat = places.reshape(len(places), -1).T
         made = [noisy(row, kind, size, 0.02, self.rng) for row in flat]
         return np.asarray(np.array(made).T.reshape(places.shape), dtype=np.float64)
@@ -97,14 +109,15 @@ def pulled(
 
     A specimen that breaks is followed for half a second; at the end of its stroke the frame stands.
     """
-    lasts, rate = specimen.ends / speed, chance.rate(rate)
+    lasts = specimen.ends / speed
+    rate = chance.rate_over(lasts, rate)
     after = 0.5 if specimen.breaks else 0.3 + chance.dwell
     time = np.arange(int((lasts + after) * rate)) / rate
     travel = speed * time if specimen.breaks else np.minimum(speed * time, specimen.ends)
     force = specimen.force(travel)
     force = chance.noisy(force, 1.0 / rate) * (1.0 + chance.error(scale))
     force = force + tare * float(chance.rng.uniform(-0.02, 0.02) * np.abs(force).max())
-    travel = noisy(travel, "white", 1e-4 * speed, 1.0 / rate, chance.rng)
+    travel = noisy(travel, "white", min(chance.loud, 1.0) * 1e-4 * speed, 1.0 / rate, chance.rng)
     first, last = _kept(chance.fault, int(lasts * rate), len(time))
     if chance.fault == "counts-down":
         travel = -travel
