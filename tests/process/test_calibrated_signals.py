@@ -16,7 +16,7 @@ PROTOCOL = parse_protocol(
     "version: 1\nname: p\nsources:\n"
     "  force: {reader: dspace-mat, channel: A, unit: V,"
     " calibration: {gain: 0.5 N/V, offset: 2 N, gain_uncertainty: 1 %}}\n"
-    "  markers: {reader: motive-csv}\n"
+    "  markers: {reader: motive-csv, scale_uncertainty: 0.05 %}\n"
     "markers: {clamp: Clamp, along: all}\n",
     "p.yaml",
 )
@@ -56,6 +56,7 @@ def test_markers() -> None:
     made, _ = calibrated(take(np.zeros((5, 2, 3)), np.zeros((5, 3))), PROTOCOL)
     assert made.take.tracks is not None
     assert made.take.role == "markers"
+    assert made.take.scale_error == 5e-4
 
 
 def test_missing_samples_are_doubted() -> None:

@@ -101,6 +101,16 @@ def test_offsets_move_the_deflection_and_not_its_zero(
     assert set(exact.signals.raw["deflection"].moved) == {SHAPE}
 
 
+def test_what_cameras_see_has_their_scale(tracks: MarkerTracks, protocol: Protocol) -> None:
+    mend, turn, fit = steps(protocol)
+    made = replace(taken(tracks), take=Take(tracks, scale_error=5e-4))
+    made, _ = repair(made, mend, protocol.markers)
+    made, _ = turn_into_specimen(made, turn, protocol.markers)
+    made, _ = fit_shapes(made, fit, protocol.markers)
+    for name in ("travel", "deflection"):
+        assert made.signals.raw[name].relative_error == 5e-4
+
+
 def test_markers_of_the_clamp_are_not_along_the_wire(
     tracks: MarkerTracks, protocol: Protocol
 ) -> None:

@@ -5,6 +5,7 @@ import pytest
 
 from labpipe.errors import ProcessingError
 from labpipe.records.curve import Direction
+from tests.builders.pulls import LINE, pull, pulled
 from tests.builders.reduced import RESULTS, loop, reduced
 
 
@@ -89,3 +90,24 @@ def test_no_curve_is_asked_for() -> None:
     test, results = reduced(*loop(), more="")
     assert results == {}
     assert test.curve is not None
+
+
+@pytest.mark.parametrize(
+    ("specimen", "old", "known"),
+    [
+        ("{length: 100 mm}", "", {}),
+        ("{length: 100 mm, uncertainty: {length: 1 mm}}", "", {"length": 1e-3}),
+        ("{length: 100 mm}", ", length_uncertainty: 2 mm", {"length": 2e-3}),
+        (
+            "{length: 100 mm, uncertainty: {wall: 1 um, length: 2 mm}}",
+            ", length_uncertainty: 2 mm",
+            {"length": 2e-3, "wall": 1e-6},
+        ),
+    ],
+)
+def test_uncertainties_of_sizes_reach_the_setup(
+    specimen: str, old: str, known: dict[str, float]
+) -> None:
+    bending = f"bending-stiffness, of: stiffness, support: cantilever{old}"
+    test, _ = pulled(*pull(), specimen=specimen, results=[LINE, bending])
+    assert test.setup.uncertainties == pytest.approx(known)
