@@ -64,6 +64,10 @@ class Take:
     rest: Flags | None = None
     scale_error: float = 0.0
 
+    def seen(self, time: Floats, values: Floats) -> Signal:
+        """A length (m) that cameras saw, on their clock and with what is known of their scale."""
+        return Signal(time, values, "m", self.role, relative_error=self.scale_error)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:

@@ -1,4 +1,4 @@
-"""The steps that take marker tracks to the shape of the specimen, clamped or on two supports."""
+"""The steps that take marker tracks to the shape of the specimen."""
 
 from __future__ import annotations
 
@@ -8,41 +8,32 @@ from fnmatch import fnmatchcase
 from math import sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
 from labpipe.errors import ProcessingError, complaint, nearest
-from labpipe.markers.rings import Sections, find_sections, ring_centres, rings_by_body
+from labpipe.markers.rings import ring_centres, rings_by_body
 from labpipe.markers.specimen_frame import SpecimenFrame, specimen_frame
 from labpipe.markers.specimen_shape import Offsets, ShapeFit, deflection, fit_shape
-from labpipe.markers.three_point_axis import SpanShape, fit_span
 from labpipe.markers.track_repair import RepairedTracks, repair_tracks
 from labpipe.markers.tracklets import frozen_samples
 from labpipe.process.calibrated_signals import Prepared, Take
-from labpipe.process.motion import turning_points
 from labpipe.process.zeros import LEAST, mean_level
-from labpipe.protocol.schema import Markers, Protocol
+from labpipe.protocol.schema import Markers
 from labpipe.records.arrays import Flags, Floats, times_of
 from labpipe.records.causes import SHAPE
-from labpipe.records.curve import ClockFit, Interval, PointFlag, Shape
-from labpipe.records.declarations import FitShape, RepairMarkers, ThreePointShape
+from labpipe.records.declarations import FitShape, RepairMarkers
 from labpipe.records.declarations import SpecimenFrame as SpecimenFrameStep
-from labpipe.records.estimates import Failure
 from labpipe.records.quality import (
     Finding,
     QualityNote,
     Severity,
     doubtful,
     doubtful_stretches,
-    not_available,
     warning,
     worth_knowing,
 )
 from labpipe.records.recording import MarkerTracks, RigidBody
 from labpipe.records.signals import Signal
-from labpipe.results.evidence import SpanBend
-from labpipe.signal.clock_alignment import match_peaks
-from labpipe.signal.turning_points import Stroke, find_strokes
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.signal.turning_points import find_strokes
 
 _MOVES = 0.1
 """Share of its stroke by which the clamp has moved when it has begun to."""
@@ -120,13 +111,8 @@ def turn_into_specimen(
     if take.clamp is not None:
         travel = -frame.to_specimen(take.clamp)[:, 1]
         travel = travel - np.nanmean(travel[rest])
-        signals = signals.with_new("travel", _seen(tracks.time, travel, take))
+        signals = signals.with_new("travel", take.seen(tracks.time, travel))
     return replace(prepared, signals=signals, take=replace(take, frame=frame, rest=rest)), found
-
-
-def _seen(time: Floats, values: Floats, take: Take) -> Signal:
-    """A length that cameras saw, on their clock and with what is known of their scale."""
-    return Signal(time, values, "m", take.role, relative_error=take.scale_error)
 
 
 def _frame(
@@ -221,7 +207,7 @@ def _deflection(fit: ShapeFit, rest: Flags, take: Take) -> Signal:
     moved = {cause: lift - np.nanmean(lift[rest]) for cause, lift in fit.tip_moved.items()}
     if usable:
         moved[SHAPE] = values + (change - np.nanmean(change[rest])) / sqrt(3.0)
-    return replace(_seen(fit.shape.time, values, take), zero_error=error, moved=moved)
+    return replace(take.seen(fit.shape.time, values), zero_error=error, moved=moved)
 
 
 def _said(notes: Iterable[QualityNote], role: str) -> Iterator[Finding]:
@@ -336,174 +322,3 @@ def rms(values: Floats) -> float:
     """Root mean square of what is not NaN; NaN when nothing is."""
     known = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else float("nan")
-
-
-NO_SPAN = Failure(
-    "no_span",
-    "specimen.span, the distance of the supports, is not given: write it into the specimen of the "
-    "test sheet, such as 'span: 152.4 mm'",
-)
-_WINDOW = 25.0
-"""s on each side of a turn of mid-span."""
-_DRIFT = 1e-4 / sqrt(3.0)
-"""Standard uncertainty of the rate of the cameras' clock, which one turn does not show."""
-_DRAWN = 9
-"""Degree of the curve that is stored to be drawn."""
-
-
-def bend_between_supports(
-    prepared: Prepared, step: ThreePointShape, protocol: Protocol
-) -> tuple[Prepared, list[Finding]]:
-    """Carry out ``three-point-shape``: the bent axis, and the signal ``mid_span``.
-
-    Parameters
-    ----------
-    prepared : with repaired tracks
-    step : of the protocol
-    protocol : its span and its marker block
-
-    Returns
-    -------
-    With axis, shape and signal, or why there is none.
-
-    Raises
-    ------
-    ValueError
-        If the markers were not repaired before.
-    """
-    take, words = prepared.take, protocol.markers
-    tracks, repaired = take.tracks, take.repaired
-    if tracks is None or words is None or repaired is None:
-        message = "expected a role with marker tracks, a block markers: and repair-markers before"
-        raise ValueError(message)
-    span = protocol.specimen.span
-    if span is None:
-        return _given_up(prepared, NO_SPAN)
-    rest = np.asarray(tracks.time <= tracks.time[0] + step.over)
-    try:
-        sections = find_sections(repaired.positions, rest=rest, apart=step.section)
-        shape = fit_span(
-            sections,
-            span=span,
-            radius=words.centre_offset,
-            facing=step.facing,
-            bent_most=_bent_most(sections),
-        )
-    except ValueError as error:
-        return _given_up(prepared, Failure("too_few_markers", str(error)))
-    said = (
-        f"{sections.count} sections of markers, {int((shape.lever > 0.0).sum())} of them with two "
-        f"or more around the axis; points lie {1e6 * shape.bent.noise:.3g} um off the bent axis"
-    )
-    made = replace(
-        prepared,
-        signals=prepared.signals.with_new("mid_span", _mid_span(shape, tracks.time, rest, take)),
-        shape=_stored(sections, shape, tracks.time, repaired.flags),
-        span=SpanBend(shape, tracks.time, rest),
-    )
-    return made, [worth_knowing("three_point_shape", take.role, said)]
-
-
-def _given_up(prepared: Prepared, why: Failure) -> tuple[Prepared, list[Finding]]:
-    return replace(prepared, span=why), [not_available(why.code, "markers", why.message)]
-
-
-def _mid_span(shape: SpanShape, time: Floats, rest: Flags, take: Take) -> Signal:
-    deflection = shape.bent.deflection
-    known = deflection[rest & np.isfinite(deflection)]
-    zero = float(np.sqrt(long_run_variance(known, parameters=1) / len(known)))
-    return replace(_seen(time, deflection - known.mean(), take), zero_error=zero)
-
-
-def _bent_most(sections: Sections) -> Flags:
-    """Frames in which the specimen is bent more than half as far as it ever is."""
-    moved = np.abs(sections.markers[..., 1] - sections.at_rest[:, 1])
-    far = np.max(np.nan_to_num(moved), axis=1)
-    return np.asarray(far > 0.5 * far.max(), dtype=np.bool_)
-
-
-def _stored(sections: Sections, shape: SpanShape, time: Floats, flags: NDArray[np.uint8]) -> Shape:
-    """Section centres as points; a power series through the axis, to be drawn."""
-    own = flags[:, sections.columns]
-    seen = np.isfinite(shape.centres).all(axis=2)
-    of_section = np.stack(
-        [own[:, sections.section == k].max(axis=1) for k in range(sections.count)], axis=1
-    )
-    x = sections.x - shape.mid_span
-    share = np.linspace(0.0, 1.0, 61)
-    drawn = x[0] + share * (x[-1] - x[0])
-    to_terms = np.linalg.pinv(np.vander(share, _DRAWN + 1, increasing=True))
-    height = shape.bent.y(drawn) @ to_terms.T
-    coefficients = np.zeros((len(time), 3, _DRAWN + 1))
-    coefficients[:, 0, :2] = [x[0], x[-1] - x[0]]
-    coefficients[:, 1] = height
-    coefficients[np.isnan(height).any(axis=1)] = np.nan
-    return Shape(
-        time=time,
-        positions=shape.centres,
-        names=tuple(f"section {number + 1}" for number in range(sections.count)),
-        flags=np.where(seen, of_section, PointFlag.MISSING).astype(np.uint8),
-        arc_length=x - x[0],
-        coefficients=coefficients,
-        length=float(x[-1] - x[0]),
-        rotation_lab_to_specimen=sections.rotation_lab_to_specimen,
-    )
-
-
-def align_cameras(
-    prepared: Prepared, motion: Signal, strokes: tuple[Stroke, ...], *, min_stroke: float
-) -> tuple[Prepared, dict[str, ClockFit], list[Finding]]:
-    """Fit the clock of the cameras to that of the motion: mid-span turns when the frame does.
-
-    Parameters
-    ----------
-    prepared : its ``mid_span`` is used
-    motion, strokes : the displacement
-    min_stroke : m, of the protocol
-
-    Returns
-    -------
-    With its shape on the clock of the motion, that of the cameras by name, and a note.
-    """
-    seen = prepared.signals.raw.get("mid_span")
-    if seen is None or seen.clock == motion.clock:
-        return prepared, {}, []
-    own = find_strokes(seen.time, seen.values, min_stroke=min_stroke)
-    turns = turning_points(motion, strokes, window=_WINDOW)
-    found = turning_points(seen, own, window=_WINDOW)
-    first = np.array([turn.middle for turn in turns if strokes[turn.stroke].sign > 0])
-    second = np.array([turn.middle for turn in found if own[turn.stroke].sign > 0])
-    pairs, _ = match_peaks(first, second)
-    if not len(pairs):
-        message = "the cameras did not see mid-span turn where the motion does"
-        prepared, why = _given_up(prepared, Failure("no_camera_clock", message))
-        return prepared, {}, why
-    errors = [turn.arrival.time_error for turn in found if own[turn.stroke].sign > 0]
-    fit = _camera_fit(first[pairs[:, 0]], second[pairs[:, 1]], np.array(errors)[pairs[:, 1]])
-    shape = prepared.shape
-    if shape is not None:
-        shape = replace(shape, time=fit.to_marker_time(shape.time))
-    said = (
-        f"the cameras are {fit.offset:.4f} s ahead of the motion, known to "
-        f"{1.96e3 * fit.offset_interval.standard_error:.2g} ms; the shape stands on the motion's"
-        " clock"
-    )
-    note = worth_knowing("camera_clock", seen.clock, said)
-    return replace(prepared, shape=shape), {seen.clock: fit}, [note]
-
-
-def _camera_fit(motion: Floats, cameras: Floats, errors: Floats) -> ClockFit:
-    weights = errors**-2.0
-    offset = float(np.average(cameras - motion, weights=weights))
-    error = float(np.hypot(weights.sum() ** -0.5, _DRIFT * np.average(motion, weights=weights)))
-    return ClockFit(
-        offset=offset,
-        drift=0.0,
-        offset_interval=Interval.normal_95(offset, error),
-        drift_interval=Interval.normal_95(0.0, _DRIFT),
-        residual=float(np.sqrt(np.mean((cameras - motion - offset) ** 2))),
-        event_times_motion=motion,
-        event_times_force=cameras,
-        event_errors=errors,
-        method="turns of mid-span and of the motion, drift taken as zero within a bound",
-    )

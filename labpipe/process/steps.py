@@ -304,7 +304,7 @@ def _take_marker_step(
         case FitShape():
             return fit_shapes(prepared, step, protocol.markers)
         case ThreePointShape():
-            from labpipe.process.camera_steps import bend_between_supports
+            from labpipe.process.span_steps import bend_between_supports
 
             return bend_between_supports(prepared, step, protocol)
 

@@ -118,7 +118,7 @@ def split_motion(
     branches = branches_between(motion, strokes, turns)
     found += more
     if prepared.span is not None:
-        from labpipe.process.camera_steps import align_cameras  # loaded by these tests alone
+        from labpipe.process.span_steps import align_cameras  # loaded by these tests alone
 
         least = block.min_stroke
         prepared, others, more = align_cameras(prepared, motion, strokes, min_stroke=least)
