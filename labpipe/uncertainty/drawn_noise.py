@@ -121,8 +121,15 @@ class Noise:
 
     @property
     def memory(self) -> float:
-        """Mean correlation time, samples."""
-        return float(self.chances @ _processes(self.longest).time)
+        """Mean correlation time, samples: half of those that count as one in a mean.
+
+        Half the power at frequency zero over the variance: the correlation time of autoregressive
+        noise, less of it the more white noise lies beneath, and one half for white noise alone.
+        """
+        some = _processes(self.longest)
+        slow = (1.0 - some.factor) / (1.0 + some.factor)
+        variance = np.where(some.is_mirrored > 0.0, 1.0, some.floor + (1.0 - some.floor) * slow)
+        return float(self.chances @ (0.5 / variance)[: len(self.chances)])
 
     @property
     def is_none(self) -> bool:
@@ -211,9 +218,9 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         return _silence(longest)
     basis = _polynomials(width)
     left = known - (known @ basis) @ basis.T
-    if np.abs(left).max() <= _ROUNDING * np.ptp(known):
-        return _silence(longest)
     power = np.sum(left**2, axis=1)
+    if np.median(power) <= width * (_ROUNDING * np.ptp(known)) ** 2:
+        return _silence(longest)
     is_sound = power <= _CLIFF * np.median(power)
     terms, kept = min(_WAVES, width), int(is_sound.sum())
     waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
