@@ -20,7 +20,7 @@ from tests.builders.small_tests import Lab, Run
 def test_any_other_exception_is_a_bug_and_shows(
     run: Run, lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*arguments: object) -> None:
+    def broken(*arguments: object, **more: object) -> None:
         raise ZeroDivisionError
 
     monkeypatch.setattr("labpipe.process.run.reduce_recordings", broken)
