@@ -67,6 +67,8 @@ _THICK = 0.74
 """Of a bar, as a share of its row."""
 _ROW, _FRAME = 6.0, 22.0
 """mm: height of a bar with its gap, and of axis and heading."""
+_LEFT, _RIGHT = 0.06, 0.03
+"""Margins, as shares of the width of a page."""
 MOST_BARS = 20
 _LEAST_SHOWN = 0.02
 """Share from which a cause has a colour of its own in one of the bars."""
@@ -93,8 +95,8 @@ _COLOURS: Mapping[str, str] = {
     MARKER_SIDE: "#8a4f72",
     CLOCK_OFFSET: "#6f4aa8",
     CLOCK_DRIFT: "#bba7dd",
-    LENGTH: "#7a3b1d",
-    SPAN: "#7a3b1d",
+    LENGTH: "#c49a6c",
+    SPAN: "#c49a6c",
     SECTION: "#7a3b1d",
     SLACK: "#56b4e9",
     REPAIRED_SLIPS: "#b0124f",
@@ -126,11 +128,24 @@ def draw_budget(result: TestResult) -> Figure:
         say(page.subplots(), "No number of this test says what its interval is made of.")
         return page
     bars = [_bar(each, result.display) for each in shown]
-    words = Words(title(result), footnote(result), _keys(bars))
+    cycle = "Of numbers of cycles, those of the first." if any("." in x.name for x in shown) else ""
+    note = " ".join(filter(None, (cycle, footnote(result))))
+    words = Words(title(result), note, _keys(bars))
     height = _FRAME + _ROW * len(bars)
-    page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN, columns=4)
+    page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN)
+    _leave_room(page)
     plot_bars(bars, page.subplots())
     return page
+
+
+def _leave_room(page: Figure) -> None:
+    """Keep a margin on either side: where a page lacks the font, its words are wider."""
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    engine = page.get_layout_engine()
+    if isinstance(engine, ConstrainedLayoutEngine):
+        _, low, _, height = engine.get()["rect"]
+        engine.set(rect=(_LEFT, low, 1.0 - _LEFT - _RIGHT, height))
 
 
 def _is_first(name: str) -> bool:
@@ -141,7 +156,12 @@ def _bar(result: Result, display: Mapping[str, str]) -> Bar:
     rows = zip(result.budget, result.shares, strict=True)
     scale = shown_in(result.name, result.unit, display)
     shares = {row.cause: share for row, share in rows}
-    return Bar(in_words(result.name), shares, half_width(result.interval, scale))
+    return Bar(_name(result.name), shares, half_width(result.interval, scale))
+
+
+def _name(name: str) -> str:
+    """A number in words, without the cycle, which is the first in every bar."""
+    return in_words(name.partition(".")[0])
 
 
 def half_width(interval: Interval | None, scale: Scale) -> str:
@@ -152,16 +172,13 @@ def half_width(interval: Interval | None, scale: Scale) -> str:
     return f"\u00b1 {write_number(half, None, digits=2).value} {unit_words(scale.unit)}".strip()
 
 
-def plot_bars(
-    bars: Sequence[Bar], axes: Axes, *, has_names: bool = True, of: str = "variance"
-) -> None:
+def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     """Draw shares side by side, a bar per number, the first on top.
 
     Parameters
     ----------
     bars : with shares that add to one; without any, a place is left free
     axes : to draw on; hatched is what all tests of a rig share
-    has_names : whether the numbers are named at the left
     of : what the shares are shares of
     """
     from matplotlib.patches import Rectangle
@@ -177,8 +194,7 @@ def plot_bars(
                 _write(axes, 100 * (start + share / 2), height, share, cause)
             start += share
         axes.text(1.01, height, bar.words, transform=beside, size=8, va="center")
-        if has_names:
-            axes.text(-0.01, height, bar.name, transform=beside, size=8, va="center", ha="right")
+        axes.text(-0.01, height, bar.name, transform=beside, size=8, va="center", ha="right")
     if any(bar.words for bar in bars):
         axes.text(1.01, -0.8, "95 %", transform=beside, size=7, color=GREY, va="center")
     axes.set_yticks([])
@@ -261,25 +277,25 @@ def draw_group_budgets(group: Group) -> Figure:
     numbers = budgets_to_draw(group)
     budgets = [group_budget(each) for each in numbers]
     of_tests = [
-        Bar(in_words(number.name), budget.of_tests)
+        Bar(_name(number.name), budget.of_tests)
         for number, budget in zip(numbers, budgets, strict=True)
     ]
     of_means = [
-        Bar("", budget.of_mean, _half_of_mean(group, number))
+        Bar(_name(number.name), budget.of_mean, _half_of_mean(group, number))
         for number, budget in zip(numbers, budgets, strict=True)
     ]
     heading = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
     words = Words(heading, "", _keys([*of_tests, *of_means]))
-    height = _FRAME + 4.0 + _ROW * len(numbers)
-    page = keyed_page(words, height_mm=height, width_mm=DOUBLE_COLUMN, columns=4)
-    left, right = page.subplots(1, 2, width_ratios=(1.0, 0.8))
-    plot_bars(of_tests, left)
-    if any(bar.shares for bar in of_means):
-        plot_bars(of_means, right, has_names=False, of="squared half width")
-        panel_letter(right, "b", "Mean of the group")
-    else:
-        say(right, "No mean of this group has an interval.")
-    panel_letter(left, "a", "One test: median shares")
+    has_means = any(bar.shares for bar in of_means)
+    height = _FRAME + (2.0 * _ROW * len(numbers) + 18.0 if has_means else _ROW * len(numbers) + 4.0)
+    page = keyed_page(words, height_mm=height)
+    _leave_room(page)
+    panels = page.subplots(2 if has_means else 1, squeeze=False).ravel()
+    plot_bars(of_tests, panels[0])
+    panel_letter(panels[0], "a", "One test: median shares")
+    if has_means:
+        plot_bars(of_means, panels[1], of="squared half width")
+        panel_letter(panels[1], "b", "Mean of the group")
     return page
 
 

@@ -358,9 +358,10 @@ _LINES = (
     " The curves go on beyond the right edge."
 )
 _BUDGETS = (
-    "What the intervals are made of. (a) Of one test: medians of the shares of its variance over"
-    " the samples, scaled to 100 %. (b) Of the mean of the group, with half the width of its"
-    " interval: more samples make the scatter smaller, and not what is hatched."
+    "What the intervals are made of; of numbers of cycles, those of the first. (a) Of one test:"
+    " medians of the shares of its variance over the samples, scaled to 100 %. (b) Of the mean of"
+    " the group, with half the width of its interval: more samples make the scatter smaller, and"
+    " not what is hatched."
 )
 _DOTS = (
     "A dot and its 95 % interval for each sample, for the mean of each spool and for the mean that"
