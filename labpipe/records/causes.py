@@ -12,6 +12,8 @@ from labpipe.records.result import Contribution
 
 NOISE: Final = "noise"
 """Where that of the force is not told from that of the displacement."""
+FIT: Final = "fit"
+"""What a fit leaves open that has an error of its own: a law, a clock, a slip."""
 NOISE_OF_FORCE: Final = "noise of the force"
 NOISE_OF_DISPLACEMENT: Final = "noise of the displacement"
 SCALE_OF_FORCE: Final = "scale of the force"
@@ -40,6 +42,7 @@ STEP: Final = "sampling step"
 
 IS_COMMON: Final[Mapping[str, bool]] = {
     NOISE: False,
+    FIT: False,
     NOISE_OF_FORCE: False,
     NOISE_OF_DISPLACEMENT: False,
     SCALE_OF_FORCE: True,

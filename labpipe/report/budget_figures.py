@@ -10,6 +10,7 @@ from labpipe.records.causes import (
     CLOCK_DRIFT,
     CLOCK_OFFSET,
     COMPLIANCE,
+    FIT,
     GRIP,
     IS_COMMON,
     LENGTH,
@@ -79,6 +80,7 @@ _HATCH = "////"
 _COLOURS: Mapping[str, str] = {
     SCATTER: "#4d4d4d",
     NOISE: "#8c8c8c",
+    FIT: "#8c8c8c",
     NOISE_OF_FORCE: "#8c8c8c",
     NOISE_OF_DISPLACEMENT: "#c4c4c4",
     SCALE_OF_FORCE: "#d55e00",

@@ -15,7 +15,7 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
-from labpipe.records.causes import NOISE, contribution
+from labpipe.records.causes import FIT, contribution
 from labpipe.records.curve import FittedLine, Interval, SlipDecision
 from labpipe.records.declarations import Needs, Output
 from labpipe.records.estimates import Estimate, Failure, widened
@@ -226,7 +226,7 @@ def to_result(test: Evidence, number: Number) -> Result:
 def _budget(outcome: Estimate, errors: Errors) -> tuple[Contribution, ...]:
     """What the interval is made of: the error of the fit, and what comes on top."""
     fit = outcome.error if outcome.interval is None else outcome.interval.standard_error
-    changes = {NOISE: fit, **errors}
+    changes = {FIT: fit, **errors}
     if not np.isfinite(list(changes.values())).all():
         return ()
     return tuple(contribution(cause, change) for cause, change in changes.items() if change)

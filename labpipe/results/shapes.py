@@ -11,6 +11,7 @@ import numpy as np
 from labpipe.bending.law_table import law_points
 from labpipe.fits.loops import secant_stiffness
 from labpipe.records.arrays import Flags, Floats
+from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Bending, Branch, Curve, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
 from labpipe.records.estimates import Estimate, Failure, widened
@@ -97,9 +98,12 @@ class MomentCurvature(Kind):
         if law is None:
             why = bending.reason or Failure("no_law", "no law was found")
             return self.not_available(why, method)
+        found = _stiffness(law, self)
+        scale = 0.0 if isinstance(found, Failure) else law.scale_error * abs(found.value)
         number = self.number(
-            _stiffness(law, self),
+            found,
             method,
+            {SCALE_OF_FORCE: scale},
             during=test.while_loading(),
             doubts=_misfit(test, law) or _bent_before(bending, law, self),
         )
@@ -124,7 +128,7 @@ def _stiffness(law: MeasuredLaw, entry: MomentCurvature) -> Outcome:
         law.compliance,
         law.compliance_covariance,
         np.array([entry.at]),
-        scale_error=law.scale_error,
+        scale_error=0.0,
     )
     value, error = (
         (at.secant, at.secant_error) if entry.kind == "secant" else (at.tangent, at.tangent_error)

@@ -48,9 +48,9 @@ def test_an_interval_of_its_own() -> None:
     found = to_result(evidence(), asked(Estimate(10.0, 1.0, 50, asymmetric), part=".2"))
     assert found.name == "stiffness.2"
     assert found.interval is asymmetric
-    (noise,) = found.budget
-    assert noise.cause == "noise"
-    assert noise.change == pytest.approx(2.5 / 1.959964)
+    (fit,) = found.budget
+    assert fit.cause == "fit"
+    assert fit.change == pytest.approx(2.5 / 1.959964)
 
 
 def test_no_number() -> None:
