@@ -26,8 +26,15 @@ def test_a_valley() -> None:
 
 
 def test_a_break_stays() -> None:
-    """The force is lost between two samples; before them it rose by 0.1 a step."""
+    """The force is lost within some samples; before them it rose by 0.1 a step."""
+    lost = np.clip((TIME - 299.0) / 4.0, 0.0, 1.0)
+    true = np.where(TIME < 300.0, 0.1 * TIME, 29.9 * (1.0 - lost))
+    found = smooth_curve(TIME, true, [300], 12, broken=300)
+    assert found[299] == pytest.approx(29.9, abs=1e-6)
+    assert smooth_curve(TIME, true, [300], 12)[299] < 29.5
+
+
+def test_a_jump_is_no_turn() -> None:
     true = np.where(TIME < 300.0, 0.1 * TIME, 1.0)
     found = smooth_curve(TIME, true, [300], 12)
-    assert found[299] == pytest.approx(29.9, abs=1e-6)
-    assert found[300] == pytest.approx(1.0, abs=1e-6)
+    assert found[299:301] == pytest.approx([29.9, 1.0], abs=1e-6)
