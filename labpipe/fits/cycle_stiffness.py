@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fits.least_squares import polynomial_weights
+from labpipe.fits.least_squares import polynomial_weights, zero_of_line
 from labpipe.fits.slack import TakeUp, take_up
-from labpipe.records.arrays import Flags, Floats, Samples, part_of, ratio, samples_of
+from labpipe.records.arrays import Flags, Floats, Ints, Samples, part_of, ratio, samples_of
 from labpipe.records.curve import Branch
 from labpipe.records.estimates import Failure
 from labpipe.signal.filters import moving_average
@@ -38,12 +38,13 @@ class WindowSlope:
     low: float
     high: float
 
-    def inside(self, later: Floats | float = 0.0) -> tuple[slice, Flags]:
+    def inside(self, later: Floats | float = 0.0, since: Ints | int = 0) -> tuple[slice, Flags]:
         """Samples within the window, up to where the path is first beyond it.
 
         Parameters
         ----------
         later : m, shape (...), by how much further along the path the window lies
+        since : shape (...), sample of the branch before which it does not begin
 
         Returns
         -------
@@ -57,25 +58,41 @@ class WindowSlope:
         numbers = np.arange(stretch.start, stretch.stop)
         is_in: Flags = self.path[stretch] >= low[..., np.newaxis]
         is_in &= numbers < stop[..., np.newaxis]
+        if np.any(since):
+            is_in &= self._numbers(stretch) >= np.asarray(since)[..., np.newaxis]
         return stretch, is_in
+
+    def _numbers(self, stretch: slice) -> Ints:
+        """Numbers in the branch of some of the known samples."""
+        known = part_of(self.known, stretch)
+        return np.arange(known.start, known.stop) if isinstance(known, slice) else known
 
     @property
     def window(self) -> Samples:
         """Samples of the branch within the window."""
         stretch, inside = self.inside()
-        known = part_of(self.known, stretch)
-        numbers = np.arange(known.start, known.stop) if isinstance(known, slice) else known
-        return samples_of(numbers[inside])
+        return samples_of(self._numbers(stretch)[inside])
 
-    def of(self, displacement: Floats, force: Floats, later: Floats | float = 0.0) -> Floats:
+    @property
+    def n(self) -> int:
+        """Samples of the window."""
+        return int(self.inside()[1].sum())
+
+    def of(
+        self,
+        displacement: Floats,
+        force: Floats,
+        later: Floats | float = 0.0,
+        since: Ints | int = 0,
+    ) -> Floats:
         """Slope, N/m, shape (...); NaN where the window holds fewer than 8 samples, or no travel.
 
         Parameters
         ----------
         displacement, force : shape (..., n), m, N, of the branch
-        later : m, shape (...), as for `inside`
+        later, since : shape (...), as for `inside`
         """
-        stretch, inside = self.inside(later)
+        stretch, inside = self.inside(later, since)
         known, time = part_of(self.known, stretch), self.time[stretch]
         count = inside.sum(axis=-1)
         enough = np.where(count < _LEAST, 0, count)
@@ -116,11 +133,10 @@ def window_slope(
     furthest = np.maximum.accumulate(np.where(np.isnan(travelled), -np.inf, travelled))
     known = samples_of(np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force)))
     found = WindowSlope(known, time[known], travelled[known], furthest[known], low, high)
-    inside = displacement[found.window]
-    if len(inside) < _LEAST:
-        message = f"{len(inside)} samples in the stretch, {_LEAST} are needed"
+    if found.n < _LEAST:
+        message = f"{found.n} samples in the stretch, {_LEAST} are needed"
         return Failure("too_few_samples", message)
-    if np.ptp(inside) == 0.0:
+    if np.ptp(displacement[found.window]) == 0.0:
         return Failure("no_travel", "the displacement does not change over the stretch")
     return found
 
@@ -173,11 +189,13 @@ class LoadingSlope:
     Parameters
     ----------
     take_up : of the branch
-    slope : of the branch from the first sample that is taut
+    first : sample from which on the branch counts as taut
+    slope : of the branch from that sample
     ahead : m, from where the force takes up to the middle of the window
     """
 
     take_up: TakeUp
+    first: int
     slope: WindowSlope
     ahead: float
 
@@ -186,10 +204,27 @@ class LoadingSlope:
 
         The window begins where the force of each row takes up.
         """
-        taut = displacement[..., self.take_up.sample :]
+        taut = displacement[..., self.first :]
         begins = self.take_up.of(displacement, force) + self.ahead
         later = begins - taut[..., self.slope.window].mean(axis=-1)
-        return self.slope.of(taut, force[..., self.take_up.sample :], later)
+        return self.slope.of(taut, force[..., self.first :], later)
+
+    def of_each(self, displacement: Floats, force: Floats) -> Floats:
+        """Stiffness of branches with noise, which hides where each gets taut.
+
+        Parameters
+        ----------
+        displacement, force : shape (rows, n), m, N
+
+        Returns
+        -------
+        Shape (rows,), N/m; NaN for none.
+        """
+        taut = displacement[:, self.first :]
+        begins, first = self.take_up.of_each(displacement, force)
+        later = begins + self.ahead - taut[:, self.slope.window].mean(axis=-1)
+        since = np.maximum(first - self.first, 0)
+        return self.slope.of(taut, force[:, self.first :], later, since)
 
 
 def loading_slope(
@@ -206,23 +241,33 @@ def loading_slope(
     ----------
     time, displacement, force : shape (n,), s, m, N, of the branch; NaN where not known
     over : m, the length behind the take-up
-    like : how it was decided on the branch as measured: where the curve at hand is without noise,
-        it says what passes for zero
+    like : how it was decided on the branch as measured: given where the curve at hand is without
+        noise
 
     Returns
     -------
     The samples, or a failure as `labpipe.fits.slack.take_up` or `window_slope` has it.
+
+    Notes
+    -----
+    A branch counts as taut from the first sample whose force is beyond its noise. Without noise
+    that is when the line through the foot of the force is zero; what the difference makes of the
+    stiffness is part of what noise does to it.
     """
     limit = None if like is None else like.take_up.limit
     begin = take_up(displacement, force, limit=limit)
     if isinstance(begin, Failure):
         return begin
-    start, taut = float(begin.of(displacement, force)), slice(begin.sample, None)
+    start, first = float(begin.of(displacement, force)), begin.sample
+    if like is not None and begin.is_line:
+        at = float(zero_of_line(time[begin.foot], force[begin.foot]))
+        first = min(int(np.searchsorted(time, at)), first)
+    taut = slice(first, None)
     path = displacement[taut]
     slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + over)
     if isinstance(slope, Failure):
         return slope
-    return LoadingSlope(begin, slope, float(path[slope.window].mean()) - start)
+    return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

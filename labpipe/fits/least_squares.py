@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.records.arrays import Floats, ratio
+from labpipe.records.arrays import Flags, Floats, ratio
 
 
 def slope_of_line(x: Floats, y: Floats) -> Floats:
@@ -47,6 +47,26 @@ def zero_of_line(x: Floats, y: Floats) -> Floats:
     slope = slope_of_line(x, y)
     slope = np.where(slope > 0.0, slope, np.nan)
     zero: Floats = x.mean(axis=-1) - y.mean(axis=-1) / slope
+    return zero
+
+
+def zero_of_line_in(chosen: Flags, x: Floats, y: Floats) -> Floats:
+    """Where a line through chosen samples of each row is zero, as `zero_of_line`.
+
+    Parameters
+    ----------
+    chosen, x, y : shape (rows, n); NaN where nothing is chosen
+
+    Returns
+    -------
+    Shape (rows,); NaN where the line does not rise.
+    """
+    count = chosen.sum(axis=1)
+    x, y = (np.where(chosen, each, 0.0) for each in (x, y))
+    middle, level = (ratio(each.sum(axis=1), count) for each in (x, y))
+    lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
+    slope = ratio(np.vecdot(lever, y), np.vecdot(lever, x))
+    zero: Floats = middle - level / np.where(slope > 0.0, slope, np.nan)
     return zero
 
 

@@ -41,6 +41,11 @@ class ThroughZero:
     time: Floats
     limit: float
 
+    @property
+    def n(self) -> int:
+        """Samples that the displacement is read from."""
+        return len(self.time)
+
     def of(self, displacement: Floats, force: Floats) -> Floats:
         """Displacement at zero force, m, shape (...); `force` and it shape (..., n)."""
         weights = polynomial_weights(self.time, degree=2).T
@@ -60,11 +65,12 @@ class AtRest:
 
     Parameters
     ----------
-    rest : samples of the branch
+    rest, n : samples of the branch, and how many
     limit : N, up to which a force passes for zero
     """
 
     rest: Samples
+    n: int
     limit: float
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
@@ -92,6 +98,11 @@ class FollowedToZero:
     near_time: Floats
     is_line: bool
     limit: float
+
+    @property
+    def n(self) -> int:
+        """Samples that the displacement is read from."""
+        return len(self.near_time)
 
     def of(self, displacement: Floats, force: Floats) -> Floats:
         """Displacement at zero force, m, shape (...); NaN where a line no longer falls.
@@ -211,7 +222,7 @@ class _Branch:
         has_stopped = falls and slope * (self.time[-1] - zero) < -3.0 * limit
         rests = has_stopped and self._is_slack(rest, limit)
         if rests if like is None else isinstance(like, AtRest) and rest.any():
-            return AtRest(self.samples(rest), limit)
+            return AtRest(self.samples(rest), int(rest.sum()), limit)
         near = (self.time >= zero - 1.0) & (self.time <= zero)
         if near.sum() < _LEAST:
             found = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"

@@ -7,8 +7,8 @@ from math import hypot
 
 import numpy as np
 
-from labpipe.fits.least_squares import slope_of_line, zero_of_line
-from labpipe.records.arrays import Floats, Samples, samples_of
+from labpipe.fits.least_squares import slope_of_line, zero_of_line, zero_of_line_in
+from labpipe.records.arrays import Floats, Ints, Samples, samples_of
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
@@ -193,6 +193,7 @@ class TakeUp:
     Parameters
     ----------
     sample : first one of the branch whose force is not zero
+    top : sample of the largest force
     foot : of the force
     is_line : whether the place is where a line through the foot is zero; else it is that of the
         foot's first sample, as no line rises there
@@ -200,6 +201,7 @@ class TakeUp:
     """
 
     sample: int
+    top: int
     foot: Samples
     is_line: bool
     limit: float
@@ -213,6 +215,34 @@ class TakeUp:
         """
         d = displacement[..., self.foot]
         return zero_of_line(d, force[..., self.foot]) if self.is_line else d[..., 0]
+
+    def of_each(self, displacement: Floats, force: Floats) -> tuple[Floats, Ints]:
+        """Displacement at zero force, and the first sample that is not zero, decided for each row.
+
+        Parameters
+        ----------
+        displacement, force : shape (rows, n), m, N, of the branch with noise: how far it hides the
+            foot is part of the number
+
+        Returns
+        -------
+        Shapes (rows,), m and samples.
+        """
+        within = force[:, : self.top] <= self.limit
+        first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
+        low, count = int(first.min()), force.shape[1]
+        numbers = np.arange(low, count)
+        beyond = (force[:, low:] > _FOOT * self.limit) & (numbers >= first[:, np.newaxis])
+        last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
+        last = np.maximum(last, first + _LEAST_AT_FOOT)
+        part = slice(low, min(int(last.max()), count))
+        d, f = displacement[:, part], force[:, part]
+        numbers = numbers[: part.stop - low]
+        foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
+        foot &= ~np.isnan(d) & ~np.isnan(f)
+        at = zero_of_line_in(foot, d, f)
+        begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
+        return np.where(np.isnan(at), begins, at), first
 
 
 def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) -> TakeUp | Failure:
@@ -247,4 +277,5 @@ def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) 
     if not len(within) and not (is_line and at >= d[0] - _BACK * float(np.ptp(d))):
         found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
         return Failure("not_unloaded", found)
-    return TakeUp(int(known[first]), samples_of(known[first:last]), is_line, limit)
+    foot = samples_of(known[first:last])
+    return TakeUp(int(known[first]), int(known[top]), foot, is_line, limit)

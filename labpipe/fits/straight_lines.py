@@ -39,32 +39,6 @@ class StraightLine:
     n: int
 
 
-def timed_slope(time: Floats, displacement: Floats, force: Floats) -> Floats:
-    """Slope of force against displacement with time as instrument, for as many curves as there are.
-
-    Parameters
-    ----------
-    time : shape (n,), s
-    displacement, force : shape (..., n), m, N, without NaN
-
-    Returns
-    -------
-    Shape (...), N/m: sum l F / sum l d with l = time less its mean. Least squares of F on a
-    displacement that is itself noisy comes out too small, by the ratio of noise variance to
-    variance (Fuller, Measurement Error Models, 1987, sec. 1.4); NaN where nothing moves.
-
-    Examples
-    --------
-    >>> t = np.array([0.0, 1.0, 2.0])
-    >>> float(timed_slope(t, np.array([0.0, 1.0, 4.0]), np.array([1.0, 2.0, 9.0])))
-    2.0
-    """
-    lever = time - time.mean()
-    travel = displacement @ lever
-    slope: Floats = (force @ lever) / np.where(travel == 0.0, np.nan, travel)
-    return slope
-
-
 def fit_line(displacement: Floats, force: Floats) -> StraightLine | Failure:
     """Straight line by ordinary least squares, with intervals that hold in correlated noise.
 

@@ -16,26 +16,29 @@ from labpipe.errors import ProcessingError, complaint
 from labpipe.fits.failure_point import FailurePoint, LossOfForce, failure_point, final_loss
 from labpipe.fits.grip_slips import add_back, find_slips, samples_before
 from labpipe.fits.loops import sense_of_loading
-from labpipe.fits.slack import fit_slack
 from labpipe.fits.straight_lines import correct_displacement
 from labpipe.process.motion import Motion
 from labpipe.protocol.schema import CurveBlock, MachineCompliance
 from labpipe.protocol.schema import Slack as SlackBlock
 from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import COMPLIANCE, SLACK
+from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
-from labpipe.records.estimates import Estimate, Failure, scaled, widened
+from labpipe.records.estimates import Failure, scaled, widened
 from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.failures import loading_before
-from labpipe.results.likely_curves import displaced, likely_curves
+from labpipe.results.likely_curves import likely_curves, loading_of, traced
+from labpipe.results.taut_curves import counted_from_taut, slack_of
 from labpipe.signal.bad_samples import bridge_spikes, find_spikes
 from labpipe.signal.filters import in_pieces
 from labpipe.signal.turning_points import branch_numbers
-from labpipe.uncertainty.replicates import Input
+from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.readings import Decide, Trace
 
+_MAY_FALL = 0.025
+"""Share of the curves with such noise in which a force that surely rises may fall."""
 Corrected: TypeAlias = tuple[Evidence, list[Finding]]
 
 
@@ -313,17 +316,18 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
     curve, where = test.curve, test.signals.displacement
     if curve is None:
         return test, []
-    slack = _slack(test, curve, block)
+    decide = partial(slack_of, start_share=block.start, stop_share=block.stop)
+    slack = _slack(test, decide)
     test = replace(test, slack=slack)
     if isinstance(slack, Failure):
         if slack.code == "no_toe":
             return test, [warning("no_toe", where, slack.message)]
         message = f"slack not found, so not taken off ({slack.message})"
         return test, [doubtful("slack_unknown", where, message, "displacement")]
-    off, taken = slack.value, Input(SLACK, partial(displaced, by=slack.error))
+    off = slack.value
     made = replace(
         _with_displacement(test, curve, test.displacement.changed(lambda values: values - off)),
-        replicates=test.replicates and test.replicates.displaced(-off, taken),
+        replicates=test.replicates and counted_from_taut(test.replicates, decide, off),
         slips=tuple(_moved(slip, off) for slip in test.slips),
         failure=_moved_failure(test.failure, off),
     )
@@ -344,36 +348,41 @@ def _moved_failure(
     return replace(failure, displacement=moved)
 
 
-def _slack(test: Evidence, curve: Curve, block: SlackBlock) -> Estimate | Failure:
-    """Slack with the error from the zero of the force: a line too high meets zero early."""
-    stretch = test.loading_stretch
-    displacement, force = curve.displacement[stretch], curve.force[stretch]
-    fit = partial(fit_slack, displacement, start_share=block.start, stop_share=block.stop)
-    found = fit(force)
+def _slack(test: Evidence, decide: Decide) -> Measured | Failure:
+    """Slack, where the force surely rises and the curve has a toe."""
+    found = test.measure(decide)
     if isinstance(found, Failure):
         return found
-    first = float(displacement[0])
-    if found.value < first and not _preload_explains(found, fit(force - force[0]), first):
+    slack, trace = found[0], traced(test)
+    if np.isnan(slack.off).mean() > _MAY_FALL:
+        message = "in some curves with such noise the force does not rise in the linear region"
+        return Failure("not_rising", message)
+    at = loading_of(trace).start
+    first, load = float(trace.displacement[at]), float(trace.force[at])
+    if slack.value < first and not _preload_explains(slack, decide, trace, at):
         return Failure(
             "no_toe",
-            f"the line meets zero force at {1e3 * found.value:.4g} mm, before the first sample at "
-            f"{1e3 * first:.4g} mm and {force[0]:.4g} N: the curve is steepest where it begins",
+            f"the line meets zero force at {1e3 * slack.value:.4g} mm, before the first sample at "
+            f"{1e3 * first:.4g} mm and {load:.4g} N: the curve is steepest where it begins",
         )
-    off = test.raw_force.zero_error
-    raised = fit(force + off) if off else found
-    change = 0.0 if isinstance(raised, Failure) else abs(raised.value - found.value)
-    return widened(found, change)
+    return slack
 
 
-def _preload_explains(slack: Estimate, above: Estimate | Failure, first: float) -> bool:
-    """Whether a line back to zero force goes below the first sample because that one has a load.
+def _preload_explains(slack: Measured, decide: Decide, trace: Trace, at: int) -> bool:
+    """Whether a line back to zero force goes below a first sample because that one has a load.
 
-    `above` is where the line reaches the force of the first sample: near that sample if the curve
-    is straight from there on, close to `slack` if the curve was steeper than the line.
+    Where the line reaches the force of the first sample is near that sample if the curve is
+    straight from there on, close to the slack if the curve was steeper than the line.
     """
-    if slack.interval is not None and slack.interval.upper >= first:
+    first = float(trace.displacement[at])
+    if slack.interval.upper >= first:
         return True
-    return isinstance(above, Estimate) and above.value - slack.value >= 0.5 * (first - slack.value)
+    preloaded = replace(trace, force=trace.force - trace.force[at])
+    above = decide(preloaded)
+    if isinstance(above, Failure):
+        return False
+    place = float(above.numbers(preloaded)[0])
+    return place - slack.value >= 0.5 * (first - slack.value)
 
 
 def _moved(slip: Slip, slack: float) -> Slip:

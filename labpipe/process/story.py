@@ -40,7 +40,6 @@ from labpipe.process.zeros import check_begin, check_break, check_zeros, use_res
 from labpipe.protocol.schema import Branches, CurveBlock, Protocol
 from labpipe.records.curve import FittedLine
 from labpipe.records.declarations import FitShape
-from labpipe.records.estimates import Estimate
 from labpipe.records.quality import Finding, Findings
 from labpipe.records.recording import Recording
 from labpipe.records.result import Result
@@ -49,6 +48,7 @@ from labpipe.results.beam import BendingStiffness
 from labpipe.results.evidence import Evidence, LoadString, Setup
 from labpipe.results.kinds import to_result
 from labpipe.results.shapes import MomentCurvature
+from labpipe.uncertainty.intervals import Measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,7 +181,7 @@ def with_curve(test: Evidence, motion: Motion, protocol: Protocol, block: CurveB
     findings += check_zeros(test.signals, test.clocks, curve, findings)
     test, found = correct_curve(replace(test, curve=curve), block)
     findings += found
-    has_slack = isinstance(test.slack, Estimate)
+    has_slack = isinstance(test.slack, Measured)
     findings += check_begin(test.signals, motion, has_slack=has_slack)
     if test.curve is not None:
         findings += check_break(test.signals.force, test.curve, test.failure)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from functools import partial
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -14,9 +14,9 @@ from labpipe.fits.failure_point import FailurePoint
 from labpipe.fits.loops import (
     LEAST_OF_LOOP,
     energy_of,
-    residual_after_unloading,
     sense_of_loading,
 )
+from labpipe.fits.residual_displacement import Unloaded, unloaded
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
@@ -31,72 +31,14 @@ from labpipe.results.kinds import (
     Errors,
     Kind,
     Number,
-    Outcome,
     blocked_or,
-    force_scale,
 )
-from labpipe.uncertainty.readings import Reading, Trace
+from labpipe.results.likely_curves import traced
+from labpipe.uncertainty.readings import Decide, Reading, Trace
 
 _PAST = 0.9
 """Share of its largest value that a force has fallen below when its peak is over."""
-NumberOfCycle: TypeAlias = Callable[[Evidence, list[Branch], Floats], Outcome]
-"""A number of one cycle, from a displacement that may be that of another shape."""
 NO_UNLOADING = Failure("partial_cycle", "the cycle has no unloading branch")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PerCycle(Kind):
-    """A kind of result of one number for every cycle: `value`, its `errors`, its `method`."""
-
-    whole: ClassVar[int] = 0
-    """Branches of a cycle that must have been recorded to their end."""
-    reads: ClassVar[tuple[float, float]] = (0.0, 2.0)
-    """What of a cycle the number is read from, from and to, counted in branches: 0.9 is when nine
-    tenths of the loading are over, 1 its end, 2 the end of unloading."""
-    gap: ClassVar[str] = ""
-    """Quantity whose samples beside its largest one must be known; empty for none."""
-
-    @property
-    @abstractmethod
-    def method(self) -> str:
-        """How the number is made, in words."""
-
-    @abstractmethod
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-        """Compute the number of a cycle with the standard error of its fit, or say why not.
-
-        Parameters
-        ----------
-        test : with a curve
-        branches : of the cycle
-        displacement : shape (n,), m, of the curve, or what it is under another assumption
-        """
-
-    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
-        """Tell the standard errors of the number of a cycle from outside its fit."""
-        del branches
-        return force_scale(test, found)
-
-    def compute(self, test: Evidence) -> Computed:
-        """A number for every cycle; one failure where there is no cycle."""
-        if not test.cycles:
-            return self.not_available(blocked_or(test, NO_CYCLE), self.method)
-        return Computed(tuple(self._of_cycle(test, branches) for branches in test.cycles))
-
-    def _of_cycle(self, test: Evidence, branches: list[Branch]) -> Number:
-        found = self.value(test, branches, test.displacement.values)
-        errors = {} if isinstance(found, Failure) else self.errors(test, branches, found)
-        doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
-        if self.gap:
-            doubts += gap_at_peak(test, branches, self.gap)
-        return self.number(
-            found,
-            self.method,
-            {**errors, **other_shape(test, branches, self.value, found)},
-            during=_when(branches, self.reads),
-            doubts=doubts,
-            part=f".{branches[0].cycle}",
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,6 +69,15 @@ class OfCycle(Kind):
         number : of the cycle, from 1
         """
 
+    def deciding(self, test: Evidence, number: int) -> Decide:
+        """How it is decided on a curve from where the number of a cycle is read.
+
+        Parameters
+        ----------
+        test, number : as for `read`
+        """
+        return partial(self.read, test, number=number)
+
     def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
         """The plain number where it is read from more samples than the curve has."""
         del test, branches
@@ -140,9 +91,7 @@ class OfCycle(Kind):
 
     def _of_cycle(self, test: Evidence, branches: list[Branch]) -> Number:
         number = branches[0].cycle
-        found = test.measure(
-            lambda trace: self.read(test, trace, number), self.plain(test, branches)
-        )
+        found = test.measure(self.deciding(test, number), self.plain(test, branches))
         doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
         if self.gap:
             doubts += gap_at_peak(test, branches, self.gap)
@@ -153,24 +102,6 @@ class OfCycle(Kind):
             doubts=doubts,
             part=f".{number}",
         )
-
-
-def other_shape(
-    test: Evidence, branches: list[Branch], value: NumberOfCycle, found: Outcome
-) -> Errors:
-    """Error from what a displacement under another assumption changes: a rectangle.
-
-    Parameters
-    ----------
-    test, branches : the cycle
-    value : of one cycle, such as `PerCycle.value`
-    found : with the displacement as it is taken
-    """
-    other = test.displacement.alternative
-    if other is None or isinstance(found, Failure):
-        return {}
-    moved = value(test, branches, other)
-    return {} if isinstance(moved, Failure) else rectangle(found, moved)
 
 
 def rectangle(found: Estimate, other: Estimate) -> Errors:
@@ -350,7 +281,7 @@ def work_over(trace: Trace, stretch: slice) -> Reading | Failure:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ResidualDisplacement(PerCycle):
+class ResidualDisplacement(OfCycle):
     """``residual_displacement.<cycle>`` (m): what is left when the force is gone."""
 
     result: ClassVar = "residual-displacement"
@@ -365,25 +296,46 @@ class ResidualDisplacement(PerCycle):
         """With the force below which it is read."""
         return f"displacement once the force is back at zero, within {self.force_below:g} N or less"
 
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+    def deciding(self, test: Evidence, number: int) -> Decide:
+        """The measured curve says what passes for zero, and which way the unloading ends."""
+        measured = self._ends(traced(test), number)
+        like = None if isinstance(measured, Failure) else measured
+        return partial(self.read, test, number=number, like=like)
+
+    def read(
+        self, test: Evidence, trace: Trace, number: int, like: Unloaded | None = None
+    ) -> Reading | Failure:
         """Displacement at zero force after unloading."""
+        del test
+        found = self._ends(trace, number, like)
+        if isinstance(found, Failure):
+            return found
+        part = cycle_of(trace, number)[1]
+        branch = slice(part.start, part.stop)
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
+
+        return Reading(numbers, found.n)
+
+    def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:
+        branches = cycle_of(trace, number)
         if len(branches) < 2:
             return NO_UNLOADING
-        curve = test.known_curve
-        unloading = slice(branches[1].start, branches[1].stop)
-        return residual_after_unloading(
-            curve.time[unloading],
-            displacement[unloading],
-            curve.force[unloading],
-            force_below=self.force_below,
-            zero_error=test.raw_force.zero_error,
-            clock_error=test.clocks.error,
-        )
+        parts = on_branch(trace, branches[1])
+        return unloaded(*parts, force_below=self.force_below, like=like)
 
-    def errors(self, test: Evidence, branches: list[Branch], found: Estimate) -> Errors:
-        """Zero of the displacement."""
-        del branches, found
-        return {"zero of the displacement": test.displacement.zero_error}
+
+def on_branch(trace: Trace, part: Branch) -> tuple[Floats, Floats, Floats]:
+    """Time (s), displacement (m) and force (N) of a branch.
+
+    Parameters
+    ----------
+    trace : one curve
+    part : of its branches
+    """
+    branch = slice(part.start, part.stop)
+    return trace.time[branch], trace.displacement[branch], trace.force[branch]
 
 
 _STANDS = 3.0

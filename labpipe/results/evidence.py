@@ -149,7 +149,7 @@ class Evidence:
     failure: FailurePoint | Failure | None = None
     slips: tuple[Slip, ...] = ()
     compliance: float = 0.0
-    slack: Estimate | Failure | None = None
+    slack: Measured | Failure | None = None
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
@@ -228,7 +228,7 @@ class Evidence:
     @property
     def slack_error(self) -> float:
         """Standard error of the slack that was taken off the displacement, m; 0 for none."""
-        return self.slack.error if isinstance(self.slack, Estimate) else 0.0
+        return self.slack.error if isinstance(self.slack, Measured) else 0.0
 
     def repair_error(self, *, before: int) -> float:
         """Standard error of a repaired force, N: that of all drops added back before a sample."""

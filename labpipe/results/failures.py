@@ -194,7 +194,6 @@ class SlackResult(Kind):
         number = self.number(
             test.slack or blocked_or(test, NO_LOADING),
             "toe compensation, ASTM D638 annex A1",
-            {"zero of the displacement": test.displacement.zero_error},
             during=test.while_loading(),
         )
         return Computed((number,))

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, ClassVar, Literal, TypeVar
 
 import numpy as np
 
+from labpipe.fits.cycle_stiffness import (
+    LoadingSlope,
+    loading_slope,
+    unloading_slope,
+    window_slope,
+)
 from labpipe.fits.least_squares import slope_of_line
-from labpipe.fits.loops import secant_stiffness
-from labpipe.fits.slack import find_branch_slack
 from labpipe.fits.straight_lines import (
     LEAST_OF_LINE,
     annulus_area,
-    fit_compliance,
+    compliance_window,
     rectangle_area,
     thin_wall_area,
-    timed_slope,
 )
 from labpipe.fits.two_segments import fit_two_segments
-from labpipe.records.arrays import Floats, Ints, samples_of
+from labpipe.records.arrays import Floats, Ints, ratio, samples_of
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
@@ -35,14 +38,16 @@ from labpipe.records.declarations import (
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Estimate, Failure, scaled, widened
+from labpipe.records.estimates import Failure
 from labpipe.records.quality import Reason
 from labpipe.results.cycles import (
     NO_UNLOADING,
-    PerCycle,
+    OfCycle,
     cut_short,
-    other_shape,
+    cycle_of,
+    on_branch,
     peak_of,
+    sense_of,
 )
 from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
@@ -51,18 +56,17 @@ from labpipe.results.kinds import (
     Computed,
     Found,
     Kind,
-    Outcome,
     blocked_or,
     force_scale,
     marked_slips,
 )
 from labpipe.results.likely_curves import loading_of, traced
-from labpipe.signal.filters import moving_average
-from labpipe.uncertainty.readings import Reading, Trace, combined
+from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class UnloadingStiffness(PerCycle):
+class UnloadingStiffness(OfCycle):
     """``unloading_stiffness.<cycle>`` (N/m): slope just after each turn."""
 
     result: ClassVar = "unloading-stiffness"
@@ -79,69 +83,27 @@ class UnloadingStiffness(PerCycle):
             f"line from {0.1 * self.over:g} m to {self.over:g} m off the peak, time as instrument"
         )
 
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
+    def read(self, test: Evidence, trace: Trace, number: int) -> Reading | Failure:
         """Slope over the first stretch of the unloading branch, but for its first tenth."""
+        del test
+        branches, d = cycle_of(trace, number), trace.displacement
         if len(branches) < 2:
             return NO_UNLOADING
-        sense = test.sense_of(displacement)
-        turn = _value_at_start(test.known_curve.time, sense * displacement, branches[1])
-        off = turn - sense * displacement
-        found = stiffness_over(test, branches[1], off, 0.1 * self.over, self.over)
+        sense = sense_of(trace, d)
+        found = unloading_slope(
+            trace.time, d, trace.force, branches[1], over=self.over, sense=sense
+        )
         if isinstance(found, Failure):
             return found
-        return Estimate(-sense * found.value, found.error, found.n)
 
+        def numbers(trace: Trace) -> tuple[Floats]:
+            return (found.of(trace.displacement, trace.force),)
 
-def _value_at_start(time: Floats, values: Floats, part: Branch) -> float:
-    """Value at the turning point a branch starts from, by a parabola through its beginning.
-
-    The samples from that moment on: a branch may hold some of the wait before it.
-    """
-    first = max(part.start, int(np.searchsorted(time, part.start_time)))
-    begin = slice(first, first + min(50, (part.stop - first) // 10))
-    known = ~np.isnan(values[begin])
-    t, y = time[begin][known] - part.start_time, values[begin][known]
-    if len(y) < 8:
-        return float(values[part.start])
-    return float(np.polynomial.Polynomial.fit(t, y, 2)(0.0))
-
-
-def stiffness_over(
-    test: Evidence, part: Branch, path_of_all: Floats, low: float, high: float
-) -> Outcome:
-    """Stiffness over the part of a branch whose path lies between two lengths.
-
-    Parameters
-    ----------
-    test : with a curve
-    part : the branch, or a stretch of it
-    path_of_all : shape (n,), m, on the clock of the curve, growing along the branch
-    low, high : m
-
-    Returns
-    -------
-    N/m, without the uncertainty of the scale of the force; a failure ``not_reached``,
-    ``too_few_samples`` or ``no_travel``.
-    """
-    curve, branch = test.known_curve, slice(part.start, part.stop)
-    time, force, path = curve.time[branch], curve.force[branch], path_of_all[branch]
-    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
-    inside = (travelled >= low) & (travelled <= high)
-    if not (travelled > high).any():
-        reached = float(np.nanmax(travelled))
-        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
-    inside[int(np.argmax(travelled > high)) :] = False
-    found = secant_stiffness(time, path, force, inside)
-    # Where the force bends over the window, a shift of the clocks changes its slope.
-    shifted = np.interp(time + test.clocks.error, time, force)
-    moved = secant_stiffness(time, path, shifted, inside)
-    if isinstance(found, Failure) or isinstance(moved, Failure):
-        return found
-    return widened(found, moved.value - found.value)
+        return Reading(numbers, found.slope.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LoadingStiffness(PerCycle):
+class LoadingStiffness(OfCycle):
     """``loading_stiffness.<cycle>`` (N/m): slope just after the force takes up."""
 
     result: ClassVar = "loading-stiffness"
@@ -154,22 +116,41 @@ class LoadingStiffness(PerCycle):
         """With the stretch that it is read from."""
         return f"line over {1e3 * self.over:g} mm from where the force takes up, time as instrument"
 
-    def value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-        """Slope over the first stretch behind the take-up, the scale of the force as exact."""
-        part = slice(branches[0].start, branches[0].stop)
-        zero = test.raw_force.zero_error
-        start = find_branch_slack(displacement[part], test.known_curve.force[part], zero_error=zero)
-        if isinstance(start, Failure):
-            return start
-        begin = start.displacement
-        taut = replace(branches[0], start=branches[0].start + start.sample)
-        found, later = (
-            stiffness_over(test, taut, displacement, low, low + self.over)
-            for low in (begin.value, begin.value + begin.error)
-        )
-        if isinstance(found, Failure) or isinstance(later, Failure):
+    def deciding(self, test: Evidence, number: int) -> Decide:
+        """The noise of the measured force says what passes for zero."""
+        return partial(self.read, test, number=number, like=self._measured(test, number))
+
+    def plain(self, test: Evidence, branches: list[Branch]) -> list[float] | None:
+        """The number of the measured curve, whose first taut sample is the first beyond noise."""
+        found = self._measured(test, branches[0].cycle)
+        if found is None:
+            return None
+        _, d, f = on_branch(traced(test), branches[0])
+        return [float(found.of(d, f))]
+
+    def _measured(self, test: Evidence, number: int) -> LoadingSlope | None:
+        curve = traced(test)
+        found = loading_slope(*on_branch(curve, cycle_of(curve, number)[0]), over=self.over)
+        return None if isinstance(found, Failure) else found
+
+    def read(
+        self, test: Evidence, trace: Trace, number: int, like: LoadingSlope | None = None
+    ) -> Reading | Failure:
+        """Slope over the first stretch behind the take-up."""
+        del test
+        part = cycle_of(trace, number)[0]
+        found = loading_slope(*on_branch(trace, part), over=self.over, like=like)
+        if isinstance(found, Failure):
             return found
-        return widened(found, later.value - found.value)
+        branch = slice(part.start, part.stop)
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
+
+        def in_noise(trace: Trace) -> tuple[Floats]:
+            return (found.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
+
+        return Reading(numbers, found.slope.n, in_noise)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -187,34 +168,52 @@ class Hardening(Kind):
         )
         if not test.cycles:
             return self.not_available(blocked_or(test, NO_LOADING), method)
-        numbers = []
+        stiffness, numbers = LoadingStiffness(over=self.over), []
+        before = stiffness.deciding(test, 1)
+        first = test.measure(before)
         for later in test.cycles[1:]:
-            found = self._value(test, later, test.displacement.values)
+            number = later[0].cycle
+            after = stiffness.deciding(test, number)
+            plain = [stiffness.plain(test, each) for each in (later, test.cycles[0])]
+            values = [plain[0][0] / plain[1][0]] if plain[0] and plain[1] else None
+            found = test.measure(combined(_hardened, after, partial(_first, before)), values)
             numbers.append(
                 self.number(
-                    found,
+                    _above_noise(first, found),
                     method,
-                    other_shape(test, later, self._value, found),
                     during=(test.cycles[0][0].start_time, later[0].stop_time),
-                    part=f".{later[0].cycle}",
+                    part=f".{number}",
                 )
             )
         return Computed(tuple(numbers))
 
-    def _value(self, test: Evidence, branches: list[Branch], displacement: Floats) -> Outcome:
-        stiffness = LoadingStiffness(over=self.over)
-        before = stiffness.value(test, test.cycles[0], displacement)
-        after = stiffness.value(test, branches, displacement)
-        if isinstance(after, Failure):
-            return after
-        if isinstance(before, Failure):
-            message = f"that of cycle 1 is not available: {before.message}"
-            return Failure("no_stiffness", message)
-        if before.value <= 3.0 * before.error:
-            message = f"{before.value:.4g} N/m in cycle 1 is no more than noise"
-            return Failure("no_stiffness", message)
-        more = abs(after.value) * before.error / before.value
-        return scaled(after, 1.0 / before.value, more=more)
+
+def _hardened(trace: Trace, after: Floats, before: Floats) -> Floats:
+    del trace
+    return ratio(after, before)
+
+
+def _first(before: Decide, trace: Trace) -> Reading | Failure:
+    """Decide on the stiffness of the first cycle, or say what lacks without it."""
+    found = before(trace)
+    if isinstance(found, Failure):
+        message = f"that of cycle 1 is not available: {found.message}"
+        return Failure("no_stiffness", message)
+    return found
+
+
+def _above_noise(
+    first: tuple[Measured, ...] | Failure, found: tuple[Measured, ...] | Failure
+) -> Measured | Failure:
+    """A ratio, where the stiffness of the first cycle is more than noise."""
+    if isinstance(found, Failure):
+        return found
+    if isinstance(first, Failure):
+        return first
+    if first[0].value <= 3.0 * first[0].error:
+        message = f"{first[0].value:.4g} N/m in cycle 1 is no more than noise"
+        return Failure("no_stiffness", message)
+    return found[0]
 
 
 _Found = TypeVar("_Found")
@@ -304,8 +303,7 @@ def _seen_by_cameras(kind: Window, test: Evidence, name: str) -> Computed:
         return kind.not_available(blocked_or(test, NO_CYCLE), method)
 
     def decide(trace: Trace) -> Reading | Failure:
-        branch, path = trace.branches[0], trace.displacement
-        return slope_over(trace, slice(branch.start, branch.stop), path, kind.start, kind.stop)
+        return _secant(trace, kind.start, kind.stop)
 
     found = test.measure(decide)
     if isinstance(found, Failure):
@@ -315,55 +313,18 @@ def _seen_by_cameras(kind: Window, test: Evidence, name: str) -> Computed:
     return Computed((number,), {name: Stiffness(decide, found[0].as_estimate, during, window)})
 
 
-def slope_over(
-    trace: Trace, branch: slice, path_of_all: Floats, low: float, high: float
-) -> Reading | Failure:
-    """Decide on the stiffness over the part of a branch whose path lies between two lengths.
-
-    Parameters
-    ----------
-    trace : one curve
-    branch : samples of the branch, or of a stretch of it
-    path_of_all : shape (n,), m, growing along the branch
-    low, high : m
-
-    Returns
-    -------
-    N/m, force over displacement with time as instrument; a failure ``not_reached``,
-    ``too_few_samples`` or ``no_travel``.
-    """
-    path = path_of_all[branch]
-    travelled = moving_average(path, window=min(11, len(path) - 1 + len(path) % 2))
-    inside = (travelled >= low) & (travelled <= high)
-    if not (travelled > high).any():
-        reached = float(np.nanmax(travelled))
-        return Failure("not_reached", f"the branch reaches {reached:.4g} m, {high:.4g} m is asked")
-    inside[int(np.argmax(travelled > high)) :] = False
-    inside &= ~np.isnan(path) & ~np.isnan(trace.force[branch])
-    chosen = branch.start + np.flatnonzero(inside)
-    if len(chosen) < LEAST_OF_LINE:
-        message = f"{len(chosen)} samples in the stretch, {LEAST_OF_LINE} are needed"
-        return Failure("too_few_samples", message)
-    return slope_of(chosen, by_time=True)
-
-
-def slope_of(chosen: Ints, *, by_time: bool) -> Reading:
-    """Read the slope of force against displacement over chosen samples.
-
-    Parameters
-    ----------
-    chosen : shape (n,), numbers of samples in order
-    by_time : with time as instrument, for a displacement that is noisy itself
-    """
-    part = samples_of(chosen)
+def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
+    """Decide on the stiffness between two displacements of the first loading."""
+    part = trace.branches[0]
+    branch, (time, path, force) = slice(part.start, part.stop), on_branch(trace, part)
+    found = window_slope(time, path, force, path, low=low, high=high)
+    if isinstance(found, Failure):
+        return found
 
     def numbers(trace: Trace) -> tuple[Floats]:
-        displacement, force = trace.displacement[..., part], trace.force[..., part]
-        if by_time:
-            return (timed_slope(trace.time[part], displacement, force),)
-        return (slope_of_line(displacement, force),)
+        return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
-    return Reading(numbers, len(chosen))
+    return Reading(numbers, found.n)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -445,7 +406,12 @@ class LineStiffness(Window):
             return Failure("too_few_samples", message)
         if np.ptp(trace.displacement[chosen]) == 0.0:
             return Failure("no_travel", "the displacement does not change over the stretch")
-        return slope_of(chosen, by_time=False)
+        part = samples_of(chosen)
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            return (slope_of_line(trace.displacement[..., part], trace.force[..., part]),)
+
+        return Reading(numbers, len(chosen))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -648,9 +614,34 @@ class ComplianceResult(Kind):
             f"displacement against force from {self.start:g} N to {self.stop:g} N, the bar taken "
             "for rigid"
         )
-        found = in_first_loading(test, partial(fit_compliance, start=self.start, stop=self.stop))
-        number = self.number(found, method, force_scale(test, found), during=test.while_loading())
-        return Computed((number,))
+        if not test.cycles:
+            return self.not_available(blocked_or(test, NO_LOADING), method)
+        found = test.measure(self.decide)
+        if isinstance(found, Failure):
+            return self.not_available(found, method)
+        return Computed((self.number(found[0], method, during=test.while_loading()),))
+
+    def decide(self, trace: Trace) -> Reading | Failure:
+        """Decide on the slope of the line of displacement against force over the window.
+
+        Parameters
+        ----------
+        trace : one curve
+        """
+        stretch = loading_of(trace)
+        d, f = trace.displacement[stretch], trace.force[stretch]
+        window = compliance_window(d, f, start=self.start, stop=self.stop)
+        if isinstance(window, Failure):
+            return window
+        slope = float(slope_of_line(f[window], d[window]))
+        if slope <= 0.0:
+            return Failure("not_positive", f"slope {slope:.4g} m/N")
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            x, y = (each[..., stretch][..., window] for each in (trace.force, trace.displacement))
+            return (slope_of_line(x, y),)
+
+        return Reading(numbers, len(d[window]))
 
 
 KINDS = (

@@ -103,7 +103,7 @@ def measure(
     if isinstance(plain, Failure):
         return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
     base = _numbers(plain, replicates)
-    drawn = [np.asarray(plain.numbers(each)) for each in replicates.traces()]
+    drawn = [np.asarray(plain.drawn(each)) for each in replicates.traces()]
     off = np.concatenate(drawn, axis=1) - base[:, None]
     noise, parts = np.nanstd(off, axis=1), list[tuple[str, Floats]]()
     for given in replicates.inputs:

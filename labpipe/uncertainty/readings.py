@@ -49,10 +49,18 @@ class Reading:
     numbers : of a trace with the samples that it was decided on: each number, shape (...) of the
         curves; NaN where a curve has none
     n : samples that the numbers rest on
+    in_noise : the same of curves with noise, where that moves the samples that are read; None
+        where they are the same
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
     n: int
+    in_noise: Callable[[Trace], tuple[Floats, ...]] | None = None
+
+    @property
+    def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
+        """What gives the numbers of curves with noise."""
+        return self.in_noise or self.numbers
 
 
 Decide: TypeAlias = Callable[[Trace], Reading | Failure]
@@ -83,6 +91,9 @@ def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
         def numbers(trace: Trace) -> tuple[Floats]:
             return (how(trace, *(each.numbers(trace)[0] for each in readings)),)
 
-        return Reading(numbers, readings[0].n)
+        def drawn(trace: Trace) -> tuple[Floats]:
+            return (how(trace, *(each.drawn(trace)[0] for each in readings)),)
+
+        return Reading(numbers, readings[0].n, drawn)
 
     return decide

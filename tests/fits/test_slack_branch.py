@@ -8,7 +8,7 @@ import pytest
 from labpipe.fits.slack import BranchSlack, TakeUp, find_branch_slack, take_up
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
-from tests.builders.noise_rows import KINDS, Number, noise_rows, spreads
+from tests.builders.noise_rows import KINDS, noise_rows
 
 D = np.concatenate([np.full(100, 0.002), np.linspace(0.002, 0.012, 500)])
 """A string gets taut first, then pulls."""
@@ -102,15 +102,40 @@ def test_take_up_of_a_curve_without_noise() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_take_up_decided_for_each_row(kind: str) -> None:
+    """Rows with gaps, rows that begin under load, and one that never takes up."""
+    force = F + noise_rows(kind, 0.02, (60, len(D)), seed=1)
+    force[:20, 250:260] = np.nan
+    force[20:30, :100] += 3.0
+    force[30] = 0.05 - np.linspace(0.0, 0.01, len(D))
+    path = D + noise_rows(kind, 1e-5, force.shape, seed=2)
+    path[40:50, ::7] = np.nan
+    found = take_up(D, F, limit=0.08)
+    assert isinstance(found, TakeUp)
+    places, samples = found.of_each(path, force)
+    for d, f, place, sample in zip(path, force, places, samples, strict=True):
+        alone = take_up(d, f, limit=0.08)
+        if isinstance(alone, TakeUp) and np.isfinite(f[alone.foot]).all():
+            assert sample <= alone.sample <= sample + 1
+            assert place == pytest.approx(float(alone.of(d, f)), rel=1e-9)
+    assert np.isfinite(places).all()
+
+
+@pytest.mark.parametrize("kind", KINDS)
 def test_take_up_of_replicates_scatters_as_tests_do(kind: str) -> None:
-    """Over a foot of 4 to 20 standard deviations; which samples it has is noise, too."""
     shape = (200, len(D))
     force = F + noise_rows(kind, 0.02, shape, seed=1)
-
-    def decide(d: Floats, f: Floats) -> Number:
-        found = take_up(d, f)
-        assert isinstance(found, TakeUp)
-        return found.of
-
-    tests, replicates = spreads(decide, D + np.zeros(shape), force)
-    assert replicates == pytest.approx(tests, rel=0.5)
+    path = D + np.zeros(shape)
+    alone = [take_up(d, f) for d, f in zip(path, force, strict=True)]
+    tests = [
+        float(each.of(D, f))
+        for each, f in zip(alone, force, strict=True)
+        if isinstance(each, TakeUp)
+    ]
+    measured = alone[-1]
+    assert isinstance(measured, TakeUp)
+    smooth = take_up(D, F, limit=measured.limit)
+    assert isinstance(smooth, TakeUp)
+    replicates, _ = smooth.of_each(path, F + noise_rows(kind, 0.02, shape, seed=2))
+    assert np.std(replicates) == pytest.approx(np.std(tests), rel=0.25)
+    assert np.mean(replicates) == pytest.approx(np.mean(tests), abs=0.2 * float(np.std(tests)))

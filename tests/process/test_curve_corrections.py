@@ -13,8 +13,9 @@ from labpipe.process.curve_corrections import correct_curve
 from labpipe.protocol.schema import CurveBlock
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import SlipDecision
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Failure
 from labpipe.records.quality import Severity
+from labpipe.uncertainty.intervals import Measured
 from tests.builders.doubts import doubted
 from tests.builders.pulls import STEP, broken, codes, pull, pulled, slipped
 
@@ -56,7 +57,7 @@ def test_give_and_slack_move_what_the_displacement_may_be() -> None:
     assert test.curve is not None
     moved = test.displacement.moved[COMPLIANCE] - test.displacement.values
     np.testing.assert_allclose(moved, -1e-6 * test.curve.force, atol=1e-15)
-    assert isinstance(test.slack, Estimate)
+    assert isinstance(test.slack, Measured)
     assert test.slack.value == pytest.approx(2e-3, rel=0.01)
 
 
@@ -130,7 +131,7 @@ def test_slack_moves_all_displacements() -> None:
     torn = broken(travel, force, at=0.016)
     curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 30 %}"
     test, _ = pulled(travel, torn, curve=curve)
-    assert isinstance(test.slack, Estimate)
+    assert isinstance(test.slack, Measured)
     assert test.slack.value == pytest.approx(0.003, abs=1e-5)
     assert test.curve is not None
     np.testing.assert_allclose(test.curve.displacement, travel - test.slack.value)
@@ -191,7 +192,7 @@ def test_zero_of_the_force_is_in_the_interval_of_the_slack() -> None:
         {"force": "force", "displacement": "displacement", "slack": {"from": "10 %", "to": "30 %"}}
     )
     test, _ = correct_curve(test, block)
-    assert isinstance(test.slack, Estimate)
+    assert isinstance(test.slack, Measured)
     assert test.slack.error == pytest.approx(1e-5, rel=0.1)
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
-from labpipe.records.estimates import Estimate
 from labpipe.records.quality import Findings, Reason, doubtful
 from labpipe.records.signals import Clocks, Signal, Signals
 from labpipe.results.evidence import Evidence
+from labpipe.uncertainty.intervals import Measured
 
 UP, DOWN = Direction.LOADING, Direction.UNLOADING
 APART = Clocks("markers")
@@ -107,4 +107,7 @@ def test_when_the_first_loading_went_between_two_displacements() -> None:
 
 def test_error_of_the_slack() -> None:
     assert Evidence(Signals()).slack_error == 0.0
-    assert Evidence(Signals(), slack=Estimate(1e-3, 2e-5, 50)).slack_error == 2e-5
+    assert (
+        Evidence(Signals(), slack=Measured(1e-3, np.array([-2e-5, 2e-5]), (), 50)).slack_error
+        == 2e-5
+    )

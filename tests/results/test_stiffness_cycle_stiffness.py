@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Branch, Curve, Direction
-from labpipe.records.estimates import Estimate
 from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
+from labpipe.results.likely_curves import likely_curves
 from labpipe.results.stiffness import UnloadingStiffness
+from labpipe.uncertainty.intervals import Measured
 from tests.builders.bundle_loops import LATER, NOISE, cycles, first_loading, holds, width
 from tests.builders.reduced import reduced
 
@@ -31,6 +35,10 @@ def usual() -> dict[str, Result]:
     return asked(cycles(noise=NOISE))
 
 
+def shares(found: Result) -> dict[str, float]:
+    return {each.cause: each.change for each in found.budget}
+
+
 def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> None:
     """The branch holds 3 s of the wait; noise of cameras must not be carried over them."""
     time: Floats = np.arange(0.0, 26.0, 0.02)
@@ -45,10 +53,12 @@ def test_unloading_begins_where_the_wait_ends_and_not_where_its_samples_do() -> 
     signals = Signals()
     for name, values, unit in (("force", force, "N"), ("displacement", seen, "m")):
         signals = signals.with_new(name, Signal(time, values, unit, "force"))
-    curve = Curve(time, path, force, numbers, numbers + 1, (up, down))
-    (number,) = UnloadingStiffness(over=0.003).compute(Evidence(signals, curve=curve)).numbers
+    curve = Curve(time, seen, force, numbers, numbers + 1, (up, down))
+    test = Evidence(signals, curve=curve, unfiltered=signals.raw["force"])
+    test = replace(test, replicates=likely_curves(test))
+    (number,) = UnloadingStiffness(over=0.003).compute(test).numbers
     found = number.outcome
-    assert isinstance(found, Estimate)
+    assert isinstance(found, Measured)
     inside = slice(turns, ends)
     window = (off[inside] >= 0.0003) & (off[inside] <= 0.003)
     slope = np.polyfit(path[inside][window], force[inside][window], 1)[0]
@@ -63,7 +73,9 @@ def test_stiffness_of_each_cycle_and_hardening(usual: dict[str, Result]) -> None
         holds(usual[f"loading_stiffness.{number}"], true, "N/m")
     for number in (2, 3):
         holds(usual[f"hardening.{number}"], LATER / first, "1")
-    assert width(usual["loading_stiffness.2"]) > 0.039 * LATER  # 1 % of the gain, 95 %
+    value = usual["loading_stiffness.2"].value
+    assert value is not None
+    assert shares(usual["loading_stiffness.2"])[SCALE_OF_FORCE] == pytest.approx(0.01 * value)
     assert "hardening.1" not in usual
 
 
@@ -74,7 +86,9 @@ def test_a_gain_cancels_in_hardening(usual: dict[str, Result]) -> None:
         value = usual[name].value
         assert value is not None
         assert stronger[name].value == pytest.approx(factor * value, rel=1e-9)
-        assert width(stronger[name]) == pytest.approx(factor * width(usual[name]), rel=1e-6)
+        # Other forces, other draws: widths repeat within 5 %.
+        assert width(stronger[name]) == pytest.approx(factor * width(usual[name]), rel=0.1)
+    assert shares(stronger["hardening.2"]).get(SCALE_OF_FORCE, 0.0) < 1e-12
 
 
 def test_one_cycle_has_no_hardening() -> None:
@@ -96,3 +110,19 @@ def test_no_hardening_without_a_first_cycle() -> None:
     force = np.where(time < 50.0, np.random.default_rng(1).normal(0.0, NOISE, len(time)), force)
     results = asked((time, path, force))
     assert results["hardening.2"].why.startswith("no_stiffness: ")
+
+
+def test_the_estimate_knows_what_noise_hides_of_the_foot() -> None:
+    """The first samples lie within the noise; 800 N/m up to 2 mm miss them, 300 N/m do not."""
+    path = np.linspace(0.0, 0.005, 251)
+    lever = path - path.mean()
+    true = float(lever @ first_loading(path) / (lever @ path))
+    values, estimates = [], []
+    for seed in range(12):
+        found = asked(cycles(1, noise=NOISE, seed=seed))["loading_stiffness.1"]
+        assert found.value is not None
+        assert found.estimate is not None
+        values.append(found.value)
+        estimates.append(found.estimate)
+    assert np.mean(values) < true - 3.0
+    assert np.mean(estimates) == pytest.approx(true, abs=1.5)
