@@ -143,7 +143,9 @@ def stream(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(found, "little")))
 
 
-def smooth_curve(time: Floats, values: Floats, cuts: Sequence[int], parts: int) -> Floats:
+def smooth_curve(
+    time: Floats, values: Floats, cuts: Sequence[int], parts: int, broken: int | None = None
+) -> Floats:
     """Smooth curve through a record, piece by piece: least-squares cubic splines of even intervals.
 
     Parameters
@@ -151,6 +153,7 @@ def smooth_curve(time: Floats, values: Floats, cuts: Sequence[int], parts: int) 
     time, values : shape (n,); NaN stay NaN
     cuts : numbers of the samples at which a new piece begins: turns, slips, the failure
     parts : intervals of each piece at most
+    broken : the cut at which the curve may jump; at all others the pieces meet
 
     Returns
     -------
@@ -171,7 +174,7 @@ def smooth_curve(time: Floats, values: Floats, cuts: Sequence[int], parts: int) 
         spline = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)
         found[low:high][known] = spline(x)
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
-        if cut - before > 1 and after - cut > 1:
+        if cut != broken and cut - before > 1 and after - cut > 1:
             _meet(found, cut)
     return found
 
@@ -181,7 +184,7 @@ def _meet(values: Floats, cut: int) -> None:
 
     A piece that begins a sample early, or ends one late, runs past the corner. There the other one
     holds, carried on by a sample: the lower of both where the slope falls, else the higher. Pieces
-    that are farther apart than their slopes explain, as at a failure, stay as they are.
+    that are farther apart than their slopes explain, as at a slip, stay as they are.
     """
     left, right = values[cut - 1] - values[cut - 2], values[cut + 1] - values[cut]
     ahead, back = values[cut - 1] + left, values[cut] - right
@@ -238,9 +241,10 @@ def replicated(
     parts = _PARTS_OF_CYCLE if cyclic else _PARTS
     seed = hashlib.sha256(measured.force.tobytes() + measured.displacement.tobytes()).digest()
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
+    failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = smooth_curve(time, values, cuts, parts)
+        curve = smooth_curve(time, values, cuts, parts, failed)
         noise = _noise(values, curve, unfiltered, cuts)
         made = curve[None] if noise.is_none else _with_noise(curve, noise, stream(seed, name))
         filtered = act(made).astype(np.float32)

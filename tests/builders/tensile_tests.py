@@ -62,10 +62,8 @@ def write_pull(
 
 
 def shipped(repository: Path, name: str) -> Protocol:
-    """A shipped protocol; that of the stiff bar with the load cell's certificate in it."""
+    """A shipped protocol."""
     text = (repository / "protocols" / f"{name}.yaml").read_text(encoding="utf-8")
-    if name == "stiff-bar":
-        text = text.replace("荷重]\n", "荷重]\n        scale_uncertainty: 0.25 %\n")
     return parse_protocol(text, f"{name}.yaml")
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from labpipe.records.result import Result
 from labpipe.virtual_lab import observe
-from tests.builders.tensile_tests import reduced_in_memory, shipped, true_values
+from tests.builders.tensile_tests import reduced_in_memory, shipped
 from tests.coverage import lab_bending, lab_tensile
 from tests.coverage.lab_bending import Checked
 
@@ -37,7 +37,9 @@ def made(kind: str, seed: int, folder: Path) -> Checked:
     protocols = REPOSITORY / "protocols"
     if kind in lab_tensile.KINDS:
         test = observe(lab_tensile.drawn(kind, seed), seed)
-        return reduced_in_memory(test, shipped(REPOSITORY, kind)), true_values(test)
+        seen = lab_tensile.as_recorded(kind, seed, test)
+        results = reduced_in_memory(seen, shipped(REPOSITORY, kind))
+        return results, lab_tensile.truth(kind, seed, test)
     if kind in ON_A_STRING:
         return lab_bending.on_a_string(ON_A_STRING[kind](seed), seed, folder, protocols)
     scenario = lab_bending.conduit_bundle(seed)

@@ -24,16 +24,15 @@ from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign
 from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
 from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario
 from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped
-from labpipe.virtual_lab.sheet_texts import write_sheet
+from labpipe.virtual_lab.sheet_texts import protocol_of, write_sheet
 from tests.builders.bent_tests import law_moment
+from tests.foreign.stated import scale, stated
 
 Truth = dict[str, float]
 Checked = tuple[tuple[Result, ...], Truth]
 
-LENGTH_ERROR, SPEED_ERROR = 0.5e-3, 0.005
-"""Standard uncertainties that the protocols state: of length and span, m, and of the speed."""
-OFFSET_ERROR = 0.1e-3
-"""Standard uncertainty of the places of clamped end and pull point that they state, m."""
+SPEED_ERROR = 0.005
+"""Standard uncertainty of the speed that the protocol of conduits states."""
 WIRE_WINDOW, UNLOADING = (0.5e-3, 4e-3), (0.3e-3, 3e-3)
 """Of initial and unloading stiffness of wires, m; the second one below the peak."""
 CURVATURES = (1.0, 3.0)
@@ -89,25 +88,33 @@ def on_a_string(scenario: CantileverScenario, seed: int, folder: Path, protocols
     -------
     All results, and what is true, by their names.
     """
-    test = observe(scenario, seed)
+    test, name = observe(scenario, seed), protocol_of(scenario)
     plan = _plan(write_sheet(_as_written(scenario, seed)), folder, protocols)
-    results = _reduced({"force": test.force, "markers": test.markers}, plan)
-    return results, taped_truth(test) if plan.name == "taped-bundle" else wire_truth(test)
+    results = _reduced({"force": test.force, "markers": _filmed(test.markers, name, seed)}, plan)
+    return results, taped_truth(test) if name == "taped-bundle" else wire_truth(test)
 
 
 def on_two_supports(scenario: ConduitScenario, seed: int, folder: Path, protocols: Path) -> Checked:
     """The same of a conduit bundle; its bending stiffness is that of small deflections on edges."""
     test = observe(scenario, seed)
-    roles: dict[str, Recording] = {"force": test.force, "markers": test.markers}
+    name, random = protocol_of(scenario), np.random.default_rng([seed, 71])
+    markers = _filmed(test.markers, name, seed)
+    roles: dict[str, Recording] = {"force": test.force, "markers": markers}
+    span, speed, travel, centre = random.standard_normal(4).tolist()
     if test.frame is not None:
-        roles["frame"] = _in_file(test.frame)
-    random = np.random.default_rng([seed, 71])
-    span = scenario.test.span + LENGTH_ERROR * random.standard_normal()
-    scale = 1.0 + SPEED_ERROR * random.standard_normal()  # of the way that speed and time make
+        travel *= scale(name, "frame", "displacement")
+        roles["frame"] = _in_file(test.frame, 1.0 + travel)
+    span *= stated(name, "specimen", "uncertainty", "span")
+    centre *= stated(name, "markers", "centre_uncertainty")
+    told = 1.0 + SPEED_ERROR * speed  # of the way that speed and time make
+    layout = scenario.markers
     said = replace(
         scenario,
-        test=replace(scenario.test, span=span, stroke=scale * scenario.test.stroke),
-        speed=scale * scenario.speed,
+        test=replace(
+            scenario.test, span=scenario.test.span + span, stroke=told * scenario.test.stroke
+        ),
+        speed=told * scenario.speed,
+        markers=replace(layout, centre_offset=layout.centre_offset + centre),
     )
     sheet = write_sheet(said, {role: (f"{role}.mat",) for role in roles})
     results = _reduced(roles, _plan(sheet, folder, protocols))
@@ -118,10 +125,19 @@ def on_two_supports(scenario: ConduitScenario, seed: int, folder: Path, protocol
     return results, truth
 
 
-def _in_file(frame: Recording) -> Recording:
+def _filmed(markers: Recording, protocol: str, seed: int) -> Recording:
+    """What cameras saw whose scale is off."""
+    by = 1.0 + scale(protocol, "markers") * float(np.random.default_rng([seed, 89]).normal())
+    tracks = markers.markers
+    assert tracks is not None
+    bodies = tuple(replace(each, position=by * each.position) for each in tracks.bodies)
+    return replace(markers, markers=replace(tracks, positions=by * tracks.positions, bodies=bodies))
+
+
+def _in_file(frame: Recording, by: float) -> Recording:
     """The crosshead in millimetres, before the protocol's names and units are put to it."""
     channels = tuple(
-        replace(each, values=1e3 * each.values, unit="mm")
+        replace(each, values=1e3 * by * each.values, unit="mm")
         for each in frame.channels
         if each.name == "Crosshead"
     )
@@ -130,16 +146,20 @@ def _in_file(frame: Recording) -> Recording:
 
 def _as_written(scenario: CantileverScenario, seed: int) -> CantileverScenario:
     """What a person writes down: length and offsets as they were measured."""
-    length, grip, pull = np.random.default_rng([seed, 73]).standard_normal(3).tolist()
-    mechanics, markers = scenario.mechanics, scenario.markers
+    length, grip, pull, centre = np.random.default_rng([seed, 73]).standard_normal(4).tolist()
+    name, mechanics, markers = protocol_of(scenario), scenario.mechanics, scenario.markers
+    length *= stated(name, "specimen", "uncertainty", "length")
+    offset = stated(name, "markers", "offset_uncertainty")
     x, *across = markers.pivot
     return replace(
         scenario,
-        mechanics=replace(mechanics, length=mechanics.length + LENGTH_ERROR * length),
+        mechanics=replace(mechanics, length=mechanics.length + length),
         markers=replace(
             markers,
-            pivot=(x - OFFSET_ERROR * grip, *across),
-            pull_offset=markers.pull_offset + OFFSET_ERROR * pull,
+            pivot=(x - offset * grip, *across),
+            pull_offset=markers.pull_offset + offset * pull,
+            centre_offset=markers.centre_offset
+            + centre * stated(name, "markers", "centre_uncertainty"),
         ),
     )
 

@@ -1,14 +1,14 @@
-"""Tensile tests of the virtual lab in memory; load cells are off as their certificates allow."""
+"""Tensile tests of the virtual lab in memory, off by as much as the shipped protocols say."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from labpipe.virtual_lab import TensileScenario
+from labpipe.virtual_lab import TensileObservation, TensileScenario
 from labpipe.virtual_lab.tensile_scenarios import (
-    GAIN_UNCERTAINTY,
     TABLE_2_3,
     GripSlip,
     corrugated_tube,
@@ -16,6 +16,8 @@ from labpipe.virtual_lab.tensile_scenarios import (
     stiff_bar,
     twist_tube,
 )
+from tests.builders.tensile_tests import true_values
+from tests.foreign.stated import scale, stated
 
 
 def drawn(kind: str, seed: int) -> TensileScenario:
@@ -27,8 +29,28 @@ def drawn(kind: str, seed: int) -> TensileScenario:
     seed : of the sample and of what its load cell is off by
     """
     random = np.random.default_rng([seed, 7])
-    gain_error = float(GAIN_UNCERTAINTY * random.standard_normal())
+    gain_error = scale(kind, "frame", "force") * float(random.standard_normal())
     return KINDS[kind](random, gain_error)
+
+
+def as_recorded(kind: str, seed: int, test: TensileObservation) -> TensileObservation:
+    """The test with its crosshead off by as much as the protocol says."""
+    by = scale(kind, "frame", "displacement") * float(np.random.default_rng([seed, 79]).normal())
+    travel = test.record.displacement * (1.0 + by)
+    return replace(test, record=replace(test.record, displacement=travel))
+
+
+def truth(kind: str, seed: int, test: TensileObservation) -> dict[str, float]:
+    """True values; the specimen is not as large as the protocol says."""
+    random = np.random.default_rng([seed, 83])
+    sizes = {
+        name: size + stated(kind, "specimen", "uncertainty", name) * float(random.normal())
+        for name, size in {"length": test.scenario.length, **SECTIONS.get(kind, {})}.items()
+    }
+    stretched = test.truth.stiffness_first * sizes["length"]
+    return true_values(test) | {
+        name: stretched / area(sizes) for name, area in AREAS.get(kind, {}).items()
+    }
 
 
 def _tube(random: np.random.Generator, gain_error: float) -> TensileScenario:
@@ -74,3 +96,27 @@ KINDS = {
     "pet-tape": _tape,
     "stiff-bar": _bar,
 }
+SECTIONS = {
+    "corrugated-tube": {"outer_diameter": 14.1e-3, "inner_diameter": 10.7e-3, "wall": 0.27e-3},
+    "pet-tape": {"width": 18.79e-3, "thickness": 0.28e-3},
+}
+"""As the protocols say, m."""
+
+
+def _wall(sizes: dict[str, float]) -> float:
+    return math.pi * (sizes["outer_diameter"] - sizes["wall"]) * sizes["wall"]
+
+
+def _annulus(sizes: dict[str, float]) -> float:
+    return 0.25 * math.pi * (sizes["outer_diameter"] ** 2 - sizes["inner_diameter"] ** 2)
+
+
+def _rectangle(sizes: dict[str, float]) -> float:
+    return sizes["width"] * sizes["thickness"]
+
+
+AREAS = {
+    "corrugated-tube": {"modulus_thin_wall": _wall, "modulus_annulus": _annulus},
+    "pet-tape": {"modulus": _rectangle},
+}
+"""Moduli that the protocols ask for, by name."""

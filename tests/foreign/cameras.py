@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from tests.foreign import definitions
 from tests.foreign.bends import Along, Branch, Wire, knives, loops
 from tests.foreign.exports import write_mat, write_motive, write_mts, write_sheet
-from tests.foreign.frames import Truth, sheet
+from tests.foreign.frames import Truth, measured, sheet
 from tests.foreign.noise import noisy
 from tests.foreign.pulls import Law, Loop
 from tests.foreign.rig import Chance, Clocks, Made, Way
+from tests.foreign.stated import scale, stated
 
 Array = NDArray[np.float64]
 FPS, RATE = 50.0, 1000.0
@@ -77,7 +78,8 @@ def clamped(chance: Chance, folder: Path, rig: Clamped) -> Truth:
     clocks = clocks_of(chance)
     ticks = clocks.samples(RATE, end - start)
     force = _force(branches, rig.way, np.clip(start + clocks.cameras(ticks), 0.0, None))
-    force = chance.noisy(force, 1.0 / RATE) * (1.0 + chance.error(0.002))
+    off = chance.error(scale(chance.kind, "force"))
+    force = chance.noisy(force, 1.0 / RATE) * (1.0 + off)
     volts = (force + 0.1 * chance.rng.uniform(-1.0, 1.0)) / rig.gain
     write_mat(folder / "rec1_007.mat", ticks, {"Model Root/Load Cell/Out1": volts})
     frames = np.arange(0.0, end - start, 1.0 / FPS)
@@ -106,14 +108,16 @@ def _places(
     """Pivot (frames, 3) and markers (frames, markers, 3) in the frame of the rig, m."""
     travel, which = rig.way.travel(time), rig.way.stroke_at(time)
     along = Along(rig.wire.length)
-    offset = chance.error(1e-4), chance.error(1e-4)
+    by = stated(chance.kind, "markers", "offset_uncertainty")
+    offset = chance.error(by), chance.error(by)
     places = rig.places - offset[0]
+    centre = rig.centre + chance.off("centre", stated(chance.kind, "markers", "centre_uncertainty"))
     markers = np.zeros((len(time), rig.markers, 3))
     for number, branch in enumerate(branches):
         here = which == number
         angle, x, y = along.shapes(branch.bends(travel[here]), places)
-        markers[here, :, 0] = x - rig.centre * np.sin(angle)
-        markers[here, :, 1] = y + rig.centre * np.cos(angle) - travel[here, None]
+        markers[here, :, 0] = x - centre * np.sin(angle)
+        markers[here, :, 1] = y + centre * np.cos(angle) - travel[here, None]
     pivot = np.column_stack([0.0 * time - rig.grip - offset[1], -travel, 0.0 * time])
     return pivot, markers
 
@@ -150,7 +154,7 @@ def wire_cantilever(chance: Chance, folder: Path) -> Made:
     truth = clamped(chance, folder, rig)
     changed = {"rig__stroke": "24 mm", "rig__crosshead_speed": "2 mm/s"}
     files = {"force": "rec1_007.mat", "markers": "take.csv"}
-    write_sheet(folder, sheet(chance, {"length": "85 mm"}, files, **changed))
+    write_sheet(folder, sheet(chance, measured(chance, "length", 85.0), files, **changed))
     truth |= clamped_truth(rig, 3e-3)
     first = _dense(loops(wire, way.stroke, way.cycles)[0])
     truth["initial_stiffness"] = definitions.window_slope(*first, 0.5e-3, 4e-3)
@@ -168,7 +172,7 @@ def taped_bundle(chance: Chance, folder: Path) -> Made:
     truth = clamped(chance, folder, rig)
     changed = {"rig__stroke": "24 mm", "rig__crosshead_speed": "2 mm/s", "rig__cycles": "2"}
     files = {"force": "rec1_007.mat", "markers": "take.csv"}
-    length = 0.1143 + chance.error(0.5e-3)
+    length = 0.1143 + chance.error(stated(chance.kind, "specimen", "uncertainty", "length"))
     bundle = {"wires": {"B1": 19}}
     said = {"length": f"{1e3 * length:.4f} mm", "bundle": bundle}
     write_sheet(folder, sheet(chance, said, files, **changed))
@@ -254,7 +258,8 @@ def conduit_bundle(chance: Chance, folder: Path) -> Made:
     changed: dict[str, Any] = {"rig__stroke": "15 mm"}
     changed["results__bending-stiffness__corrections"] = ["large-deflection"]
     files = {"force": "rec1_007.mat", "frame": "run.txt", "markers": "take.csv"}
-    span = f"{1e3 * (SPAN + chance.error(0.5e-3)):.4f} mm"
+    by = stated(chance.kind, "specimen", "uncertainty", "span")
+    span = f"{1e3 * (SPAN + chance.error(by)):.4f} mm"
     bundle = {"span": span, "bundle": {"wires": {"B1": 19}}}
     write_sheet(folder, sheet(chance, bundle, files, **changed))
     truth = {"clock_offset": early - 0.02, "clock_drift": 0.0, "twist": TWIST}
@@ -265,12 +270,13 @@ def _press(chance: Chance, folder: Path, rig: Conduit, early: float) -> None:
     """Volts of the recorder, which starts a little before the frame; the frame's crosshead."""
     ticks = np.arange(0.0, rig.end - rig.begin + early, 1.0 / RATE)
     force = chance.noisy(rig.bent(rig.begin - early + ticks)[0], 1.0 / RATE)
-    volts = (force * (1.0 + chance.error(0.002)) - 0.002846) / -0.21082
+    volts = (force * (1.0 + chance.error(scale(chance.kind, "force"))) - 0.002846) / -0.21082
     write_mat(folder / "rec1_007.mat", ticks, {"Model Root/Load Cell/Out1": volts})
     time = np.arange(rig.begin, rig.end, 1.0 / FPS)
     crosshead = noisy(
         rig.way.travel(time), "white", min(chance.loud, 1.0) * 1e-7, 1.0 / FPS, chance.rng
     )
+    crosshead *= 1.0 + chance.off("travel", scale(chance.kind, "frame", "displacement"))
     columns = [("Crosshead", "mm", 1e3 * crosshead), ("Time", "sec", time - rig.begin + 0.02)]
     write_mts(folder / "run.txt", columns)
 
@@ -280,7 +286,9 @@ def _watch(chance: Chance, folder: Path, rig: Conduit) -> None:
     time = np.arange(rig.begin - (0.0 if rig.begin else 3.2), rig.end, 1.0 / SLOW_FPS)
     _, deflection = rig.bent(time)
     turn, _ = at_rest_turned(chance)
-    markers = _on_conduit(deflection, deflection / rig.way.stroke * TWIST) @ turn.T
+    twist = deflection / rig.way.stroke * TWIST
+    by = stated(chance.kind, "markers", "centre_uncertainty")
+    markers = _on_conduit(deflection, twist, RADIUS + chance.off("centre", by)) @ turn.T
     order = chance.rng.permutation(markers.shape[1])
     named = {f"C{i + 1}": chance.seen(markers[:, j] + 0.4) for i, j in enumerate(order)}
     write_motive(folder / "take.csv", SLOW_FPS, None, named, np.zeros(4))
@@ -314,14 +322,14 @@ def rod_truth(d: Array, f: Array, span: float) -> Truth:
     }
 
 
-def _on_conduit(deflection: Array, twist: Array) -> Array:
+def _on_conduit(deflection: Array, twist: Array, radius: float) -> Array:
     """Two rows of markers, 35 deg off the side, every half inch; (frames, markers, 3)."""
     along = 12.7e-3 * np.arange(-6.0, 7.0)
     x, y, angle = knives().axis(deflection, SPAN, along)
     rows = []
     for around in np.radians((55.0, 125.0)):
-        up = RADIUS * np.cos(around + twist)[:, None]
-        out = RADIUS * np.sin(around + twist)[:, None] * np.ones_like(x)
+        up = radius * np.cos(around + twist)[:, None]
+        out = radius * np.sin(around + twist)[:, None] * np.ones_like(x)
         rows.append(np.stack([x - up * np.sin(angle), y + up * np.cos(angle), out], axis=2))
     return np.concatenate(rows, axis=1)
 

@@ -16,6 +16,7 @@ from tests.foreign.exports import write_mat, write_mts, write_sheet, write_tra
 from tests.foreign.noise import noisy
 from tests.foreign.pulls import Specimen
 from tests.foreign.rig import Chance, Made, Way, pulled
+from tests.foreign.stated import scale
 
 Array = NDArray[np.float64]
 Truth = dict[str, float]
@@ -32,6 +33,11 @@ def sheet(
     said = {"type": chance.kind, "spool": "s1", "sample": chance.seed, **specimen}
     made = {"test": f"{chance.kind}-{chance.seed}", "protocol": chance.kind, "specimen": said}
     return {**made, "files": files, **({"overrides": changed} if changed else {})}
+
+
+def measured(chance: Chance, name: str, size: float) -> dict[str, Any]:
+    """A length in mm as a person read it."""
+    return {name: f"{size + 1e3 * chance.length(name):.4f} mm"}
 
 
 def slipping(chance: Chance, specimen: Specimen, share: float = 0.03) -> tuple[Specimen, Truth]:
@@ -77,7 +83,7 @@ def tensile(chance: Chance, folder: Path) -> Made:
     )[chance.variety]
     speed = 2e-4 if chance.rate(100.0) > 50.0 else 5e-5
     specimen, truth = slipping(chance, off_grid(chance, specimen, speed))
-    time, travel, force = pulled(chance, specimen, speed=speed, rate=100.0, scale=0.0, tare=0.0)
+    time, travel, force = pulled(chance, specimen, speed=speed, rate=100.0, tare=0.0)
     columns = [("Prüfzeit", "s", time), ("Standardweg", "mm", 1e3 * travel)]
     write_tra(folder / "Zug.TRA", [*columns, ("Standardkraft", "N", force)])
     write_sheet(folder, sheet(chance, {}, {"frame": "Zug.TRA"}))
@@ -96,10 +102,10 @@ def twist_tube(chance: Chance, folder: Path) -> Made:
     first = (22e3, 24e3, 27e3)[chance.variety]
     whole = off_grid(chance, pulls.tearing(first, 0.55 * first, 9e-3, 26e-3), 5e-3)
     specimen, truth = slipping(chance, whole)
-    time, travel, force = pulled(chance, specimen, speed=5e-3, rate=100.0, scale=0.0025, tare=1.0)
+    time, travel, force = pulled(chance, specimen, speed=5e-3, rate=100.0, tare=1.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "kN", 1e-3 * force)]
     write_mts(folder / "run.csv", [*columns, ("Time", "sec", time)], quoted=True)
-    write_sheet(folder, sheet(chance, {"length": "75 mm"}, {"frame": "run.csv"}))
+    write_sheet(folder, sheet(chance, measured(chance, "length", 75.0), {"frame": "run.csv"}))
     d, f = specimen.whole()
     peak = float(f.max())
     one, two = (definitions.window_slope(d, f, *w) for w in ((2e-3, 8e-3), (10e-3, 20e-3)))
@@ -114,10 +120,10 @@ def pet_tape(chance: Chance, folder: Path) -> Made:
     loose = (0.6e-3, 0.9e-3, 1.2e-3)[chance.variety]
     regions = pulls.behind(pulls.two_regions(12.2e3, 1.6e3, 9e-3, 0.9e-3), loose, 0.1e-3)
     specimen, truth = slipping(chance, off_grid(chance, Specimen(regions, 56.3e-3), 5e-4))
-    time, travel, force = pulled(chance, specimen, speed=5e-4, rate=40.0, scale=0.0025, tare=1.0)
+    time, travel, force = pulled(chance, specimen, speed=5e-4, rate=40.0, tare=1.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "N", force), ("Time", "sec", time)]
     write_mts(folder / "run.txt", columns)
-    write_sheet(folder, sheet(chance, {"length": "300 mm"}, {"frame": "run.txt"}))
+    write_sheet(folder, sheet(chance, measured(chance, "length", 300.0), {"frame": "run.txt"}))
     d, f = specimen.whole()
     slack = definitions.slack(d, f)
     d = d - slack
@@ -126,7 +132,8 @@ def pet_tape(chance: Chance, folder: Path) -> Made:
         truth["slip_position.1"] -= slack
     truth |= {"slack": slack, "peak_force.1": float(f.max()), "stiffness_first": one}
     truth |= {"stiffness_second": definitions.window_slope(d, f, 15e-3, 35e-3)}
-    truth |= {"modulus": one * 0.3 / (18.79e-3 * 0.28e-3)}
+    width, thickness = 18.79e-3 + chance.length("width"), 0.28e-3 + chance.length("thickness")
+    truth |= {"modulus": one * 0.3 / (width * thickness)}
     return Made(folder, {**truth, **segments(d, f, 1e-3, 35e-3), **broken(d, f)})
 
 
@@ -135,14 +142,16 @@ def corrugated_tube(chance: Chance, folder: Path) -> Made:
     stiffness = (900.0, 1100.0, 1300.0)[chance.variety]
     whole = pulls.rubbery(stiffness, 50e-3)
     specimen, truth = slipping(chance, whole)
-    time, travel, force = pulled(chance, specimen, speed=4.23e-4, rate=40.0, scale=0.0025, tare=1.0)
+    time, travel, force = pulled(chance, specimen, speed=4.23e-4, rate=40.0, tare=1.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "N", force), ("Time", "sec", time)]
     write_mts(folder / "run.txt", columns)
-    write_sheet(folder, sheet(chance, {"length": "114.3 mm"}, {"frame": "run.txt"}))
+    write_sheet(folder, sheet(chance, measured(chance, "length", 114.3), {"frame": "run.txt"}))
     d, f = whole.whole()
     stiff = definitions.window_slope(d, f, 1e-3, 10e-3)
     truth |= {"peak_force.1": float(f.max()), "peak_displacement.1": 50e-3, "stiffness": stiff}
-    thin, thick = np.pi * (14.1 - 0.27) * 0.27e-6, np.pi / 4 * (14.1**2 - 10.7**2) * 1e-6
+    sizes = ("outer_diameter", 14.1e-3), ("inner_diameter", 10.7e-3), ("wall", 0.27e-3)
+    outer, inner, wall = (size + chance.length(name) for name, size in sizes)
+    thin, thick = np.pi * (outer - wall) * wall, np.pi / 4 * (outer**2 - inner**2)
     truth |= {"modulus_thin_wall": stiff * 0.1143 / thin, "modulus_annulus": stiff * 0.1143 / thick}
     return Made(folder, truth)
 
@@ -150,7 +159,7 @@ def corrugated_tube(chance: Chance, folder: Path) -> Made:
 def stiff_bar(chance: Chance, folder: Path) -> Made:
     """Travel per force of frame and grips; MTS, kN."""
     specimen = pulls.bar((0.18e-6, 0.21e-6, 0.25e-6)[chance.variety], 460.0)
-    time, travel, force = pulled(chance, specimen, speed=1e-5, rate=40.0, scale=0.0, tare=0.0)
+    time, travel, force = pulled(chance, specimen, speed=1e-5, rate=40.0, tare=0.0)
     columns = [("Crosshead", "mm", 1e3 * travel), ("Load", "kN", 1e-3 * force)]
     write_mts(folder / "run.csv", [*columns, ("Time", "sec", time)], quoted=True)
     write_sheet(folder, sheet(chance, {}, {"frame": "run.csv"}))
@@ -162,10 +171,10 @@ def three_point_bend(chance: Chance, folder: Path) -> Made:
     """A rod that yields on knife edges; testXpert, German."""
     span, rigidity = 0.06, (0.5, 0.7, 0.9)[chance.variety]
     specimen = pulls.bent_rod(rigidity, span, 2e-3, 4.6e-3)
-    time, travel, force = pulled(chance, specimen, speed=1e-4, rate=40.0, scale=0.0, tare=0.0)
+    time, travel, force = pulled(chance, specimen, speed=1e-4, rate=40.0, tare=0.0)
     columns = [("Prüfzeit", "s", time), ("Standardweg", "mm", 1e3 * travel)]
     write_tra(folder / "Biegung.TRA", [*columns, ("Standardkraft", "N", force)])
-    write_sheet(folder, sheet(chance, {"span": "60 mm"}, {"frame": "Biegung.TRA"}))
+    write_sheet(folder, sheet(chance, measured(chance, "span", 60.0), {"frame": "Biegung.TRA"}))
     d, f = specimen.whole()
     truth = {"peak_force.1": float(f.max()), "peak_displacement.1": specimen.ends}
     truth |= segments(d, f, 0.2e-3, 4e-3)
@@ -186,6 +195,8 @@ def force_displacement(chance: Chance, folder: Path) -> Made:
     force = np.select([which == i for i in range(len(laws))], [law(travel) for law in laws])
     force = chance.noisy(force, 1e-3)
     travel = noisy(travel, "white", min(chance.loud, 1.0) * 1e-6, 1e-3, chance.rng)
+    force = force * (1.0 + chance.off("force", scale(chance.kind, "force", "force")))
+    travel = travel * (1.0 + chance.off("travel", scale(chance.kind, "force", "displacement")))
     signals = {"Model Root/Force": force, "Model Root/Displacement": 1e3 * travel}
     write_mat(folder / "rec1_007.mat", time, signals)
     write_sheet(folder, sheet(chance, {}, {"force": "rec1_007.mat"}))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from tests.foreign.noise import noisy
 from tests.foreign.pulls import Specimen
+from tests.foreign.stated import scale, stated
 
 Array = NDArray[np.float64]
 
@@ -63,6 +64,17 @@ class Chance:
         drawn = float(self.rng.normal(0.0, size))
         return 0.0 if self.exact else drawn
 
+    def off(self, name: str, size: float) -> float:
+        """What something else is off by, in chance of its own."""
+        drawn = np.random.default_rng(
+            [self.seed, *(zlib.crc32(x.encode()) for x in (self.kind, name))]
+        )
+        return 0.0 if self.exact else size * float(drawn.standard_normal())
+
+    def length(self, name: str) -> float:
+        """What a length or a measure of the section is off by in truth, m."""
+        return self.off(name, stated(self.kind, "specimen", "uncertainty", name))
+
     def size(self, peak: float) -> float:
         """Noise of a force, N."""
         return self.loud * (0.0003 if self.exact else 0.0015) * peak
@@ -97,13 +109,14 @@ class Chance:
         """Places as cameras see them: white noise of 15 um, or pink of 6."""
         kind, size = ("white", 15e-6) if self.seed // 54 % 2 == 0 else ("pink", 6e-6)
         size *= min(self.loud, 1.0) * (0.3 if self.exact else 1.0)
+        places = places * (1.0 + self.off("cameras", scale(self.kind, "markers")))
         flat = places.reshape(len(places), -1).T
         made = [noisy(row, kind, size, 0.02, self.rng) for row in flat]
         return np.asarray(np.array(made).T.reshape(places.shape), dtype=np.float64)
 
 
 def pulled(
-    chance: Chance, specimen: Specimen, *, speed: float, rate: float, scale: float, tare: float
+    chance: Chance, specimen: Specimen, *, speed: float, rate: float, tare: float
 ) -> tuple[Array, Array, Array]:
     """Time, travel and force of a load frame that moves from its first sample on.
 
@@ -115,9 +128,11 @@ def pulled(
     time = np.arange(int((lasts + after) * rate)) / rate
     travel = speed * time if specimen.breaks else np.minimum(speed * time, specimen.ends)
     force = specimen.force(travel)
-    force = chance.noisy(force, 1.0 / rate) * (1.0 + chance.error(scale))
+    off = chance.error(scale(chance.kind, "frame", "force"))
+    force = chance.noisy(force, 1.0 / rate) * (1.0 + off)
     force = force + tare * float(chance.rng.uniform(-0.02, 0.02) * np.abs(force).max())
     travel = noisy(travel, "white", min(chance.loud, 1.0) * 1e-4 * speed, 1.0 / rate, chance.rng)
+    travel = travel * (1.0 + chance.off("travel", scale(chance.kind, "frame", "displacement")))
     first, last = _kept(chance.fault, int(lasts * rate), len(time))
     if chance.fault == "counts-down":
         travel = -travel

@@ -26,8 +26,15 @@ def test_a_valley() -> None:
 
 
 def test_a_break_stays() -> None:
-    """The force is lost between two samples; before them it rose by 0.1 a step."""
+    """The force is lost within four samples, the last ones; before them it rose by 0.1 a step."""
+    time = TIME[:304]
+    true = np.where(time < 300.0, 0.1 * time, 29.9 - 6.0 * (time - 299.0))
+    found = smooth_curve(time, true, [300], 12, broken=300)
+    assert found[299] == pytest.approx(29.9, abs=1e-6)
+    assert smooth_curve(time, true - 2.0 * (time >= 300.0), [300], 12)[299] < 29.5
+
+
+def test_a_jump_is_no_turn() -> None:
     true = np.where(TIME < 300.0, 0.1 * TIME, 1.0)
     found = smooth_curve(TIME, true, [300], 12)
-    assert found[299] == pytest.approx(29.9, abs=1e-6)
-    assert found[300] == pytest.approx(1.0, abs=1e-6)
+    assert found[299:301] == pytest.approx([29.9, 1.0], abs=1e-6)
