@@ -103,8 +103,9 @@ def with_gaps(wire: BentWire) -> Floats:
 
 
 def test_other_offsets_make_other_tips() -> None:
-    """The same as a fit of its own with each offset longer."""
-    markers = with_gaps(bent("hardening", 58))
+    """The same as a fit of its own with each offset longer, of a wire clamped 3 degrees askew."""
+    askew = Rotation.from_euler("z", 3.0, degrees=True).as_matrix()
+    markers = with_gaps(bent("hardening", 58)) @ askew.T
     usual = Offsets(0.006, 0.004, CENTRE_OFFSET)
     found = fit(markers, uncertainties=Offsets(2e-4, 1e-4, 5e-5)).tip_moved
     longer = {

@@ -101,6 +101,20 @@ def test_offsets_move_the_deflection_and_not_its_zero(
     assert set(exact.signals.raw["deflection"].moved) == {SHAPE}
 
 
+def test_one_term_more_is_half_the_width_of_a_rectangle(
+    tracks: MarkerTracks, protocol: Protocol
+) -> None:
+    mend, turn, fit = steps(protocol)
+    made, _ = repair(taken(tracks), mend, protocol.markers)
+    made, _ = turn_into_specimen(made, turn, protocol.markers)
+    one, more = (
+        fit_shapes(made, replace(fit, terms=terms), protocol.markers)[0].signals.raw["deflection"]
+        for terms in (7, 8)
+    )
+    change = np.sqrt(3.0) * (one.moved[SHAPE] - one.values)
+    np.testing.assert_allclose(change, more.values - one.values, atol=1e-12)
+
+
 def test_what_cameras_see_has_their_scale(tracks: MarkerTracks, protocol: Protocol) -> None:
     mend, turn, fit = steps(protocol)
     made = replace(taken(tracks), take=Take(tracks, scale_error=5e-4))

@@ -74,6 +74,16 @@ def test_cameras_stand_for_the_displacement_that_nothing_else_measures() -> None
     assert [doubt.quantity for doubt in found.doubts] == ["mid_span"]
 
 
+def test_a_displacement_by_speed_is_not_that_of_the_cameras() -> None:
+    driven = CAMERAS.replace("displacement: deflection", "displacement: way").replace(
+        "  - {step: repair",
+        "  - {step: travel-from-speed, channel: way, force: force}\n  - {step: repair",
+    )
+    rig = "rig: {crosshead_speed: 1 mm/s, stroke: 10 mm, cycles: 1}\n"
+    (found,) = check_due(protocol(driven + rig), AFTER)
+    assert [doubt.quantity for doubt in found.doubts] == ["mid_span"]
+
+
 def test_what_has_no_day_has_no_due() -> None:
     assert is_dated(protocol(CHANNELS))
     assert is_dated(protocol(CAMERAS))

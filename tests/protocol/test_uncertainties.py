@@ -182,6 +182,12 @@ WRONG = {
         "p.yaml, line 8, column 53 (sources.force.certificate.due): expected a day after 'date',"
         " 2026-01-10, found 2025-01-10. Correct the one that is wrong.",
     ),
+    "due on the day it was made": (
+        FORCE,
+        f"{FORCE}    certificate: {{number: 7, date: 2026-01-10, due: 2026-01-10}}\n",
+        "p.yaml, line 8, column 53 (sources.force.certificate.due): expected a day after 'date',"
+        " 2026-01-10, found 2026-01-10. Correct the one that is wrong.",
+    ),
     "no day": (
         FORCE,
         f"{FORCE}    certificate: {{number: 7, date: January, due: 2025-01-10}}\n",
