@@ -10,8 +10,6 @@ from labpipe.records.arrays import Flags, Floats
 from labpipe.records.estimates import Estimate, Failure, widened
 from labpipe.uncertainty.noise import fast_noise, long_run_variance
 
-_NEAR = 1000
-"""Samples on each side of the largest one that show what the file rounds to."""
 LEAST_OF_LOOP = 3
 """Samples that enclose an area."""
 _SMALL = 0.02
@@ -159,48 +157,6 @@ def noise_power(values: Floats) -> float:
     return float(max(total, 0.0) / left.size / (1.0 - terms * (lags + 1.0) / piece))
 
 
-def largest_sample(values: Floats, *, noise: float) -> Estimate | Failure:
-    """Largest sample of a stretch.
-
-    Parameters
-    ----------
-    values : shape (n,), any unit; NaN are left out
-    noise : in that unit, standard deviation of a sample
-
-    Returns
-    -------
-    The sample, or a failure ``no_sample`` where all are NaN. Its error has the noise, half of the
-    resolution, and how far a corner may reach beyond its largest sample: half of the difference
-    between the steps up to it and down from it.
-
-    Notes
-    -----
-    In noise the largest of many samples lies above the largest value of the signal; the error does
-    not say so.
-    """
-    known = values[~np.isnan(values)]
-    if not len(known):
-        return Failure("no_sample", "every sample of the stretch is blank")
-    halves = np.array([_reach_of_corner(known), 0.5 * resolution(known)])
-    error = np.hypot(noise, np.linalg.norm(halves) / np.sqrt(3.0))
-    return Estimate(float(known.max()), float(error), len(known))
-
-
-def _reach_of_corner(values: Floats) -> float:
-    """How far a corner may reach beyond its largest sample; the two steps on each side tell.
-
-    A signal that stands still at its top, or is lost behind it, reaches no further on that side
-    than it went before.
-    """
-    top = int(np.argmax(values))
-    up = values[top] - values[max(top - 2, 0) : top][::-1]
-    down = values[top] - values[top + 1 : top + 3]
-    if not len(up) or not len(down):
-        return 0.0
-    steps = (np.diff(side, prepend=0.0).max() for side in (up, down))
-    return float(min(abs(up[0] - down[0]) / 2.0, *steps))
-
-
 def sense_of_loading(values: Floats) -> float:
     """Which way a quantity goes when a specimen is loaded.
 
@@ -222,24 +178,6 @@ def sense_of_loading(values: Floats) -> float:
     if max(up, down) > 2.0 * min(up, down):
         return 1.0 if up > down else -1.0
     return 1.0 if known.max() >= -known.min() else -1.0
-
-
-def resolution(values: Floats) -> float:
-    """Smallest difference between samples near the largest one that are not the same.
-
-    Parameters
-    ----------
-    values : shape (n,), any unit, without NaN
-
-    Returns
-    -------
-    In that unit; 0 where all samples are the same. What a converter, or a file with few digits,
-    rounds to; in unrounded noise next to nothing.
-    """
-    top = int(np.argmax(values))
-    steps = np.diff(np.unique(values[max(top - _NEAR, 0) : top + _NEAR]))
-    steps = steps[steps > 1e-9 * np.abs(values[top])]  # less is what arithmetic leaves over
-    return float(steps.min()) if len(steps) else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -50,10 +50,19 @@ def widened(estimate: Estimate, *errors: float) -> Estimate:
     interval = estimate.interval
     if interval is not None and more > 0.0:
         added = Interval.normal_95(0.0, more).upper
-        below, above = estimate.value - interval.lower, interval.upper - estimate.value
-        lower, upper = hypot(below, added), hypot(above, added)
-        interval = Interval(estimate.value - lower, estimate.value + upper)
+        middle = _within(estimate.value, interval)
+        lower, upper = hypot(middle - interval.lower, added), hypot(interval.upper - middle, added)
+        interval = Interval(middle - lower, middle + upper)
     return Estimate(estimate.value, hypot(estimate.error, more), estimate.n, interval)
+
+
+def _within(value: float, interval: Interval) -> float:
+    """Where an interval is widened from: the value, or its middle where that leaves the value out.
+
+    What noise adds to a number on average is taken off its interval, not off the number.
+    """
+    is_inside = interval.lower <= value <= interval.upper
+    return value if is_inside else 0.5 * (interval.lower + interval.upper)
 
 
 def scaled(estimate: Estimate, factor: float = 1.0, *, more: float = 0.0) -> Estimate:
@@ -75,7 +84,8 @@ def scaled(estimate: Estimate, factor: float = 1.0, *, more: float = 0.0) -> Est
     interval = None
     if estimate.interval is not None and estimate.error > 0.0:
         wider = abs(factor) * error / estimate.error
-        below = wider * (estimate.value - estimate.interval.lower)
-        above = wider * (estimate.interval.upper - estimate.value)
-        interval = Interval(value - below, value + above)
+        middle = _within(estimate.value, estimate.interval)
+        below = wider * (middle - estimate.interval.lower)
+        above = wider * (estimate.interval.upper - middle)
+        interval = Interval(factor * middle - below, factor * middle + above)
     return Estimate(value, abs(factor) * error, estimate.n, interval)

@@ -9,23 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import hypot
 from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import Polynomial
 
 from labpipe.errors import LabpipeError
-from labpipe.fits.loops import largest_sample
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import CENTRE, GRIP, PULL, SCALE_OF_DISPLACEMENT, SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import FitShape, SpecimenFrame, Zero
-from labpipe.records.estimates import Failure
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.result import Status, TestResult
 from labpipe.results.moment_curvature import at_rest, notes_of
-from labpipe.signal.turning_points import noise_level
 from labpipe.statistics.mean_curves import block_means
 from labpipe.store.read import read_stages
 from labpipe.uncertainty.noise import long_run_variance
@@ -33,8 +32,8 @@ from labpipe.units import GRAVITY
 from labpipe.wire.calibration.measured_curves import DEEPEST, MeasuredCurve
 from labpipe.wire.cantilever import StringRig
 
-_CYCLE = 2
-"""Branches of a cycle."""
+_ALIKE, _OWN = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
+"""Causes that stretch deflections in proportion: of all tests of a rig, and of each its own."""
 
 
 def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
@@ -77,8 +76,8 @@ def place_error(result: TestResult, protocol: Protocol, curve: Curve, first: Bra
     return float(np.hypot(zero, (clock if np.isfinite(clock) else 0.0) * _speed(curve, first)))
 
 
-def scale_error(result: TestResult) -> float:
-    """Standard error of the deflection's scale, as a ratio.
+def scale_errors(result: TestResult) -> tuple[float, float]:
+    """Standard errors of the deflection's scale, as ratios.
 
     Parameters
     ----------
@@ -86,20 +85,24 @@ def scale_error(result: TestResult) -> float:
 
     Returns
     -------
-    That of the first peak, which holds what another shape through the markers would make of it,
-    less what is its own: noise of the largest sample, and how far a corner reaches beyond it. 0
-    where the peak has no interval.
+    common : alike in all tests: scale of the cameras, and what another shape through the markers
+        would make of the first peak
+    own : of this test, whose markers sit where they do
+
+    Notes
+    -----
+    From the budget of the first peak. Of a peak without one, as earlier versions stored it, all of
+    its interval counts as common; without an interval nothing is known, and both are 0.
     """
-    curve = result.curve
     peak = next((each for each in result.results if each.name == "peak_displacement.1"), None)
-    if curve is None or peak is None or peak.interval is None or not peak.value:
-        return 0.0
-    cycle = slice(curve.branches[0].start, curve.branches[:_CYCLE][-1].stop)
-    values = np.sign(peak.value) * curve.displacement[cycle]
-    own = largest_sample(values, noise=noise_level(values))
-    error = 0.0 if isinstance(own, Failure) else own.error
-    shared = peak.interval.standard_error**2 - error**2
-    return float(np.sqrt(max(shared, 0.0))) / abs(peak.value)
+    if peak is None or peak.interval is None or not peak.value:
+        return 0.0, 0.0
+    size = abs(peak.value)
+    if not peak.budget:
+        return peak.interval.standard_error / size, 0.0
+    changes = {each.cause: each.change / size for each in peak.budget}
+    common, own = (hypot(*(changes.get(cause, 0.0) for cause in some)) for some in (_ALIKE, _OWN))
+    return common, own
 
 
 def zero_error(time: Floats, values: Floats, over: float | None) -> float:
@@ -231,7 +234,7 @@ def first_loading(
     -----
     The noise of a point is that of the second differences of the block means: of the force, and of
     the deflection times the slope of the curve. What all points are off by together is apart from
-    it: `force_zero_error`, `place_error`, `scale_error`.
+    it: `force_zero_error`, `place_error`, `scale_errors`.
     """
     _require_cantilever(protocol)
     curve, branch = _first_branch(result)
@@ -254,6 +257,7 @@ def first_loading(
         )
         raise NotUsableError(message)
     sample = f"{result.specimen.spool}, sample {result.specimen.sample}"
+    common, own = scale_errors(result)
     measured = MeasuredCurve(
         wire=result.specimen.type,
         test=result.test,
@@ -265,7 +269,8 @@ def first_loading(
         rig=_rig(protocol, length),
         zero_error=force_zero_error(protocol, curve, branch),
         place_error=place_error(result, protocol, curve, branch),
-        scale_error=scale_error(result),
+        scale_error=common,
+        own_scale_error=own,
     )
     notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
     return FirstLoading(measured, _gain(protocol), notes)

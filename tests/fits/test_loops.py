@@ -7,9 +7,7 @@ import pytest
 
 from labpipe.fits.loops import (
     energy_of,
-    largest_sample,
     loop_energy,
-    resolution,
     secant_stiffness,
     sense_of_loading,
 )
@@ -108,27 +106,6 @@ def test_energy_error_is_finite_where_noise_hides_the_motion(seed: int) -> None:
     assert 0.0 < found.error < 1e-3
 
 
-def test_the_largest_sample_is_the_largest_sample() -> None:
-    values = np.array([0.0, 3.0, np.nan, 7.0, 5.0])
-    found = value(largest_sample(values, noise=0.0))
-    assert (found.value, found.n) == (7.0, 4)
-
-
-def test_the_error_holds_how_far_a_corner_reaches_beyond_its_largest_sample() -> None:
-    """A triangle of 1 N in 20 samples, sampled at any phase: the corner is in the interval."""
-    for phase in np.linspace(0.0, 1.0, 21):
-        at = (np.arange(40.0) + phase) / 20.0
-        found = value(largest_sample(np.minimum(at, 2.0 - at), noise=0.0))
-        assert abs(1.0 - found.value) <= 1.96 * found.error + 1e-12
-
-
-def test_resolution_is_what_the_file_rounds_to() -> None:
-    values = np.round(np.random.default_rng(5).normal(10.0, 0.02, 500), 2)
-    assert resolution(values) == pytest.approx(0.01)
-    assert resolution(np.ones(5)) == 0.0
-    assert value(largest_sample(values, noise=0.0)).error >= 0.999 * 0.005 / np.sqrt(3.0)
-
-
 @pytest.mark.parametrize(
     ("values", "sense"),
     [
@@ -141,11 +118,6 @@ def test_resolution_is_what_the_file_rounds_to() -> None:
 )
 def test_sense_of_loading(values: list[float], sense: float) -> None:
     assert sense_of_loading(np.array(values)) == sense
-
-
-def test_no_sample() -> None:
-    found = largest_sample(np.full(3, np.nan), noise=0.0)
-    assert found == Failure("no_sample", "every sample of the stretch is blank")
 
 
 def test_a_loop_of_few_samples_has_its_area() -> None:

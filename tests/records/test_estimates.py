@@ -23,6 +23,18 @@ def test_an_uncertain_input_widens() -> None:
     assert widened(LOPSIDED) == LOPSIDED
 
 
+def test_an_interval_beside_its_value_widens_about_its_middle() -> None:
+    """Half width 0.1 about 0.8; 0.196 on top in quadrature; times 2 with the error doubled."""
+    off = Estimate(1.0, 0.05, 9, Interval(0.7, 0.9))
+    found = widened(off, 0.1).interval
+    assert found is not None
+    half = np.hypot(0.1, 0.1959964)
+    assert (found.lower, found.upper) == pytest.approx((0.8 - half, 0.8 + half), rel=1e-6)
+    larger = scaled(off, 2.0, more=0.05 * np.sqrt(3.0)).interval
+    assert larger is not None
+    assert (larger.lower, larger.upper) == pytest.approx((1.6 - 0.4, 1.6 + 0.4))
+
+
 @pytest.mark.parametrize("factor", [3.0, -3.0])
 def test_scaling_keeps_the_quantile(factor: float) -> None:
     assert scaled(Estimate(2.0, 3.0, 9), factor, more=4.0) == Estimate(2.0 * factor, 15.0, 9)

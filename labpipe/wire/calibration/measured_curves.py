@@ -40,6 +40,7 @@ class MeasuredCurve:
         that runs late or early
     scale_error : standard error of the deflection's scale, as a ratio; all curves of a calibration
         are off alike
+    own_scale_error : the same of this curve alone
     """
 
     wire: str
@@ -53,6 +54,7 @@ class MeasuredCurve:
     zero_error: float = 0.0
     place_error: float = 0.0
     scale_error: float = 0.0
+    own_scale_error: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))
@@ -89,7 +91,8 @@ def shared_errors(curve: MeasuredCurve, slope: Floats) -> Floats:
     Shape (3, n), N: zero of the force, place and scale of the deflection.
     """
     zero = np.full(len(slope), curve.zero_error)
-    return np.stack([zero, curve.place_error * slope, curve.scale_error * curve.deflection * slope])
+    scale = float(np.hypot(curve.scale_error, curve.own_scale_error))
+    return np.stack([zero, curve.place_error * slope, scale * curve.deflection * slope])
 
 
 def usable(curves: tuple[MeasuredCurve, ...]) -> tuple[MeasuredCurve, ...] | CalibrationFailure:

@@ -86,3 +86,8 @@ def test_a_scale_that_all_curves_share_does_not_average_out() -> None:
     found = usable((one, one, one, one))
     assert isinstance(found, tuple)
     assert [curve.scale_error for curve in found] == pytest.approx([0.02] * 4)
+    own = usable((replace(one, own_scale_error=0.015),) * 4)
+    assert not isinstance(own, CalibrationFailure)
+    slope = np.full(len(one.force), 2.0)
+    scale = shared_errors(own[0], slope)[2]  # four alike count twice each, what is its own once
+    np.testing.assert_allclose(scale, 0.025 * own[0].deflection * 2.0)
