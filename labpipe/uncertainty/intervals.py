@@ -30,8 +30,9 @@ from labpipe.uncertainty.replicates import Input, Replicates
 _LOW, _HIGH = 0.025, 0.975
 _LOST, _NONE = 0.05, 0.5
 """Shares of the replicates without a number: doubtful from the one on, failed from the other."""
-_OF_WINDOW, _OF_RECORD = 0.2, 0.02
-"""Share of the samples of a number, and of the record, that noise may remember."""
+_OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.02, 1.0
+"""Share of the samples of a number, and of the record, that noise may remember; and samples of
+memory that harm no number, by which short records would all be doubtful."""
 _KEPT = 0.5
 """Share of the pieces of a record that its noise is to be judged by."""
 
@@ -104,19 +105,24 @@ def measure(
         return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
     base = _numbers(plain, replicates)
     drawn = [np.asarray(plain.drawn(each)) for each in replicates.traces()]
-    off = np.concatenate(drawn, axis=1) - base[:, None]
-    noise, parts = np.nanstd(off, axis=1), list[tuple[str, Floats]]()
+    noise = off = np.concatenate(drawn, axis=1) - base[:, None]
+    parts, doubts = list[tuple[str, Floats]](), list[tuple[str, Reason]]()
     for given in replicates.inputs:
         low, high = (_moved(decide, plain, replicates, given, x) for x in (-1.0, 1.0))
+        if np.isnan(low + high).any():
+            low, high = _mirrored(low, base, high)
+            message = f"there is none with {given.cause} one standard uncertainty off"
+            doubts.append(("", Reason("not_repeatable", message)))
         z = replicates.draws(given)
         off = off + np.where(z > 0.0, np.outer(base - low, z), np.outer(high - base, z))
         parts.append((given.cause, 0.5 * (high - low) * given.deviation))
     lost = float(np.isnan(off).any(axis=0).mean())
     if lost >= _NONE:
         return Failure("not_repeatable", f"{lost:.0%} of curves with such noise have none")
-    doubts = tuple(_doubts(replicates, plain.n, lost))
+    doubts += _doubts(replicates, plain.n, lost)
+    spread = np.nanstd(noise, axis=1)
     return tuple(
-        Measured(value, off[row], _budget(float(noise[row]), parts, row), found.n, doubts)
+        Measured(value, off[row], _budget(float(spread[row]), parts, row), found.n, tuple(doubts))
         for row, value in enumerate(values)
     )
 
@@ -132,7 +138,7 @@ def _doubts(replicates: Replicates, count: int, lost: float) -> Iterator[tuple[s
         longest = noise.count * _OF_RECORD
         if count > 1:
             longest = min(longest, count * _OF_WINDOW)
-        if noise.memory > longest:
+        if noise.memory > max(longest, _BRIEF):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
                 f"{noise.memory:.3g} samples, the number is read from {count}"
@@ -155,6 +161,12 @@ def _moved(
     found = decide(trace)
     reading = plain if isinstance(found, Failure) else found
     return np.array([float(each) for each in reading.numbers(trace)])
+
+
+def _mirrored(low: Floats, base: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Numbers on both sides, the other side mirrored where one has none."""
+    below = np.where(np.isnan(low), 2.0 * base - high, low)
+    return below, np.where(np.isnan(high), 2.0 * base - low, high)
 
 
 def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:

@@ -17,7 +17,7 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.uncertainty.drawn_noise import Noise, Singles, noise_of
+from labpipe.uncertainty.drawn_noise import LEAST, Noise, Singles, noise_of
 from labpipe.uncertainty.readings import Trace
 
 COUNT = 400
@@ -73,8 +73,9 @@ class Replicates:
     ----------
     measured : the curve that numbers are read from
     smooth : without its noise and without filters, perhaps on fewer samples
-    displacement, force : shape (replicates, n) or, of a displacement without noise, (n,); m, N: the
-        smooth curve with noise, filtered; single precision
+    displacement_off, force_off : shape (replicates, n) or, of a displacement without noise, (n,);
+        m, N: what the smooth curve with noise, filtered, lies above the smooth curve; in single
+        precision, of which a whole record leaves nothing to a small noise on a large force
     inputs : what else is drawn
     seed : of all draws
     noises : what the noise of force and displacement was taken for
@@ -82,21 +83,21 @@ class Replicates:
 
     measured: Trace
     smooth: Trace
-    displacement: Singles
-    force: Singles
+    displacement_off: Singles
+    force_off: Singles
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, Noise]
 
     def traces(self) -> Iterator[Trace]:
         """The replicates, some at a time, in double precision."""
-        for first in range(0, len(self.force), _CHUNK):
+        moving, smooth = self.displacement_off.ndim > 1, self.smooth
+        for first in range(0, len(self.force_off), _CHUNK):
             rows = slice(first, first + _CHUNK)
-            force = self.force[rows].astype(np.float64)
-            moving = self.displacement.ndim > 1
-            displacement = self.displacement[rows] if moving else self.displacement[None]
-            whole = np.broadcast_to(displacement.astype(np.float64), force.shape)
-            yield replace(self.smooth, displacement=whole, force=force)
+            force = smooth.force + self.force_off[rows]
+            off = self.displacement_off[rows] if moving else self.displacement_off
+            whole = np.broadcast_to(smooth.displacement + off, force.shape)
+            yield replace(smooth, displacement=whole, force=force)
 
     def draws(self, given: Input) -> Floats:
         """Draws of an input, in its standard uncertainties, shape (replicates,): always the same.
@@ -107,7 +108,7 @@ class Replicates:
         """
         if given.draws is not None:
             return given.draws
-        rng, count = stream(self.seed, given.stream or given.cause), len(self.force)
+        rng, count = stream(self.seed, given.stream or given.cause), len(self.force_off)
         if given.law == "normal":
             return rng.standard_normal(count)
         if given.law == "uniform":
@@ -126,7 +127,6 @@ class Replicates:
             self,
             measured=replace(self.measured, displacement=self.measured.displacement + by),
             smooth=replace(self.smooth, displacement=self.smooth.displacement + by),
-            displacement=self.displacement + np.float32(by),
             inputs=(*self.inputs, *inputs),
         )
 
@@ -247,8 +247,8 @@ def replicated(
         curve = smooth_curve(time, values, cuts, parts, failed)
         noise = _noise(values, curve, unfiltered, cuts)
         made = curve[None] if noise.is_none else _with_noise(curve, noise, stream(seed, name))
-        filtered = act(made).astype(np.float32)
-        drawn.append(filtered[0] if noise.is_none and name == "displacement" else filtered)
+        off = (act(made) - curve).astype(np.float32)
+        drawn.append(off[0] if noise.is_none and name == "displacement" else off)
         noises[name] = noise
         smooth.append(curve)
     force = np.broadcast_to(drawn[1], (COUNT, len(time)))
@@ -267,6 +267,12 @@ def _with_noise(curve: Floats, noise: Noise, rng: np.random.Generator) -> Floats
 def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> Noise:
     """Noise of a record by its branches up to where the specimen failed, or by all pieces."""
     last = len(values) if trace.failed_at is None else trace.failed_at + 1
-    ends = sorted({0, last, *(each for each in cuts if each < last)})
-    pieces = [slice(low, high) for low, high in pairwise(ends)]
+    pieces = _pieces(cuts, last)
+    if max(each.stop - each.start for each in pieces) < LEAST:
+        pieces = _pieces(cuts, len(values))
     return noise_of([values[each] for each in pieces], [curve[each] for each in pieces])
+
+
+def _pieces(cuts: Sequence[int], last: int) -> list[slice]:
+    ends = sorted({0, last, *(each for each in cuts if each < last)})
+    return [slice(low, high) for low, high in pairwise(ends)]

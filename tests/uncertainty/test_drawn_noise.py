@@ -1,0 +1,284 @@
+"""Noise that is judged by a record and drawn anew, against noise made by plain numpy."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from labpipe.records.arrays import Floats
+from labpipe.uncertainty.drawn_noise import Noise, noise_of
+
+RNG = np.random.default_rng
+
+
+def autoregressive(factor: float, shape: Sequence[int], seed: int) -> Floats:
+    """Rows of x_i = factor x_(i-1) + kick_i, of variance 1 from the first sample on."""
+    kicks = RNG(seed).normal(size=tuple(shape))
+    kicks[..., 1:] *= np.sqrt(1.0 - factor**2)
+    found: Floats = signal.lfilter([1.0], [1.0, -factor], kicks, axis=-1)
+    return found
+
+
+def judged(values: Floats, *more: Floats) -> Noise:
+    """Of records whose smooth curve is zero."""
+    branches = [values, *more]
+    return noise_of(branches, [np.zeros(len(each)) for each in branches])
+
+
+def draws(values: Floats, replicates: int = 400, seed: int = 9) -> Floats:
+    return judged(values).draw(len(values), replicates, RNG(seed)).astype(np.float64)
+
+
+def known(variance: float, longest: int) -> Noise:
+    """White noise of a variance that is known for sure."""
+    chances = np.zeros(1 + 9 * 24)
+    chances[0] = 1.0
+    freedom, none = 10**9, np.zeros(0)
+    squares = np.full(len(chances), variance * freedom)
+    return Noise(chances, squares, freedom, longest, longest, 1.0, none, none)
+
+
+@pytest.mark.parametrize("count", [8, 9, 64, 1000])
+def test_white_noise_has_its_variance_everywhere(count: int) -> None:
+    """At its ends, too; an even and an odd number of samples."""
+    drawn = known(4.0, count).draw(count, 200_000 // count, RNG(0))
+    assert drawn.shape == (200_000 // count, count)
+    assert np.var(drawn) == pytest.approx(4.0, rel=0.015)
+    assert np.mean(drawn) == pytest.approx(0.0, abs=0.03)
+    drawn = known(4.0, 20).draw(20, 40_000, RNG(0))
+    for at in (0, 1, 10, 18, 19):
+        assert np.var(drawn[:, at]) == pytest.approx(4.0, rel=0.03)
+    neighbours = np.mean(drawn[:, 1:] * drawn[:, :-1])
+    assert neighbours == pytest.approx(0.0, abs=0.03)
+
+
+def test_a_white_record_is_drawn_as_it_is() -> None:
+    drawn = draws(RNG(1).normal(0.0, 2.0, 6000))
+    assert np.var(drawn) == pytest.approx(4.0, rel=0.05)
+    for at in (slice(0, 20), slice(-20, None)):
+        assert np.var(drawn[:, at]) == pytest.approx(4.0, rel=0.08)
+    means = drawn.reshape(400, 60, 100).mean(axis=2)
+    assert np.var(means) == pytest.approx(0.04, rel=0.15)
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.9, 0.98])
+def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
+    """In a long record a memory of ten samples is seen by its own power only."""
+    drawn = draws(autoregressive(factor, (20_000,), 2))
+    for at in (slice(0, 200), slice(10_000, 10_200), slice(-200, None)):
+        part = drawn[:, at]
+        for lag in (0, 1, 5, 20):
+            product = np.mean(part[:, : 200 - lag] * part[:, lag:])
+            assert product == pytest.approx(factor**lag, abs=0.15)
+
+
+def test_a_slow_part_on_white_noise() -> None:
+    """A tenth of the variance is slow; it makes nearly all of that of a mean of 200."""
+    slow, white = autoregressive(0.95, (200, 4000), 3), RNG(4).normal(size=(200, 4000))
+    both = np.sqrt(0.1) * slow + np.sqrt(0.9) * white
+    truth = np.std(both[:, :200].mean(axis=1))
+    found = [np.std(draws(row, 200)[:, :200].mean(axis=1)) for row in both[:12]]
+    assert 0.9 * truth < np.mean(found) < 1.5 * truth
+    assert np.var(draws(both[0])) == pytest.approx(1.0, rel=0.1)
+
+
+def test_noise_that_swings_back() -> None:
+    """Differences of white noise: the mean of many is far surer than that of white noise."""
+    rows = np.diff(RNG(5).normal(size=(300, 3001)), axis=1) + 0.2 * RNG(6).normal(size=(300, 3000))
+    truth = np.std(rows[:, :100].mean(axis=1))
+    found = [np.std(draws(row, 200)[:, :100].mean(axis=1)) for row in rows[:12]]
+    assert np.mean(found) == pytest.approx(truth, rel=0.5)
+    assert np.mean(found) < 0.5 * np.std(rows) / 10.0
+
+
+def test_hum_keeps_its_power_and_its_place() -> None:
+    """A sine of three times the noise, at 0.2 of the sampling rate."""
+    at = np.arange(6000)
+    record = 3.0 * np.sqrt(2.0) * np.sin(2 * np.pi * 0.2 * at + 1.0) + RNG(7).normal(size=6000)
+    drawn = draws(record, 200)
+    assert np.var(drawn) == pytest.approx(10.0, rel=0.05)
+    frequency, power = signal.welch(drawn, nperseg=1000)
+    near = np.abs(frequency - 0.2) < 0.01
+    step = frequency[1]
+    assert power[:, near].mean(axis=0).sum() * step == pytest.approx(9.0, rel=0.08)
+    assert power[:, ~near].mean() == pytest.approx(2.0, rel=0.1)  # one-sided: 1 over 0 ... 0.5
+
+
+@pytest.mark.parametrize("kind", ["slow", "hum"])
+def test_the_end_of_a_drawn_record_does_not_know_its_begin(kind: str) -> None:
+    """Discrete Fourier transforms are periodic, a record is not."""
+    count = 1200
+    record = autoregressive(0.98, (count,), 8)
+    if kind == "hum":
+        record = 30.0 * np.sin(2 * np.pi * 0.2 * np.arange(count)) + RNG(8).normal(size=count)
+    drawn = judged(record).draw(count, 3000, RNG(1))
+    for lag in (1, 2, 5):
+        assert abs(np.corrcoef(drawn[:, 0], drawn[:, -lag])[0, 1]) < 0.1
+    near = [abs(np.corrcoef(drawn[:, 0], drawn[:, lag])[0, 1]) for lag in (1, 5)]
+    assert max(near) > 0.5
+
+
+def test_one_short_record_leaves_its_variance_open() -> None:
+    """Means of squares of draws scatter by an inverse chi-square of 20 samples less a line."""
+    record = RNG(11).normal(size=20)
+    noise = judged(record)
+    assert noise.freedom == 18
+    drawn = noise.draw(20, 20_000, RNG(2))
+    inner = np.log(np.mean(drawn**2, axis=1))
+    sampling = np.log(np.mean(RNG(3).normal(size=(20_000, 20)) ** 2, axis=1))
+    sure = np.log(18.0 / RNG(4).chisquare(18, 20_000))
+    assert np.std(inner) > 0.95 * np.hypot(np.std(sampling), np.std(sure))
+    assert np.std(inner) < 1.5 * np.hypot(np.std(sampling), np.std(sure))
+
+
+def test_one_short_record_leaves_its_memory_open() -> None:
+    """Correlations of neighbours scatter more than those of records of one known memory."""
+    found = []
+    for seed in range(8):
+        record = autoregressive(0.7, (150,), seed)
+        drawn = judged(record).draw(150, 600, RNG(seed)).astype(np.float64)
+        found.append(
+            np.std(np.sum(drawn[:, 1:] * drawn[:, :-1], axis=1) / np.sum(drawn**2, axis=1))
+        )
+    rows = autoregressive(0.7, (600, 150), 99)
+    one = np.std(np.sum(rows[:, 1:] * rows[:, :-1], axis=1) / np.sum(rows**2, axis=1))
+    assert np.mean(found) > 1.25 * one
+
+
+def test_the_chances_follow_the_record() -> None:
+    white = [judged(RNG(seed).normal(size=3000)).memory for seed in range(10)]
+    assert np.median(white) < 2.0
+    for tau in (3.0, 10.0, 40.0):
+        records = autoregressive(np.exp(-1.0 / tau), (8, 6000), 4)
+        found = [judged(record).memory for record in records]
+        assert np.median(found) == pytest.approx(tau, rel=0.35)
+    assert judged(RNG(0).normal(size=3000)).chances.sum() == pytest.approx(1.0)
+
+
+def test_prior_of_a_record_that_says_nothing() -> None:
+    """Eight samples: processes are nearly as likely as before, white 1, tau^-0.4 for the others."""
+    chances = np.mean([judged(RNG(seed).normal(size=8)).chances for seed in range(50)], axis=0)
+    times = np.geomspace(0.4, 0.8, 24)
+    prior = (times / 0.4) ** -0.4
+    weights = [1.0, prior.sum(), 0.5 * prior.sum(), 0.5 * prior.sum()]
+    shares = np.add.reduceat(chances, [0, 1, 25, 49])
+    assert shares == pytest.approx(np.array(weights) / sum(weights), abs=0.12)
+
+
+def test_the_curve_is_no_noise() -> None:
+    """A cubic of a thousand times the noise changes nothing but the arithmetic."""
+    at, noise = np.linspace(0.0, 1.0, 3000), RNG(12).normal(size=3000)
+    curve = 1000.0 * (at - at**2 + 0.5 * at**3)
+    bent = noise_of([curve + noise], [curve])
+    plain = noise_of([noise], [0.0 * curve])
+    assert bent.squares == pytest.approx(plain.squares, rel=1e-6)
+    assert bent.power == pytest.approx(plain.power, rel=1e-9)
+
+
+def test_a_piece_with_a_step_is_left_out() -> None:
+    values = RNG(13).normal(size=3000)
+    plain = judged(values)
+    values[1100:] += 40.0
+    stepped = noise_of([values], [np.where(np.arange(3000) < 1100, 0.0, 40.0)])
+    assert plain.kept == 1.0
+    assert stepped.kept == pytest.approx(11 / 12)
+    assert stepped.freedom == 11 * (48 - 6)
+    drawn = stepped.draw(3000, 200, RNG(0))
+    assert np.var(drawn) == pytest.approx(1.0, rel=0.1)
+
+
+def test_all_branches_are_judged() -> None:
+    """Pieces of 50 of a branch of 200 and one of 120: four and two."""
+    noise = judged(RNG(0).normal(size=200), RNG(1).normal(size=120))
+    assert (noise.freedom, noise.longest, noise.count) == (6 * (48 - 6), 200, 320)
+    drawn = judged(RNG(0).normal(size=2000), 3.0 * RNG(1).normal(size=2000)).draw(2000, 100, RNG(2))
+    assert np.var(drawn) == pytest.approx(5.0, rel=0.1)
+
+
+@pytest.mark.parametrize("gap", ["single", "stretches"])
+def test_gaps_neither_hide_nor_thin_the_noise(gap: str) -> None:
+    """A sample in 40 is missing, or stretches of 120 in 300: no piece of 250 is whole."""
+    at = np.arange(3000)
+    curve = 1e-2 * at
+    values = curve + 2.0 * RNG(14).normal(size=3000)
+    is_gap = at % 40 == 0 if gap == "single" else at % 300 < 120
+    values[is_gap], smooth = np.nan, np.where(is_gap, np.nan, curve)
+    noise = noise_of([values], [smooth])
+    drawn = noise.draw(3000, 200, RNG(0))
+    assert np.var(drawn) == pytest.approx(4.0, rel=0.1)
+    assert noise.count == 3000 - is_gap.sum()
+
+
+def test_a_branch_without_any_datum_is_none() -> None:
+    values = RNG(15).normal(size=1000)
+    with_none = judged(values, np.full(5000, np.nan))
+    plain = judged(values)
+    assert with_none.squares == pytest.approx(plain.squares)
+    assert with_none.power == pytest.approx(plain.power)
+
+
+def test_what_stands_says_nothing() -> None:
+    """A record that is full for a long while, behind a loading of 200 samples."""
+    loading = np.linspace(0.0, 100.0, 200)
+    record, full = loading + RNG(16).normal(size=200), np.full(3000, 100.0)
+    noise = noise_of([record, full], [loading, full])
+    assert not noise.is_none
+    assert np.var(noise.draw(200, 2000, RNG(0))) == pytest.approx(1.0, rel=0.35)
+
+
+def test_pieces_that_stand_are_left_out() -> None:
+    """Full for the second half of a branch: six of twelve pieces, and all that move are kept."""
+    record = np.where(np.arange(3000) < 1500, RNG(17).normal(size=3000), 0.0)
+    noise = judged(record)
+    assert (noise.freedom, noise.kept) == (6 * 42, 1.0)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        np.zeros(0),
+        np.array([1.0, 5.0, 2.0, 8.0, 1.0, 0.0, 3.0]),
+        np.full(500, 7.0),
+        np.full(500, np.nan),
+        np.linspace(0.0, 0.3, 2000),
+        1e5 + np.linspace(0.0, 1.0, 500) ** 3,
+    ],
+    ids=["nothing", "seven", "constant", "unknown", "line", "cubic"],
+)
+def test_no_noise(values: Floats) -> None:
+    """Less than eight samples, or what a spreadsheet computed."""
+    noise = judged(values)
+    assert noise.is_none
+    assert not noise.draw(max(len(values), 1), 3, RNG(0)).any()
+
+
+def test_eight_samples_have_noise() -> None:
+    noise = judged(np.array([1.0, 5.0, 2.0, 8.0, 1.0, 0.0, 3.0, 4.0]))
+    assert not noise.is_none
+    assert noise.freedom == 6
+
+
+def test_small_noise_on_a_long_way_is_noise() -> None:
+    """A nanometre in 300 mm is more than arithmetic."""
+    way = np.linspace(0.0, 0.3, 2000)
+    noise = noise_of([way + 3e-9 * RNG(0).normal(size=2000)], [way])
+    assert np.std(noise.draw(2000, 100, RNG(0))) == pytest.approx(3e-9, rel=0.1)
+
+
+def test_the_same_seed_draws_the_same() -> None:
+    noise = judged(autoregressive(0.9, (700,), 1))
+    first, again = (noise.draw(700, 5, RNG(3)) for _ in range(2))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, noise.draw(700, 5, RNG(4)))
+    assert first.dtype == np.float32
+
+
+def test_rounding_coarser_than_the_noise() -> None:
+    """Steps of 7 standard deviations on a slope: a rectangle of variance 49 / 12."""
+    record = np.linspace(0.0, 500.0, 4000) + RNG(18).normal(size=4000)
+    rounded = 7.0 * np.round(record / 7.0)
+    drawn = noise_of([rounded], [np.linspace(0.0, 500.0, 4000)]).draw(4000, 200, RNG(0))
+    assert np.var(drawn) == pytest.approx(1.0 + 49.0 / 12.0, rel=0.2)
