@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import subprocess
 import sys
@@ -175,14 +176,21 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
             "lower",
             "upper",
             "level",
+            "estimate",
             "status",
             "reasons",
             "method",
+            "budget",
         }
         assert re.fullmatch(r"[a-z][a-z0-9_]*(\.\d+)?", result["name"])
         for reason in result["reasons"]:
             assert set(reason) == {"code", "message"}
             assert re.fullmatch(r"[a-z][a-z0-9_]*", reason["code"])
+        for row in result["budget"]:
+            assert set(row) == {"cause", "change", "share", "common"}
+        assert not result["budget"] or math.isclose(
+            sum(row["share"] for row in result["budget"]), 1
+        )
     for note in said["quality"]:
         assert set(note) == {"code", "severity", "message"}
 

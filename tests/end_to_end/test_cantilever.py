@@ -202,7 +202,7 @@ def test_quick_test_with_mishaps(tmp_path: Path, run: Run) -> None:
     lab = make_lab(tmp_path, replace(usual, mechanics=mechanics, mishaps=QUICK.mishaps))
     assert run("process", lab.raw, "--no-figures").status == 0
     for name, found in lab.results.items():
-        assert found["lower"] < found["value"] < found["upper"], name
+        assert found["lower"] < found["estimate"] < found["upper"], name
         assert found["status"] == "ok" or why(found).startswith("alignment_drift: "), name
 
 

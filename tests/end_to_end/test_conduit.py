@@ -35,7 +35,7 @@ class Done:
         """A wide net: coverage at 95 % is counted elsewhere, over many seeds."""
         found = self.results[name]
         half = widths * 0.5 * (found["upper"] - found["lower"])
-        return bool(abs(found["value"] - value) <= half)
+        return bool(abs(found["estimate"] - value) <= half)
 
 
 @pytest.fixture(scope="module")
