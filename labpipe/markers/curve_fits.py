@@ -14,7 +14,9 @@ from labpipe.records.arrays import Flags, Floats, Ints
 REST_TERMS = 4
 """Coefficients per coordinate at rest, where the specimen is nearly straight: a cubic."""
 _ROUNDS = 30
-_SETTLED = 1e-10  # m
+SETTLED = 1e-10
+"""m by which arc lengths change at most from one round to the next once they are found."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,6 +130,7 @@ def curve_at_rest(
     pull_offset: float,
     centre_offset: float,
     free_tip: bool,
+    settled: float = SETTLED,
 ) -> RestCurve:
     """Find clamped end, direction there and arc lengths of the markers from the shape at rest.
 
@@ -138,6 +141,7 @@ def curve_at_rest(
         without a clamp, whose first marker is its beginning
     pull_offset, centre_offset : m
     free_tip : no moment at the pull point
+    settled : m, when the arc lengths are good enough
 
     Returns
     -------
@@ -163,7 +167,7 @@ def curve_at_rest(
         fitted += shift - (fitted[0] if grip_offset is None else 0.0)
         change = np.abs(fitted - arc_length).max()
         arc_length = fitted
-        if change < _SETTLED:
+        if change < settled:
             break
     return RestCurve(coefficients[:, 0] - shift * tangent, tangent, arc_length)
 
@@ -181,12 +185,11 @@ def _rest_coefficients(
 
 def _along(coefficients: Floats, arc_length: Floats, length: float) -> Floats:
     """Length of the curve from its beginning to each of the parameters (Gauss-Legendre)."""
-    nodes, weights = np.polynomial.legendre.leggauss(8)
     half = arc_length[:, None] / 2
-    u = half * (1 + nodes) / length
+    u = half * (1 + _NODES) / length
     rates = power_slopes(u.ravel(), coefficients.shape[1]) @ coefficients.T / length
     speed = np.linalg.norm(rates, axis=1).reshape(u.shape)
-    return np.asarray((half * speed * weights).sum(axis=1), dtype=np.float64)
+    return np.asarray((half * speed * _WEIGHTS).sum(axis=1), dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

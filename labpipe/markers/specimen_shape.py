@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.markers.curve_fits import (
+    SETTLED,
     EndConditions,
     FrameFits,
     RestCurve,
@@ -28,6 +29,8 @@ from labpipe.records.quality import QualityNote, Severity
 
 CLAMPED_END = "clamped end"
 PULL_POINT = "pull point"
+_NEARLY = 1e-8
+"""m, as `SETTLED` where only a change by some 1e-5 m is looked for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,7 +156,7 @@ def fit_shape(
     begin = partial(_beginning, straight, clamped=clamped, free_tip=free_tip)
     at_rest, conditions = begin(offsets)
     others = offsets.moved(uncertainties) if clamped else {}
-    models = [(*begin(each), each.centre) for each in others.values()]
+    models = [(*begin(each, settled=_NEARLY), each.centre) for each in others.values()]
     heights = last_heights(relative[:, settled], models, terms=terms)
     relative = relative - (at_rest.clamped_end if clamped else 0.0)
     model = (relative[:, settled], at_rest.arc_length, offsets.centre, conditions)
@@ -175,7 +178,12 @@ def fit_shape(
 
 
 def _beginning(
-    straight: Floats, offsets: Offsets, *, clamped: bool, free_tip: bool
+    straight: Floats,
+    offsets: Offsets,
+    *,
+    clamped: bool,
+    free_tip: bool,
+    settled: float = SETTLED,
 ) -> tuple[RestCurve, EndConditions]:
     """Curve at rest through the means of the markers, and what it says of the ends of all."""
     at_rest = curve_at_rest(
@@ -184,6 +192,7 @@ def _beginning(
         pull_offset=offsets.pull,
         centre_offset=offsets.centre,
         free_tip=free_tip,
+        settled=settled,
     )
     ends = EndConditions(
         length=float(at_rest.arc_length[-1]) + offsets.pull,

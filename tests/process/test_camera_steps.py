@@ -95,7 +95,7 @@ def test_offsets_move_the_deflection_and_not_its_zero(
         assert np.nanmean(moved[rest]) == pytest.approx(0.0, abs=1e-12)
     longer, _ = done(tracks, protocol, pull_offset=words(protocol).pull_offset + 1e-4)
     np.testing.assert_allclose(
-        signal.moved[PULL], longer.signals.raw["deflection"].values, atol=1e-12
+        signal.moved[PULL], longer.signals.raw["deflection"].values, atol=1e-8
     )
     exact, _ = done(tracks, protocol, offset_uncertainty=0.0, centre_uncertainty=0.0)
     assert set(exact.signals.raw["deflection"].moved) == {SHAPE}
