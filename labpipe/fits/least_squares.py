@@ -50,24 +50,23 @@ def zero_of_line(x: Floats, y: Floats) -> Floats:
     return zero
 
 
-def zero_of_line_in(chosen: Flags, x: Floats, y: Floats) -> Floats:
-    """Where a line through chosen samples of each row is zero, as `zero_of_line`.
+def line_in(chosen: Flags, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+    """Straight line by least squares through chosen samples of each row.
 
     Parameters
     ----------
-    chosen, x, y : shape (rows, n); NaN where nothing is chosen
+    chosen : shape (rows, n)
+    x, y : shape (rows, n) or (n,); NaN where nothing is chosen
 
     Returns
     -------
-    Shape (rows,); NaN where the line does not rise.
+    Shapes (rows,): mean of `x`, value of the line there, its slope; NaN where there is none.
     """
     count = chosen.sum(axis=1)
     x, y = (np.where(chosen, each, 0.0) for each in (x, y))
     middle, level = (ratio(each.sum(axis=1), count) for each in (x, y))
     lever = np.where(chosen, x - middle[:, np.newaxis], 0.0)
-    slope = ratio(np.vecdot(lever, y), np.vecdot(lever, x))
-    zero: Floats = middle - level / np.where(slope > 0.0, slope, np.nan)
-    return zero
+    return middle, level, ratio(np.vecdot(lever, y), np.vecdot(lever, x))
 
 
 def polynomial_weights(x: Floats, *, degree: int) -> Floats:

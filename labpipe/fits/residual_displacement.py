@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from labpipe.fits.least_squares import polynomial_weights, slope_of_line, zero_of_line
+from labpipe.fits.least_squares import line_in, polynomial_weights, slope_of_line, zero_of_line
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_of
 from labpipe.records.estimates import Failure
 from labpipe.uncertainty.noise import fast_noise
@@ -18,6 +18,10 @@ _CLEAR = 4.0
 """Standard deviations of noise above which a force is not zero."""
 _REACH = 0.1
 """Share of a branch on each side of its zero that a parabola is fitted to."""
+_FOOT = 5.0
+"""Limits from which on the foot of the force is taken for straight."""
+_SECOND = 1.0
+"""s before zero over which the displacement is."""
 _LEAST = 8
 _LEAST_IN_FOOT = 4
 _ROUNDING = 1e-9
@@ -86,14 +90,16 @@ class FollowedToZero:
 
     Parameters
     ----------
-    foot, near : samples of the branch
-    foot_time, near_time : shape (foot,), (near,), s, from the end of the foot
+    known, foot, near : samples of the branch: all that are not blank, and two stretches
+    time, foot_time, near_time : shape (known,), (foot,), (near,), s, from the end of the foot
     is_line : whether a line through the foot falls to zero; else zero is at its end
     limit : N, up to which a force passes for zero
     """
 
+    known: Samples
     foot: Samples
     near: Samples
+    time: Floats
     foot_time: Floats
     near_time: Floats
     is_line: bool
@@ -116,6 +122,32 @@ class FollowedToZero:
         ahead = at - self.near_time.mean()
         found: Floats = d.mean(axis=-1) + slope_of_line(self.near_time, d) * ahead
         return found
+
+    def of_each(self, displacement: Floats, force: Floats) -> Floats:
+        """Displacement at zero force of branches with noise, which says where each foot ends.
+
+        Parameters
+        ----------
+        displacement, force : shape (rows, n), m, N, of the branch
+
+        Returns
+        -------
+        Shape (rows,), m; NaN where the force does not come back to zero.
+        """
+        d, f, time = displacement[:, self.known], force[:, self.known], self.time
+        begin, end = _last(f > _FOOT * self.limit), _last(f > self.limit)
+        stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
+        numbers = np.arange(stretch.start, stretch.stop)
+        foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
+        middle, level, slope = line_in(foot, time[stretch], f[:, stretch])
+        falls = (slope < 0.0) & (end - np.maximum(begin, 0) + 1 >= _LEAST_IN_FOOT)
+        at = np.where(falls, middle - ratio(level, slope), time[end])
+        part = slice(*np.searchsorted(time, [at.min() - _SECOND, at.max() + _SECOND]))
+        t, start = time[part], at[:, np.newaxis] - _SECOND
+        near = (t >= start) & (t <= at[:, np.newaxis])
+        middle, level, slope = line_in(near, t, d[:, part])
+        ended = (end >= 0) & (end < len(time) - 3) & (near.sum(axis=1) >= _LEAST)
+        return np.where(ended, level + slope * (at - middle), np.nan)
 
 
 Unloaded: TypeAlias = ThroughZero | AtRest | FollowedToZero
@@ -208,7 +240,7 @@ class _Branch:
     def slack_or_followed(self, limit: float, like: Unloaded | None) -> Unloaded | Failure:
         """The foot of the force and what comes behind, where the force stays near zero."""
         last = int(np.flatnonzero(self.force > limit)[-1])
-        far = np.flatnonzero(self.force > 5.0 * limit)
+        far = np.flatnonzero(self.force > _FOOT * limit)
         foot = slice(int(far[-1]) if len(far) else 0, last + 1)
         end = float(self.time[last])
         from_end = self.time - end
@@ -223,11 +255,12 @@ class _Branch:
         rests = has_stopped and self._is_slack(rest, limit)
         if rests if like is None else isinstance(like, AtRest) and rest.any():
             return AtRest(self.samples(rest), int(rest.sum()), limit)
-        near = (self.time >= zero - 1.0) & (self.time <= zero)
+        near = (self.time >= zero - _SECOND) & (self.time <= zero)
         if near.sum() < _LEAST:
             found = f"{int(near.sum())} samples in the 1 s to {zero:.3f} s"
             return Failure("too_few_samples", found)
-        places, times = (self.samples(foot), self.samples(near)), (from_end[foot], from_end[near])
+        places = samples_of(self.known), self.samples(foot), self.samples(near)
+        times = from_end, from_end[foot], from_end[near]
         return FollowedToZero(*places, *times, falls, limit)
 
     def _is_slack(self, rest: Flags, limit: float) -> bool:
@@ -239,6 +272,13 @@ class _Branch:
         noise = values - values.mean() - slope * at
         still = 3.0 * float(noise.std()) + _ROUNDING * float(np.ptp(self.displacement))
         return abs(slope) * float(np.ptp(at)) <= still
+
+
+def _last(flags: Flags) -> Ints:
+    """Last flagged sample of each row; -1 where none is."""
+    count: int = flags.shape[1]
+    last: Ints = np.where(flags.any(axis=1), count - 1 - np.argmax(flags[:, ::-1], axis=1), -1)
+    return last
 
 
 def _zero_time(time: Floats, force: Floats) -> Floats:

@@ -7,7 +7,7 @@ from math import hypot
 
 import numpy as np
 
-from labpipe.fits.least_squares import slope_of_line, zero_of_line, zero_of_line_in
+from labpipe.fits.least_squares import line_in, slope_of_line, zero_of_line
 from labpipe.records.arrays import Floats, Ints, Samples, samples_of
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
@@ -240,7 +240,8 @@ class TakeUp:
         numbers = numbers[: part.stop - low]
         foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
         foot &= ~np.isnan(d) & ~np.isnan(f)
-        at = zero_of_line_in(foot, d, f)
+        middle, level, slope = line_in(foot, d, f)
+        at = middle - level / np.where(slope > 0.0, slope, np.nan)
         begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
         return np.where(np.isnan(at), begins, at), first
 

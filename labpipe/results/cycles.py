@@ -16,7 +16,7 @@ from labpipe.fits.loops import (
     energy_of,
     sense_of_loading,
 )
-from labpipe.fits.residual_displacement import Unloaded, unloaded
+from labpipe.fits.residual_displacement import FollowedToZero, Unloaded, unloaded
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE
 from labpipe.records.curve import Branch, Curve, Direction
@@ -316,7 +316,14 @@ class ResidualDisplacement(OfCycle):
         def numbers(trace: Trace) -> tuple[Floats]:
             return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
-        return Reading(numbers, found.n)
+        if not isinstance(found, FollowedToZero):
+            return Reading(numbers, found.n)
+        followed = found
+
+        def in_noise(trace: Trace) -> tuple[Floats]:
+            return (followed.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
+
+        return Reading(numbers, found.n, in_noise)
 
     def _ends(self, trace: Trace, number: int, like: Unloaded | None = None) -> Unloaded | Failure:
         branches = cycle_of(trace, number)

@@ -117,6 +117,53 @@ def test_a_curve_without_noise_ends_as_the_one_that_was_measured(way: type[Unloa
 
 
 @pytest.mark.parametrize("kind", KINDS)
+def test_a_foot_decided_for_each_row(kind: str) -> None:
+    """Rows with gaps, one that does not come back to zero, one that never is above the limit."""
+    path, force = WAYS[FollowedToZero]
+    force = force + noise_rows(kind, 2e-4, (40, len(TIME)), seed=1)
+    path = path + noise_rows(kind, 1e-5, force.shape, seed=2)
+    force[:10, 2000:2008] = np.nan
+    path[:, 1900::7] = np.nan
+    force[20] += 0.1
+    force[21] -= 1.0
+    force[22, 2045:] += 0.006
+    found = decided(path[10], force[10])
+    assert isinstance(found, FollowedToZero)
+    for d, f, each in zip(path[10:], force[10:], found.of_each(path[10:], force[10:]), strict=True):
+        alone = unloaded(TIME, d, f, force_below=LIMIT, like=found)
+        if isinstance(alone, Failure):
+            assert np.isnan(each)
+        else:
+            assert each == pytest.approx(float(alone.of(d, f)), rel=1e-9)
+    assert np.isfinite(found.of_each(path[:10], force[:10])).all()
+
+
+@pytest.mark.parametrize(("kind", "deviation"), [("white", 4e-3), ("remembering", 1e-3)])
+def test_a_foot_that_ends_in_noise_is_off_as_tests_are(kind: str, deviation: float) -> None:
+    """The last sample beyond the limit is the one that noise lifted."""
+    path, force = WAYS[FollowedToZero]
+    shape = (200, len(TIME))
+    tests = []
+    paths = path + noise_rows(kind, 1e-5, shape, seed=1)
+    forces = force + noise_rows(kind, deviation, shape, seed=2)
+    for d, f in zip(paths, forces, strict=True):
+        found = decided(d, f)
+        assert isinstance(found, FollowedToZero)
+        tests.append(float(found.of(d, f)))
+    smooth = decided(path, force, like=found)
+    assert isinstance(smooth, FollowedToZero)
+    off = smooth.of_each(
+        path + noise_rows(kind, 1e-5, shape, seed=3),
+        force + noise_rows(kind, deviation, shape, seed=4),
+    ) - float(smooth.of(path, force))
+    # Quantiles, as a sample of the rest that noise lifts beyond the limit leads far astray.
+    low, middle, high = np.quantile(np.array(tests) - LEFT, (0.1, 0.5, 0.9))
+    below, centre, above = np.quantile(off, (0.1, 0.5, 0.9))
+    assert above - below == pytest.approx(high - low, rel=0.25)
+    assert centre == pytest.approx(middle, abs=0.15 * float(high - low))
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("way", WAYS)
 def test_replicates_scatter_as_tests_do(way: type[Unloaded], kind: str) -> None:
     path, force = WAYS[way]
