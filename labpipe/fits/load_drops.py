@@ -140,7 +140,10 @@ def _fit_within(
     allowed = drops[costs <= costs.min() + _ALLOWED * variance]
     whole = np.all(drops % 1.0 == 0.0, axis=1)
     around = drops[whole & (costs <= costs[whole].min() + _ALLOWED * variance)]
-    if not _is_clear(pull, window, (without - costs.min()) / variance):
+    explained = without - float(costs.min())
+    if explained <= 0.0:
+        return None  # a converter shows nothing but one of its steps
+    if not _is_clear(pull, window, explained / variance if variance > 0.0 else np.inf):
         return None
     found = _measured(pull, window, (best, allowed, around))
     return found if found is not None and _is_rare(pull, window, found) else None

@@ -150,8 +150,14 @@ def fit_reversal(
 
 
 def _first_noise(y: Floats) -> float:
-    """Variance of white noise on a smooth signal, by the median of second differences."""
-    level = float(np.median(np.abs(np.diff(y, 2)))) / (0.6745 * np.sqrt(6.0))
+    """Variance of white noise on a smooth signal, by the median of second differences.
+
+    Of a signal that hardly ever leaves a step of its converter by their mean square.
+    """
+    bends = np.diff(y, 2)
+    level = float(np.median(np.abs(bends))) / (0.6745 * np.sqrt(6.0))
+    if level <= 1e-9 * float(np.ptp(y)):
+        level = float(np.sqrt(np.mean(bends**2) / 6.0))
     return float(max(level, 1e-9 * float(np.ptp(y))) ** 2)
 
 

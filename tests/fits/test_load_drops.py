@@ -74,3 +74,10 @@ def test_added_back() -> None:
     mended = curve.without([found])
     assert mended.f == pytest.approx(0.1 * NUMBER, abs=1e-6)
     assert curve.f[300] == pytest.approx(28.0)
+
+
+def test_a_coarse_converter_is_no_fall() -> None:
+    """Around the place nothing moves at all, and elsewhere in steps of twelve samples."""
+    force = 1.2 * np.round(0.1 * NUMBER / 1.2)
+    force[150:260] = force[150]
+    assert fit_load_drop(PullCurve(STEP * NUMBER, force, most=10, blurred=0), 205) is None

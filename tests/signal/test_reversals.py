@@ -109,3 +109,11 @@ def test_a_flat_top_is_no_early_corner() -> None:
         reversal = fit_reversal(time, force + noise, near=TURN - 0.03, window=1.0)
         assert reversal is not None
         assert reversal.corner.time == pytest.approx(TURN, abs=8e-3)
+
+
+def test_a_converter_coarser_than_the_noise() -> None:
+    """No fault, and no more precise than its steps allow: 3 mN are 0.15 s of the fall."""
+    time, force = turned(4, sticks=9.0)
+    step = 3e-3
+    reversal = fit_reversal(time, step * np.round(force / step), near=3.97, window=1.0)
+    assert reversal is None or reversal.corner.time_error > 0.01
