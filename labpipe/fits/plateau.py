@@ -8,9 +8,7 @@ import numpy as np
 
 from labpipe.fits.one_path import OnePath, known_samples
 from labpipe.records.arrays import Flags, Floats, Ints
-from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure, scaled, widened
-from labpipe.uncertainty.linear_fits import fit_linear
+from labpipe.records.estimates import Failure
 
 _STEPS = 8
 """Tangents per length of the line that each of them is."""
@@ -20,139 +18,6 @@ _TRAVEL = 0.5
 _FLAT = 1e-9
 """Determinant of the products of 1, x, x^2 per sample, that of samples at two places but rounding;
 that of evenly spaced ones is 5e-4."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EndSlope:
-    """How steep a curve is over its last stretch.
-
-    Parameters
-    ----------
-    share : 1, slope over that at the start of the curve
-    slope, level : N/m, N, of the line and at its start
-    start, stop : m, ends of the stretch
-    """
-
-    share: Estimate
-    slope: float
-    level: float
-    start: float
-    stop: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Onset:
-    """Where a plateau begins.
-
-    Parameters
-    ----------
-    displacement, force : m, N; the interval of the place may be asymmetric
-    """
-
-    displacement: Estimate
-    force: Estimate
-
-
-def fit_end_slope(
-    displacement: Floats, force: Floats, *, initial: Estimate, over: float
-) -> EndSlope | Failure:
-    """Slope over the last stretch of a loading curve, as a share of that at its start.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
-        in either are left out
-    initial : N/m, slope at the start, without the uncertainty of the scale of the force, which
-        cancels
-    over : m, length of the stretch
-
-    Returns
-    -------
-    The share with its interval, or a failure: ``no_stiffness`` (the initial slope is not above
-    zero), ``not_reached`` (the curve is shorter than two stretches), ``too_few_samples``,
-    ``no_travel``.
-
-    Notes
-    -----
-    Slope in the middle of the stretch of a parabola through it (on evenly spaced samples that of
-    the straight line), by `fit_linear`: the bend of the curve is then no noise. Both slopes are
-    taken for independent: they are read from different stretches.
-
-    Examples
-    --------
-    >>> d = np.linspace(0.0, 0.05, 501)
-    >>> end = fit_end_slope(
-    ...     d, np.minimum(800.0 * d, 16.0 + 40.0 * d), initial=Estimate(800.0, 4.0, 50), over=5e-3
-    ... )
-    >>> round(end.share.value, 9)
-    0.05
-    """
-    d, f = _known(displacement, force)
-    if initial.value <= 0.0:
-        return Failure("no_stiffness", f"the slope at the start is {initial.value:.4g} N/m")
-    if not len(d) or np.ptp(d) < 2.0 * over:
-        reached = 1e3 * float(np.ptp(d)) if len(d) else 0.0
-        found = f"the branch is {reached:.4g} mm long, twice {1e3 * over:.4g} mm is needed"
-        return Failure("not_reached", found)
-    middle = float(d.max()) - 0.5 * over
-    end = _tangent_at(d, f, middle, over)
-    if isinstance(end, Failure):
-        return end
-    level = end.level.value + end.slope.value * (end.start - middle)
-    return EndSlope(_share(end.slope, initial), end.slope.value, level, end.start, end.stop)
-
-
-def find_onset(
-    displacement: Floats, force: Floats, *, initial: Estimate, over: float, slope_below: float
-) -> Onset | Failure:
-    """Place from which on the tangent of a loading curve stays below a share of the initial slope.
-
-    Parameters
-    ----------
-    displacement, force, initial, over : as `fit_end_slope` takes them
-    slope_below : share of `initial`
-
-    Returns
-    -------
-    The onset, or a failure: ``no_plateau`` (the interval of the slope at the end is not wholly
-    below the share, or no place before is above it), and those of `fit_end_slope`.
-
-    Notes
-    -----
-    The tangent at a place is the slope over `over` around it, as that of `fit_end_slope`. From the
-    end of the curve backwards, the onset is where the tangent first reaches the share. The ends of
-    the interval are where the upper and the lower end of the tangent's own interval first do: the
-    test of "the tangent is as steep as that here", inverted. A kink is smeared over the length of
-    the line, which moves the onset by about twice what half that length changes: the interval is
-    stretched that far, to the side to which it changes.
-    The force at the onset is that of the parabola over half of `over`. A parabola cuts a corner by
-    as much as it is long; what the other half would change is in the interval as the half width of
-    a rectangle.
-
-    Examples
-    --------
-    >>> d = np.linspace(0.0, 0.05, 501)
-    >>> f = np.where(d < 0.03, 400.0 * d - 6500.0 * d**2, 6.15)
-    >>> onset = find_onset(d, f, initial=Estimate(400.0, 2.0, 50), over=2e-3, slope_below=0.1)
-    >>> round(1e3 * onset.displacement.value, 1)
-    27.7
-    """
-    end = fit_end_slope(displacement, force, initial=initial, over=over)
-    if isinstance(end, Failure):
-        return end
-    if end.share.interval is None or end.share.interval.upper >= slope_below:
-        return Failure("no_plateau", f"{1e2 * end.share.value:.3g} % of the initial slope")
-    d, f = _known(displacement, force)
-    tangents = _tangents(d, f, initial, over, slope_below)
-    place, lower, upper = (_crossing(tangents[0], each, slope_below) for each in tangents[1:])
-    if place is None or upper is None:
-        return Failure("no_plateau", "the curve is nowhere steeper than at its end")
-    lower = float(d.min()) if lower is None else lower
-    moved = 2.0 * (_finer(d, f, place, over, slope_below * initial.value) - place)
-    interval = Interval(lower + min(moved, 0.0), upper + max(moved, 0.0))
-    at = Estimate(place, interval.standard_error, len(d), interval)
-    level = _force_at(d, f, at, over)
-    return level if isinstance(level, Failure) else Onset(at, level)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,7 +31,8 @@ class Tangents:
     places : shape (p,), m, middles of the tangents, an eighth of `over` apart, the one over the
         last stretch first
     rows : shape (p, k), 1/m, each slope as a sum over the forces of the samples
-    first : level of the first tangent in its middle as a sum over the forces, shape (k,)
+    first : shape (k,), level of the first tangent in its middle as a sum over the forces
+    last : shape (m,), numbers of the samples of the first tangent
     """
 
     path: OnePath
@@ -174,6 +40,7 @@ class Tangents:
     places: Floats
     rows: Floats
     first: Floats
+    last: Ints
 
     @classmethod
     def of(cls, displacement: Floats, force: Floats, *, over: float) -> Tangents | Failure:
@@ -213,7 +80,14 @@ class Tangents:
             np.put_along_axis(column, stretches.samples[there], weights[there], axis=1)
         levels, slopes = columns[..., :-1]
         path = OnePath.of(displacement, force, samples)
-        return cls(path, over, stretches.at[there], slopes, levels[0])
+        last = stretches.samples[0][stretches.samples[0] < len(d)]
+        return cls(path, over, stretches.at[there], slopes, levels[0], last)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Smallest and largest displacement over the last stretch, m."""
+        d = self.path.displacement[self.last]
+        return float(d.min()), float(d.max())
 
     def slope_at_end(self, force: Floats, displacement: Floats | None = None) -> Floats:
         """Slope over the last stretch, of each of many curves.
@@ -263,48 +137,61 @@ class Tangents:
         share, straight between neighbours. NaN for a curve that is nowhere so steep. The force is
         that of the parabola over half of `over` around the place: a parabola cuts a corner by as
         much as it is long.
+
+        Examples
+        --------
+        >>> d = np.linspace(0.0, 0.05, 501)
+        >>> f = np.where(d < 0.03, 400.0 * d - 6500.0 * d**2, 6.15)
+        >>> tangents = Tangents.of(d, f, over=2e-3)
+        >>> place, force = tangents.onset(f, np.array(400.0), slope_below=0.1)
+        >>> round(1e3 * float(place), 1), round(float(force), 2)
+        (27.7, 6.09)
         """
         f = self.path.force(force, displacement)
         shape, f = f.shape[:-1], f.reshape(-1, f.shape[-1])
-        place = self._reached(f, slope_below * np.broadcast_to(initial, shape).reshape(-1))
+        share = slope_below * np.broadcast_to(initial, shape).reshape(-1)
+        place = _reached(self.places, f @ self.rows.T, share)
         levels = _levels(self.path.displacement, f, place, 0.5 * self.over)
         return place.reshape(shape), levels.reshape(shape)
 
-    def _reached(self, f: Floats, slope: Floats) -> Floats:
-        """Where the tangents of curves (R, k) reach slopes (R,), from the end backwards."""
-        slopes = f @ self.rows.T
-        is_steep = slopes >= slope[:, None]
-        number = np.argmax(is_steep, axis=1)
-        ahead, each = np.maximum(number - 1, 0), np.arange(len(f))
-        rise = slopes[each, number] - slopes[each, ahead]
-        share = (slope - slopes[each, ahead]) / np.where(number > 0, rise, np.inf)
-        place = self.places[ahead] + share * (self.places[number] - self.places[ahead])
-        found: Floats = np.where(is_steep[each, number], place, np.nan)
-        return found
+    def corners(self, force: Floats, at: float, slope: float) -> tuple[float, float]:
+        """What tangents of half the length change about an onset.
+
+        Parameters
+        ----------
+        force : shape (n,), N
+        at : m, the onset
+        slope : N/m, that the tangent has there
+
+        Returns
+        -------
+        Change of the place, m, and of the force, N. A tangent smears a corner over its length,
+        which moves the onset; the parabola that the force is read from cuts it.
+        """
+        d, f, half = self.path.displacement, self.path.force(force), 0.5 * self.over
+        near = at + self.over * np.linspace(0.5, -0.5, 2 * _STEPS + 1)
+        is_inside = (near <= d.max() - 0.5 * half) & (near >= d.min() + 0.5 * half)
+        stretches = _Stretches.of(d, near[is_inside], half)
+        _, weights = stretches.weights()
+        slopes = np.vecdot(weights, np.append(f, 0.0)[stretches.samples])
+        there = stretches.is_enough
+        found = _reached(stretches.at[there], slopes[None, there], np.array([slope]))[0]
+        whole, short = (
+            float(_levels(d, f[None], np.array([at]), over)[0]) for over in (self.over, half)
+        )
+        return 0.0 if np.isnan(found) else float(found) - at, short - whole
 
 
-def cut_corners(
-    displacement: Floats, force: Floats, at: float, slope: float, *, over: float
-) -> tuple[float, float]:
-    """What half the length of the tangents changes about an onset.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N, of the loading branch
-    at : m, the onset
-    slope : N/m, that the tangent has there
-    over : m
-
-    Returns
-    -------
-    Change of the place, m, and of the force, N. A tangent smears a corner over its length, which
-    moves the onset; the parabola that the force is read from cuts it.
-    """
-    samples = known_samples(displacement, force)
-    d, f = displacement[samples], force[samples]
-    place = np.array([at])
-    levels = [float(_levels(d, f[None], place, each)[0]) for each in (0.5 * over, over)]
-    return _finer(d, f, at, over, slope) - at, levels[0] - levels[1]
+def _reached(places: Floats, slopes: Floats, wanted: Floats) -> Floats:
+    """First of the places (p,) at which slopes (R, p) reach those wanted (R,); NaN for nowhere."""
+    is_steep = slopes >= wanted[:, None]
+    number, each = np.argmax(is_steep, axis=1), np.arange(len(slopes))
+    ahead = np.maximum(number - 1, 0)
+    rise = slopes[each, number] - slopes[each, ahead]
+    share = (wanted - slopes[each, ahead]) / np.where(number > 0, rise, np.inf)
+    place = places[ahead] + share * (places[number] - places[ahead])
+    found: Floats = np.where(is_steep[each, number], place, np.nan)
+    return found
 
 
 def _levels(d: Floats, f: Floats, places: Floats, over: float) -> Floats:
@@ -375,98 +262,3 @@ class _Stretches:
         products = np.where(self.is_enough[:, None, None], self.products, np.eye(3))
         level, slope, _ = np.moveaxis(np.linalg.solve(products, self.powers), 1, 0)
         return level, slope / self.over
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Tangent:
-    """Slope (N/m) and level (N) at the middle of a stretch, and the ends of that (m)."""
-
-    slope: Estimate
-    level: Estimate
-    start: float
-    stop: float
-
-
-def _known(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    return displacement[known], force[known]
-
-
-def _around(d: Floats, place: float, over: float) -> slice:
-    """Samples, in order of time, while the curve passes a stretch around a place."""
-    reached = np.maximum.accumulate(d)
-    ends = (place - 0.5 * over, place + 0.5 * over)
-    first, last = np.searchsorted(reached, ends, side="left")
-    return slice(int(first), int(last) + 1)
-
-
-def _tangent_at(d: Floats, f: Floats, place: float, over: float) -> _Tangent | Failure:
-    part = _around(d, place, over)
-    x, y = (d[part] - place) / over, f[part]
-    if len(x) < _LEAST:
-        return Failure("too_few_samples", f"{len(x)} samples in the stretch, {_LEAST} are needed")
-    if np.ptp(x) < 0.5:
-        return Failure("no_travel", "the displacement jumps over the stretch")
-    fit = fit_linear(np.vander(x, 3, increasing=True), y)
-    slope = scaled(fit.estimate(1), 1.0 / over)
-    return _Tangent(slope, fit.estimate(0), float(d[part].min()), float(d[part].max()))
-
-
-def _share(slope: Estimate, initial: Estimate) -> Estimate:
-    more = abs(slope.value) * initial.error / initial.value
-    return scaled(slope, 1.0 / initial.value, more=more)
-
-
-def _tangents(
-    d: Floats, f: Floats, initial: Estimate, over: float, slope_below: float
-) -> tuple[list[float], list[float], list[float], list[float]]:
-    """Places from the end backwards, and tangents there: share, lower and upper end of it."""
-    rows: list[tuple[float, float, float, float]] = []
-    places = np.arange(float(d.max()) - 0.5 * over, float(d.min()) + 0.5 * over, -over / _STEPS)
-    for place in places.tolist():
-        tangent = _tangent_at(d, f, place, over)
-        if isinstance(tangent, Failure):
-            break
-        share = _share(tangent.slope, initial)
-        interval = share.interval or Interval.normal_95(share.value, share.error)
-        rows.append((place, share.value, interval.lower, interval.upper))
-        if interval.lower >= slope_below:
-            break
-    columns = [list(each) for each in zip(*rows, strict=True)]
-    return columns[0], columns[1], columns[2], columns[3]
-
-
-def _crossing(places: list[float], values: list[float], height: float) -> float | None:
-    """First place at which values reach a height, straight between neighbours; None for none."""
-    for number, value in enumerate(values):
-        if value < height:
-            continue
-        if number == 0:
-            return places[0]
-        share = (height - values[number - 1]) / (value - values[number - 1])
-        return places[number - 1] + share * (places[number] - places[number - 1])
-    return None
-
-
-def _finer(d: Floats, f: Floats, place: float, over: float, slope: float) -> float:
-    """The onset next to a place by lines of half the length."""
-    places = [place + over * share for share in np.linspace(0.5, -0.5, 2 * _STEPS + 1).tolist()]
-    places = [each for each in places if each <= float(d.max()) - 0.25 * over]
-    slopes = []
-    for each in places:
-        part = _around(d, each, 0.5 * over)
-        slopes.append(float(np.polynomial.polynomial.polyfit(d[part] - each, f[part], 1)[1]))
-    found = _crossing(places, slopes, slope)
-    return place if found is None else found
-
-
-def _force_at(d: Floats, f: Floats, at: Estimate, over: float) -> Estimate | Failure:
-    """Force at a place that is itself uncertain, by half the line: a parabola cuts corners."""
-    whole, tangent = (_tangent_at(d, f, at.value, each) for each in (over, 0.5 * over))
-    if isinstance(whole, Failure):
-        return whole
-    if isinstance(tangent, Failure):
-        return tangent
-    # What half the line cuts off a corner is half of what the whole one does: their difference.
-    cut = abs(tangent.level.value - whole.level.value) / np.sqrt(3.0)
-    return widened(tangent.level, whole.slope.value * at.error, cut)

@@ -10,8 +10,8 @@ import numpy as np
 from labpipe.fits.one_path import OnePath, known_samples
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure
-from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
+from labpipe.records.estimates import Failure
+from labpipe.records.quality import Reason
 
 _Place = TypeVar("_Place", float, Floats)
 _SIDE = 4
@@ -32,63 +32,6 @@ _END = 0.05
 """Share of the stretch next to its ends in which a kink is not one of the specimen."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TwoSegments:
-    """Two lines that meet.
-
-    Parameters
-    ----------
-    first, second : N/m, slopes before and behind the break
-    break_point : m, with an interval that may be asymmetric
-    level : N, force at the break
-    squares : N^2, sum of squared residuals at the optimum
-    start, stop : m, ends of the stretch
-    """
-
-    first: Estimate
-    second: Estimate
-    break_point: Estimate
-    level: float
-    squares: float
-    start: float
-    stop: float
-
-
-def fit_two_segments(displacement: Floats, force: Floats) -> TwoSegments | Failure:
-    """Continuous line of two straight segments, the global least-squares optimum.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; a stretch of a loading branch in order of time, evenly
-        sampled; NaN in either are left out
-
-    Returns
-    -------
-    Slopes, break point and their 95 % intervals, or a failure: ``too_few_samples`` (fewer than 16),
-    ``not_increasing`` when the displacement does not grow over the stretch, ``no_bend`` when one
-    straight line does as well, or the break point may be an end of the stretch.
-
-    Notes
-    -----
-    Between two neighbouring samples the optimum is either the crossing of the two separate lines,
-    when it lies there, or one of the two samples (Hudson, J. Am. Stat. Assoc. 61 (1966) 1097).
-    Both have closed forms in cumulative sums, so the scan is O(n) after sorting by displacement.
-    Slopes: intervals of the linearised model for correlated noise (`fit_linear`). Break point: all
-    places whose sum of squares exceeds the optimum by no more than the square of the linearised
-    half width in units of independent noise; this profile of the sum of squares may be asymmetric.
-    At least four samples stand on each side.
-    """
-    scan = _scan(displacement, force)
-    return scan if isinstance(scan, Failure) else _described(scan, scan.best())
-
-
-def _scan(displacement: Floats, force: Floats) -> _Scan | Failure:
-    order = _in_order(displacement, known_samples(displacement, force))
-    if isinstance(order, Failure):
-        return order
-    return _Scan.of(displacement[order], force[order])
-
-
 def _in_order(displacement: Floats, known: Ints) -> Ints | Failure:
     """Known samples of a stretch in which the displacement grows, sorted by it."""
     d = displacement[known]
@@ -98,39 +41,6 @@ def _in_order(displacement: Floats, known: Ints) -> Ints | Failure:
         found = f"the displacement goes from {d[0]:.6g} m to {d[-1]:.6g} m"
         return Failure("not_increasing", found)
     return known[np.argsort(d, kind="stable")]
-
-
-def _described(scan: _Scan, at: float) -> TwoSegments | Failure:
-    hinge = fit_linear(scan.design(at)[:, :3], scan.y)
-    first, second = float(hinge.coefficients[1]), float(hinge.coefficients[2])
-    bend = hinge.along(np.array([0.0, -1.0, 1.0]))
-    if abs(bend.value) <= _BEND_ERRORS * bend.error:
-        return Failure(
-            "no_bend",
-            f"slopes {first:.6g} and {second:.6g} N/m differ by {abs(bend.value):.3g} N/m, "
-            f"{_BEND_ERRORS} standard errors of {bend.error:.3g} N/m are needed",
-        )
-    whole = fit_linear(scan.design(at), scan.y)
-    half, error = float(whole.half_widths[3]), float(np.sqrt(whole.covariance[3, 3]))
-    interval = scan.places_within(at, half / float(whole.unit_errors[3]))
-    if interval is None:
-        ends = f"{scan.d[0]:.6g} to {scan.d[-1]:.6g} m"
-        return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
-    return TwoSegments(
-        first=_centred(whole, 1, first),
-        second=_centred(whole, 2, second),
-        break_point=Estimate(scan.d_of(at), error / abs(bend.value), whole.n, interval),
-        level=float(hinge.coefficients[0]),
-        squares=hinge.residual_deviation**2 * (hinge.n - len(hinge.coefficients)),
-        start=float(scan.d[0]),
-        stop=float(scan.d[-1]),
-    )
-
-
-def _centred(fit: LinearFit, number: int, value: float) -> Estimate:
-    """An estimate with the width of a coefficient of a fit around another value."""
-    found, half = fit.estimate(number), float(fit.half_widths[number])
-    return Estimate(value, found.error, fit.n, Interval(value - half, value + half))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -220,31 +130,6 @@ class _Scan:
         inside = self.x[_SIDE - 1 : len(self.x) - _SIDE + 1]
         places = np.concatenate([inside, self.crossings()])
         return float(places[int(np.argmin(self.squares_at(places)))])
-
-    def places_within(self, at: float, reach: float) -> Interval | None:
-        """Ends of all breaks whose sum of squares exceeds the least by at most reach^2."""
-        inside = self.x[_SIDE - 1 : len(self.x) - _SIDE + 1]
-        least = float(self.squares_at(np.array([at]))[0])
-        allowed = np.flatnonzero(self.squares_at(inside) - least <= reach * reach)
-        ends = []
-        for outermost, outwards in ((allowed[:1], -1), (allowed[-1:], 1)):
-            near = float(inside[outermost[0]]) if len(outermost) else at
-            near = min(near, at) if outwards < 0 else max(near, at)
-            beyond = inside[inside < near][-1:] if outwards < 0 else inside[inside > near][:1]
-            if len(beyond) == 0:
-                return None
-            ends.append(self._crossing(near, float(beyond[0]), least + reach * reach))
-        return Interval(self.d_of(ends[0]), self.d_of(ends[1]))
-
-    def _crossing(self, inner: float, outer: float, height: float) -> float:
-        """Where the sum of squares passes a height between two places, to a millionth of them."""
-        for _ in range(3):
-            places = np.linspace(inner, outer, 101)
-            over = np.flatnonzero(self.squares_at(places) >= height)
-            if len(over) == 0 or over[0] == 0:
-                return outer if len(over) == 0 else inner
-            inner, outer = float(places[over[0] - 1]), float(places[over[0]])
-        return 0.5 * (inner + outer)
 
 
 def _lines(sums: Floats) -> tuple[Floats, Floats]:
@@ -401,19 +286,20 @@ def why_no_bend(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | N
 
     Returns
     -------
-    ``no_bend`` where the slopes differ by no more than four standard deviations of their difference
-    in the replicates, or where 2.5 % of the replicates have their break within two places of an
-    end; None where the curve bends.
+    ``no_bend`` where the slopes differ by no more than four standard errors, or where 2.5 % of the
+    replicates have their break within two places of an end; None where the curve bends.
 
     Notes
     -----
     The break was chosen to make the slopes differ most, so that a straight line reaches two
-    standard deviations by chance far more often than once in twenty. The interval of a break that
+    standard errors by chance far more often than once in twenty. The standard error is that of 95 %
+    of the differences in replicates: a few that have their break at an end, and any slope beyond
+    it, make the standard deviation of them all several times as large. The interval of a break that
     may be an end of the stretch has no end there.
     """
     first, second = float(found.first), float(found.second)
     bend, bends = second - first, drawn.second - drawn.first
-    error = float(np.nanstd(bends, ddof=1))
+    error = Interval(*np.nanquantile(bends, [0.025, 0.975]).tolist()).standard_error
     if not abs(bend) > _BEND_ERRORS * error:
         return Failure(
             "no_bend",
@@ -459,7 +345,7 @@ def why_no_kink(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | N
     )
 
 
-def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Failure | None:
+def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Reason | None:
     """Judge whether a place is known well enough to be one.
 
     Parameters
@@ -475,101 +361,8 @@ def why_break_is_doubtful(interval: Interval, hinges: Hinges) -> Failure | None:
     width = interval.upper - interval.lower
     if width <= _WIDE * (stop - start):
         return None
-    return Failure(
+    return Reason(
         "wide_break",
         f"the break lies within {1e3 * width:.3g} mm, more than a quarter of the stretch from "
         f"{1e3 * start:.4g} to {1e3 * stop:.4g} mm",
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Kink:
-    """Where two straight lines meet, the second one less steep.
-
-    Parameters
-    ----------
-    displacement, force : m, N, of the place where they meet
-    first, second : N/m, slopes before and behind it
-    start, stop : m, ends of the stretch
-    """
-
-    displacement: Estimate
-    force: Estimate
-    first: Estimate
-    second: Estimate
-    start: float
-    stop: float
-
-
-def fit_kink(displacement: Floats, force: Floats) -> Kink | Failure:
-    """Kink of a stretch of a loading curve at which the slope falls.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; the stretch in order of time, evenly sampled; NaN in
-        either are left out
-
-    Returns
-    -------
-    The kink with 95 % intervals, or a failure: ``no_kink`` when one straight line does as well or
-    the slope rises, ``kink_at_end`` when the two lines meet in the first or the last twentieth of
-    the stretch, ``too_few_samples`` (fewer than 16), ``not_increasing``.
-
-    Notes
-    -----
-    `fit_two_segments` finds the lines, the place and its interval. The force where they meet is a
-    linear combination of the coefficients of the model linearised in that place, so that its
-    interval holds what the place does not know. A kink is the elbow of two lines, not the first
-    slip: a cantilever under an end load whose moment-curvature law has two straight pieces leaves
-    its first line where the moment at the clamp reaches the knee of the law, and its asymptotes
-    meet at 3/2 of that force (from double integration of the curvature; small slopes).
-
-    Examples
-    --------
-    >>> d = np.linspace(0.0002, 0.005, 97)
-    >>> kink = fit_kink(d, np.where(d < 0.002, 900.0, 300.0) * (d - 0.002) + 1.8)
-    >>> round(1e3 * kink.displacement.value, 6), round(kink.force.value, 6)
-    (2.0, 1.8)
-    """
-    fit = fit_two_segments(displacement, force)
-    if isinstance(fit, Failure):
-        if fit.code != "no_bend":
-            return fit
-        return Failure("no_kink", _as_good(displacement, force, fit))
-    if fit.second.value >= fit.first.value:
-        found = f"the slope rises from {fit.first.value:.5g} to {fit.second.value:.5g} N/m"
-        return Failure("no_kink", f"{found} at {1e3 * fit.break_point.value:.4g} mm")
-    margin = _END * (fit.stop - fit.start)
-    if not fit.start + margin <= fit.break_point.value <= fit.stop - margin:
-        return Failure(
-            "kink_at_end",
-            f"the slope falls at {1e3 * fit.break_point.value:.4g} mm, next to an end of the "
-            f"stretch from {1e3 * fit.start:.4g} to {1e3 * fit.stop:.4g} mm",
-        )
-    level = _force_where_they_meet(displacement, force, fit)
-    return Kink(fit.break_point, level, fit.first, fit.second, fit.start, fit.stop)
-
-
-def _as_good(displacement: Floats, force: Floats, failure: Failure) -> str:
-    """Why there is no kink, with what a straight line leaves over."""
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    d, f = displacement[known], force[known]
-    left = f - np.polynomial.Polynomial.fit(d, f, 1)(d)
-    deviation = float(np.sqrt(left @ left / (len(d) - 2)))
-    return (
-        f"one straight line does as well, to within {deviation:.3g} N from {1e3 * d.min():.4g} to "
-        f"{1e3 * d.max():.4g} mm: {failure.message}"
-    )
-
-
-def _force_where_they_meet(displacement: Floats, force: Floats, fit: TwoSegments) -> Estimate:
-    """Force at the kink; a kink moved along the first line moves its force by that slope."""
-    known = ~np.isnan(displacement) & ~np.isnan(force)
-    ahead, f = displacement[known] - fit.break_point.value, force[known]
-    columns = [np.ones_like(ahead), np.minimum(ahead, 0.0), np.maximum(ahead, 0.0), ahead >= 0.0]
-    first, fall = fit.first.value, fit.first.value - fit.second.value
-    direction = np.array([1.0, 0.0, 0.0, first / fall])
-    whole = fit_linear(np.column_stack(columns), f)
-    error = whole.along(direction).error
-    half = whole.quantile * error
-    return Estimate(fit.level, error, whole.n, Interval(fit.level - half, fit.level + half))

@@ -39,6 +39,8 @@ SLACK: Final = "slack"
 REPAIRED_SLIPS: Final = "slips added back"
 STEP: Final = "sampling step"
 """Where between two samples a specimen broke, or a machine turned."""
+TANGENT: Final = "length of the tangents"
+"""What shorter tangents change where a curve has a corner."""
 
 IS_COMMON: Final[Mapping[str, bool]] = {
     NOISE: False,
@@ -65,6 +67,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     SLACK: False,
     REPAIRED_SLIPS: False,
     STEP: False,
+    TANGENT: True,  # corners of all specimens are smeared alike
 }
 """Whether all tests of a rig share a cause; every cause of a budget stands here."""
 

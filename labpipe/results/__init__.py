@@ -6,12 +6,13 @@ module; grammar, checks, JSON Schema, words and reference page derive from `KIND
 
 from __future__ import annotations
 
-from labpipe.results import beam, cycles, failures, kinds, shapes, stiffness
+from labpipe.results import beam, cycles, failures, kinds, shapes, stiffness, two_lines
 from labpipe.results.kinds import Kind
 
 KINDS: tuple[type[Kind], ...] = (
     *kinds.KINDS,
     *stiffness.KINDS,
+    *two_lines.KINDS,
     *cycles.KINDS,
     *failures.KINDS,
     *beam.KINDS,

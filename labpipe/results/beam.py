@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Annotated, ClassVar, Literal, TypeVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from labpipe.errors import Fault
 from labpipe.fits.beam_stiffness import Rollers, beam_factor, stiffness_ratio
-from labpipe.fits.plateau import find_onset, fit_end_slope
-from labpipe.fits.two_segments import fit_kink
+from labpipe.fits.plateau import Tangents
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import TANGENT
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
     CURVE,
@@ -25,100 +25,34 @@ from labpipe.records.declarations import (
     Snake,
     StiffnessName,
 )
-from labpipe.records.estimates import Estimate, Failure
+from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, Reason, worth_knowing
 from labpipe.records.result import Result
-from labpipe.results.cycles import cut_short, rectangle
+from labpipe.results.cycles import cut_short
 from labpipe.results.evidence import Evidence, Stiffness
 from labpipe.results.kinds import (
+    NO_LOADING,
     Computed,
-    Errors,
     Found,
     Kind,
     Number,
     blocked_or,
-    force_scale,
     marked_slips,
     to_result,
 )
-from labpipe.results.stiffness import OfStiffness, Window, in_first_loading
-from labpipe.uncertainty.readings import Trace, combined
+from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.stiffness import OfStiffness
+from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
+from labpipe.uncertainty.replicates import Input
 
 _LOST = 3
 """Samples at the end of a branch that the joining of two clocks may cost."""
-_Found = TypeVar("_Found")
-
-
-def _with_other(
-    test: Evidence, fit: Callable[[Floats | None], _Found | Failure]
-) -> tuple[_Found, _Found] | Failure:
-    """Fit with the displacement, and with that of another assumption where there is one."""
-    found, other = fit(None), test.displacement.alternative
-    if isinstance(found, Failure):
-        return found
-    moved = found if other is None else fit(other)
-    return found, found if isinstance(moved, Failure) else moved
-
-
-def _place_errors(test: Evidence, found: Estimate, other: Estimate) -> Errors:
-    return {
-        **rectangle(found, other),
-        "zero of the displacement": test.displacement.zero_error,
-        "slack": test.slack_error,
-    }
-
-
-def _level_errors(test: Evidence, found: Estimate, other: Estimate) -> Errors:
-    return {
-        **rectangle(found, other),
-        "zero of the force": test.raw_force.zero_error,
-        **force_scale(test, found),
-    }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Kink(Window):
-    """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
-
-    result: ClassVar = "kink"
-    outputs: ClassVar = (
-        Output("kink_displacement", "m", "Displacement at the kink"),
-        Output("kink_force", "N", "Kink force"),
-    )
-
-    def compute(self, test: Evidence) -> Computed:
-        """Where the slope of the first loading falls."""
-        method = f"two segments that meet, {self.in_words}, all breaks tried"
-        fits = _with_other(test, lambda other: self.fitted(test, fit_kink, other))
-        if isinstance(fits, Failure):
-            return self.not_available(fits, method)
-        found, moved = fits
-        at = found.displacement.value
-        before = found.force.value - found.first.value * (at - found.start)
-        doubts = marked_slips(test, (found.start, found.stop))
-        during = test.while_loading(found.start, found.stop)
-        place = self.number(
-            found.displacement,
-            method,
-            _place_errors(test, found.displacement, moved.displacement),
-            during=during,
-            doubts=doubts,
-        )
-        level = self.number(
-            found.force,
-            method,
-            _level_errors(test, found.force, moved.force),
-            output=1,
-            during=during,
-            doubts=doubts,
-        )
-        return Computed(
-            (place, level),
-            lines=(
-                FittedLine("before_kink", found.first.value, before, found.start, at),
-                FittedLine("behind_kink", found.second.value, found.force.value, at, found.stop),
-            ),
-        )
+_SMEARED, _CUT = 3.0, 2.0
+"""Times what tangents of half the length change, as far as the truth may lie. A corner is smeared
+in proportion to the length, so that it lies twice that change away; a smooth bend by the square of
+it, so that it lies 4/3 of it away. The force is read from half the length, which cuts off once or a
+third of that change."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -144,48 +78,104 @@ class Plateau(Kind):
         if initial is None:
             missing = Failure("no_stiffness", f"{self.of} is not available")
             return Computed((self.number(blocked_or(test, missing), method),))
-        fit = partial(fit_end_slope, initial=initial.estimate, over=self.over)
-        fits = _with_other(test, lambda other: in_first_loading(test, fit, other))
-        if isinstance(fits, Failure):
-            return Computed((self.number(fits, method),))
-        end, moved = fits
+        found = test.measure(partial(self._decide_end, initial=initial.decide))
+        begun = self._begun(traced(test), initial.decide)
+        if isinstance(found, Failure):
+            return Computed((self.number(found, method),))
+        if isinstance(begun, Failure):
+            return Computed((self.number(begun, method),))
         first = test.cycles[0][:1]
         doubts = (
             marked_slips(test, initial.bends_with)
             or cut_short(test, first, CURVE)
             or _unseen_end(test, first[0])
         )
-        errors = rectangle(end.share, moved.share)
-        during = test.while_loading()
-        number = self.number(end.share, method, errors, during=during, doubts=doubts)
+        number = self.number(found[0], method, during=test.while_loading(), doubts=doubts)
         onset, findings = self._onset(test, initial, to_result(test, number))
-        line = FittedLine("slope_at_end", end.slope, end.level, end.start, end.stop)
+        tangents, (_, f) = begun[0], _loading(traced(test))
+        start, stop = tangents.ends
+        slope, level = float(tangents.slope_at_end(f)), tangents.level_at(start, f)
+        line = FittedLine("slope_at_end", slope, level, start, stop)
         return Computed((number, *onset), lines=(line,), findings=findings)
+
+    def _begun(self, trace: Trace, initial: Decide) -> tuple[Tangents, Reading] | Failure:
+        """Tangents of the first loading, and the slope at its start."""
+        slope = initial(trace)
+        if isinstance(slope, Failure):
+            return slope
+        value = float(slope.numbers(trace)[0])
+        if value <= 0.0:
+            return Failure("no_stiffness", f"the slope at the start is {value:.4g} N/m")
+        tangents = Tangents.of(*_loading(trace), over=self.over)
+        return tangents if isinstance(tangents, Failure) else (tangents, slope)
+
+    def _decide_end(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
+        """Decide on the slope at the end over that at the start."""
+        begun = self._begun(trace, initial)
+        if isinstance(begun, Failure):
+            return begun
+        tangents, slope = begun
+
+        def numbers(trace: Trace) -> tuple[Floats]:
+            d, f = _loading(trace)
+            return (np.asarray(tangents.slope_at_end(f, d) / slope.numbers(trace)[0]),)
+
+        return Reading(numbers, len(tangents.last))
+
+    def _decide_onset(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
+        """Decide on the place from which on the curve is flat, and the force there."""
+        begun = self._begun(trace, initial)
+        if isinstance(begun, Failure):
+            return begun
+        tangents, slope = begun
+
+        def plain(trace: Trace) -> tuple[Floats, Floats]:
+            (d, f), begin = _loading(trace), slope.numbers(trace)[0]
+            return tangents.onset(f, begin, d, slope_below=self.slope_below)
+
+        place, level = (float(each) for each in plain(trace))
+        if np.isnan(place):
+            return Failure("no_plateau", "the curve is nowhere steeper than at its end")
+        if np.isnan(level):
+            message = f"half of {1e3 * self.over:g} mm about the onset holds too few samples"
+            return Failure("too_few_samples", message)
+        steep = self.slope_below * float(slope.numbers(trace)[0])
+        shorter, smeared, cut = trace.sizes.get(TANGENT, 0.0), 0.0, 0.0
+        if shorter:
+            change = tangents.corners(_loading(trace)[1], place, steep)
+            smeared, cut = _SMEARED * shorter * change[0], _CUT * shorter * change[1]
+
+        def numbers(trace: Trace) -> tuple[Floats, Floats]:
+            place, level = plain(trace)
+            return place + smeared, level + cut + steep * smeared
+
+        return Reading(numbers, len(tangents.last))
 
     def _onset(
         self, test: Evidence, initial: Stiffness, end: Result
     ) -> tuple[tuple[Number, ...], tuple[Finding, ...]]:
         """Where the plateau begins; a note where there is none, which is a finding, no failure."""
-        fit = partial(
-            find_onset, initial=initial.estimate, over=self.over, slope_below=self.slope_below
-        )
-        fits = _with_other(test, lambda other: in_first_loading(test, fit, other))
         surely = end.interval is not None and end.interval.upper < self.slope_below
-        if isinstance(fits, Failure) or not surely:
+        found = self._measured_onset(test, initial) if surely else None
+        if found is None or isinstance(found, Failure):
             return (), (self._no_plateau(test, end),)
-        onset, moved = fits
         below = f"{1e2 * self.slope_below:g} % of {self.of}"
         method = f"tangents over {1e3 * self.over:g} mm, below {below} up to the end of first"
         doubts = marked_slips(test, initial.bends_with) or _unseen_end(test, test.cycles[0][0])
-        found = (
-            (onset.displacement, _place_errors(test, onset.displacement, moved.displacement)),
-            (onset.force, _level_errors(test, onset.force, moved.force)),
-        )
         during, method = test.while_loading(), f"{method} loading"
         return tuple(
-            self.number(outcome, method, errors, output=place, during=during, doubts=doubts)
-            for place, (outcome, errors) in enumerate(found, start=1)
+            self.number(each, method, output=place, during=during, doubts=doubts)
+            for place, each in enumerate(found, start=1)
         ), ()
+
+    def _measured_onset(self, test: Evidence, initial: Stiffness) -> tuple[Measured, ...] | Failure:
+        """The onset, with the length of the tangents as one more input."""
+        known = test.replicates
+        if known is None:
+            return NO_LOADING
+        length = Input(TANGENT, _shortened, law="step")
+        more = replace(known, inputs=(*known.inputs, length))
+        return measure(more, partial(self._decide_onset, initial=initial.decide))
 
     def _no_plateau(self, test: Evidence, end: Result) -> Finding:
         reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))
@@ -197,6 +187,17 @@ class Plateau(Kind):
             f"to {1e3 * reached:.4g} mm"
         )
         return worth_knowing("no_plateau", test.signals.force, message)
+
+
+def _loading(trace: Trace) -> tuple[Floats, Floats]:
+    """Displacement and force of the first loading."""
+    stretch = loading_of(trace)
+    return trace.displacement[..., stretch], trace.force[..., stretch]
+
+
+def _shortened(trace: Trace, x: float) -> Trace:
+    """A trace to be read with tangents that are shorter by a share of their length."""
+    return replace(trace, sizes={**trace.sizes, TANGENT: x})
 
 
 def _unseen_end(test: Evidence, branch: Branch) -> tuple[Reason, ...]:
@@ -344,4 +345,4 @@ class BendingStiffness(OfStiffness):
         return Rollers(span, radius, friction)
 
 
-KINDS = (Kink, Plateau, BendingStiffness)
+KINDS = (Plateau, BendingStiffness)

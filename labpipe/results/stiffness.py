@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Annotated, ClassVar, Literal, TypeVar
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from labpipe.fits.straight_lines import (
     rectangle_area,
     thin_wall_area,
 )
-from labpipe.fits.two_segments import fit_two_segments
 from labpipe.records.arrays import Floats, Ints, ratio, samples_of
 from labpipe.records.curve import Branch, FittedLine
 from labpipe.records.declarations import (
@@ -57,7 +56,6 @@ from labpipe.results.kinds import (
     Found,
     Kind,
     blocked_or,
-    force_scale,
     marked_slips,
 )
 from labpipe.results.likely_curves import loading_of, traced
@@ -216,27 +214,6 @@ def _above_noise(
     return found[0]
 
 
-_Found = TypeVar("_Found")
-
-
-def in_first_loading(
-    test: Evidence, fit: Callable[[Floats, Floats], _Found | Failure], other: Floats | None = None
-) -> _Found | Failure:
-    """Fit displacement and force of the first loading, up to the failure.
-
-    Parameters
-    ----------
-    test : with its curve, or without
-    fit : of displacement and force
-    other : shape (n,), m, a displacement under another assumption; None for that of the curve
-    """
-    if not test.cycles:
-        return blocked_or(test, NO_LOADING)
-    curve, stretch = test.known_curve, test.loading_stretch
-    displacement = curve.displacement if other is None else other
-    return fit(displacement[stretch], curve.force[stretch])
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window(Kind):
     """A kind of result that is read from a stretch of displacement."""
@@ -271,27 +248,6 @@ class Window(Kind):
             return Failure("not_reached", found)
         stop = int(np.argmax(displacement > high)) or None
         return slice(int(np.argmax(displacement >= low)), stop)
-
-    def fitted(
-        self,
-        test: Evidence,
-        fit: Callable[[Floats, Floats], _Found | Failure],
-        other: Floats | None = None,
-    ) -> _Found | Failure:
-        """Fit displacement and force of the first loading within the stretch.
-
-        Parameters
-        ----------
-        test, fit, other : as for `in_first_loading`
-        """
-
-        def inside(displacement: Floats, force: Floats) -> _Found | Failure:
-            window = self.inside(displacement)
-            if isinstance(window, Failure):
-                return window
-            return fit(displacement[window], force[window])
-
-        return in_first_loading(test, inside, other)
 
 
 def _seen_by_cameras(kind: Window, test: Evidence, name: str) -> Computed:
@@ -412,77 +368,6 @@ class LineStiffness(Window):
             return (slope_of_line(trace.displacement[..., part], trace.force[..., part]),)
 
         return Reading(numbers, len(chosen))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TwoSegments(Window):
-    """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
-
-    result: ClassVar = "two-segments"
-    outputs: ClassVar = (
-        Output("segment_stiffness_first", "N/m", "Stiffness, first fitted segment"),
-        Output("segment_stiffness_second", "N/m", "Stiffness, second fitted segment"),
-        Output("break_point", "m", "Break point of the two segments"),
-    )
-
-    def compute(self, test: Evidence) -> Computed:
-        """Best two segments that meet."""
-        method = f"two segments that meet, {self.in_words}, all breaks tried"
-        fit = self.fitted(test, fit_two_segments)
-        if isinstance(fit, Failure):
-            return self.not_available(fit, method)
-        first, second, at = fit.first, fit.second, fit.break_point
-        read = (fit.start, fit.stop)
-        during, doubts = test.while_loading(*read), marked_slips(test, read)  # one bends both
-        zero = {"zero of the displacement": test.displacement.zero_error, "slack": test.slack_error}
-        errors = (force_scale(test, first), force_scale(test, second), zero)
-        one, other = (each.name for each in self.outputs[:2])
-        left = fit.level - first.value * (at.value - fit.start)
-        return Computed(
-            tuple(
-                self.number(outcome, method, error, output=place, during=during, doubts=doubts)
-                for place, (outcome, error) in enumerate(
-                    zip((first, second, at), errors, strict=True)
-                )
-            ),
-            {
-                one: Stiffness(
-                    partial(self._side, side=1),
-                    first,
-                    during,
-                    (max(fit.start, 0.0), at.value),
-                    read,
-                ),
-                other: Stiffness(
-                    partial(self._side, side=2),
-                    second,
-                    during,
-                    (max(at.value, 0.0), fit.stop),
-                    read,
-                ),
-            },
-            (
-                FittedLine(one, first.value, left, fit.start, at.value),
-                FittedLine(other, second.value, fit.level, at.value, fit.stop),
-            ),
-        )
-
-    def _side(self, trace: Trace, *, side: int) -> Reading | Failure:
-        """Decide on the slope on one side of the break, the break held."""
-        stretch = loading_of(trace)
-        window = self.inside(trace.displacement[stretch])
-        if isinstance(window, Failure):
-            return window
-        part = np.arange(stretch.start, stretch.stop)[window]
-        part = part[~np.isnan(trace.displacement[part]) & ~np.isnan(trace.force[part])]
-        d = trace.displacement[part]
-        fit = fit_two_segments(d, trace.force[part])
-        if isinstance(fit, Failure):
-            return fit
-        ahead = d - fit.break_point.value
-        design = np.column_stack([np.ones_like(d), np.minimum(ahead, 0.0), np.maximum(ahead, 0.0)])
-        row = np.linalg.pinv(design)[side]
-        return Reading(lambda trace: (trace.force[..., part] @ row,), len(part))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -650,7 +535,6 @@ KINDS = (
     Hardening,
     InitialStiffness,
     LineStiffness,
-    TwoSegments,
     NormalisedStiffness,
     Modulus,
     ComplianceResult,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binomtest, chi2
 
-from labpipe.fits.plateau import Tangents, cut_corners
+from labpipe.fits.plateau import Tangents
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
 
@@ -151,8 +151,9 @@ def test_no_force_where_half_the_stretch_is_too_short() -> None:
 def test_what_a_corner_hides() -> None:
     """Two lines that meet: the tangent smears their corner, the parabola cuts it."""
     force = np.where(D < 0.03, 300.0, 10.0) * (D - 0.03) + 9.0
-    at, level = tangents_of(D, force).onset(force, np.array(300.0), slope_below=0.1)
-    place, cut = cut_corners(D, force, float(at), 30.0, over=OVER)
+    tangents = tangents_of(D, force)
+    at, level = tangents.onset(force, np.array(300.0), slope_below=0.1)
+    place, cut = tangents.corners(force, float(at), 30.0)
     assert 0.0 < float(at) - 0.03 < 0.5 * OVER
     # Half the length smears half as far, and cuts half as much.
     assert place == pytest.approx(0.5 * (0.03 - float(at)), rel=0.1)
@@ -162,7 +163,7 @@ def test_what_a_corner_hides() -> None:
     )
     assert abs(cut) > 0.005
     assert float(level) == pytest.approx(float(np.interp(at, D, force)), abs=2.0 * abs(cut))
-    smooth = cut_corners(D, SOFT, SCALE * np.log(10.0), 0.1 * INITIAL, over=OVER)
+    smooth = tangents_of(D, SOFT).corners(SOFT, SCALE * np.log(10.0), 0.1 * INITIAL)
     assert abs(smooth[0]) < 2e-4
 
 

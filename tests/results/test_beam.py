@@ -1,4 +1,4 @@
-"""Kink, plateau and bending stiffness of loadings whose numbers are known."""
+"""Plateau and bending stiffness of loadings whose numbers are known."""
 
 from __future__ import annotations
 
@@ -13,13 +13,14 @@ from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SHAPE
 from labpipe.records.result import Result, Status
-from labpipe.results.beam import Kink, Plateau
+from labpipe.results.beam import Plateau
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import to_result
+from labpipe.results.likely_curves import likely_curves
+from labpipe.results.two_lines import Kink
 from tests.builders.bundle_loops import (
     FIRST,
     FLAT,
-    KINK,
     NOISE,
     ONSET,
     SECOND,
@@ -62,27 +63,6 @@ def done() -> Reduced:
 @pytest.fixture(scope="module")
 def usual(done: Reduced) -> tuple[Evidence, dict[str, Result]]:
     return done.evidence, {each.name: each for each in done.results}
-
-
-def test_kink(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> None:
-    _, results = usual
-    holds(results["kink_displacement"], KINK, "m")
-    holds(results["kink_force"], FIRST * KINK, "N")
-    assert width(results["kink_displacement"]) < 2e-4
-    before, behind = done.lines[:2]
-    assert (before.result, behind.result) == ("before_kink", "behind_kink")
-    assert before.slope == pytest.approx(FIRST, rel=0.02)
-    assert behind.slope == pytest.approx(SECOND, rel=0.02)
-    assert before.stop == behind.start == results["kink_displacement"].value
-    assert before.level + before.slope * (before.stop - before.start) == pytest.approx(behind.level)
-
-
-def test_scale_of_the_force_is_in_the_force_of_the_kink_alone(
-    usual: tuple[Evidence, dict[str, Result]],
-) -> None:
-    """1 % of 1.6 N, 95 %."""
-    _, results = usual
-    assert width(results["kink_force"]) > 2 * 1.96 * 0.01 * FIRST * KINK
 
 
 def test_plateau(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> None:
@@ -188,6 +168,7 @@ def test_another_shape_widens_places() -> None:
     moved = {SHAPE: 1.01 * test.displacement.values}
     signal = replace(test.displacement, moved=moved)
     test = replace(test, signals=test.signals.with_filtered("displacement", signal))
+    test = replace(test, replicates=likely_curves(test))
     for entry in (Kink(start=2e-4, stop=5e-3), Plateau(slope_below=0.2)):
         numbers = entry.compute(test).numbers
         after = {each.name: each for each in (to_result(test, number) for number in numbers)}

@@ -51,24 +51,6 @@ def test_scale_of_the_force_is_in_the_interval() -> None:
     assert found.interval.standard_error == pytest.approx(50.0, rel=0.1)
 
 
-def test_two_segments() -> None:
-    done = reduction(*bilinear(), results=["two-segments, from: 1 mm, to: 18 mm"])
-    results = {each.name: each for each in done.results}
-    holds(results["segment_stiffness_first"], 5000.0, "N/m")
-    holds(results["segment_stiffness_second"], 2000.0, "N/m")
-    holds(results["break_point"], 0.008, "m")
-    first, second = done.lines
-    assert (first.result, second.result) == ("segment_stiffness_first", "segment_stiffness_second")
-    assert first.stop == second.start == results["break_point"].value
-    assert first.level + first.slope * (first.stop - first.start) == pytest.approx(second.level)
-
-
-def test_no_bend() -> None:
-    _, results = pulled(*pull(), results=["two-segments, from: 1 mm, to: 18 mm"])
-    for name in ("segment_stiffness_first", "segment_stiffness_second", "break_point"):
-        assert results[name].why.startswith("no_bend: ")
-
-
 def test_stiffness_over_peak_force_forgets_the_scale() -> None:
     travel, force = bilinear()
     torn = broken(travel, force, at=0.018)

@@ -1,0 +1,221 @@
+"""Results of two straight lines that meet: their slopes, and the place where they do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+
+from labpipe.fits.two_segments import (
+    Hinges,
+    Segments,
+    why_break_is_doubtful,
+    why_no_bend,
+    why_no_kink,
+)
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import FittedLine
+from labpipe.records.declarations import Output
+from labpipe.records.estimates import Failure
+from labpipe.records.signals import Stretch
+from labpipe.results.evidence import Evidence, Stiffness
+from labpipe.results.kinds import NO_LOADING, Computed, blocked_or, marked_slips
+from labpipe.results.likely_curves import loading_of, traced
+from labpipe.results.stiffness import Window
+from labpipe.uncertainty.intervals import Measured
+from labpipe.uncertainty.readings import Reading, Trace
+
+
+@dataclass(frozen=True, slots=True)
+class _Fitted:
+    """Two lines of a test, with all that is known of their doubt."""
+
+    first: Measured
+    second: Measured
+    break_point: Measured
+    level: Measured
+    hinges: Hinges
+
+    @property
+    def found(self) -> Segments:
+        """The lines of the curve itself."""
+        return Segments(*(np.asarray(each.value) for each in self._each))
+
+    @property
+    def drawn(self) -> Segments:
+        """Those of its replicates."""
+        return Segments(*(each.value + each.off for each in self._each))
+
+    @property
+    def _each(self) -> tuple[Measured, ...]:
+        return self.break_point, self.first, self.second, self.level
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _TwoLines(Window):
+    """A kind of result that is read from two lines through a stretch of the first loading."""
+
+    @property
+    def method(self) -> str:
+        """With the stretch."""
+        return f"two segments that meet, {self.in_words}, all breaks tried"
+
+    def fit(self, test: Evidence) -> _Fitted | Failure:
+        """Fit two lines to the curve of a test.
+
+        Parameters
+        ----------
+        test : with a curve, or without
+        """
+        if not test.cycles:
+            return blocked_or(test, NO_LOADING)
+        numbers, places = test.measure(self.decide), self._places(traced(test))
+        if isinstance(numbers, Failure):
+            return numbers
+        if isinstance(places, Failure):
+            return places
+        first, second, at, level = numbers
+        return _Fitted(first, second, at, level, places[1])
+
+    def decide(self, trace: Trace) -> Reading | Failure:
+        """Decide on the places at which the lines may meet.
+
+        Parameters
+        ----------
+        trace : one curve
+
+        Returns
+        -------
+        Of first and second slope, break, and force there.
+        """
+        found = self._places(trace)
+        if isinstance(found, Failure):
+            return found
+        part, hinges = found
+
+        def numbers(trace: Trace) -> tuple[Floats, ...]:
+            each = hinges.fitted(trace.force[..., part], trace.displacement[..., part])
+            return each.first, each.second, each.break_point, each.level
+
+        return Reading(numbers, len(hinges.scan.d))
+
+    def one_of(self, trace: Trace, *, number: int) -> Reading | Failure:
+        """Decide on one of the numbers alone.
+
+        Parameters
+        ----------
+        trace : one curve
+        number : place in what `decide` gives
+        """
+        found = self.decide(trace)
+        if isinstance(found, Failure):
+            return found
+        return Reading(lambda trace: (found.numbers(trace)[number],), found.n)
+
+    def _places(self, trace: Trace) -> tuple[slice, Hinges] | Failure:
+        """Samples of the stretch, and the places there."""
+        stretch = loading_of(trace)
+        window = self.inside(trace.displacement[stretch])
+        if isinstance(window, Failure):
+            return window
+        stop = stretch.stop if window.stop is None else stretch.start + window.stop
+        part = slice(stretch.start + window.start, stop)
+        hinges = Hinges.of(trace.displacement[part], trace.force[part])
+        return hinges if isinstance(hinges, Failure) else (part, hinges)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TwoSegments(_TwoLines):
+    """``segment_stiffness_first``, ``segment_stiffness_second``, ``break_point``: two lines."""
+
+    result: ClassVar = "two-segments"
+    outputs: ClassVar = (
+        Output("segment_stiffness_first", "N/m", "Stiffness, first fitted segment"),
+        Output("segment_stiffness_second", "N/m", "Stiffness, second fitted segment"),
+        Output("break_point", "m", "Break point of the two segments"),
+    )
+
+    def compute(self, test: Evidence) -> Computed:
+        """Best two segments that meet."""
+        fit = self.fit(test)
+        if isinstance(fit, Failure):
+            return self.not_available(fit, self.method)
+        straight = why_no_bend(fit.found, fit.drawn, fit.hinges)
+        if straight is not None:
+            return self.not_available(straight, self.method)
+        start, stop = read = fit.hinges.ends
+        at, during = fit.break_point.value, test.while_loading(*read)
+        doubts = marked_slips(test, read)  # one bends both
+        one, other = (each.name for each in self.outputs[:2])
+        level, first, second = fit.level.value, fit.first.value, fit.second.value
+        left = level - first * (at - start)
+        wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
+        own = (doubts, doubts, doubts if wide is None else (*doubts, wide))
+        return Computed(
+            tuple(
+                self.number(each, self.method, output=place, during=during, doubts=own[place])
+                for place, each in enumerate((fit.first, fit.second, fit.break_point))
+            ),
+            {
+                one: self._side(0, fit.first, during, (max(start, 0.0), at), read),
+                other: self._side(1, fit.second, during, (max(at, 0.0), stop), read),
+            },
+            (
+                FittedLine(one, first, left, start, at),
+                FittedLine(other, second, level, at, stop),
+            ),
+        )
+
+    def _side(
+        self,
+        number: int,
+        slope: Measured,
+        during: Stretch | None,
+        window: tuple[float, float],
+        read: tuple[float, float],
+    ) -> Stiffness:
+        """One of the slopes for the entries that follow."""
+        return Stiffness(
+            partial(self.one_of, number=number), slope.as_estimate, during, window, read
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Kink(_TwoLines):
+    """``kink_displacement`` (m) and ``kink_force`` (N): where first loading gets less steep."""
+
+    result: ClassVar = "kink"
+    outputs: ClassVar = (
+        Output("kink_displacement", "m", "Displacement at the kink"),
+        Output("kink_force", "N", "Kink force"),
+    )
+
+    def compute(self, test: Evidence) -> Computed:
+        """Where the slope of the first loading falls."""
+        fit = self.fit(test)
+        if isinstance(fit, Failure):
+            return self.not_available(fit, self.method)
+        none = why_no_kink(fit.found, fit.drawn, fit.hinges)
+        if none is not None:
+            return self.not_available(none, self.method)
+        start, stop = fit.hinges.ends
+        at, level, first = fit.break_point.value, fit.level.value, fit.first.value
+        before = level - first * (at - start)
+        wide = why_break_is_doubtful(fit.break_point.interval, fit.hinges)
+        doubts = (*marked_slips(test, (start, stop)), *([] if wide is None else [wide]))
+        during = test.while_loading(start, stop)
+        return Computed(
+            tuple(
+                self.number(each, self.method, output=place, during=during, doubts=doubts)
+                for place, each in enumerate((fit.break_point, fit.level))
+            ),
+            lines=(
+                FittedLine("before_kink", first, before, start, at),
+                FittedLine("behind_kink", fit.second.value, level, at, stop),
+            ),
+        )
+
+
+KINDS = (TwoSegments, Kink)
