@@ -134,6 +134,7 @@ class Evidence:
     cut_at : by quantity, s on the clock of the curve, where its record ends in mid-branch
     stiffnesses : by name, of the results so far
     findings : so far
+    seed : of draws, by what was recorded
     """
 
     signals: Signals
@@ -153,6 +154,7 @@ class Evidence:
     cut_at: Mapping[str, float] = field(default_factory=dict)
     stiffnesses: Mapping[str, Stiffness] = field(default_factory=dict)
     findings: Findings = field(default_factory=Findings)
+    seed: bytes = b""
 
     @property
     def force(self) -> Signal:

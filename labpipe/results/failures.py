@@ -18,7 +18,7 @@ from labpipe.records.declarations import CURVE, Needs, Output
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.signals import Stretch
-from labpipe.results.cycles import work_over
+from labpipe.results.cycles import sense_of, work_over
 from labpipe.results.evidence import Evidence
 from labpipe.results.kinds import (
     NO_LOADING,
@@ -66,12 +66,26 @@ def _at_failure(test: Evidence, trace: Trace) -> Reading | Failure:
     if sample is None:
         return blocked_or(test, NO_LOADING)
     step, rise = _next_step(trace, sample)
+    rise += _lost_before(test)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
         place = trace.displacement[..., sample] + trace.beyond * step
         return place, trace.force[..., sample] + trace.beyond * rise
 
     return Reading(numbers, 1)
+
+
+def _lost_before(test: Evidence) -> float:
+    """Force that the measured curve lost in the step before the failure, N.
+
+    A loss of several samples may have begun there.
+    """
+    failure, curve = test.failure, test.known_curve
+    if not isinstance(failure, FailurePoint) or failure.sample == 0:
+        return 0.0
+    sense = sense_of(curve, curve.force)
+    fall = sense * float(curve.force[failure.sample - 1] - curve.force[failure.sample])
+    return sense * max(fall, 0.0) if np.isfinite(fall) else 0.0
 
 
 def _next_step(trace: Trace, sample: int) -> tuple[float, float]:

@@ -59,7 +59,9 @@ def likely_curves(test: Evidence) -> Replicates | None:
         partial(_filtered, acts=_acts(test, name, grid.time), cuts=cuts) for name in both
     )
     inputs = tuple(_inputs(test, block))
-    return replicated(measured, grid, cuts, (first, second), inputs, compliance=test.compliance)
+    return replicated(
+        measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
+    )
 
 
 def traced(test: Evidence) -> Trace:

@@ -30,7 +30,7 @@ from labpipe.uncertainty.replicates import Input, Replicates
 _LOW, _HIGH = 0.025, 0.975
 _LOST, _NONE = 0.05, 0.5
 """Shares of the replicates without a number: doubtful from the one on, failed from the other."""
-_OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.02, 1.0
+_OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.04, 1.0
 """Share of the samples of a number, and of the record, that noise may remember; and samples of
 memory that harm no number, by which short records would all be doubtful."""
 _KEPT = 0.5
@@ -122,9 +122,22 @@ def measure(
     doubts += _doubts(replicates, plain.n, lost)
     spread = np.nanstd(noise, axis=1)
     return tuple(
-        Measured(value, off[row], _budget(float(spread[row]), parts, row), found.n, tuple(doubts))
+        Measured(
+            value,
+            off[row],
+            _budget(float(spread[row]), parts, row),
+            found.n,
+            (*doubts, *_without_width(off[row])),
+        )
         for row, value in enumerate(values)
     )
+
+
+def _without_width(off: Floats) -> Iterator[tuple[str, Reason]]:
+    """Doubt an interval of no width: nothing is known of what it should hold."""
+    if not np.nanmax(off) > np.nanmin(off):
+        message = "neither noise nor an uncertain input is known, so its interval has no width"
+        yield "", Reason("no_width", message)
 
 
 def _doubts(replicates: Replicates, count: int, lost: float) -> Iterator[tuple[str, Reason]]:

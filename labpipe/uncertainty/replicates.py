@@ -15,6 +15,7 @@ from itertools import pairwise
 from typing import Literal, TypeAlias
 
 import numpy as np
+from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats
 from labpipe.uncertainty.drawn_noise import LEAST, Noise, Singles, noise_of
@@ -109,11 +110,13 @@ class Replicates:
         if given.draws is not None:
             return given.draws
         rng, count = stream(self.seed, given.stream or given.cause), len(self.force_off)
+        # One draw in each of as many equal parts: its spread does not depend on luck.
+        chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         if given.law == "normal":
-            return rng.standard_normal(count)
+            return np.asarray(ndtri(chance), dtype=np.float64)
         if given.law == "uniform":
-            return rng.uniform(-np.sqrt(3.0), np.sqrt(3.0), count)
-        return -rng.uniform(0.0, 1.0, count)
+            return np.asarray(np.sqrt(3.0) * (2.0 * chance - 1.0), dtype=np.float64)
+        return np.asarray(-chance, dtype=np.float64)
 
     def displaced(self, by: float, *inputs: Input) -> Replicates:
         """The same curves, displacement counted from another place.
@@ -220,6 +223,7 @@ def replicated(
     filters: tuple[Filter, Filter],
     inputs: tuple[Input, ...],
     *,
+    seed: bytes,
     compliance: float = 0.0,
 ) -> Replicates:
     """Draw curves that a measured one may have been.
@@ -231,15 +235,15 @@ def replicated(
     cuts : samples of `unfiltered` at which a new piece begins
     filters : what the protocol's filters make of displacements and of forces (..., n)
     inputs : what else is drawn
+    seed : of all draws
     compliance : m/N, times the force to be taken off the displacement of `unfiltered`
 
     Returns
     -------
-    The same for the same curve: all draws are seeded by its samples.
+    The same for the same seed.
     """
     cyclic = len(unfiltered.branches) > 1
     parts = _PARTS_OF_CYCLE if cyclic else _PARTS
-    seed = hashlib.sha256(measured.force.tobytes() + measured.displacement.tobytes()).digest()
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     for name, act in zip(("displacement", "force"), filters, strict=True):
