@@ -78,6 +78,14 @@ def _mean_line(number: GroupNumber, display: Mapping[str, str], width: int) -> s
     interval = mean.interval if mean is not None else None
     status = Status.FAILED if value is None else Status.OK
     reasons = (Reason("no_samples", "no sample has it"),) if value is None else ()
-    as_result = Result(number.name, value, number.unit, interval, status, reasons)
+    as_result = Result(
+        number.name,
+        value,
+        number.unit,
+        interval,
+        status,
+        reasons,
+        estimate=mean.estimate if mean is not None else None,
+    )
     missing = f"  ({len(number.left_out)} without)" if number.left_out else ""
     return f"{result_line(as_result, display, width)}{missing}"

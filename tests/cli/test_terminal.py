@@ -126,6 +126,15 @@ def test_means_in_the_display_unit() -> None:
     assert where.endswith("report.html")
 
 
+def test_a_mean_apart_from_its_estimate() -> None:
+    number = build_number("stiffness_first", six_samples())
+    mean = number.mean
+    assert mean is not None
+    low = replace(mean.chosen, interval=Interval(4e3, 4.2e3), estimate=4.1e3)
+    _, line, *_ = of_group(replace(number, mean=replace(mean, chosen=low)))
+    assert " ".join(line.split()[3:]) == "estimate 4.1, 95 %: 4 to 4.2"
+
+
 def test_means_of_some_samples_and_of_none() -> None:
     some = build_number("stiffness_second", troubled_samples())
     none = replace(some, name="slack", mean=None)

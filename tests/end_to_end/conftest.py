@@ -15,7 +15,7 @@ def processed(pristine: Lab, tmp_path_factory: pytest.TempPathFactory) -> Lab:
 
     lab = pristine.copy(tmp_path_factory.mktemp("processed"))
     process_test(lab.sheet)
-    assert len(state(lab.home / "processed")) == 7
+    assert len(state(lab.home / "processed")) == 8
     return lab
 
 
