@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from labpipe.records.result import Result
 from labpipe.virtual_lab.bundles import TAPED_TYPES
-from tests.coverage import lab_tensile
+from labpipe.virtual_lab.specimens import ElasticModel
+from tests.coverage import lab_bending, lab_tensile
 from tests.coverage.lab import KINDS, compared, made, rows
 
 MOST = 4.5 / 1.96
@@ -45,3 +47,11 @@ def test_the_largest_force_may_come_before_the_turn(tmp_path: Path) -> None:
     seed = list(TAPED_TYPES).index("TWB-MX-sym-PVC")
     (peak,) = [row for row in rows("taped-bundle", seed, tmp_path) if row["name"] == "peak_force.1"]
     assert halves(peak) < MOST
+
+
+def test_an_elastic_bar_is_as_stiff_as_itself() -> None:
+    """On rollers that rub, at deflections that are not small."""
+    rig = lab_bending.conduit_bundle(0).test
+    stiffness = lab_bending.windowed(replace(rig, bundle=ElasticModel(0.03)))
+    assert lab_bending.as_elastic_bar(rig, stiffness) == pytest.approx(0.03, rel=1e-4)
+    assert stiffness * rig.span**3 / 48.0 != pytest.approx(0.03, rel=0.01)
