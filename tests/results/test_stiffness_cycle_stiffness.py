@@ -86,8 +86,9 @@ def test_a_gain_cancels_in_hardening(usual: dict[str, Result]) -> None:
         value = usual[name].value
         assert value is not None
         assert stronger[name].value == pytest.approx(factor * value, rel=1e-9)
-        # Other forces, other draws: widths repeat within 5 %.
-        assert width(stronger[name]) == pytest.approx(factor * width(usual[name]), rel=0.1)
+        # Other forces, other draws: a width between quantiles of 400 has a standard deviation of
+        # 4.8 %, so two differ by less than 20 % (three of 6.8 %).
+        assert width(stronger[name]) == pytest.approx(factor * width(usual[name]), rel=0.2)
     assert shares(stronger["hardening.2"]).get(SCALE_OF_FORCE, 0.0) < 1e-12
 
 
