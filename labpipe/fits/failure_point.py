@@ -1,4 +1,4 @@
-"""Failure of a specimen: where the force is lost for good, and the energy up to it."""
+"""Failure of a specimen: where the force is lost for good."""
 
 from __future__ import annotations
 
@@ -6,13 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.fits.loops import loop_energy
 from labpipe.records.arrays import Flags, Floats
-from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure
-from labpipe.uncertainty.linear_fits import fit_linear
-
-_LEAST = 16
+from labpipe.records.estimates import Failure
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,19 +16,12 @@ class FailurePoint:
 
     Parameters
     ----------
-    displacement : m, of that sample; the specimen broke between it and the next one, which is what
-        its asymmetric interval says
-    force : N, of that sample
-    sample : number of the sample in the arrays given
-    step : m, to the next sample
+    sample : its number; the specimen broke between it and the next one
     lost_before : largest share of the peak that was suddenly lost earlier and after which the
         force never came back to where it had been: the specimen failed in steps; 0 without one
     """
 
-    displacement: Estimate
-    force: Estimate
     sample: int
-    step: float
     lost_before: float = 0.0
 
 
@@ -127,13 +115,16 @@ def lost_earlier(time: Floats, force: Floats, rule: LossOfForce) -> float:
 
     Parameters
     ----------
-    time, force : shape (n,), s, N; up to the sample at which the final loss begins; without NaN
+    time, force : shape (n,), s, N; up to the sample at which the final loss begins; NaN are left
+        out
     rule : what counts as a loss
 
     Returns
     -------
     Share of the largest force; 0 where none of at least `loss` was lost within `within`.
     """
+    known = ~np.isnan(force) & ~np.isnan(time)
+    time, force = time[known], force[known]
     peak = float(force.max(initial=0.0))
     later = np.searchsorted(time, time + rule.within, side="right") - 1
     later = np.minimum(np.maximum(later, np.arange(len(force)) + 1), len(force) - 1)
@@ -142,74 +133,3 @@ def lost_earlier(time: Floats, force: Floats, rule: LossOfForce) -> float:
     shares = np.where(is_lost, (force - ahead) / peak if peak > 0.0 else 0.0, 0.0)
     largest = float(shares.max(initial=0.0))
     return largest if largest >= rule.loss else 0.0
-
-
-def failure_point(
-    time: Floats, displacement: Floats, force: Floats, sample: int, rule: LossOfForce
-) -> FailurePoint:
-    """The numbers of a failure.
-
-    Parameters
-    ----------
-    time, displacement, force : shape (n,), s, m, N; from the start of loading
-    sample : at which the final loss begins
-    rule : by which it was found
-
-    Returns
-    -------
-    The point. The interval of its displacement reaches from the sample to the next one, that of
-    its force as far as the force changed in the step before, in which the loss may have begun.
-    """
-    after = np.flatnonzero(~np.isnan(displacement[sample + 1 :]))
-    step = float(displacement[sample + 1 + after[0]] - displacement[sample]) if len(after) else 0.0
-    step, at = max(step, 0.0), float(displacement[sample])
-    place = Estimate(at, step / np.sqrt(12.0), 1, Interval(at, at + 0.95 * step))
-    known = ~np.isnan(force[: sample + 1]) & ~np.isnan(time[: sample + 1])
-    t, f = time[: sample + 1][known], force[: sample + 1][known]
-    rise = abs(float(f[-1] - f[-2])) if len(f) > 1 else 0.0
-    level = Estimate(float(force[sample]), rise / np.sqrt(3.0), 1)
-    return FailurePoint(place, level, sample, step, lost_earlier(t, f, rule))
-
-
-def energy_to_break(displacement: Floats, force: Floats, point: FailurePoint) -> Estimate | Failure:
-    """Work done on the specimen up to its failure.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; from the start of loading on
-    point : the failure, counted from there
-
-    Returns
-    -------
-    J, or a failure: ``gap`` when samples before the failure are missing, ``too_few_samples``.
-
-    Notes
-    -----
-    Trapezoids to the sample of the failure. Its error has the step to the next sample, in which
-    the specimen broke, and the noise: of both channels (`labpipe.fits.loops.loop_energy`), or
-    that of the force with a correlation over up to a twenty-fifth of the curve, whichever is
-    greater.
-    """
-    count = point.sample + 1
-    displacement, force = displacement[:count], force[:count]
-    work = loop_energy(np.arange(count, dtype=np.float64), displacement, force, clock_error=0.0)
-    if isinstance(work, Failure):
-        return work
-    more = point.force.value * point.step
-    noise = np.sqrt(_slow_noise(force) * float(np.sum(np.gradient(displacement) ** 2)))
-    error = float(np.hypot(max(work.error, float(noise)), more / np.sqrt(3.0)))
-    return Estimate(work.value, error, work.n)
-
-
-def _slow_noise(f: Floats) -> float:
-    """Long-run variance of the force about cubics through fifths of the curve, N^2.
-
-    The median of the fifths: one of them may hold a kink.
-    """
-    pieces = [piece for piece in np.array_split(f, 5) if len(piece) >= _LEAST]
-    powers = []
-    for piece in pieces:
-        x = np.linspace(-1.0, 1.0, len(piece))
-        basis = np.linalg.qr(np.vander(x, 4, increasing=True))[0]
-        powers.append(float(fit_linear(basis, piece).covariance[0, 0]))
-    return float(np.median(powers)) if powers else 0.0

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot
 
 import numpy as np
 
-from labpipe.fits.least_squares import line_in, slope_of_line, zero_of_line
+from labpipe.fits.least_squares import line_in, zero_of_line
 from labpipe.records.arrays import Floats, Ints, Samples, samples_of
-from labpipe.records.curve import Interval
-from labpipe.records.estimates import Estimate, Failure
-from labpipe.uncertainty.linear_fits import LinearFit, fit_linear
-from labpipe.uncertainty.noise import fast_noise, long_run_variance
+from labpipe.records.estimates import Failure
+from labpipe.uncertainty.noise import fast_noise
 
 _LEAST = 8
 _CLEAR = 4.0
@@ -40,7 +37,22 @@ def toe_line(
     -------
     The samples, or a failure: ``too_few_samples`` (fewer than 8 in the region), ``not_rising`` when
     the force does not rise there, ``not_reached`` when the branch begins above the lower share. The
-    slack is where the line through them is zero: `labpipe.fits.straight_lines.zero_of_line`.
+    slack is where the line through them is zero: `labpipe.fits.least_squares.zero_of_line`.
+
+    Notes
+    -----
+    Toe compensation of ASTM D638, annex A1 (also D882): the tangent to the linear region is carried
+    to zero force, and its foot is the corrected zero of displacement. A rise is where the force
+    crosses a share: halfway between the first sample above and the last one below before the peak,
+    so that single noisy samples do not choose the region.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.02, 401)
+    >>> force = 5000.0 * np.maximum(d - 0.002, 0.0)
+    >>> region = toe_line(d, force, start_share=0.1, stop_share=0.3)
+    >>> round(1e3 * float(zero_of_line(d[region], force[region])), 9)
+    2.0
     """
     known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
     d, f = displacement[known], force[known]
@@ -62,38 +74,6 @@ def toe_line(
     return samples_of(known[region])
 
 
-def fit_slack(
-    displacement: Floats, force: Floats, *, start_share: float, stop_share: float
-) -> Estimate | Failure:
-    """Displacement at which the line through the linear region meets zero force.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; the loading branch in order of time, force zeroed;
-        NaN in either are left out
-    start_share, stop_share : of the largest force; the line goes through the samples between the
-        first rise to one and the first rise to the other
-
-    Returns
-    -------
-    m, with an interval that may be asymmetric, or a failure: ``too_few_samples`` (fewer than 8 in
-    the region), ``not_rising`` when the force does not rise there, ``not_reached`` when the branch
-    begins above the lower share.
-
-    Notes
-    -----
-    Toe compensation of ASTM D638, annex A1 (also D882): the tangent to the linear region is carried
-    to zero force, and its foot is the corrected zero of displacement. The interval is Fieller's
-    (J. R. Stat. Soc. B 16 (1954) 175) with the covariance of the line for correlated noise. A rise
-    is where the force crosses a share: halfway between the first sample above and the last one
-    below before the peak, so that single noisy samples do not choose the region.
-    """
-    region = toe_line(displacement, force, start_share=start_share, stop_share=stop_share)
-    if isinstance(region, Failure):
-        return region
-    return _foot(displacement[region], force[region])
-
-
 def _rise(force: Floats, height: float) -> int:
     """Sample at which a rising force crosses a height."""
     above = np.flatnonzero(force >= height)
@@ -101,89 +81,6 @@ def _rise(force: Floats, height: float) -> int:
     if len(above) == 0 or len(below) == 0:
         return 0
     return (int(above[0]) + int(below[-1]) + 1) // 2
-
-
-def _foot(d: Floats, f: Floats) -> Estimate | Failure:
-    middle = float(d.mean())
-    fit = fit_linear(np.column_stack([np.ones_like(d), d - middle]), f)
-    level, slope = (float(value) for value in fit.coefficients)
-    if slope - float(fit.half_widths[1]) <= 0.0:
-        found = f"slope {slope:.4g} -+ {fit.half_widths[1]:.2g} N/m in the linear region"
-        return Failure("not_rising", found)
-    lower, upper = _fieller(fit)
-    at = -level / slope
-    gradient = np.array([-1.0 / slope, level / slope**2])
-    error = float(np.sqrt(gradient @ fit.covariance @ gradient))
-    return Estimate(middle + at, error, fit.n, Interval(middle + lower, middle + upper))
-
-
-def _fieller(fit: LinearFit) -> tuple[float, float]:
-    """Roots of (level + slope x)^2 = q^2 var(level + slope x); slope is known to be positive."""
-    level, slope = fit.coefficients
-    spread = fit.quantile**2 * fit.covariance
-    a, b, c = slope**2 - spread[1, 1], level * slope - spread[0, 1], level**2 - spread[0, 0]
-    root = float(np.sqrt(max(b * b - a * c, 0.0)))
-    return float((-b - root) / a), float((-b + root) / a)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BranchSlack:
-    """Where the force begins.
-
-    Parameters
-    ----------
-    displacement : m, at zero force
-    sample : first one of the branch whose force is not zero
-    """
-
-    displacement: Estimate
-    sample: int
-
-
-def find_branch_slack(
-    displacement: Floats, force: Floats, *, zero_error: float = 0.0
-) -> BranchSlack | Failure:
-    """Displacement at which a loading branch takes up force.
-
-    Parameters
-    ----------
-    displacement, force : shape (n,), m, N; one loading branch in order of time, evenly sampled; NaN
-        in either are passed over
-    zero_error : N, standard error of the force's zero
-
-    Returns
-    -------
-    The place, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` when the branch
-    begins under a force that it cannot be followed back from, ``no_force`` when its force is
-    nowhere above its noise.
-
-    Notes
-    -----
-    Zero is a force within its noise: four standard deviations of the fast noise of the force. The
-    foot of the force begins behind the last sample within that limit before the largest force, and
-    ends at five limits; a straight line through it (eight samples at least) is followed back to
-    zero force. Where the force comes from below zero, as after bending to the other side, the
-    place is where it passes zero. The error is that of the line, and of the force's zero.
-
-    Examples
-    --------
-    >>> d = np.linspace(0.0, 0.01, 400)
-    >>> found = find_branch_slack(d, 500.0 * np.maximum(d - 0.002, 0.0))
-    >>> round(1e3 * found.displacement.value, 6)
-    2.0
-    """
-    found = take_up(displacement, force)
-    if isinstance(found, Failure):
-        return found
-    d, f = displacement[found.foot], force[found.foot]
-    if not found.is_line:
-        return BranchSlack(Estimate(float(d[0]), float(np.ptp(d)), len(d)), found.sample)
-    lever, slope, at = d - d.mean(), float(slope_of_line(d, f)), float(zero_of_line(d, f))
-    variance = long_run_variance(f - f.mean() - slope * lever, parameters=2)
-    back = at - float(d.mean())
-    at_zero = float(np.sqrt(variance * (1.0 / len(d) + back**2 / (lever @ lever))))
-    error = hypot(at_zero, zero_error) / slope
-    return BranchSlack(Estimate(at, error, len(d)), found.sample)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +155,25 @@ def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) 
 
     Returns
     -------
-    The samples, or a failure as `find_branch_slack` has it; its notes say how.
+    The samples, or a failure: ``too_few_samples`` (16 are needed), ``not_unloaded`` when the branch
+    begins under a force that it cannot be followed back from, ``no_force`` when its force is
+    nowhere above its noise.
+
+    Notes
+    -----
+    Zero is a force within its noise: four standard deviations of the fast noise of the force. The
+    foot of the force begins behind the last sample within that limit before the largest force, and
+    ends at five limits; a straight line through it (eight samples at least) is followed back to
+    zero force. Where the force comes from below zero, as after bending to the other side, the
+    place is where it passes zero.
+
+    Examples
+    --------
+    >>> d = np.linspace(0.0, 0.01, 400)
+    >>> force = 500.0 * np.maximum(d - 0.002, 0.0)
+    >>> found = take_up(d, force)
+    >>> round(1e3 * float(found.of(d, force)), 6)
+    2.0
     """
     known = np.flatnonzero(~np.isnan(displacement) & ~np.isnan(force))
     if len(known) < 2 * _LEAST_AT_FOOT:

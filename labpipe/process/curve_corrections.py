@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
-from labpipe.fits.failure_point import FailurePoint, LossOfForce, failure_point, final_loss
+from labpipe.fits.failure_point import FailurePoint, LossOfForce, final_loss, lost_earlier
 from labpipe.fits.grip_slips import add_back, find_slips, samples_before
 from labpipe.fits.loops import sense_of_loading
 from labpipe.fits.straight_lines import correct_displacement
@@ -24,7 +24,7 @@ from labpipe.protocol.schema import Slips as SlipsBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import COMPLIANCE
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series, Slip, SlipDecision
-from labpipe.records.estimates import Failure, scaled, widened
+from labpipe.records.estimates import Failure
 from labpipe.records.quality import Finding, blocking, doubtful, warning, worth_knowing
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
@@ -212,11 +212,8 @@ def _failure(
 ) -> FailurePoint | Failure | None:
     if lost is None or isinstance(lost, Failure):
         return lost
-    start = loading_before(curve, lost).start
-    d, f = curve.displacement[start:], curve.force[start:]
-    sense = _sense(curve)
-    found = failure_point(curve.time[start:], d, sense * f, lost - start, rule)
-    return replace(found, sample=lost, force=scaled(found.force, sense))
+    up = slice(loading_before(curve, lost).start, lost + 1)
+    return FailurePoint(lost, lost_earlier(curve.time[up], _sense(curve) * curve.force[up], rule))
 
 
 def _sense(curve: Curve) -> float:
@@ -282,15 +279,11 @@ def _said(slip: Slip) -> str:
 
 def _repaired(test: Evidence, curve: Curve) -> Evidence:
     """Add the drops back; what is left once the specimen broke is not raised."""
-    force, failure = add_back(curve.force, test.slips), test.failure
-    if isinstance(failure, FailurePoint):
-        broken = slice(failure.sample + 1, None)
+    force = add_back(curve.force, test.slips)
+    if isinstance(test.failure, FailurePoint):
+        broken = slice(test.failure.sample + 1, None)
         force[broken] = curve.force[broken]
-        raised = float(force[failure.sample] - curve.force[failure.sample])
-        moved = replace(failure.force, value=failure.force.value + raised)
-        error = test.repair_error(before=failure.sample)
-        failure = replace(failure, force=widened(moved, error))
-    return replace(test, curve=replace(curve, force=force), failure=failure)
+    return replace(test, curve=replace(curve, force=force))
 
 
 def _cut(test: Evidence, curve: Curve) -> Evidence:
@@ -329,23 +322,9 @@ def _without_slack(test: Evidence, block: SlackBlock) -> Corrected:
         _with_displacement(test, curve, test.displacement.changed(lambda values: values - off)),
         replicates=test.replicates and counted_from_taut(test.replicates, decide, off),
         slips=tuple(_moved(slip, off) for slip in test.slips),
-        failure=_moved_failure(test.failure, off),
     )
     message = f"{1e3 * off:.4g} mm of slack taken off: displacement counts from where it is taut"
     return made, [worth_knowing("slack_removed", where, message)]
-
-
-def _moved_failure(
-    failure: FailurePoint | Failure | None, slack: float
-) -> FailurePoint | Failure | None:
-    if not isinstance(failure, FailurePoint):
-        return failure
-    at = failure.displacement
-    interval = at.interval and replace(
-        at.interval, lower=at.interval.lower - slack, upper=at.interval.upper - slack
-    )
-    moved = replace(at, value=at.value - slack, interval=interval)
-    return replace(failure, displacement=moved)
 
 
 def _slack(test: Evidence, decide: Decide) -> Measured | Failure:

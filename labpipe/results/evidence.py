@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import hypot
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -20,7 +19,6 @@ from labpipe.records.curve import (
     Direction,
     Shape,
     Slip,
-    SlipDecision,
 )
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Doubt, Findings, Reason
@@ -231,12 +229,6 @@ class Evidence:
     def slack_error(self) -> float:
         """Standard error of the slack that was taken off the displacement, m; 0 for none."""
         return self.slack.error if isinstance(self.slack, Measured) else 0.0
-
-    def repair_error(self, *, before: int) -> float:
-        """Standard error of a repaired force, N: that of all drops added back before a sample."""
-        repaired = [slip for slip in self.slips if slip.decision is SlipDecision.REPAIRED]
-        errors = [slip.drop_interval.standard_error for slip in repaired if slip.start < before]
-        return hypot(*errors)
 
     def sense_of(self, values: Floats) -> float:
         """Which way a quantity of the curve goes when the specimen is loaded for the first time."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -213,24 +213,6 @@ def unthinned(filters: Sequence[Filter], ratio: float = 1.0) -> tuple[Filter, ..
         made.append((act.coarser(ratio / apart), 1))
         apart *= stride
     return tuple(made)
-
-
-def power_passed(act: Callable[[Floats], Floats], count: int) -> float:
-    """Share of the power of white noise that a filter lets through.
-
-    Parameters
-    ----------
-    act : linear, on evenly spaced samples
-    count : samples of the signal
-
-    Returns
-    -------
-    Sum of the squares of its response to a single sample in the middle of `count`.
-    """
-    pulse = np.zeros(count)
-    pulse[count // 2] = 1.0
-    answer = act(pulse)
-    return float(answer @ answer)
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.slack import BranchSlack, TakeUp, find_branch_slack, take_up
+from labpipe.fits.slack import TakeUp, take_up
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
 from tests.builders.noise_rows import KINDS, noise_rows
@@ -17,55 +17,45 @@ F: Floats = 500.0 * (D - 0.002)
 
 def test_slack_then_taut() -> None:
     force = F + np.random.default_rng(0).normal(0.0, 0.004, len(D))
-    found = find_branch_slack(D, force, zero_error=0.001)
-    assert isinstance(found, BranchSlack)
-    assert found.displacement.value == pytest.approx(0.002, abs=1e-5)
-    assert 2e-6 <= found.displacement.error < 1e-5
+    found = take_up(D, force)
+    assert isinstance(found, TakeUp)
+    assert found.of(D, force) == pytest.approx(0.002, abs=1e-5)
     assert 99 <= found.sample <= 103
 
 
 def test_from_the_other_side() -> None:
     """The force passes zero on its way."""
     path = np.linspace(-0.003, 0.01, 400)
-    found = find_branch_slack(path, 500.0 * (path - 0.001) + 0.001 * np.sin(np.arange(400.0)))
-    assert isinstance(found, BranchSlack)
-    assert found.displacement.value == pytest.approx(0.001, abs=1e-5)
+    force = 500.0 * (path - 0.001) + 0.001 * np.sin(np.arange(400.0))
+    found = take_up(path, force)
+    assert isinstance(found, TakeUp)
+    assert found.of(path, force) == pytest.approx(0.001, abs=1e-5)
 
 
 def test_missing_samples_are_passed_over() -> None:
     force = F.copy()
     force[::7] = np.nan
-    found = find_branch_slack(D, force)
-    assert isinstance(found, BranchSlack)
-    assert found.displacement.value == pytest.approx(0.002, abs=1e-6)
+    found = take_up(D, force)
+    assert isinstance(found, TakeUp)
+    assert found.of(D, force) == pytest.approx(0.002, abs=1e-6)
     assert force[found.sample] > 0.0
 
 
 def test_a_branch_that_begins_just_above_zero() -> None:
-    found = find_branch_slack(D[103:], F[103:])
-    assert isinstance(found, BranchSlack)
-    assert found.displacement.value == pytest.approx(0.002, abs=1e-6)
+    found = take_up(D[103:], F[103:])
+    assert isinstance(found, TakeUp)
+    assert found.of(D[103:], F[103:]) == pytest.approx(0.002, abs=1e-6)
     assert found.sample == 0
 
 
-def test_a_foot_that_does_not_rise() -> None:
-    """Then it begins at its first sample, give or take the foot."""
-    path = np.full(40, 0.001)
-    found = find_branch_slack(path, np.where(np.arange(40) < 30, 0.0, 5.0))
-    assert isinstance(found, BranchSlack)
-    assert found.displacement.value == 0.001
-
-
 def test_says_why_not() -> None:
-    assert find_branch_slack(D[:10], F[:10]) == Failure(
-        "too_few_samples", "10 samples, 16 are needed"
-    )
+    assert take_up(D[:10], F[:10]) == Failure("too_few_samples", "10 samples, 16 are needed")
     noise = np.random.default_rng(0).normal(0.0, 0.004, len(D))
-    flat = find_branch_slack(D, noise)
+    flat = take_up(D, noise)
     assert isinstance(flat, Failure)
     assert flat.code == "no_force"
     assert flat.message.startswith("the force reaches 0.01")
-    loaded = find_branch_slack(D, F + 3.0 + noise)
+    loaded = take_up(D, F + 3.0 + noise)
     assert isinstance(loaded, Failure)
     assert loaded.code == "not_unloaded"
     assert loaded.message.startswith("the branch begins at 3.")

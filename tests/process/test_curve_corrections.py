@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from labpipe.errors import ProcessingError
-from labpipe.fits.failure_point import FailurePoint
 from labpipe.process.curve_corrections import correct_curve
 from labpipe.protocol.schema import CurveBlock
 from labpipe.records.causes import COMPLIANCE
@@ -111,10 +110,11 @@ def test_failure_moves_up_with_what_was_added_back() -> None:
     travel, force = pull()
     torn = broken(travel, slipped(travel, force, (0.006, 3.0)), at=0.018)
     curve = "failure: {force_below: 50 %}, slips: {decision: repaired, min_drop: 0.5 N}"
-    test, _ = pulled(travel, torn, curve=curve)
-    assert isinstance(test.failure, FailurePoint)
-    assert test.failure.force.value == pytest.approx(90.0, abs=0.3)
-    assert abs(90.0 - test.failure.force.value) < 4.0 * test.failure.force.error
+    test, results = pulled(travel, torn, curve=curve, results=["failure"])
+    found = results["failure_force"]
+    assert found.value == pytest.approx(90.0, abs=0.3)
+    assert found.interval is not None
+    assert found.interval.lower < 90.0 < found.interval.upper
     assert test.curve is not None
     # What is left of the broken specimen is not raised.
     assert test.curve.force[-1] == pytest.approx(torn[-1])
@@ -130,13 +130,12 @@ def test_slack_moves_all_displacements() -> None:
     travel, force = pull(slack=0.003)
     torn = broken(travel, force, at=0.016)
     curve = "failure: {force_below: 50 %}, slack: {from: 10 %, to: 30 %}"
-    test, _ = pulled(travel, torn, curve=curve)
+    test, results = pulled(travel, torn, curve=curve, results=["failure"])
     assert isinstance(test.slack, Measured)
     assert test.slack.value == pytest.approx(0.003, abs=1e-5)
     assert test.curve is not None
     np.testing.assert_allclose(test.curve.displacement, travel - test.slack.value)
-    assert isinstance(test.failure, FailurePoint)
-    assert test.failure.displacement.value == pytest.approx(0.013, abs=2 * STEP)
+    assert results["failure_displacement"].value == pytest.approx(0.013, abs=2 * STEP)
     said = f"{1e3 * test.slack.value:.4g} mm of slack taken off: displacement counts from where"
     assert codes(test)["slack_removed"] == f"{said} it is taut"
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.fits.straight_lines import StraightLine, fit_line
+from labpipe.fits.least_squares import slope_of_line, zero_of_line
 from labpipe.uncertainty.linear_fits import fit_linear
 
 NORRIS = """
@@ -25,14 +25,17 @@ NORRIS = """
 
 def test_norris() -> None:
     y, x = np.array(NORRIS.split(), dtype=np.float64).reshape(-1, 2).T
-    line = fit_line(x, y)
-    assert isinstance(line, StraightLine)
-    assert line.n == 36
-    assert line.intercept.value == pytest.approx(-0.262323073774029, rel=1e-11)
-    assert line.slope.value == pytest.approx(1.00211681802045, rel=1e-13)
-    assert line.classical_intercept_error == pytest.approx(0.232818234301152, rel=1e-11)
-    assert line.classical_slope_error == pytest.approx(0.429796848199937e-3, rel=1e-11)
-    assert line.residual_deviation == pytest.approx(0.884796396144373, rel=1e-11)
+    assert slope_of_line(x, y) == pytest.approx(1.00211681802045, rel=1e-13)
+    assert zero_of_line(x, y) == pytest.approx(0.262323073774029 / 1.00211681802045, rel=1e-10)
+    slopes = slope_of_line(np.array([x, x[::-1]]), np.array([y, 3.0 * y[::-1]]))
+    assert slopes == pytest.approx(np.array([1.0, 3.0]) * 1.00211681802045, rel=1e-13)
+    fit = fit_linear(np.column_stack([np.ones_like(x), x]), y)
+    assert fit.n == 36
+    assert fit.coefficients == pytest.approx([-0.262323073774029, 1.00211681802045], rel=1e-11)
+    assert fit.classical_errors == pytest.approx(
+        [0.232818234301152, 0.429796848199937e-3], rel=1e-11
+    )
+    assert fit.residual_deviation == pytest.approx(0.884796396144373, rel=1e-11)
 
 
 @pytest.mark.parametrize(
