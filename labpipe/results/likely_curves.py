@@ -211,8 +211,8 @@ def _inputs(test: Evidence, block: int) -> Iterator[Input]:
         yield Input(cause, partial(_later, by=_means(later, block)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (LENGTH, SPAN) else SECTION
-        yield Input(cause, partial(_sized, name=name, by=by), stream=name)
-    yield Input(STEP, _beyond, law="step")
+        yield Input(cause, partial(_sized, name=name, by=by), moves_curve=False, stream=name)
+    yield Input(STEP, _beyond, law="step", moves_curve=False)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     for number, slip in enumerate(repaired, start=1):
         error = slip.drop_interval.standard_error

@@ -22,7 +22,6 @@ from scipy.special import chdtri
 from labpipe.records.arrays import Floats
 
 Singles: TypeAlias = NDArray[np.float32]
-Waves: TypeAlias = NDArray[np.complex64]
 _PIECES = 12
 """Pieces that the longest branch is cut into: with 8 the curve comes in, and intervals are 3 to 5
 times too wide."""
@@ -173,20 +172,14 @@ class Noise:
         # Nor has the last, where there is one at half the sampling rate.
         height[:, [0, -1] if length % 2 == 0 else [0]] *= np.sqrt(2.0)
         scale = np.sqrt(variance)
-        waves = rng.standard_normal((replicates, 2, len(angle)), dtype=np.float32)
-        both = (waves[:, 0] + 1j * waves[:, 1]).astype(np.complex64, copy=False)
-        both *= height[which].astype(np.float32)
-        both *= scale[:, None].astype(np.float32)
-        if len(self.angles):
-            self._as_recorded(both, angle, waves, length)
-        return np.asarray(fft.irfft(both, length, axis=1)[:, :count], dtype=np.float32)
-
-    def _as_recorded(self, both: Waves, angle: Floats, waves: Singles, length: int) -> None:
-        """Give the fast waves the power that the record has there."""
-        first = int(np.searchsorted(angle, self.angles[0]))
-        band = np.searchsorted(self.angles, angle[first:], side="right") - 1
-        height = np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
-        both[:, first:] = height * (waves[:, 0, first:] + 1j * waves[:, 1, first:])
+        pairs = rng.standard_normal((replicates, len(angle), 2), dtype=np.float32)
+        waves = pairs.view(np.complex64)[..., 0]
+        fast = np.searchsorted(angle, self.angles[0]) if len(self.angles) else len(angle)
+        waves[:, :fast] *= (scale[:, None] * height[which, :fast]).astype(np.float32)
+        if len(self.angles):  # the fast waves have the power that the record has there
+            band = np.searchsorted(self.angles, angle[fast:], side="right") - 1
+            waves[:, fast:] *= np.sqrt(0.5 * length * self.power[band]).astype(np.float32)
+        return np.asarray(fft.irfft(waves, length, axis=1)[:, :count], dtype=np.float32)
 
 
 def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:

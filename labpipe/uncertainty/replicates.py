@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats
-from labpipe.uncertainty.drawn_noise import LEAST, Noise, Singles, noise_of
+from labpipe.uncertainty.drawn_noise import LEAST, Noise, noise_of
 from labpipe.uncertainty.readings import Trace
 
 COUNT = 400
@@ -50,6 +50,7 @@ class Input:
     cause : in words, such as ``gain of the load cell``
     moved : a trace as it is with the input so many standard uncertainties higher
     law : what it is drawn from
+    moves_curve : whether it moves the curve, so that windows are decided anew
     draws : shape (replicates,), in standard uncertainties, where the input has been drawn before
     stream : name of its stream of chance; the cause where it is empty
     """
@@ -57,6 +58,7 @@ class Input:
     cause: str
     moved: Callable[[Trace, float], Trace]
     law: Law = "normal"
+    moves_curve: bool = True
     draws: Floats | None = None
     stream: str = ""
 
@@ -74,9 +76,7 @@ class Replicates:
     ----------
     measured : the curve that numbers are read from
     smooth : without its noise and without filters, perhaps on fewer samples
-    displacement_off, force_off : shape (replicates, n) or, of a displacement without noise, (n,);
-        m, N: what the smooth curve with noise, filtered, lies above the smooth curve; in single
-        precision, of which a whole record leaves nothing to a small noise on a large force
+    displacement, force : shape (replicates, n), m, N: the smooth curve with noise, filtered
     inputs : what else is drawn
     seed : of all draws
     noises : what the noise of force and displacement was taken for
@@ -84,21 +84,18 @@ class Replicates:
 
     measured: Trace
     smooth: Trace
-    displacement_off: Singles
-    force_off: Singles
+    displacement: Floats
+    force: Floats
     inputs: tuple[Input, ...]
     seed: bytes
     noises: Mapping[str, Noise]
 
     def traces(self) -> Iterator[Trace]:
-        """The replicates, some at a time, in double precision."""
-        moving, smooth = self.displacement_off.ndim > 1, self.smooth
-        for first in range(0, len(self.force_off), _CHUNK):
+        """The replicates, some at a time."""
+        for first in range(0, len(self.force), _CHUNK):
             rows = slice(first, first + _CHUNK)
-            force = smooth.force + self.force_off[rows]
-            off = self.displacement_off[rows] if moving else self.displacement_off
-            whole = np.broadcast_to(smooth.displacement + off, force.shape)
-            yield replace(smooth, displacement=whole, force=force)
+            displacement, force = self.displacement[rows], self.force[rows]
+            yield replace(self.smooth, displacement=displacement, force=force)
 
     def draws(self, given: Input) -> Floats:
         """Draws of an input, in its standard uncertainties, shape (replicates,): always the same.
@@ -109,7 +106,7 @@ class Replicates:
         """
         if given.draws is not None:
             return given.draws
-        rng, count = stream(self.seed, given.stream or given.cause), len(self.force_off)
+        rng, count = stream(self.seed, given.stream or given.cause), len(self.force)
         # One draw in each of as many equal parts: its spread does not depend on luck.
         chance = (rng.permutation(count) + rng.uniform(0.0, 1.0, count)) / count
         if given.law == "normal":
@@ -130,6 +127,7 @@ class Replicates:
             self,
             measured=replace(self.measured, displacement=self.measured.displacement + by),
             smooth=replace(self.smooth, displacement=self.smooth.displacement + by),
+            displacement=self.displacement + by,
             inputs=(*self.inputs, *inputs),
         )
 
@@ -251,15 +249,13 @@ def replicated(
         curve = smooth_curve(time, values, cuts, parts, failed)
         noise = _noise(values, curve, unfiltered, cuts)
         made = curve[None] if noise.is_none else _with_noise(curve, noise, stream(seed, name))
-        off = (act(made) - curve).astype(np.float32)
-        drawn.append(off[0] if noise.is_none and name == "displacement" else off)
+        drawn.append(np.broadcast_to(act(made), (COUNT, len(time))))
         noises[name] = noise
         smooth.append(curve)
-    force = np.broadcast_to(drawn[1], (COUNT, len(time)))
-    displacement = drawn[0]
+    displacement, force = drawn
     if compliance:
         smooth[0] = smooth[0] - compliance * smooth[1]
-        displacement = displacement - np.float32(compliance) * force
+        displacement = displacement - compliance * force
     base = replace(unfiltered, displacement=smooth[0], force=smooth[1])
     return Replicates(measured, base, displacement, force, inputs, seed, noises)
 
