@@ -115,12 +115,24 @@ class Plateau(Kind):
         if isinstance(begun, Failure):
             return begun
         tangents, slope = begun
+        steeper = self._one_step_on(trace, tangents)
 
         def numbers(trace: Trace) -> tuple[Floats]:
-            d, f = _loading(trace)
-            return (np.asarray(tangents.slope_at_end(f, d) / slope.numbers(trace)[0]),)
+            end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.beyond * steeper
+            return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
 
         return Reading(numbers, len(tangents.last))
+
+    def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
+        """What the slope at the end would be more if the loading went on for a sampling step, N/m.
+
+        What it was less a step before: the machine turned somewhere between two samples.
+        """
+        d, f = _loading(trace)
+        before = Tangents.of(d[:-1], f[:-1], over=self.over)
+        if isinstance(before, Failure):
+            return 0.0
+        return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
 
     def _decide_onset(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
         """Decide on the place from which on the curve is flat, and the force there."""

@@ -13,6 +13,7 @@ import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import SCALE_OF_DISPLACEMENT, SLACK
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.declarations import CURVE, Needs, Output
 from labpipe.records.estimates import Estimate, Failure
@@ -187,7 +188,9 @@ class SlipResults(Kind):
             place = Estimate(slip.position, at.standard_error, 1, at)
             lost = Estimate(slip.drop, drop.standard_error, 1, drop)
             during = (float(time[slip.start]), float(time[slip.stop]))
-            part, slack, scale = f".{count}", {"slack": test.slack_error}, force_scale(test, lost)
+            part, scale = f".{count}", force_scale(test, lost)
+            travelled = test.displacement.relative_error * abs(place.value)
+            slack = {SLACK: test.slack_error, SCALE_OF_DISPLACEMENT: travelled}
             numbers += [
                 self.number(place, method, slack, during=during, part=part),
                 self.number(lost, method, scale, output=1, during=during, part=part),
