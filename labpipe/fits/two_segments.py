@@ -292,14 +292,15 @@ def why_no_bend(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | N
     Notes
     -----
     The break was chosen to make the slopes differ most, so that a straight line reaches two
-    standard errors by chance far more often than once in twenty. The standard error is that of 95 %
-    of the differences in replicates: a few that have their break at an end, and any slope beyond
-    it, make the standard deviation of them all several times as large. The interval of a break that
-    may be an end of the stretch has no end there.
+    standard errors by chance far more often than once in twenty. The standard error is that of the
+    replicates that bend less than the middle one, by their 2.5 % quantile: those whose break moves
+    towards an end have ever steeper slopes beyond it, which tells nothing against a bend. The
+    interval of a break that may be an end of the stretch has no end there.
     """
     first, second = float(found.first), float(found.second)
     bend, bends = second - first, drawn.second - drawn.first
-    error = Interval(*np.nanquantile(bends, [0.025, 0.975]).tolist()).standard_error
+    middle, straighter = np.nanquantile(bends, [0.5, 0.975 if bend < 0.0 else 0.025]).tolist()
+    error = abs(straighter - middle) / Interval.normal_95(0.0, 1.0).upper
     if not abs(bend) > _BEND_ERRORS * error:
         return Failure(
             "no_bend",
