@@ -80,7 +80,7 @@ _HATCH = "////"
 _COLOURS: Mapping[str, str] = {
     SCATTER: "#4d4d4d",
     NOISE: "#8c8c8c",
-    FIT: "#dcdcdc",
+    FIT: "#c9bfae",
     NOISE_OF_FORCE: "#8c8c8c",
     NOISE_OF_DISPLACEMENT: "#c4c4c4",
     SCALE_OF_FORCE: "#d55e00",
