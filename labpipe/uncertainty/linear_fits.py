@@ -44,24 +44,10 @@ class LinearFit:
         error = float(np.sqrt(self.covariance[number, number]))
         return Estimate(value, error, self.n, Interval(value - half, value + half))
 
-    def along(self, direction: Floats) -> Estimate:
-        """A linear combination of the coefficients, with the widest of their t-quantiles."""
-        value = float(direction @ self.coefficients)
-        error = float(np.sqrt(direction @ self.covariance @ direction))
-        half = self.quantile * error
-        return Estimate(value, error, self.n, Interval(value - half, value + half))
-
     @property
     def classical_errors(self) -> Floats:
         """Standard errors (p,) as if the residuals were independent."""
         return self.residual_deviation * self.unit_errors
-
-    @property
-    def quantile(self) -> float:
-        """Half width over standard error, the largest of the coefficients."""
-        errors = np.sqrt(np.diag(self.covariance))
-        known = errors > 0.0
-        return float(np.max(self.half_widths[known] / errors[known])) if known.any() else 1.96
 
 
 def fit_linear(

@@ -62,12 +62,6 @@ def test_weighted_finds_a_jump_in_slow_noise_more_closely() -> None:
     assert weighted.half_widths[2] < 0.7 * plain.half_widths[2]
 
 
-def test_a_combination_is_the_coefficient_itself() -> None:
-    x = np.linspace(0.0, 1.0, 60)
-    fit = fit_linear(np.column_stack([np.ones(60), x]), np.random.default_rng(4).normal(size=60))
-    assert fit.along(np.array([0.0, 1.0])).error == pytest.approx(fit.estimate(1).error)
-
-
 def test_too_few_samples() -> None:
     with pytest.raises(ValueError, match="expected at least 6 samples for 2 coefficients, found 5"):
         fit_linear(np.ones((5, 2)), np.ones(5))
