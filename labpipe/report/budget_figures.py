@@ -28,6 +28,7 @@ from labpipe.records.causes import (
     SPAN,
     SPEED,
     STEP,
+    TANGENT,
     TURN,
     ZERO_OF_DISPLACEMENT,
     ZERO_OF_FORCE,
@@ -103,6 +104,7 @@ _COLOURS: Mapping[str, str] = {
     SLACK: "#56b4e9",
     REPAIRED_SLIPS: "#b0124f",
     STEP: "#f2a6bd",
+    TANGENT: "#3a4a8c",
 }
 """One family of colours for each instrument; a cause has the same colour in every figure."""
 _OTHER = "#ededed"
