@@ -35,7 +35,7 @@ _PER_COLUMN = 8
 """Samples of a piece for each of them, at least."""
 _CLIFF = 4.0
 """Times the median variance, beyond which a piece holds a corner or a step of the curve."""
-_ODD, _ROUNDS = 1e-4, 4
+_ODD, _ROUNDS = 1e-3, 6
 """Chance of what is left of a piece by the process that is most likely, below which the piece holds
 a kink of the curve."""
 _TIMES, _BRIEFEST, _LONGEST = 24, 0.4, 20
