@@ -33,6 +33,8 @@ _LOST, _NONE = 0.05, 0.5
 _OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.04, 1.0
 """Share of the samples of a number, and of the record, that noise may remember; and samples of
 memory that harm no number, by which short records would all be doubtful."""
+_DUST = 1e-9
+"""Share of the largest row of a budget by which arithmetic moves what cancels."""
 _KEPT = 0.5
 """Share of the pieces of a record that its noise is to be judged by."""
 
@@ -183,9 +185,10 @@ def _mirrored(low: Floats, base: Floats, high: Floats) -> tuple[Floats, Floats]:
 
 
 def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:
-    """Rows of causes; a cause of several inputs has no sign."""
+    """Rows of causes, but for those that cancel; a cause of several inputs has no sign."""
     changes: dict[str, float] = {NOISE: noise}
     for cause, change in parts:
         before, by = changes.get(cause, 0.0), float(change[row])
         changes[cause] = hypot(before, by) if before else by
-    return tuple(contribution(cause, change) for cause, change in changes.items() if change)
+    least = _DUST * max(map(abs, changes.values()))
+    return tuple(contribution(cause, by) for cause, by in changes.items() if abs(by) > least)
