@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from labpipe.fits.failure_point import FailurePoint
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
     LENGTH,
     REPAIRED_SLIPS,
@@ -27,10 +27,14 @@ from labpipe.records.curve import Curve, Direction, SlipDecision
 from labpipe.records.signals import Act, Signal
 from labpipe.results.evidence import Evidence
 from labpipe.uncertainty.readings import Trace
-from labpipe.uncertainty.replicates import Input, Law, Replicates, replicated
+from labpipe.uncertainty.replicates import Input, Law, Replicates, replicated, smooth_curve
 
 _MOST = 20_000
-"""Samples of a replicate at most; those of a longer curve are averaged in blocks."""
+"""Samples of a replicate, or a few more; those of a longer curve are taken in blocks."""
+_PARTS = 40
+"""Intervals of the spline that tells the noise of single samples from the curve."""
+_PULSE = np.eye(1, 101, 50)[0]
+"""A single sample, to see what a filter does to it."""
 
 
 def likely_curves(test: Evidence) -> Replicates | None:
@@ -48,17 +52,23 @@ def likely_curves(test: Evidence) -> Replicates | None:
     if curve is None or unfiltered is None or not curve.branches:
         return None
     measured = traced(test)
-    block = -(-len(curve.time) // _MOST)
-    force = _repaired(test, _on_curve(test, unfiltered, curve.time))
-    machine = _unfiltered_displacement(test, curve) + test.compliance * curve.force
-    plain = replace(measured, displacement=machine, force=force)
-    grid = _blocked(plain, block)
-    cuts = _cuts(test, grid, block)
     both = test.signals.displacement, test.signals.force
-    first, second = (
-        partial(_filtered, acts=_acts(test, name, grid.time), cuts=cuts) for name in both
+    starts = _starts(_corners(test), len(curve.time))
+    grid_time = _means(curve.time, starts)
+    acts = [_acts(test, name, grid_time) for name in both]
+    made = _machine(test, curve), _force(test, unfiltered, curve)
+    cuts = [int(np.searchsorted(starts, each)) for each in _corners(test)]
+    records = [
+        _singles(curve.time, filtered, _corners(test), starts)
+        if _does_nothing(act)
+        else _means(raw, starts)
+        for (filtered, raw), act in zip(made, acts, strict=True)
+    ]
+    grid = replace(
+        _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
     )
-    inputs = tuple(_inputs(test, block))
+    first, second = (partial(_filtered, acts=each, cuts=cuts) for each in acts)
+    inputs = tuple(_inputs(test, starts))
     return replicated(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
@@ -98,135 +108,170 @@ def loading_of(trace: Trace) -> slice:
     return slice(branch.start, branch.stop)
 
 
+def _corners(test: Evidence) -> list[int]:
+    """Samples of the curve at which a new piece of the record begins: turns, failure, slips."""
+    curve, failure = test.known_curve, test.failure
+    cuts = [end for each in curve.branches for end in (each.start, each.stop)]
+    if isinstance(failure, FailurePoint):
+        cuts.append(failure.sample + 1)
+    cuts += [end for slip in test.slips for end in (slip.start + 1, slip.stop)]
+    return sorted({each for each in cuts if 0 < each < len(curve.time)})
+
+
+def _starts(corners: Sequence[int], count: int) -> Ints:
+    """First samples of the blocks of a grid, none of which lies over a corner.
+
+    What is left over at the end of a piece joins its last block.
+    """
+    block = -(-count // _MOST)
+    pieces = pairwise([0, *corners, count])
+    found = [np.arange(low, max(high - block, low) + 1, block) for low, high in pieces]
+    return np.concatenate(found)
+
+
+def _means(values: Floats, starts: Ints) -> Floats:
+    """Means of the blocks of a grid."""
+    if len(starts) == len(values):
+        return values
+    found: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
+    return found
+
+
+def _singles(time: Floats, values: Floats, corners: Sequence[int], starts: Ints) -> Floats:
+    """Values of a grid with the noise of single samples.
+
+    A largest sample is one sample, and a mean of many has far less noise. One of each block lends
+    its noise, by chance: evenly taken ones would fold hum. The curve is that of the means.
+    """
+    if len(starts) == len(values):
+        return values
+    smooth = smooth_curve(time, values, corners, _PARTS)
+    lengths = np.diff(np.append(starts, len(values)))
+    one = starts + np.random.default_rng(0).integers(0, lengths)
+    noise: Floats = (values - smooth)[one]
+    return _means(smooth, starts) + noise
+
+
+def _on_grid(trace: Trace, starts: Ints) -> Trace:
+    """A trace that counts its samples on a grid."""
+    failed = trace.failed_at
+    branches = tuple(
+        replace(
+            each,
+            start=int(np.searchsorted(starts, each.start)),
+            stop=int(np.searchsorted(starts, each.stop)),
+        )
+        for each in trace.branches
+    )
+    if failed is not None:
+        failed = int(np.searchsorted(starts, failed, side="right")) - 1
+    return replace(trace, branches=branches, failed_at=failed)
+
+
+def _machine(test: Evidence, curve: Curve) -> tuple[Floats, Floats]:
+    """The displacement of the curve with what its frame gave way, filtered and unfiltered."""
+    filtered = curve.displacement + test.compliance * np.nan_to_num(curve.force)
+    raw = test.signals.raw[test.signals.displacement].values
+    if len(raw) != len(filtered):
+        return filtered, filtered
+    return filtered, raw + float(np.nanmean(filtered - raw))
+
+
+def _force(test: Evidence, unfiltered: Signal, curve: Curve) -> tuple[Floats, Floats]:
+    """The force of the curve, and as it is without filters, what slips lost added back."""
+    from labpipe.fits.grip_slips import add_back
+
+    found = _on_curve(test, unfiltered, curve.time)
+    repaired = [each for each in test.slips if each.decision is SlipDecision.REPAIRED]
+    if repaired:
+        found = add_back(found, repaired)
+    return curve.force, np.where(np.isnan(curve.force), np.nan, found)
+
+
 def _on_curve(test: Evidence, signal: Signal, time: Floats) -> Floats:
     """A signal at times of the curve: of a faster one the mean around each of them."""
     if len(signal.time) < 2 * len(time):
         return test.clocks.sampled(signal, time)
     known = ~np.isnan(signal.values)
     step = float(np.median(np.diff(signal.time)))
-    total = np.append(0.0, np.cumsum(np.where(known, signal.values, 0.0)))
     ends = np.append(signal.time[0] - 0.5 * step, signal.time + 0.5 * step)
     half = 0.5 * float(np.median(np.diff(time)))
-    sums = [
-        test.clocks.sampled(replace(signal, time=ends, values=total), time + side * half)
-        for side in (-1.0, 1.0)
-    ]
-    counts = 2.0 * half / step
-    mean: Floats = (sums[1] - sums[0]) / counts
+
+    def around(values: Floats) -> Floats:
+        total = replace(signal, time=ends, values=np.append(0.0, np.cumsum(values)))
+        low, high = (test.clocks.sampled(total, time + side * half) for side in (-1.0, 1.0))
+        return high - low
+
+    counts = around(known.astype(np.float64))
+    mean = np.full(len(time), np.nan)
+    np.divide(around(np.where(known, signal.values, 0.0)), counts, out=mean, where=counts > 0.5)
     return np.where(np.isnan(mean), test.clocks.sampled(signal, time), mean)
 
 
-def _unfiltered_displacement(test: Evidence, curve: Curve) -> Floats:
-    """The displacement of the curve with what its filters took off."""
-    name = test.signals.displacement
-    raw = test.signals.raw[name].values
-    if name not in test.signals.filters or len(raw) != len(curve.displacement):
-        return curve.displacement
-    level = float(np.nanmean(curve.displacement - raw))
-    return raw + level
-
-
-def _repaired(test: Evidence, force: Floats) -> Floats:
-    """Unfiltered force with what was added back at slips, and without what was cut off there."""
-    from labpipe.fits.grip_slips import add_back
-
-    repaired = [each for each in test.slips if each.decision is SlipDecision.REPAIRED]
-    found = add_back(force, repaired) if repaired else force
-    return np.where(np.isnan(test.known_curve.force), np.nan, found)
-
-
-def _blocked(trace: Trace, block: int) -> Trace:
-    """A trace by means of so many neighbouring samples."""
-    if block == 1:
-        return trace
-    time, displacement, force = (
-        _means(each, block) for each in (trace.time, trace.displacement, trace.force)
-    )
-    last = len(time)
-    branches = tuple(
-        replace(each, start=each.start // block, stop=min(-(-each.stop // block), last))
-        for each in trace.branches
-    )
-    failed = None if trace.failed_at is None else min(trace.failed_at // block, last - 1)
-    return replace(
-        trace,
-        time=time,
-        displacement=displacement,
-        force=force,
-        branches=branches,
-        failed_at=failed,
-    )
-
-
-def _cuts(test: Evidence, grid: Trace, block: int) -> list[int]:
-    """Samples at which a new piece of the record begins: turns, the failure, slips."""
-    cuts = [end for each in grid.branches for end in (each.start, each.stop)]
-    if grid.failed_at is not None:
-        cuts.append(grid.failed_at + 1)
-    for slip in test.slips:
-        cuts += [(slip.start + 1) // block, slip.stop // block]
-    return sorted({each for each in cuts if 0 < each < len(grid.time)})
-
-
 def _acts(test: Evidence, name: str, time: Floats) -> list[Act]:
-    """The filters of a signal for samples of the grid."""
-    raw = test.signals.raw[name].time
-    step = float(np.median(np.diff(time)))
+    """The filters of a signal for samples of the grid; none where it has been thinned."""
+    signals = test.signals
+    filters, raw = signals.filters.get(name, ()), signals.raw[name].time
+    if name == signals.displacement and len(raw) != len(test.known_curve.time):
+        return []
     found = list[Act]()
-    for act, stride in test.signals.filters.get(name, ()):
-        apart = float(np.median(np.diff(raw)))
-        found.append(act.coarser(step / apart))
+    for act, stride in filters:
+        found.append(act.coarser(float(np.median(np.diff(time)) / np.median(np.diff(raw)))))
         raw = raw[::stride]
     return found
 
 
+def _does_nothing(acts: Sequence[Act]) -> bool:
+    """Whether filters leave single samples as they are."""
+    return all(np.array_equal(act(_PULSE), _PULSE) for act in acts)
+
+
 def _filtered(values: Floats, *, acts: Sequence[Act], cuts: Sequence[int]) -> Floats:
-    """Records (..., n) after all filters, piece by piece."""
+    """Records (..., n) after all filters, piece by piece; nothing is known beyond their ends."""
+    known = np.flatnonzero(~np.isnan(values.reshape(-1, values.shape[-1])[0]))
+    if not acts or not len(known):
+        return values
+    first, last = int(known[0]), int(known[-1]) + 1
+    inner = [each for each in cuts if first < each < last]
+    parts = [values[..., low:high] for low, high in pairwise([first, *inner, last])]
     for act in acts:
-        ends = [0, *cuts, values.shape[-1]]
-        pieces = [act(values[..., low:high]) for low, high in pairwise(ends)]
-        values = np.concatenate(pieces, axis=-1)
-    return values
+        parts = [act(each) for each in parts]
+    return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
 
 
-def _inputs(test: Evidence, block: int) -> Iterator[Input]:
+def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
     """What is the same for the whole record, and known with an uncertainty."""
     force, displacement = test.raw_force, test.displacement
-    gain, raised = (partial(each, compliance=test.compliance) for each in (_gain, _raised))
+    gain, raised, scaled = (
+        partial(each, compliance=test.compliance) for each in (_gain, _raised, _scaled)
+    )
     for cause, by, moved in (
         (SCALE_OF_FORCE, force.relative_error, gain),
         (ZERO_OF_FORCE, force.zero_error, raised),
-        (SCALE_OF_DISPLACEMENT, displacement.relative_error, _scaled),
+        (SCALE_OF_DISPLACEMENT, displacement.relative_error, scaled),
         (ZERO_OF_DISPLACEMENT, displacement.zero_error, displaced),
     ):
         if by:
             yield Input(cause, partial(moved, by=by))
     for cause, signal in displacement.moved.items():
-        change = _means(signal - displacement.values, block)
+        change = _means(signal - displacement.values, starts)
         law: Law = "uniform" if cause == SHAPE else "normal"
         yield Input(cause, partial(_bent, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():
         time = test.known_curve.time
         later = clocks.sampled_at(time) - test.clocks.sampled_at(time)
-        yield Input(cause, partial(_later, by=_means(later, block)))
+        yield Input(cause, partial(_later, by=_means(later, starts)))
     for name, by in test.setup.uncertainties.items():
         cause = name if name in (LENGTH, SPAN) else SECTION
         yield Input(cause, partial(_sized, name=name, by=by), moves_curve=False, stream=name)
-    yield Input(STEP, _beyond, law="step", moves_curve=False)
+    step = len(starts) / len(test.known_curve.time)
+    yield Input(STEP, partial(_beyond, step=step), law="step", moves_curve=False)
     repaired = [slip for slip in test.slips if slip.decision is SlipDecision.REPAIRED]
     for number, slip in enumerate(repaired, start=1):
         error = slip.drop_interval.standard_error
-        back = partial(_added_back, by=error, sample=slip.stop // block)
+        sample = int(np.searchsorted(starts, slip.stop))
+        back = partial(_added_back, by=error, sample=sample)
         yield Input(REPAIRED_SLIPS, back, stream=f"{REPAIRED_SLIPS} {number}")
-
-
-def _means(values: Floats, block: int) -> Floats:
-    """Means of so many neighbouring samples; what is left over at the end joins the last one."""
-    if block == 1:
-        return values
-    starts = np.arange(0, len(values) - block + 1, block)
-    found: Floats = np.add.reduceat(values, starts) / np.diff(np.append(starts, len(values)))
-    return found
 
 
 def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
@@ -239,12 +284,14 @@ def _raised(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
 
 def _more_force(trace: Trace, more: Floats, compliance: float) -> Trace:
     """A trace with more force, and so with less displacement where the frame gives way."""
-    displacement = trace.displacement - compliance * more
+    displacement = trace.displacement - compliance * np.nan_to_num(more)
     return replace(trace, force=trace.force + more, displacement=displacement)
 
 
-def _scaled(trace: Trace, x: float, *, by: float) -> Trace:
-    return replace(trace, displacement=trace.displacement * (1.0 + x * by))
+def _scaled(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
+    """A trace with more of the displacement that was measured, that of the frame with it."""
+    measured = trace.displacement + compliance * np.nan_to_num(trace.force)
+    return replace(trace, displacement=trace.displacement + x * by * measured)
 
 
 def displaced(trace: Trace, x: float, *, by: float) -> Trace:
@@ -273,8 +320,9 @@ def _later(trace: Trace, x: float, *, by: Floats) -> Trace:
     return replace(trace, force=np.interp(trace.time + x * by, trace.time, trace.force))
 
 
-def _beyond(trace: Trace, x: float) -> Trace:
-    return replace(trace, beyond=x)
+def _beyond(trace: Trace, x: float, *, step: float) -> Trace:
+    """A trace that ends a step of the curve later, which is a share of one of the grid."""
+    return replace(trace, beyond=x * step)
 
 
 def _added_back(trace: Trace, x: float, *, by: float, sample: int) -> Trace:
