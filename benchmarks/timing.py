@@ -44,12 +44,13 @@ def labpipe(*arguments: object) -> list[str]:
 
 
 def timed(command: Sequence[str], *, tree: Path = REPOSITORY) -> Cost:
-    """Run a command with the packages of a tree, as one process with all its children."""
+    """Run a command with the packages and protocols of a tree, as one process with its children."""
     ran = subprocess.run(
         [sys.executable, "-I", "-S", _LAUNCH, *command],
         check=True,
         capture_output=True,
         text=True,
+        cwd=tree,
         env=_as_installed(tree),
     )
     status, *spent = json.loads(ran.stdout)
