@@ -431,8 +431,10 @@ def peak_of(test: Evidence, trace: Trace, number: int) -> Reading | Failure:
     test : knows how often the force was sampled
     trace, number : one curve, and a cycle of it
     """
-    apart = (float(np.median(np.diff(each))) for each in (trace.time, test.force.time))
-    return _largest(trace, "force", number, max(1.0, next(apart) / next(apart)))
+    apart, own = (
+        float(each[-1] - each[0]) / (len(each) - 1) for each in (trace.time, test.force.time)
+    )
+    return _largest(trace, "force", number, max(1.0, apart / own))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
