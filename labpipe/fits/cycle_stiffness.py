@@ -14,6 +14,8 @@ from labpipe.records.estimates import Failure
 from labpipe.signal.filters import moving_average
 
 _LEAST = 8
+_BEGIN = 0.02
+"""Share of a window that is its begin."""
 _FILTER = 11
 """Samples that a path is averaged over before a window is cut from it."""
 
@@ -208,6 +210,17 @@ class LoadingSlope:
         begins = self.take_up.of(displacement, force) + self.ahead
         later = begins - taut[..., self.slope.window].mean(axis=-1)
         return self.slope.of(taut, force[..., self.first :], later)
+
+    @property
+    def share_at_rest(self) -> float:
+        """Share of the window's samples that lie in its first fiftieth.
+
+        It is large where the motion rests there: the force is beyond its noise before it moves.
+        """
+        stretch, inside = self.slope.inside()
+        path = self.slope.path[stretch][inside]
+        near = path <= path.min() + _BEGIN * (self.slope.high - self.slope.low)
+        return float(near.mean())
 
     def of_each(self, displacement: Floats, force: Floats) -> Floats:
         """Stiffness of branches with noise, which hides where each gets taut.

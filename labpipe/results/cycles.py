@@ -83,6 +83,11 @@ class OfCycle(Kind):
         del test, branches
         return None
 
+    def doubts(self, test: Evidence, number: int) -> tuple[Reason, ...]:
+        """Why the number of a cycle is doubtful, beside what all are doubtful for."""
+        del test, number
+        return ()
+
     def compute(self, test: Evidence) -> Computed:
         """A number for every cycle; one failure where there is no cycle."""
         if not test.cycles:
@@ -93,6 +98,7 @@ class OfCycle(Kind):
         number = branches[0].cycle
         found = test.measure(self.deciding(test, number), self.plain(test, branches))
         doubts = cut_short(test, branches[: self.whole], self.outputs[0].rests_on)
+        doubts += self.doubts(test, number)
         if self.gap:
             doubts += gap_at_peak(test, branches, self.gap)
         return self.number(

@@ -62,6 +62,9 @@ from labpipe.results.likely_curves import loading_of, traced
 from labpipe.uncertainty.intervals import Measured
 from labpipe.uncertainty.readings import Decide, Reading, Trace, combined
 
+_AT_REST = 0.1
+"""Share of the samples of a window that may lie in its first fiftieth."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class UnloadingStiffness(OfCycle):
@@ -126,6 +129,17 @@ class LoadingStiffness(OfCycle):
         _, d, f = on_branch(traced(test), branches[0])
         return [float(found.of(d, f))]
 
+    def doubts(self, test: Evidence, number: int) -> tuple[Reason, ...]:
+        """Samples at rest in the window: what passes for zero force is not what it is there."""
+        found = self._measured(test, number)
+        if found is None or found.share_at_rest <= _AT_REST:
+            return ()
+        message = (
+            f"{found.share_at_rest:.0%} of the samples were taken before the motion, as the force "
+            f"at rest is further from zero than its noise of {found.take_up.limit:.2g} N"
+        )
+        return (Reason("rest_in_window", message),)
+
     def _measured(self, test: Evidence, number: int) -> LoadingSlope | None:
         curve = traced(test)
         found = loading_slope(*on_branch(curve, cycle_of(curve, number)[0]), over=self.over)
@@ -179,6 +193,7 @@ class Hardening(Kind):
                 self.number(
                     _above_noise(first, found),
                     method,
+                    doubts=(*stiffness.doubts(test, 1), *stiffness.doubts(test, number)),
                     during=(test.cycles[0][0].start_time, later[0].stop_time),
                     part=f".{number}",
                 )

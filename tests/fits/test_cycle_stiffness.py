@@ -16,6 +16,7 @@ from labpipe.fits.cycle_stiffness import (
     unloading_slope,
     window_slope,
 )
+from labpipe.fits.slack import TakeUp, take_up
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.estimates import Failure
@@ -235,3 +236,19 @@ def test_unloading_of_replicates_scatters_as_tests_do(kind: str) -> None:
 
     tests, replicates = spreads(decide, path, force)
     assert replicates == pytest.approx(tests, rel=0.2)
+
+
+def test_samples_at_rest_in_the_window_are_counted() -> None:
+    """100 of 200 samples wait where the force takes up; without them two in a hundred are there."""
+    path = np.concatenate(
+        [np.zeros(100), np.linspace(0.0, 0.005, 100, endpoint=False), [0.006] * 9]
+    )
+    time = np.arange(0.0, float(len(path)))
+    for first, share in ((0, 0.51), (100, 0.02)):
+        part = slice(first, None)
+        slope = window_slope(time[part], path[part], path[part], path[part], low=0.0, high=0.00495)
+        assert isinstance(slope, WindowSlope)
+        taut = take_up(UP, taking_up(UP))
+        assert isinstance(taut, TakeUp)
+        found = LoadingSlope(taut, first, slope, 0.0)
+        assert found.share_at_rest == pytest.approx(share, abs=0.03)

@@ -14,7 +14,7 @@ from labpipe.records.result import Result, Status
 from labpipe.records.signals import Signal, Signals
 from labpipe.results.evidence import Evidence
 from labpipe.results.likely_curves import likely_curves
-from labpipe.results.stiffness import UnloadingStiffness
+from labpipe.results.stiffness import LoadingStiffness, UnloadingStiffness
 from labpipe.uncertainty.intervals import Measured
 from tests.builders.bundle_loops import LATER, NOISE, cycles, first_loading, holds, width
 from tests.builders.reduced import reduced
@@ -128,3 +128,24 @@ def test_the_estimate_knows_what_noise_hides_of_the_foot() -> None:
         estimates.append(found.estimate)
     assert np.mean(values) < true - 3.0
     assert np.mean(estimates) == pytest.approx(true, abs=1.5)
+
+
+def test_a_force_that_drifts_at_rest_is_told() -> None:
+    """A branch that holds 5 s at rest, in which the force goes off by 20 times its noise."""
+    time: Floats = np.arange(0.0, 25.0, 0.02)
+    path = 1e-3 * np.maximum(time - 5.0, 0.0)
+    random = np.random.default_rng(1)
+    drift = 2e-3 * np.minimum(time, 5.0)
+    for off, doubted in ((0.0, False), (1.0, True)):
+        force = 100.0 * path + off * drift + random.normal(0.0, 5e-4, len(time))
+        seen = path + random.normal(0.0, 1e-5, len(time))
+        signals = Signals()
+        for name, values, unit in (("force", force, "N"), ("displacement", seen, "m")):
+            signals = signals.with_new(name, Signal(time, values, unit, "force"))
+        numbers = np.zeros(len(time), dtype=np.int64)
+        up = Branch(0, len(time), 1, Direction.LOADING, 0.0, 25.0)
+        curve = Curve(time, seen, force, numbers, numbers + 1, (up,))
+        test = Evidence(signals, curve=curve, unfiltered=signals.raw["force"])
+        test = replace(test, replicates=likely_curves(test))
+        (number,) = LoadingStiffness(over=0.005).compute(test).numbers
+        assert ("rest_in_window" in {each.code for each in number.doubts}) is doubted
