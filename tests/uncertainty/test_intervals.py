@@ -1,0 +1,445 @@
+"""Intervals and budgets of numbers, against textbooks, plain numpy and hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from labpipe.records.arrays import Floats
+from labpipe.records.causes import (
+    GRIP,
+    NOISE,
+    SCALE_OF_FORCE,
+    SECTION,
+    STEP,
+    ZERO_OF_DISPLACEMENT,
+    ZERO_OF_FORCE,
+)
+from labpipe.records.estimates import Failure
+from labpipe.uncertainty.intervals import Measured, measure
+from labpipe.uncertainty.readings import Reading, Trace
+from labpipe.uncertainty.replicates import Input
+from tests.builders.noisy_curves import Numbers, measured, replicates_of, trace_of
+
+RNG = np.random.default_rng
+
+
+def mean(trace: Trace) -> tuple[Floats]:
+    return (trace.force.mean(axis=-1),)
+
+
+def largest(trace: Trace) -> tuple[Floats]:
+    return (trace.force.max(axis=-1),)
+
+
+def slope(trace: Trace) -> tuple[Floats]:
+    lever = trace.displacement - trace.displacement.mean(axis=-1, keepdims=True)
+    return (np.sum(lever * trace.force, axis=-1) / np.sum(lever**2, axis=-1),)
+
+
+def width(found: Measured) -> float:
+    return found.interval.upper - found.interval.lower
+
+
+def of_noise(numbers: Numbers, truth: Floats, spread: float, seeds: int) -> list[Measured]:
+    records = (truth + RNG(seed).normal(0.0, spread, len(truth)) for seed in range(seeds))
+    return [measured(trace_of(record), numbers)[0] for record in records]
+
+
+def held(found: list[Measured], truth: float) -> float:
+    return float(np.mean([x.interval.lower <= truth <= x.interval.upper for x in found]))
+
+
+@pytest.mark.parametrize("count", [8, 20, 50])
+def test_mean_of_few_samples_against_students_t(count: int) -> None:
+    """The process has to be guessed, too: no narrower, and at most a quarter wider on average."""
+    found = of_noise(mean, np.full(count, 5.0), 1.0, 150)
+    records = [RNG(seed).normal(0.0, 1.0, count) for seed in range(150)]
+    student = 2.0 * stats.t.ppf(0.975, count - 1) / np.sqrt(count)
+    wide = np.mean([width(x) for x in found]) / np.mean(
+        [student * np.std(x, ddof=1) for x in records]
+    )
+    assert 0.97 < wide < 1.25
+    assert held(found, 5.0) >= 0.9
+    assert np.mean([bool(x.doubts) for x in found]) < 0.1
+
+
+def test_slope_of_a_line_against_the_textbook() -> None:
+    """Of 300 samples in white noise of 2 N the slope is known to 2 / sqrt(sum of squares)."""
+    way = 1e-3 * 0.01 * np.arange(300.0)
+    error = 2.0 / np.sqrt(np.sum((way - way.mean()) ** 2))
+    found = of_noise(slope, 4e3 * way, 2.0, 200)
+    assert held(found, 4e3) >= 0.92
+    wide = np.mean([width(x) for x in found]) / (3.92 * error)
+    assert 0.95 < wide < 1.45  # the process has to be guessed, too
+    assert np.mean([x.error for x in found]) == pytest.approx(wide * error, rel=0.05)
+    assert [x.estimate for x in found] == pytest.approx([x.value for x in found], abs=0.3 * error)
+
+
+def test_slope_of_a_large_force_in_small_noise() -> None:
+    """5 kN with 0.01 N over 300 mm with 1 um: both noises, in quadrature."""
+    way = np.linspace(0.0, 0.3, 1000)
+    lever = np.sqrt(np.sum((way - way.mean()) ** 2))
+    rigid = 5e3 / 0.3
+    error = np.hypot(0.01, rigid * 1e-6) / lever
+    found = list[Measured]()
+    for seed in range(12):
+        rng = RNG(seed)
+        force = rigid * way + rng.normal(0.0, 0.01, 1000)
+        trace = trace_of(force, way + rng.normal(0.0, 1e-6, 1000))
+        found += measured(trace, slope)
+    assert 0.95 < np.mean([x.error for x in found]) / error < 1.6
+    assert held(found, rigid) >= 0.75
+
+
+def test_the_largest_sample_of_a_plateau_is_too_high() -> None:
+    """By brute force: how much, and how far it scatters; the estimate is without that."""
+    truth = 20.0 - 20.0 * (1.0 - np.linspace(0.0, 1.0, 1000)) ** 4
+    many = np.max(truth + RNG(99).normal(0.0, 1.0, (4000, 1000)), axis=1)
+    found = of_noise(largest, truth, 1.0, 60)
+    bias = np.mean([x.value - x.estimate for x in found])
+    assert bias == pytest.approx(np.mean(many) - 20.0, rel=0.12)
+    assert np.mean([x.error for x in found]) == pytest.approx(np.std(many), rel=0.25)
+    assert held(found, 20.0) >= 0.87
+    outside = np.mean([x.value > x.interval.upper for x in found])
+    assert outside > 0.9
+
+
+def test_the_interval_is_the_spread_turned_around() -> None:
+    """Largest of 100 samples of known noise: 2.5 % of the draws lie beyond each end."""
+    (found,) = measured(trace_of(RNG(0).normal(size=100)), largest)
+    below, above = found.value - found.interval.upper, found.value - found.interval.lower
+    assert np.mean(found.off < below) == pytest.approx(0.025, abs=0.003)
+    assert np.mean(found.off > above) == pytest.approx(0.025, abs=0.003)
+    assert found.estimate == pytest.approx(found.value - found.off.mean())
+    assert found.error == pytest.approx(np.std(found.off))
+    plain = found.as_estimate
+    assert (plain.value, plain.error, plain.n) == (found.value, found.error, 100)
+    assert plain.interval == found.interval
+
+
+FORCE: Floats = np.full(200, 50.0)
+
+
+def gained(trace: Trace, x: float) -> Trace:
+    return replace(trace, force=trace.force * (1.0 + 0.02 * x))
+
+
+def raised(trace: Trace, x: float) -> Trace:
+    return replace(trace, force=trace.force - 0.3 * x)
+
+
+def pushed(trace: Trace, x: float) -> Trace:
+    return replace(trace, displacement=trace.displacement + 1e-4 * x)
+
+
+def later(trace: Trace, x: float) -> Trace:
+    return replace(trace, beyond=x)
+
+
+def budget(found: Measured) -> dict[str, float]:
+    return {each.cause: each.change for each in found.budget}
+
+
+def test_gain_and_zero_by_hand() -> None:
+    """2 % of 50 N, and -0.3 N: signs stay; without noise they are all there is."""
+    gain, zero = Input(SCALE_OF_FORCE, gained), Input(ZERO_OF_FORCE, raised)
+    (found,) = measured(trace_of(FORCE), mean, gain, zero)
+    assert budget(found) == pytest.approx({SCALE_OF_FORCE: 1.0, ZERO_OF_FORCE: -0.3})
+    assert [each.is_common for each in found.budget] == [True, False]
+    assert found.error == pytest.approx(np.hypot(1.0, 0.3), rel=0.07)
+    half = 1.96 * np.hypot(1.0, 0.3)
+    assert found.interval.lower == pytest.approx(50.0 - half, abs=0.25)
+    assert found.interval.upper == pytest.approx(50.0 + half, abs=0.25)
+    assert found.estimate == pytest.approx(50.0, abs=0.05)
+
+
+def test_what_moves_together_cancels() -> None:
+    """A ratio of two forces does not know the gain; each row has its own share of a draw."""
+
+    def both(trace: Trace) -> tuple[Floats, ...]:
+        first, second = trace.force[..., 0], 3.0 * trace.force[..., 1]
+        return first, second, second / first, second - 3.0 * first
+
+    gain = Input(SCALE_OF_FORCE, gained)
+    one, three, ratio, none = measured(trace_of(FORCE), both, gain)
+    assert budget(one) == pytest.approx({SCALE_OF_FORCE: 1.0})
+    assert budget(three) == pytest.approx({SCALE_OF_FORCE: 3.0})
+    assert three.off == pytest.approx(3.0 * one.off)
+    for each in (ratio, none):
+        assert each.error == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_rectangular_input() -> None:
+    """Half width sqrt(3) u: 95 % of it lie within 0.95 sqrt(3) u."""
+    (found,) = measured(trace_of(FORCE), mean, Input(ZERO_OF_FORCE, raised, law="uniform"))
+    half = 0.95 * 3.0**0.5 * 0.3
+    assert found.interval.lower == pytest.approx(50.0 - half, abs=0.01)
+    assert found.interval.upper == pytest.approx(50.0 + half, abs=0.01)
+    assert budget(found) == pytest.approx({ZERO_OF_FORCE: -0.3})
+
+
+def test_a_step_lies_on_one_side() -> None:
+    """The truth lies within a step of 4 N behind 50 N, anywhere: from 50 to 54 N."""
+
+    def end(trace: Trace) -> tuple[Floats]:
+        return (trace.force[..., -1] + 4.0 * trace.beyond,)
+
+    given = Input(STEP, later, law="step", moves_curve=False)
+    (found,) = measured(trace_of(FORCE), end, given)
+    assert found.interval.lower == pytest.approx(50.1, abs=0.02)
+    assert found.interval.upper == pytest.approx(53.9, abs=0.02)
+    assert found.estimate == pytest.approx(52.0, abs=0.02)
+    assert budget(found) == pytest.approx({STEP: 4.0 / 12.0**0.5})
+    assert found.error == pytest.approx(4.0 / 12.0**0.5, rel=0.02)
+
+
+def test_an_input_that_changes_more_upwards() -> None:
+    """A zero higher by x adds 3 x, lower by x takes 1 x: the truth may lie 3 u below, 1 u above.
+
+    Where the zero was taken u too high, the number reads T(0) and was T(-u): 1 u is too much.
+    """
+
+    def bent(trace: Trace) -> tuple[Floats]:
+        way = trace.displacement[..., 0] / 1e-4
+        return (np.where(way > 0.0, 3.0 * way, way),)
+
+    still = trace_of(FORCE, np.zeros(200))
+    (found,) = measured(still, bent, Input(ZERO_OF_DISPLACEMENT, pushed))
+    assert found.interval.lower == pytest.approx(-1.96, abs=0.1)
+    assert found.interval.upper == pytest.approx(3.0 * 1.96, abs=0.3)
+    assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
+
+
+def test_inputs_of_one_cause_have_one_row() -> None:
+    inputs = [Input(SECTION, raised, stream=name) for name in ("width", "thickness")]
+    (found,) = measured(trace_of(FORCE), mean, *inputs)
+    assert budget(found) == pytest.approx({SECTION: 0.3 * 2.0**0.5})
+    assert found.error == pytest.approx(0.3 * 2.0**0.5, rel=0.08)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_budget_adds_up_to_the_variance(seed: int) -> None:
+    """Of inputs exactly but for their draws, of noise as it was drawn."""
+    rng = RNG(seed)
+    shares = rng.uniform(0.05, 1.0, 3)
+
+    def moved(name: int) -> Input:
+        def by(trace: Trace, x: float) -> Trace:
+            return replace(trace, force=trace.force + shares[name] * x)
+
+        cause = (ZERO_OF_FORCE, GRIP, SECTION)[name]
+        return Input(cause, by, law=("normal", "uniform", "normal")[name])
+
+    record = rng.normal(0.0, 3.0, 40) + 50.0
+    (found,) = measured(trace_of(record), mean, *(moved(name) for name in range(3)))
+    rows = budget(found)
+    assert set(rows) == {NOISE, ZERO_OF_FORCE, GRIP, SECTION}
+    assert [rows[ZERO_OF_FORCE], rows[GRIP], rows[SECTION]] == pytest.approx(shares)
+    assert np.sum(np.square(list(rows.values()))) == pytest.approx(found.error**2, rel=0.2)
+
+
+def test_noise_in_the_budget_is_its_standard_deviation() -> None:
+    (found,) = measured(trace_of(FORCE + RNG(0).normal(size=200)), mean)
+    assert budget(found) == pytest.approx({NOISE: np.std(found.off)})
+    assert budget(found)[NOISE] == pytest.approx(200.0**-0.5, rel=0.35)
+
+
+def test_filters_are_part_of_the_number() -> None:
+    """Means of five: noise of 5^-1/2, and the flank that they cut off a top is in the interval."""
+
+    def five(values: Floats) -> Floats:
+        rows = np.lib.stride_tricks.sliding_window_view(values, 5, axis=-1).mean(axis=-1)
+        return np.concatenate([values[..., :2], rows, values[..., -2:]], axis=-1)
+
+    top = 20.0 - 0.5 * np.abs(np.arange(401.0) - 200.0)
+    record = five(top + RNG(0).normal(0.0, 0.01, 401))
+    raw = top + RNG(0).normal(0.0, 0.01, 401)
+    trace, unfiltered = trace_of(record), trace_of(raw)
+    made = replicates_of(unfiltered, cuts=[200], filters=(lambda x: x, five))
+    found = measure(replace(made, measured=trace), lambda _: Reading(largest, 400))
+    assert isinstance(found, tuple)
+    assert found[0].value == pytest.approx(19.4, abs=0.02)  # mean of 19, 19.5, 20, 19.5, 19
+    assert found[0].interval.lower <= 20.0 <= found[0].interval.upper
+    assert width(found[0]) < 0.1
+
+
+def test_a_number_that_is_not_in_the_curve() -> None:
+    why = Failure("not_reached", "the branch ends")
+    made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
+    assert measure(made, lambda _: why) is why
+
+    def only_measured(trace: Trace) -> Reading | Failure:
+        return Reading(mean, 200) if trace is made.measured else why
+
+    found = measure(made, only_measured)
+    assert isinstance(found, Failure)
+    assert found.code == "no_replicate"
+    assert why.message in found.message
+
+
+@pytest.mark.parametrize(
+    ("above", "doubtful", "fails"),
+    [(1.9, False, False), (0.7, True, False), (-0.2, True, True), (-1.9, True, True)],
+    ids=["3 %", "24 %", "58 %", "97 %"],
+)
+def test_replicates_without_the_number(above: float, doubtful: bool, fails: bool) -> None:
+    """Those whose last sample lies higher than so many standard deviations have none."""
+
+    def guarded(trace: Trace) -> tuple[Floats]:
+        last = trace.force[..., -1]
+        return (np.where(last > 50.0 + above, np.nan, trace.force.mean(axis=-1)),)
+
+    record = FORCE + RNG(3).normal(size=200)
+    made = replicates_of(trace_of(record))
+    flat = replace(made.smooth, force=FORCE)
+    still = replace(
+        made, smooth=flat, measured=flat, force=FORCE + (made.force - made.smooth.force)
+    )
+    if above < 0.0:  # the curve itself has the number
+        still = replace(
+            still, smooth=replace(flat, force=FORCE - 3.0), measured=trace_of(FORCE - 3.0)
+        )
+    found = measure(still, lambda _: Reading(guarded, 200))
+    if fails:
+        assert isinstance(found, Failure)
+        assert found.code == "not_repeatable"
+        return
+    assert isinstance(found, tuple)
+    codes = [reason.code for _, reason in found[0].doubts]
+    assert codes == (["not_repeatable"] if doubtful else [])
+    assert np.isfinite([found[0].error, *vars_of(found[0])]).all()
+
+
+def vars_of(found: Measured) -> tuple[float, float, float]:
+    return found.estimate, found.interval.lower, found.interval.upper
+
+
+@pytest.mark.filterwarnings("error")
+def test_no_replicate_has_the_number() -> None:
+    def never(trace: Trace) -> tuple[Floats]:
+        return (np.full(trace.force.shape[:-1], np.nan),)
+
+    made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
+    found = measure(made, lambda _: Reading(never, 200))
+    assert isinstance(found, Failure)
+    assert found.code == "not_repeatable"
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_an_input_that_leaves_no_number_on_one_side(side: float) -> None:
+    """There it counts as on the other side, and the number is doubtful."""
+
+    def onesided(trace: Trace) -> tuple[Floats]:
+        way = trace.displacement[..., 0]
+        return (np.where(side * way > 0.0, np.nan, 2.0 * way / 1e-4),)
+
+    still = trace_of(FORCE, np.zeros(200))
+    (found,) = measured(still, onesided, Input(ZERO_OF_DISPLACEMENT, pushed))
+    assert budget(found) == pytest.approx({ZERO_OF_DISPLACEMENT: 2.0})
+    assert found.interval.upper == pytest.approx(3.92, abs=0.2)
+    assert found.interval.lower == pytest.approx(-3.92, abs=0.2)
+    assert [reason.code for _, reason in found.doubts] == ["not_repeatable"]
+
+
+def test_windows_are_decided_anew_where_the_curve_moves() -> None:
+    """Force where the displacement passes 1 mm: moved by 0.1 mm it lies 10 samples elsewhere."""
+
+    def at(trace: Trace) -> Reading | Failure:
+        sample = int(np.searchsorted(trace.displacement, 1.005e-3))
+        if sample > 108:
+            return Failure("not_reached", "too far")
+        return Reading(lambda each: (each.force[..., sample],), 1)
+
+    trace = trace_of(np.arange(200.0))
+    for moves, by in ((True, -10.0), (False, 0.0)):
+        given = Input(GRIP, pushed, moves_curve=moves)
+        found = measure(replicates_of(trace, given), at)
+        assert isinstance(found, tuple)
+        # Lower by 0.1 mm it is not reached: there the samples stay as they were.
+        assert budget(found[0]) == pytest.approx({GRIP: 0.5 * by} if moves else {})
+
+
+def test_values_from_more_samples() -> None:
+    """The plain number is given; the doubt is that of the curve."""
+    record = FORCE + RNG(0).normal(size=200)
+    made = replicates_of(trace_of(record))
+    reading = Reading(mean, 200)
+    (plain,), (given,) = (
+        found
+        for found in (measure(made, lambda _: reading), measure(made, lambda _: reading, [51.0]))
+        if isinstance(found, tuple)
+    )
+    assert given.value == 51.0
+    assert plain.value == pytest.approx(record.mean())
+    assert np.array_equal(given.off, plain.off)
+
+
+def test_samples_moved_by_noise() -> None:
+    """Each replicate is read where it says, the smooth curve where it was decided."""
+    reading = Reading(mean, 200, lambda trace: (trace.force.max(axis=-1),))
+    made = replicates_of(trace_of(FORCE + RNG(0).normal(size=200)))
+    found = measure(made, lambda _: reading)
+    assert isinstance(found, tuple)
+    assert found[0].value - found[0].estimate == pytest.approx(2.75, rel=0.15)
+
+
+def slow(tau: float, count: int, seed: int = 0) -> Floats:
+    kicks, factor = RNG(seed).normal(size=count), np.exp(-1.0 / tau)
+    found = np.zeros(count)
+    for at in range(1, count):
+        found[at] = factor * found[at - 1] + kicks[at]
+    return 1000.0 + found
+
+
+@pytest.mark.parametrize(
+    ("tau", "count", "window", "is_slow"),
+    [
+        (0.1, 3000, 3000, False),
+        (20.0, 3000, 3000, False),
+        (20.0, 3000, 60, True),
+        (20.0, 3000, 1, False),
+    ],
+)
+def test_noise_as_slow_as_the_number(tau: float, count: int, window: int, is_slow: bool) -> None:
+    """Over a fifth of the window; one sample has no window."""
+    (found,) = measured(trace_of(slow(tau, count)), mean, n=window)
+    assert [(name, each.code) for name, each in found.doubts] == (
+        [("force", "slow_noise")] if is_slow else []
+    )
+
+
+@pytest.mark.parametrize("share", [0.03, 0.05])
+def test_noise_as_slow_as_the_record(share: float) -> None:
+    """It surely remembers a twentieth of it, the longest that is looked for; or three in five."""
+    made = replicates_of(trace_of(slow(20.0, 3000)))
+    chances = np.zeros(len(made.noises["force"].chances))
+    chances[[0, 48]] = 1.0 - share / 0.05, share / 0.05
+    noise = replace(made.noises["force"], chances=chances)
+    assert noise.memory == pytest.approx(3000 * share)
+    found = measure(replace(made, noises={"force": noise}), lambda _: Reading(mean, 3000))
+    assert isinstance(found, tuple)
+    codes = [reason.code for _, reason in found[0].doubts]
+    assert codes == (["slow_noise"] if share == 0.05 else [])
+
+
+def test_noise_that_is_not_alike() -> None:
+    """A third of a record is a hundred times as noisy, and another third swings."""
+    record = RNG(0).normal(size=3000)
+    record[1000:2000] *= 100.0
+    record[2000:] *= 1e4
+    (found,) = measured(trace_of(record), mean)
+    assert "uneven_noise" in [reason.code for _, reason in found.doubts]
+    (found,) = measured(trace_of(RNG(0).normal(size=3000)), mean)
+    assert not found.doubts
+
+
+def test_an_interval_without_width_is_doubtful() -> None:
+    (found,) = measured(trace_of(FORCE), mean)
+    assert [reason.code for _, reason in found.doubts] == ["no_width"]
+    assert found.budget == ()
+    (found,) = measured(trace_of(FORCE), mean, Input(ZERO_OF_FORCE, raised))
+    assert not found.doubts

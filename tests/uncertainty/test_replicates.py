@@ -1,0 +1,264 @@
+"""Smooth records, and curves drawn around them: by polynomials, plain numpy and hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch, Direction
+from labpipe.uncertainty.readings import Trace
+from labpipe.uncertainty.replicates import COUNT, Input, Law, smooth_curve, stream
+from tests.builders.noisy_curves import as_it_is, replicates_of, trace_of
+
+RNG = np.random.default_rng
+TIME: Floats = 0.01 * np.arange(1000.0)
+
+
+def cubic(at: Floats) -> Floats:
+    return 2.0 + 3.0 * at - 0.5 * at**2 + 0.04 * at**3
+
+
+def test_a_cubic_is_its_own_smooth_curve() -> None:
+    assert smooth_curve(TIME, cubic(TIME), [], 12) == pytest.approx(cubic(TIME), abs=1e-9)
+    uneven = np.sort(RNG(0).uniform(0.0, 10.0, 400))
+    assert smooth_curve(uneven, cubic(uneven), [], 12) == pytest.approx(cubic(uneven), abs=1e-9)
+
+
+def test_every_piece_has_a_cubic_of_its_own() -> None:
+    """With a jump and a change of slope at samples 300 and 720."""
+    values = np.where(TIME < 3.0, cubic(TIME), -50.0 * TIME)
+    values = np.where(TIME < 7.2, values, 300.0 + TIME**2)
+    found = smooth_curve(TIME, values, [300, 720], 12)
+    assert found == pytest.approx(values, abs=1e-8)
+    assert np.abs(smooth_curve(TIME, values, [], 12) - values).max() > 1.0
+
+
+def test_gaps_stay_and_harm_nothing() -> None:
+    values = cubic(TIME)
+    values[[0, 5, 100]] = values[300:620] = values[990:] = np.nan
+    found = smooth_curve(TIME, values, [], 12)
+    assert np.array_equal(np.isnan(found), np.isnan(values))
+    known = ~np.isnan(values)
+    assert found[known] == pytest.approx(values[known], abs=1e-8)
+
+
+def test_no_gaps_are_too_many() -> None:
+    """Whatever is missing: every spline of the basis has samples beneath it."""
+    for seed in range(150):
+        rng = RNG(seed)
+        count = int(rng.integers(2, 400))
+        time: Floats = np.arange(float(count))
+        values = 1.0 + 0.1 * time
+        for _ in range(rng.integers(0, 12)):
+            start = int(rng.integers(0, count))
+            values[start : start + int(rng.integers(1, 60))] = np.nan
+        cuts = rng.integers(0, count, 3).tolist()
+        found = smooth_curve(time, values, cuts, int(rng.choice([12, 40])))
+        assert np.array_equal(np.isnan(found), np.isnan(values))
+        assert np.nan_to_num(found) == pytest.approx(np.nan_to_num(values), abs=1e-7)
+
+
+@pytest.mark.parametrize(("count", "columns"), [(16, 5), (30, 6), (60, 10), (96, 15), (3000, 15)])
+def test_freedom_of_the_spline(count: int, columns: int) -> None:
+    """A projection on p columns leaves p / n of the variance; an interval has 8 samples or more."""
+    time: Floats = np.arange(float(count))
+    rows = RNG(1).normal(size=(600, count))
+    left = np.array([smooth_curve(time, row, [], 12) for row in rows])
+    assert np.sum(left**2) / 600 == pytest.approx(columns, rel=0.06)
+
+
+def test_a_cyclic_branch_is_followed_more_closely() -> None:
+    rows = RNG(1).normal(size=(100, 1000))
+    left = np.array([smooth_curve(TIME, row, [], 40) for row in rows])
+    assert np.sum(left**2) / 100 == pytest.approx(43.0, rel=0.06)
+
+
+def test_a_short_piece_is_a_line() -> None:
+    """By hand: (0, 1), (1, 3), (2, 2) have the line 1.5 + 0.5 t."""
+    time = np.array([0.0, 1.0, 2.0])
+    assert smooth_curve(time, np.array([1.0, 3.0, 2.0]), [], 12) == pytest.approx([1.5, 2.0, 2.5])
+    values = RNG(0).normal(size=15)
+    line = np.polyval(np.polyfit(TIME[:15], values, 1), TIME[:15])
+    assert smooth_curve(TIME[:15], values, [], 12) == pytest.approx(line)
+
+
+def test_two_samples_and_a_time_that_stands_stay() -> None:
+    two = np.array([4.0, 9.0])
+    assert np.array_equal(smooth_curve(TIME[:2], two, [], 12), two)
+    values = RNG(0).normal(size=40)
+    assert np.array_equal(smooth_curve(np.zeros(40), values, [], 12), values)
+    assert np.isnan(smooth_curve(TIME[:30], np.full(30, np.nan), [10], 12)).all()
+
+
+def test_the_record_itself_is_not_changed() -> None:
+    values = RNG(0).normal(size=1000)
+    before = values.copy()
+    smooth_curve(TIME, values, [500], 12)
+    assert np.array_equal(values, before)
+
+
+def test_streams() -> None:
+    """The same for the same name and record, else another."""
+    first = stream(b"a", "force").normal(size=5)
+    assert np.array_equal(first, stream(b"a", "force").normal(size=5))
+    for other in (stream(b"b", "force"), stream(b"a", "displacement")):
+        assert not np.isclose(first, other.normal(size=5)).any()
+
+
+def unmoved(trace: Trace, x: float) -> Trace:
+    del x
+    return trace
+
+
+@pytest.mark.parametrize(
+    ("law", "low", "high", "mean", "deviation"),
+    [
+        ("normal", -np.inf, np.inf, 0.0, 1.0),
+        ("uniform", -(3.0**0.5), 3.0**0.5, 0.0, 1.0),
+        ("step", -1.0, 0.0, -0.5, 12.0**-0.5),
+    ],
+)
+def test_draws_of_an_input(
+    law: Law, low: float, high: float, mean: float, deviation: float
+) -> None:
+    given = Input("zero of the force", unmoved, law=law)
+    found = replicates_of(trace_of(TIME)).draws(given)
+    assert found.shape == (COUNT,)
+    assert low <= found.min() < found.max() <= high
+    assert np.mean(found) == pytest.approx(mean, abs=0.01)
+    assert np.std(found) == pytest.approx(deviation, rel=0.02)
+    # Few of a normal one are beyond 1.96, none of a rectangle.
+    share = np.mean(np.abs(found - mean) > 1.96 * deviation)
+    assert share == pytest.approx(0.05 if law == "normal" else 0.0, abs=0.004)
+    wanted = 12.0**-0.5 if law == "step" else 1.0
+    assert given.deviation == pytest.approx(wanted)
+
+
+def test_an_input_is_drawn_once_for_all_numbers() -> None:
+    found, other = replicates_of(trace_of(TIME)), replicates_of(trace_of(TIME), seed=b"other")
+    given = Input("zero of the force", unmoved)
+    draws = found.draws(given)
+    assert np.array_equal(draws, found.draws(given))
+    for one in (
+        other.draws(given),
+        found.draws(replace(given, cause="scale of the force")),
+        found.draws(replace(given, stream="width")),
+    ):
+        assert abs(np.corrcoef(draws, one)[0, 1]) < 0.2
+    same = replace(given, cause="section", stream="zero of the force")
+    assert np.array_equal(found.draws(same), draws)
+    known = np.arange(float(COUNT))
+    assert found.draws(replace(given, draws=known)) is known
+
+
+def test_replicates_scatter_about_the_smooth_curve() -> None:
+    force, way = cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000), TIME + RNG(2).normal(0.0, 0.02, 1000)
+    found = replicates_of(trace_of(force, way))
+    assert found.force.shape == found.displacement.shape == (COUNT, 1000)
+    for drawn, smooth, truth, spread in (
+        (found.force, found.smooth.force, cubic(TIME), 0.3),
+        (found.displacement, found.smooth.displacement, TIME, 0.02),
+    ):
+        assert np.std(smooth - truth) < 0.25 * spread
+        assert np.mean(drawn, axis=0) == pytest.approx(smooth, abs=0.35 * spread)
+        assert np.std(drawn - smooth) == pytest.approx(spread, rel=0.08)
+    apart = (found.force - found.smooth.force)[:, 500] * (found.displacement - TIME)[:, 500]
+    assert abs(np.mean(apart)) < 0.2 * 0.3 * 0.02
+    assert np.array_equal(found.measured.force, force)
+
+
+def test_the_replicates_are_read_some_at_a_time() -> None:
+    found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000)))
+    traces = list(found.traces())
+    assert len(traces) > 1
+    assert np.array_equal(np.concatenate([each.force for each in traces]), found.force)
+    ways = np.concatenate([each.displacement for each in traces])
+    assert ways == pytest.approx(np.broadcast_to(1e-3 * TIME, (COUNT, 1000)), abs=1e-12)
+    assert np.array_equal(traces[0].time, TIME)
+
+
+def test_the_same_record_and_seed_have_the_same_replicates() -> None:
+    trace = trace_of(cubic(TIME) + RNG(1).normal(0.0, 0.3, 1000))
+    first = replicates_of(trace)
+    assert np.array_equal(first.force, replicates_of(trace).force)
+    assert not np.isclose(first.force, replicates_of(trace, seed=b"other").force).all(axis=1).any()
+
+
+def test_filters_act_on_the_replicates_and_not_on_the_smooth_curve() -> None:
+    def halved(values: Floats) -> Floats:
+        return 0.5 * values
+
+    trace = trace_of(10.0 + RNG(1).normal(0.0, 0.3, 1000))
+    found = replicates_of(trace, filters=(as_it_is, halved))
+    assert found.smooth.force.mean() == pytest.approx(10.0, abs=0.1)
+    assert found.force.mean() == pytest.approx(5.0, abs=0.1)
+    assert np.std(found.force) == pytest.approx(0.15, rel=0.1)
+    found = replicates_of(trace, filters=(halved, as_it_is))
+    assert found.displacement[0] == pytest.approx(0.5e-3 * TIME, abs=1e-12)
+
+
+def test_of_cycles_forty_parts_are_followed() -> None:
+    """A wave of 80 samples: a loading of twelve parts does not follow it, a cycle does."""
+    wave = np.sin(2.0 * np.pi * np.arange(1000) / 80.0)
+    trace = trace_of(wave)
+    loose = replicates_of(trace).smooth.force
+    branches = (
+        Branch(0, 999, 1, Direction.LOADING, 0.0, 9.9),
+        Branch(999, 1000, 1, Direction.UNLOADING, 9.9, 10.0),
+    )
+    close = replicates_of(replace(trace, branches=branches)).smooth.force
+    assert np.std(loose - wave) > 0.5
+    assert np.std(close - wave) < 0.05
+
+
+def test_what_is_left_of_a_specimen_is_not_its_noise() -> None:
+    """It swings after the break, 20 times as far."""
+    force = 10.0 * TIME + RNG(0).normal(size=1000)
+    force[600:] = 20.0 * RNG(1).normal(size=400)
+    found = replicates_of(trace_of(force, failed_at=599), cuts=[600])
+    off = found.force[:, :600] - found.smooth.force[:600]
+    assert np.std(off) == pytest.approx(1.0, rel=0.15)
+
+
+def test_noise_of_a_specimen_that_broke_at_once() -> None:
+    """Six samples say nothing; what follows them does."""
+    force = RNG(0).normal(size=1000)
+    force[:6] += np.arange(6.0)
+    found = replicates_of(trace_of(force, failed_at=5), cuts=[6])
+    assert np.std(found.force - found.smooth.force) == pytest.approx(1.0, rel=0.2)
+
+
+def test_compliance_is_taken_off_with_the_noise_of_the_force() -> None:
+    """10 um/N and noise of 1 N: 10 um of the displacement, against that of the force."""
+    force = 10.0 * TIME + RNG(0).normal(size=1000)
+    found = replicates_of(trace_of(force, TIME), compliance=1e-5)
+    assert found.smooth.displacement == pytest.approx(TIME - 1e-5 * found.smooth.force, abs=1e-9)
+    assert found.displacement == pytest.approx(TIME - 1e-5 * found.force, abs=1e-9)
+
+
+def test_counting_displacements_from_elsewhere() -> None:
+    found = replicates_of(trace_of(cubic(TIME) + RNG(1).normal(size=1000)))
+    given = Input("slack", unmoved)
+    moved = found.displaced(-2e-3, given)
+    for before, after in (
+        (found.measured, moved.measured),
+        (found.smooth, moved.smooth),
+        (next(found.traces()), next(moved.traces())),
+    ):
+        assert after.displacement == pytest.approx(before.displacement - 2e-3, abs=1e-15)
+        assert np.array_equal(after.force, before.force)
+    assert (found.inputs, moved.inputs) == ((), (given,))
+    assert moved.seed == found.seed
+
+
+def test_small_noise_on_large_numbers() -> None:
+    """5 kN with 0.01 N, 300 mm with 1 um, and a hundred kilonewtons with a millinewton."""
+    for level, way, spread in ((5e3, 5e3, 0.01), (0.3, 0.3, 1e-6), (1e5, 1.0, 1e-3)):
+        force = level + way * TIME / 10.0 + RNG(0).normal(0.0, spread, 1000)
+        found = replicates_of(trace_of(force))
+        off = found.force - found.smooth.force
+        assert np.std(off) == pytest.approx(spread, rel=0.1)
+        assert len(np.unique(off[:, 500])) > 390
