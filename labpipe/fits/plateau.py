@@ -154,7 +154,7 @@ class Tangents:
         levels = _levels(self.path.displacement, f, place, 0.5 * self.over)
         return place.reshape(shape), levels.reshape(shape)
 
-    def corners(self, force: Floats, at: float, slope: float) -> tuple[float, float]:
+    def corners(self, force: Floats, at: float, slope: float) -> tuple[float, float, float]:
         """What tangents of half the length change about an onset.
 
         Parameters
@@ -165,8 +165,9 @@ class Tangents:
 
         Returns
         -------
-        Change of the place, m, and of the force, N. A tangent smears a corner over its length,
-        which moves the onset; the parabola that the force is read from cuts it.
+        Change of the place, m, and of the force there, N; and the slope beyond the place, N/m, half
+        a tangent on. A tangent smears a corner over its length, which moves the onset; the parabola
+        that the force is read from cuts it.
         """
         d, f, half = self.path.displacement, self.path.force(force), 0.5 * self.over
         near = at + self.over * np.linspace(0.5, -0.5, 2 * _STEPS + 1)
@@ -179,7 +180,8 @@ class Tangents:
         whole, short = (
             float(_levels(d, f[None], np.array([at]), over)[0]) for over in (self.over, half)
         )
-        return 0.0 if np.isnan(found) else float(found) - at, short - whole
+        beyond = np.interp(at + half, self.places[::-1], (self.rows @ f)[::-1])
+        return 0.0 if np.isnan(found) else float(found) - at, short - whole, float(beyond)
 
 
 def _reached(places: Floats, slopes: Floats, wanted: Floats) -> Floats:

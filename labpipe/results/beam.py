@@ -134,8 +134,13 @@ class Plateau(Kind):
             return 0.0
         return float(tangents.slope_at_end(f) - before.slope_at_end(f[:-1]))
 
-    def _decide_onset(self, trace: Trace, *, initial: Decide) -> Reading | Failure:
-        """Decide on the place from which on the curve is flat, and the force there."""
+    def _decide_onset(
+        self, trace: Trace, *, initial: Decide, corner: tuple[float, float] = (0.0, 0.0)
+    ) -> Reading | Failure:
+        """Decide on the place from which on the curve is flat, and the force there.
+
+        With how far off the truth may lie for the length of the tangents.
+        """
         begun = self._begun(trace, initial)
         if isinstance(begun, Failure):
             return begun
@@ -145,23 +150,29 @@ class Plateau(Kind):
             (d, f), begin = _loading(trace), slope.numbers(trace)[0]
             return tangents.onset(f, begin, d, slope_below=self.slope_below)
 
-        place, level = (float(each) for each in plain(trace))
-        if np.isnan(place):
-            return Failure("no_plateau", "the curve is nowhere steeper than at its end")
-        if np.isnan(level):
-            message = f"half of {1e3 * self.over:g} mm about the onset holds too few samples"
-            return Failure("too_few_samples", message)
-        steep = self.slope_below * float(slope.numbers(trace)[0])
-        shorter, smeared, cut = trace.sizes.get(TANGENT, 0.0), 0.0, 0.0
-        if shorter:
-            change = tangents.corners(_loading(trace)[1], place, steep)
-            smeared, cut = _SMEARED * shorter * change[0], _CUT * shorter * change[1]
+        if np.isnan(plain(trace)[1]):
+            return Failure("no_plateau", "nowhere steeper, or too few samples about the onset")
 
         def numbers(trace: Trace) -> tuple[Floats, Floats]:
-            place, level = plain(trace)
-            return place + smeared, level + cut + steep * smeared
+            (place, level), shorter = plain(trace), trace.sizes.get(TANGENT, 0.0)
+            return place + shorter * corner[0], level + shorter * corner[1]
 
         return Reading(numbers, len(tangents.last))
+
+    def _corner(self, test: Evidence, initial: Decide) -> tuple[float, float]:
+        """How far off the onset may lie for the length of the tangents, m and N.
+
+        By the measured curve: the smooth one may have no corners of this size.
+        """
+        trace = traced(test)
+        begun = self._begun(trace, initial)
+        reading = self._decide_onset(trace, initial=initial)
+        if isinstance(begun, Failure) or isinstance(reading, Failure):
+            return 0.0, 0.0
+        (tangents, slope), (place, _) = begun, reading.numbers(trace)
+        steep = self.slope_below * float(slope.numbers(trace)[0])
+        smeared, cut, beyond = tangents.corners(_loading(trace)[1], float(place), steep)
+        return _SMEARED * smeared, _CUT * cut + _SMEARED * smeared * beyond
 
     def _onset(
         self, test: Evidence, initial: Stiffness, end: Result
@@ -187,7 +198,8 @@ class Plateau(Kind):
             return NO_LOADING
         length = Input(TANGENT, _shortened, law="step")
         more = replace(known, inputs=(*known.inputs, length))
-        return measure(more, partial(self._decide_onset, initial=initial.decide))
+        decide = partial(self._decide_onset, initial=initial.decide)
+        return measure(more, partial(decide, corner=self._corner(test, initial.decide)))
 
     def _no_plateau(self, test: Evidence, end: Result) -> Finding:
         reached = float(np.nanmax(test.known_curve.displacement[test.loading_stretch]))

@@ -153,7 +153,8 @@ def test_what_a_corner_hides() -> None:
     force = np.where(D < 0.03, 300.0, 10.0) * (D - 0.03) + 9.0
     tangents = tangents_of(D, force)
     at, level = tangents.onset(force, np.array(300.0), slope_below=0.1)
-    place, cut = tangents.corners(force, float(at), 30.0)
+    place, cut, beyond = tangents.corners(force, float(at), 30.0)
+    assert beyond == pytest.approx(10.0)
     assert 0.0 < float(at) - 0.03 < 0.5 * OVER
     # Half the length smears half as far, and cuts half as much.
     assert place == pytest.approx(0.5 * (0.03 - float(at)), rel=0.1)

@@ -11,7 +11,7 @@ from labpipe.errors import ProtocolError
 from labpipe.process.story import Reduced
 from labpipe.protocol.load import parse_protocol
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import SHAPE
+from labpipe.records.causes import SHAPE, TANGENT
 from labpipe.records.result import Result, Status
 from labpipe.results.beam import Plateau
 from labpipe.results.evidence import Evidence
@@ -30,6 +30,7 @@ from tests.builders.bundle_loops import (
     width,
 )
 from tests.builders.doubts import doubted
+from tests.builders.pulls import pull, pulled
 from tests.builders.reduced import reduced, reduction
 from tests.builders.three_point import CONDUIT, BendingRecord
 from tests.builders.three_point import reduced as reduced_bending
@@ -47,6 +48,7 @@ results:
     length_uncertainty: 1 mm
 """
 LENGTH = "specimen: {length: 100 mm}\n"
+PLATEAU = "plateau, slope_below: 10 %, of: stiffness, over: 2 mm"
 
 
 def asked(
@@ -76,6 +78,118 @@ def test_plateau(done: Reduced, usual: tuple[Evidence, dict[str, Result]]) -> No
     assert "no_plateau" not in {note.code for note in test.findings.notes}
     assert [line.result for line in done.lines] == ["before_kink", "behind_kink", "slope_at_end"]
     assert done.lines[2].slope == pytest.approx(FLAT, abs=1.0)
+
+
+def cornered(over: str, seed: int = 0) -> dict[str, Result]:
+    """5 N/mm up to a corner at 12 mm, 0.1 N/mm behind it; the tangent falls below a fifth there."""
+    travel, force = pull(seed=seed)
+    flat = force - 4900.0 * np.maximum(travel - 0.012, 0.0)
+    line = "stiffness, from: 1 mm, to: 3 mm"
+    tangents = f"plateau, slope_below: 20 %, of: stiffness, over: {over}"
+    return pulled(travel, flat, results=[line, tangents])[1]
+
+
+@pytest.mark.parametrize("over", ["1 mm", "2 mm", "5 mm"])
+def test_a_corner_that_tangents_smear_is_in_the_interval(over: str) -> None:
+    results = cornered(over)
+    for name, true in (("plateau_displacement", 0.012), ("plateau_force", 60.0)):
+        found = results[name]
+        assert found.interval is not None
+        assert found.estimate is not None
+        assert found.value is not None
+        assert found.interval.lower < true < found.interval.upper
+        assert max(found.budget, key=lambda each: abs(each.change)).cause == TANGENT
+        if name == "plateau_displacement":
+            assert found.value - true > 3.0 * abs(found.estimate - true)  # a quarter is left
+
+
+def test_the_doubt_about_a_corner_by_hand() -> None:
+    """Lines over half the tangent leave half the smear: up to three times what they change."""
+    travel, force = pull()
+    flat = force - 4900.0 * np.maximum(travel - 0.012, 0.0)
+    places = np.arange(0.0113, 0.0133, 1e-5)
+
+    def onset(over: float) -> float:
+        slopes = []
+        for at in places:
+            near = np.abs(travel - at) <= 0.5 * over
+            slopes.append(np.polyfit(travel[near] - at, flat[near], 2)[1])
+        return float(places[np.flatnonzero(np.array(slopes) >= 1000.0)[-1]])
+
+    change = onset(0.001) - onset(0.002)
+    by_hand = abs(change) * 3.0 / np.sqrt(12.0)  # a rectangle on one side
+    (found,) = (
+        each.change
+        for each in cornered("2 mm")["plateau_displacement"].budget
+        if each.cause == TANGENT
+    )
+    assert abs(found) == pytest.approx(by_hand, rel=0.06)
+
+    results = cornered("2 mm")
+    at = results["plateau_displacement"].value
+    assert at is not None
+    short, whole = (
+        float(np.polynomial.Polynomial.fit(travel[near], flat[near], 2)(at))
+        for near in (np.abs(travel - at) <= 0.5e-3, np.abs(travel - at) <= 1e-3)
+    )
+    by_hand = 2.0 * (short - whole) - 3.0 * abs(change) * 100.0  # 0.1 N/mm behind the corner
+    (found,) = (each.change for each in results["plateau_force"].budget if each.cause == TANGENT)
+    assert found == pytest.approx(by_hand / np.sqrt(12.0), rel=0.06)
+
+
+def test_no_plateau_where_the_end_is_not_surely_flat() -> None:
+    """A slope at the end of 9.9 % that is known to a hundredth of itself, and one of 9 %."""
+    travel, force = pull()
+    for share, is_there in ((0.099, False), (0.09, True)):
+        flat = force - (1.0 - share) * 5e3 * np.maximum(travel - 0.008, 0.0)
+        line = "stiffness, from: 1 mm, to: 3 mm"
+        results = pulled(travel, flat, results=[line, PLATEAU])[1]
+        value, interval = results["end_slope"].value, results["end_slope"].interval
+        assert value is not None
+        assert interval is not None
+        assert value < 0.1
+        assert (interval.upper < 0.1) == is_there
+        assert ("plateau_displacement" in results) == is_there
+
+
+def test_no_plateau_where_tangents_are_nowhere_steep() -> None:
+    """Steep over a tenth of a tangent alone."""
+    travel, force = pull()
+    flat = force - 5e3 * np.maximum(travel - 2e-4, 0.0)
+    asked = ["stiffness, from: 0 mm, to: 0.18 mm", PLATEAU.replace("10 %", "25 %")]
+    test, results = pulled(travel, flat, results=asked)
+    assert "plateau_displacement" not in results
+    assert "no_plateau" in [note.code for note in test.findings.notes]
+
+
+def test_no_share_of_a_slope_that_falls() -> None:
+    travel, force = pull()
+    asked = ["stiffness, from: 1 mm, to: 3 mm", PLATEAU]
+    falls = force - 5.5e3 * np.minimum(travel, 0.004)
+    found = pulled(travel, falls, results=asked)[1]["end_slope"]
+    assert "no_stiffness: the slope at the start is -5" in found.why
+
+
+@pytest.mark.parametrize("shaken", [0.0, 5e-5])
+def test_width_of_an_onset_as_the_scatter_over_records(shaken: float) -> None:
+    """50 um of noise of the displacement count for 40 mN at the onset, 20 mN are in the force."""
+    found = []
+    for seed in range(30):
+        travel, noisy = pull(seed=seed)
+        force = noisy - 5e3 * travel + 40.0 * (1.0 - np.exp(-travel / 0.005))
+        asked = ["stiffness, from: 0.3 mm, to: 1.3 mm", PLATEAU.replace("2 mm", "0.5 mm")]
+        seen = travel + np.random.default_rng(seed + 1000).normal(0.0, shaken, len(travel))
+        found.append(pulled(seen, force, results=asked)[1])
+    for name in ("end_slope", "plateau_displacement", "plateau_force"):
+        values = [each[name].value for each in found]
+        spread = float(np.std([each for each in values if each is not None], ddof=1))
+        noise = [
+            change.change
+            for each in found
+            for change in each[name].budget
+            if change.cause == "noise"
+        ]
+        assert 0.8 < float(np.median(noise)) / spread < 1.8
 
 
 def test_no_plateau_is_a_finding_and_no_failure() -> None:

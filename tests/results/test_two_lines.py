@@ -68,7 +68,7 @@ def test_budget() -> None:
 
 @pytest.mark.parametrize("shaken", [0.0, 1e-5])
 def test_width_of_the_break_as_the_scatter_over_records(shaken: float) -> None:
-    """10 um of noise of the displacement count for 50 mN, more than twice the noise of the force."""
+    """10 um of noise of the displacement count for 50 mN: twice the noise of the force."""
     found = []
     for seed in range(40):
         travel, force = bilinear(seed)
