@@ -10,7 +10,7 @@ import numpy as np
 from labpipe.fits.least_squares import line_in, polynomial_weights, slope_of_line, zero_of_line
 from labpipe.records.arrays import Flags, Floats, Ints, Samples, ratio, samples_of
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.noise import fast_noise
+from labpipe.uncertainty.noise import fast_noise, limits_by_noise
 
 _SMALL = 0.02
 """Share of the largest force of a branch that may pass for zero at most."""
@@ -93,7 +93,7 @@ class FollowedToZero:
     known, foot, near : samples of the branch: all that are not blank, and two stretches
     time, foot_time, near_time : shape (known,), (foot,), (near,), s, from the end of the foot
     is_line : whether a line through the foot falls to zero; else zero is at its end
-    limit : N, up to which a force passes for zero
+    limit, least : N, up to which a force passes for zero, and what that would be without noise
     """
 
     known: Samples
@@ -104,6 +104,7 @@ class FollowedToZero:
     near_time: Floats
     is_line: bool
     limit: float
+    least: float
 
     @property
     def n(self) -> int:
@@ -135,7 +136,10 @@ class FollowedToZero:
         Shape (rows,), m; NaN where the force does not come back to zero.
         """
         d, f, time = displacement[:, self.known], force[:, self.known], self.time
-        begin, end = _last(f > _FOOT * self.limit), _last(f > self.limit)
+        limit = np.full((len(f), 1), self.limit)
+        if self.limit > self.least:
+            limit = np.maximum(limits_by_noise(self.limit, f), self.least)[:, np.newaxis]
+        begin, end = _last(f > _FOOT * limit), _last(f > limit)
         stretch = slice(max(int(begin.min()), 0), max(int(end.max()), 0) + 1)
         numbers = np.arange(stretch.start, stretch.stop)
         foot = (numbers >= begin[:, np.newaxis]) & (numbers <= end[:, np.newaxis])
@@ -192,10 +196,8 @@ def unloaded(
     f = branch.force
     if len(f) < 2 * _LEAST:
         return Failure("too_few_samples", f"{len(f)} samples, {2 * _LEAST} are needed")
-    if like is None:
-        limit = max(_CLEAR * fast_noise(f), min(force_below, _SMALL * float(f.max())))
-    else:
-        limit = like.limit
+    least = min(force_below, _SMALL * float(f.max()))
+    limit = max(_CLEAR * float(fast_noise(f)), least) if like is None else like.limit
     above = np.flatnonzero(f > limit)
     if len(above) == 0:
         return Failure("too_few_samples", f"{len(f)} samples, none above {limit:.4g} N")
@@ -205,7 +207,7 @@ def unloaded(
     goes_on = bool(np.median(f[-_LEAST:]) < -limit)
     if goes_on if like is None else isinstance(like, ThroughZero):
         return branch.through_zero(limit)
-    return branch.slack_or_followed(limit, like)
+    return branch.slack_or_followed(limit, least, like)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,7 +239,9 @@ class _Branch:
             return Failure("too_few_samples", message)
         return ThroughZero(self.samples(near), time[near] - middle, limit)
 
-    def slack_or_followed(self, limit: float, like: Unloaded | None) -> Unloaded | Failure:
+    def slack_or_followed(
+        self, limit: float, least: float, like: Unloaded | None
+    ) -> Unloaded | Failure:
         """The foot of the force and what comes behind, where the force stays near zero."""
         last = int(np.flatnonzero(self.force > limit)[-1])
         far = np.flatnonzero(self.force > _FOOT * limit)
@@ -261,7 +265,7 @@ class _Branch:
             return Failure("too_few_samples", found)
         places = samples_of(self.known), self.samples(foot), self.samples(near)
         times = from_end, from_end[foot], from_end[near]
-        return FollowedToZero(*places, *times, falls, limit)
+        return FollowedToZero(*places, *times, falls, limit, least)
 
     def _is_slack(self, rest: Flags, limit: float) -> bool:
         """Whether the force stays near zero and the displacement moves by no more than noise."""

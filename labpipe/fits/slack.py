@@ -9,7 +9,7 @@ import numpy as np
 from labpipe.fits.least_squares import line_in, zero_of_line
 from labpipe.records.arrays import Floats, Ints, Samples, samples_of
 from labpipe.records.estimates import Failure
-from labpipe.uncertainty.noise import fast_noise
+from labpipe.uncertainty.noise import fast_noise, limits_by_noise
 
 _LEAST = 8
 _CLEAR = 4.0
@@ -125,11 +125,12 @@ class TakeUp:
         -------
         Shapes (rows,), m and samples.
         """
-        within = force[:, : self.top] <= self.limit
+        limit = limits_by_noise(self.limit, force)[:, np.newaxis]
+        within = force[:, : self.top] <= limit
         first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
         low, count = int(first.min()), force.shape[1]
         numbers = np.arange(low, count)
-        beyond = (force[:, low:] > _FOOT * self.limit) & (numbers >= first[:, np.newaxis])
+        beyond = (force[:, low:] > _FOOT * limit) & (numbers >= first[:, np.newaxis])
         last = np.where(beyond.any(1), low + np.argmax(beyond, 1), count)
         last = np.maximum(last, first + _LEAST_AT_FOOT)
         part = slice(low, min(int(last.max()), count))
@@ -179,7 +180,7 @@ def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) 
     if len(known) < 2 * _LEAST_AT_FOOT:
         return Failure("too_few_samples", f"{len(known)} samples, {2 * _LEAST_AT_FOOT} are needed")
     d, f = displacement[known], force[known]
-    limit = _CLEAR * fast_noise(f) if limit is None else limit
+    limit = _CLEAR * float(fast_noise(f)) if limit is None else limit
     top = int(np.argmax(f))
     if f[top] <= limit:
         found = f"the force reaches {f[top]:.4g} N, its noise is {limit:.4g} N"

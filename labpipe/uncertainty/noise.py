@@ -64,27 +64,47 @@ def long_run_variance(residuals: Floats, *, parameters: int) -> float:
     return max(total / lost, 0.5 * plain) * count / (count - parameters)
 
 
-def fast_noise(values: Floats) -> float:
+def fast_noise(values: Floats) -> Floats:
     """Standard deviation of a signal about parabolas through blocks of 20 samples; the median.
 
     Parameters
     ----------
-    values : shape (n,), evenly sampled, without NaN; n at least 4
+    values : shape (..., n), evenly sampled, without NaN; n at least 4
 
     Returns
     -------
-    In the unit of the values. Noise that remembers longer than a block passes for signal.
+    Shape (...), in the unit of the values. Noise that remembers longer than a block passes for
+    signal.
 
     Examples
     --------
-    >>> round(fast_noise(3.0 + np.random.default_rng(0).normal(0.0, 0.01, 4000)), 3)
+    >>> round(float(fast_noise(3.0 + np.random.default_rng(0).normal(0.0, 0.01, 4000))), 3)
     0.01
     """
-    size = min(_BLOCK, len(values))
-    rows = values[: len(values) // size * size].reshape(-1, size)
+    size = min(_BLOCK, values.shape[-1])
+    count = values.shape[-1] // size
+    rows = values[..., : count * size].reshape(*values.shape[:-1], count, size)
     basis = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, size), 3))[0]
     left = rows - rows @ basis @ basis.T
-    return float(np.median(np.sqrt(np.sum(left**2, axis=1) / (size - 3))))
+    found: Floats = np.median(np.sqrt(np.sum(left**2, axis=-1) / (size - 3)), axis=-1)
+    return found
+
+
+def limits_by_noise(limit: float, rows: Floats) -> Floats:
+    """A limit that was set by the fast noise of one record, as that of many like it would be.
+
+    Parameters
+    ----------
+    limit : any unit
+    rows : shape (rows, n), of such records; columns with a NaN are left out
+
+    Returns
+    -------
+    Shape (rows,), as much above or below `limit` as the noise of each is beside that of all.
+    """
+    noise = fast_noise(rows[:, ~np.isnan(rows).any(axis=0)])
+    middle = float(noise.mean())
+    return limit * noise / middle if middle > 0.0 else np.full(len(rows), limit)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import pytest
 from labpipe.fits.slack import TakeUp, take_up
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
+from labpipe.uncertainty.noise import limits_by_noise
 from tests.builders.noise_rows import KINDS, noise_rows
 
 D = np.concatenate([np.full(100, 0.002), np.linspace(0.002, 0.012, 500)])
@@ -103,8 +104,9 @@ def test_take_up_decided_for_each_row(kind: str) -> None:
     found = take_up(D, F, limit=0.08)
     assert isinstance(found, TakeUp)
     places, samples = found.of_each(path, force)
-    for d, f, place, sample in zip(path, force, places, samples, strict=True):
-        alone = take_up(d, f, limit=0.08)
+    limits = limits_by_noise(0.08, force)
+    for d, f, limit, place, sample in zip(path, force, limits, places, samples, strict=True):
+        alone = take_up(d, f, limit=float(limit))
         if isinstance(alone, TakeUp) and np.isfinite(f[alone.foot]).all():
             assert sample <= alone.sample <= sample + 1
             assert place == pytest.approx(float(alone.of(d, f)), rel=1e-9)

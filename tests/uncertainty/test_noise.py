@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.uncertainty.noise import fast_noise, long_run_variance
+from labpipe.uncertainty.noise import fast_noise, limits_by_noise, long_run_variance
 
 
 def test_white_noise_has_its_plain_variance() -> None:
@@ -44,3 +44,18 @@ def test_fast_noise_does_not_see_the_curve() -> None:
     noise = np.random.default_rng(2).normal(0.0, 0.02, len(x))
     assert fast_noise(10.0 * x**3 + noise) == pytest.approx(0.02, rel=0.03)
     assert fast_noise(x) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_fast_noise_of_many_records() -> None:
+    rows = np.random.default_rng(5).normal(0.0, [[[0.1]], [[3.0]]], (2, 4, 330)).cumsum(axis=0)
+    alone = [[float(fast_noise(row)) for row in plane] for plane in rows]
+    np.testing.assert_allclose(fast_noise(rows), alone, rtol=1e-12)
+
+
+def test_limits_follow_the_noise_of_each_record() -> None:
+    """One record of twice the noise among three: 3/4, 3/4 and 3/2 of what was set by them all."""
+    row = np.random.default_rng(6).normal(0.0, 0.1, 400)
+    rows = np.array([row, -row, 2.0 * row])
+    rows[1, 7] = np.nan
+    np.testing.assert_allclose(limits_by_noise(0.4, rows), [0.3, 0.3, 0.6], rtol=1e-9)
+    np.testing.assert_array_equal(limits_by_noise(0.4, np.ones((2, 40))), [0.4, 0.4])
