@@ -231,3 +231,59 @@ def test_too_few() -> None:
     path, fallen = 0.053 - 1e-3 * sparse, np.maximum(50.0 - sparse, 0.0)
     found = unloaded(sparse, path, fallen, force_below=LIMIT)
     assert found == Failure("too_few_samples", "2 samples in the 1 s to 49.000 s")
+
+
+def test_how_far_around_zero_force_is_looked_at() -> None:
+    """A tenth of 53 s on each side of 41 s, 50 samples a second."""
+    found = decided(*WAYS[ThroughZero])
+    assert isinstance(found, ThroughZero)
+    assert found.n == 529
+    assert found.time[-1] == pytest.approx(5.3, abs=0.02)
+
+
+def test_the_foot_is_from_five_limits_to_one() -> None:
+    """From 25 mN to 5 mN at 24 mN a second."""
+    found = decided(*WAYS[FollowedToZero])
+    assert isinstance(found, FollowedToZero)
+    assert found.limit == found.least == LIMIT
+    assert -found.foot_time[0] == pytest.approx(20.0 / 24.0, abs=0.03)
+    assert found.foot_time[-1] == 0.0
+
+
+@pytest.mark.parametrize(("lasts", "way"), [(0.5, FollowedToZero), (0.8, AtRest)])
+def test_a_rest_is_seen_once_the_line_were_three_limits_lower(
+    lasts: float, way: type[Unloaded]
+) -> None:
+    """15 mN at 24 mN a second are 0.625 s."""
+    path, force = WAYS[AtRest]
+    part = lasts + 41.0 >= TIME
+    assert isinstance(unloaded(TIME[part], path[part], force[part], force_below=LIMIT), way)
+
+
+@pytest.mark.parametrize(("pulls", "creeps"), [(0.0, 0.0), (-0.0125, 0.0), (0.0, 2e-6)])
+def test_a_string_that_pulls_or_a_specimen_that_creeps_is_not_at_rest(
+    pulls: float, creeps: float
+) -> None:
+    """Two and a half limits below zero for some seconds; 2 um in 12 s, under 0.1 um of noise."""
+    path, force = WAYS[AtRest]
+    after = np.maximum(TIME - 41.0, 0.0)
+    force = force + np.where((after > 4.0) & (after < 8.0), pulls, 0.0)
+    noise = np.random.default_rng(4).normal(0.0, 1e-7, len(TIME))
+    found = decided(path - creeps * after / 12.0 + noise, force)
+    assert isinstance(found, AtRest if pulls == creeps == 0.0 else FollowedToZero)
+
+
+def test_little_noise_does_not_lower_what_passes_for_zero() -> None:
+    """A record of no noise beside noisy ones: its foot ends at the protocol's limit."""
+    path, force = WAYS[FollowedToZero]
+    force = force + noise_rows("white", 1.5e-3, (4, len(TIME)), seed=1)
+    force[3] = WAYS[FollowedToZero][1] + 1e-4 * (TIME - 41.5) * (TIME < 41.0)
+    found = decided(path, force[0])
+    assert isinstance(found, FollowedToZero)
+    assert found.limit > found.least == LIMIT
+    alone = decided(path, force[3])
+    assert isinstance(alone, FollowedToZero)
+    assert alone.limit == LIMIT
+    paths = path + 1e-3 * (TIME - 41.0) ** 2 * (TIME < 41.0) + np.zeros((4, 1))
+    each = found.of_each(paths, force)[3]
+    assert each == pytest.approx(float(alone.of(paths[3], force[3])), rel=1e-9)
