@@ -125,6 +125,7 @@ def pulled(
     lasts = specimen.ends / speed
     rate = chance.rate_over(lasts, rate)
     after = 0.5 if specimen.breaks else 0.3 + chance.dwell
+    after = max(after, 2.0 / rate if chance.samples else 0.0)
     time = np.arange(int((lasts + after) * rate)) / rate
     travel = speed * time if specimen.breaks else np.minimum(speed * time, specimen.ends)
     force = specimen.force(travel)
