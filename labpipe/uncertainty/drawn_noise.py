@@ -8,7 +8,7 @@ known: each replicate draws the process, too, by the chance that the record give
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
 from math import ceil
@@ -44,6 +44,10 @@ _FLOORS = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
 """White noise beneath correlated noise, as shares of the spectrum at frequency zero."""
 _PRIOR = -0.4
 """Power of the correlation time in the prior."""
+_STEEP, _CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
+"""Of flicker noise: powers of the frequency; rad per sample at which white noise is as large."""
+_FLICKER = 0.05
+"""Prior of each flicker noise, where that of white noise is 1."""
 _FAST, _BAND = 256, 16
 """Half waves over a branch above which the record's own power may stand for a process, in bands."""
 _MARGIN = 12
@@ -58,7 +62,10 @@ _SURE = 1e-4
 class _Processes:
     """First-order autoregressive noise of many correlation times, with white noise beneath or not.
 
-    factor, floor, is_mirrored, prior, time : shape (g,)
+    Flicker noise, whose power rises with a power of the period up to that of the whole record.
+
+    factor, floor, is_mirrored, prior, time, steep : shape (g,)
+    lowest : rad per sample, where flicker noise rises no more
     """
 
     factor: Floats
@@ -66,31 +73,42 @@ class _Processes:
     is_mirrored: Floats
     prior: Floats
     time: Floats
+    steep: Floats
+    lowest: float
 
     def spectra(self, angle: Floats) -> Floats:
         """Power at angles per sample (k,), 1 at zero: shape (g, k)."""
         a = self.factor[:, None]
         slow = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a * a)
+        flickers = self.steep > 0.0
+        power = -0.5 * self.steep[flickers, None]
+        slow[flickers] = (1.0 + (angle / self.lowest) ** 2) ** power
         mixed = self.floor[:, None] + (1.0 - self.floor[:, None]) * slow
         found: Floats = np.where(self.is_mirrored[:, None] > 0.0, 1.0 / slow, mixed)
         return found
 
 
 @lru_cache(maxsize=16)
-def _processes(longest: int) -> _Processes:
-    """What is considered of a branch of so many samples."""
+def _processes(longest: int, count: int) -> _Processes:
+    """What is considered of a record of so many samples, whose longest branch has so many."""
     times = np.geomspace(_BRIEFEST, max(longest / _LONGEST, 2.0 * _BRIEFEST), _TIMES)
     a, prior = np.exp(-1.0 / times), (times / times[0]) ** _PRIOR
-    count, none = len(_FLOORS), np.zeros(_TIMES)
-    floors = np.concatenate([[0.0], none, none, np.repeat(_FLOORS, _TIMES)])
-    mirrored = np.concatenate([[0.0], none + 1.0, none, np.zeros(count * _TIMES)])
-    weights = [[1.0], prior, 0.5 * prior, np.tile(0.5 * prior / count, count)]
+    lowest, kinds, none = np.pi / (2.0 * max(count, 1)), len(_FLOORS), np.zeros(_TIMES)
+    steep, crossing = np.repeat(_STEEP, len(_CROSSINGS)), np.tile(_CROSSINGS, len(_STEEP))
+    flicker = np.ones(len(steep))
     return _Processes(
-        np.concatenate([[0.0], a, a, np.tile(a, count)]),
-        floors,
-        mirrored,
-        np.concatenate(weights),
-        np.concatenate([[0.0], none, times, np.tile(times, count)]),
+        factor=np.concatenate([[0.0], a, a, np.tile(a, kinds), 0.0 * flicker]),
+        floor=np.concatenate(
+            [[0.0], none, none, np.repeat(_FLOORS, _TIMES), (lowest / crossing) ** steep]
+        ),
+        is_mirrored=np.concatenate([[0.0], none + 1.0, none, np.tile(none, kinds), 0.0 * flicker]),
+        prior=np.concatenate(
+            [[1.0], prior, 0.5 * prior, np.tile(0.5 * prior / kinds, kinds), _FLICKER * flicker]
+        ),
+        # Its end forgets its beginning no sooner than the record is over.
+        time=np.concatenate([[0.0], none, times, np.tile(times, kinds), count / _MARGIN * flicker]),
+        steep=np.concatenate([np.zeros(1 + (2 + kinds) * _TIMES), steep]),
+        lowest=lowest,
     )
 
 
@@ -126,7 +144,7 @@ class Noise:
         Half the power at frequency zero over the variance: the correlation time of autoregressive
         noise, less of it the more white noise lies beneath, and one half for white noise alone.
         """
-        some = _processes(self.longest)
+        some = _processes(self.longest, self.count)
         slow = (1.0 - some.factor) / (1.0 + some.factor)
         variance = np.where(some.is_mirrored > 0.0, 1.0, some.floor + (1.0 - some.floor) * slow)
         return float(self.chances @ (0.5 / variance)[: len(self.chances)])
@@ -152,7 +170,7 @@ class Noise:
         """
         drawn = rng.choice(len(self.chances), size=replicates, p=self.chances)
         variance = self.squares[drawn] / rng.chisquare(self.freedom, size=replicates)
-        processes = _processes(self.longest)
+        processes = _processes(self.longest, self.count)
         memory = _MARGIN * processes.time[drawn].max(initial=0.0)
         if len(self.angles):
             # Power that ends at the edge of a band remembers as long as the band is narrow.
@@ -161,12 +179,8 @@ class Noise:
         length = fft.next_fast_len(count + margin, real=True)
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
         used, which = np.unique(drawn, return_inverse=True)
-        some = _Processes(
-            *(
-                getattr(processes, name)[used]
-                for name in ("factor", "floor", "is_mirrored", "prior", "time")
-            )
-        )
+        arrays = ("factor", "floor", "is_mirrored", "prior", "time", "steep")
+        some = replace(processes, **{name: getattr(processes, name)[used] for name in arrays})
         # Half of the power goes to the cosine, half to the sine; the first wave has no sine.
         height = np.sqrt(0.5 * length * some.spectra(angle))
         # Nor has the last, where there is one at half the sampling rate.
@@ -182,14 +196,18 @@ class Noise:
         return np.asarray(fft.irfft(waves, length, axis=1)[:, :count], dtype=np.float32)
 
 
-def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
-    """Judge the noise of a signal by short pieces of all its branches.
+def noise_of(
+    branches: Sequence[Floats], smooth: Sequence[Floats], rests: Sequence[Floats] = ()
+) -> Noise:
+    """Judge the noise of a signal by short pieces of all its branches, and by whole rests.
 
     Parameters
     ----------
     branches : each shape (n,), unfiltered and evenly sampled; where one has NaN, its known samples
         are closed up, less the smooth curve
     smooth : of each branch, shape (n,), the smooth curve through it
+    rests : each shape (n,), stretches in which nothing moves: there waves as long as they are seen,
+        and nowhere else; short ones, and ones with NaN, are left out
 
     Returns
     -------
@@ -201,7 +219,8 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
     half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
-    autoregressive noise, of its mirror image, and of it on a floor of white noise. Faster waves are
+    autoregressive noise, of its mirror image, of it on a floor of white noise; with rests, also of
+    flicker noise (power as frequency^-s, s from 0.6 to 1.5), as cameras have it. Faster waves are
     hum, rounding and converters: there the record's own power is taken, in bands of 16 half waves.
     No process is followed to waves that it was not judged by: a correlation time of ten samples of
     20 000 is seen by those alone, and would make the variance 1.6 times too large on average.
@@ -230,8 +249,9 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
     terms, kept = min(_WAVES, width), int(is_sound.sum())
     waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
-    processes = _processes(longest)
+    processes = _processes(longest, sum(len(each) for each in branches))
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
+    still = [each for each in rests if len(each) >= width and np.ptp(each) > 0.0]  # not of NaN
     for _ in range(_ROUNDS):
         likelihood, squares, freedom = _likelihood(spectra, waves, columns)
         best = np.argmax(likelihood + np.log(processes.prior))
@@ -241,6 +261,7 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         if not odd.any():
             break
         waves, kept = waves[~odd], kept - int(odd.sum())
+    likelihood, squares, freedom = _with_rests(processes, still, (likelihood, squares, freedom))
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
     angles, fast = _own_power(branches, smooth)
@@ -254,6 +275,28 @@ def noise_of(branches: Sequence[Floats], smooth: Sequence[Floats]) -> Noise:
         angles,
         fast,
     )
+
+
+def _with_rests(
+    processes: _Processes, rests: list[Floats], seen: tuple[Floats, Floats, int]
+) -> tuple[Floats, Floats, int]:
+    """Likelihood, sums of squares and degrees of freedom with those of rests, less their level.
+
+    Without rests nothing is seen of waves as long as the record, and flicker noise is left out.
+    """
+    likelihood, squares, freedom = seen
+    if not rests:
+        return np.where(processes.steep > 0.0, -np.inf, likelihood), squares, freedom
+    least = np.finfo(np.float64).tiny
+    logs = likelihood + 0.5 * freedom * np.log(np.maximum(squares, least))
+    for each in rests:
+        terms = min(_WAVES, len(each))
+        power = fft.dct(each - each.mean(), norm="ortho")[1:terms] ** 2
+        spectra = processes.spectra(np.pi * np.arange(1, terms) / len(each))
+        logs = logs - 0.5 * np.log(spectra).sum(axis=1)
+        squares = squares + (power / spectra).sum(axis=1)
+        freedom += terms - 1
+    return logs - 0.5 * freedom * np.log(np.maximum(squares, least)), squares, freedom
 
 
 def _spread(values: Floats) -> float:

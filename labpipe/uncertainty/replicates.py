@@ -270,7 +270,15 @@ def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> 
     pieces = _pieces(cuts, last)
     if max(each.stop - each.start for each in pieces) < LEAST:
         pieces = _pieces(cuts, len(values))
-    return noise_of([values[each] for each in pieces], [curve[each] for each in pieces])
+    of_pieces = [values[each] for each in pieces], [curve[each] for each in pieces]
+    return noise_of(*of_pieces, [values[each] for each in _rests(trace)])
+
+
+def _rests(trace: Trace) -> list[slice]:
+    """Before the first branch and behind the last one of a cyclic test: there nothing moves."""
+    if len(trace.branches) < 2:
+        return []
+    return [slice(0, trace.branches[0].start), slice(trace.branches[-1].stop, None)]
 
 
 def _pieces(cuts: Sequence[int], last: int) -> list[slice]:

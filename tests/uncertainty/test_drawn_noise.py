@@ -282,3 +282,50 @@ def test_rounding_coarser_than_the_noise() -> None:
     rounded = 7.0 * np.round(record / 7.0)
     drawn = noise_of([rounded], [np.linspace(0.0, 500.0, 4000)]).draw(4000, 200, RNG(0))
     assert np.var(drawn) == pytest.approx(1.0 + 49.0 / 12.0, rel=0.2)
+
+
+def flicker(shape: tuple[int, int], seed: int) -> Floats:
+    """Rows of noise whose power falls as 1 over the frequency, of variance 1."""
+    rows, count = shape
+    waves = np.fft.rfft(RNG(seed).normal(size=(rows, 4 * count)))
+    waves[:, 1:] /= np.sqrt(np.arange(1.0, waves.shape[1]))
+    waves[:, 0] = 0.0
+    found = np.fft.irfft(waves, 4 * count)[:, :count]
+    return np.asarray(found / found.std(), dtype=np.float64)
+
+
+RESTS = slice(0, 200), slice(2800, 3000)
+
+
+def wander(rows: Floats, *, at_rest: bool) -> float:
+    """Standard deviation of what draws wander from the first rest to the last one, on average."""
+    found = []
+    for row in rows:
+        branches = [row[200 + 650 * at : 850 + 650 * at] for at in range(4)]
+        rests = [row[each] for each in RESTS] if at_rest else []
+        noise = noise_of(branches, [0.0 * each for each in branches], rests)
+        drawn = noise.draw(3000, 400, RNG(8))
+        found.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
+    return float(np.mean(found))
+
+
+def test_rests_tell_flicker_noise() -> None:
+    """Pieces of a second do not know what the record does in a minute; rests of four seconds do."""
+    rows = flicker((60, 3000), 11)
+    truth = np.std(rows[:, RESTS[1]].mean(axis=1) - rows[:, RESTS[0]].mean(axis=1))
+    assert wander(rows[:8], at_rest=False) < 0.5 * truth
+    assert 0.7 * truth < wander(rows[:8], at_rest=True) < 1.4 * truth
+
+
+def test_rests_tell_white_noise() -> None:
+    """It does not wander: the mean of 200 of it is known to 1/14, a difference to 1/10."""
+    rows = RNG(12).normal(size=(8, 3000))
+    assert wander(rows, at_rest=True) == pytest.approx(0.1, rel=0.5)
+
+
+def test_a_rest_with_gaps_is_left_out() -> None:
+    row = RNG(13).normal(size=3000)
+    gaps = np.where(np.arange(200) == 50, np.nan, row[:200])
+    frozen = np.full(200, 0.3)
+    with_them = noise_of([row], [0.0 * row], [gaps, frozen, row[:20]])
+    assert with_them.chances == pytest.approx(noise_of([row], [0.0 * row]).chances)
