@@ -89,16 +89,18 @@ class TakeUp:
 
     Parameters
     ----------
+    known : samples of the branch with a force and a displacement
+    top : number among them of the largest force
     sample : first one of the branch whose force is not zero
-    top : sample of the largest force
     foot : of the force
     is_line : whether the place is where a line through the foot is zero; else it is that of the
         foot's first sample, as no line rises there
     limit : N, up to which a force passes for zero
     """
 
-    sample: int
+    known: Samples
     top: int
+    sample: int
     foot: Samples
     is_line: bool
     limit: float
@@ -119,12 +121,13 @@ class TakeUp:
         Parameters
         ----------
         displacement, force : shape (rows, n), m, N, of the branch with noise: how far it hides the
-            foot is part of the number
+            foot is part of the number; NaN in the same samples as the branch decided on
 
         Returns
         -------
         Shapes (rows,), m and samples.
         """
+        displacement, force = displacement[:, self.known], force[:, self.known]
         limit = limits_by_noise(self.limit, force)[:, np.newaxis]
         within = force[:, : self.top] <= limit
         first = np.where(within.any(1), self.top - np.argmax(within[:, ::-1], 1), 0)
@@ -137,11 +140,12 @@ class TakeUp:
         d, f = displacement[:, part], force[:, part]
         numbers = numbers[: part.stop - low]
         foot = (numbers >= first[:, np.newaxis]) & (numbers < last[:, np.newaxis])
-        foot &= ~np.isnan(d) & ~np.isnan(f)
         middle, level, slope = line_in(foot, d, f)
         at = middle - level / np.where(slope > 0.0, slope, np.nan)
         begins: Floats = np.take_along_axis(displacement, first[:, np.newaxis], axis=1)[:, 0]
-        return np.where(np.isnan(at), begins, at), first
+        known = self.known
+        samples = first + known.start if isinstance(known, slice) else known[first]
+        return np.where(np.isnan(at), begins, at), samples
 
 
 def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) -> TakeUp | Failure:
@@ -195,4 +199,4 @@ def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) 
         found = f"the branch begins at {f[0]:.4g} N, its noise is {limit:.4g} N"
         return Failure("not_unloaded", found)
     foot = samples_of(known[first:last])
-    return TakeUp(int(known[first]), int(known[top]), foot, is_line, limit)
+    return TakeUp(samples_of(known), top, int(known[first]), foot, is_line, limit)

@@ -92,23 +92,28 @@ def test_take_up_of_a_curve_without_noise() -> None:
     assert last - again.sample == 7 or F[last] <= 5.0 * measured.limit < F[last + 1]
 
 
+@pytest.mark.parametrize("limit", [0.08, 0.01])
 @pytest.mark.parametrize("kind", KINDS)
-def test_take_up_decided_for_each_row(kind: str) -> None:
-    """Rows with gaps, rows that begin under load, and one that never takes up."""
-    force = F + noise_rows(kind, 0.02, (60, len(D)), seed=1)
-    force[:20, 250:260] = np.nan
+@pytest.mark.parametrize("gaps", [slice(0), slice(None, None, 7)])
+def test_take_up_decided_for_each_row(kind: str, limit: float, gaps: slice) -> None:
+    """Rows with gaps, rows that begin under load, and one that never takes up.
+
+    The foot has some thirty samples, or the least that it may have.
+    """
+    force = F + noise_rows(kind, 0.25 * limit, (60, len(D)), seed=1)
     force[20:30, :100] += 3.0
-    force[30] = 0.05 - np.linspace(0.0, 0.01, len(D))
+    force[30] = limit * (0.6 - np.linspace(0.0, 0.1, len(D)))
     path = D + noise_rows(kind, 1e-5, force.shape, seed=2)
-    path[40:50, ::7] = np.nan
-    found = take_up(D, F, limit=0.08)
+    force[:, 250:260] = np.nan
+    path[:, gaps] = np.nan
+    found = take_up(path[0], force[0], limit=limit)
     assert isinstance(found, TakeUp)
     places, samples = found.of_each(path, force)
-    limits = limits_by_noise(0.08, force)
-    for d, f, limit, place, sample in zip(path, force, limits, places, samples, strict=True):
-        alone = take_up(d, f, limit=float(limit))
-        if isinstance(alone, TakeUp) and np.isfinite(f[alone.foot]).all():
-            assert sample <= alone.sample <= sample + 1
+    limits = limits_by_noise(limit, force[:, found.known])
+    for d, f, own, place, sample in zip(path, force, limits, places, samples, strict=True):
+        alone = take_up(d, f, limit=float(own))
+        if isinstance(alone, TakeUp):
+            assert sample == alone.sample
             assert place == pytest.approx(float(alone.of(d, f)), rel=1e-9)
     assert np.isfinite(places).all()
 
@@ -131,3 +136,15 @@ def test_take_up_of_replicates_scatters_as_tests_do(kind: str) -> None:
     replicates, _ = smooth.of_each(path, F + noise_rows(kind, 0.02, shape, seed=2))
     assert np.std(replicates) == pytest.approx(np.std(tests), rel=0.25)
     assert np.mean(replicates) == pytest.approx(np.mean(tests), abs=0.2 * float(np.std(tests)))
+
+
+@pytest.mark.parametrize(("load", "code"), [(0.05, ""), (0.5, "not_unloaded")])
+def test_how_far_a_line_is_followed_back(load: float, code: str) -> None:
+    """0.1 mm before the first sample, or 1 mm, of a branch of 10 mm."""
+    found = take_up(D[100:], F[100:] + load)
+    if code:
+        assert isinstance(found, Failure)
+        assert found.code == code
+    else:
+        assert isinstance(found, TakeUp)
+        assert found.of(D[100:], F[100:] + load) == pytest.approx(0.0019)
