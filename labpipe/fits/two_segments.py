@@ -275,19 +275,23 @@ class Hinges:
         return best
 
 
-def why_no_bend(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
+def why_no_bend(
+    found: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
+) -> Failure | None:
     """Judge whether a curve bends, by replicates of it.
 
     Parameters
     ----------
     found : of the curve itself, shape ()
-    drawn : of its replicates, shape (R,); NaN of those without a number
-    hinges : that both were fitted with
+    smooth : of the smooth curve that the replicates are drawn around, shape ()
+    drawn : of the replicates, shape (R,); NaN of those without a number
+    hinges : of the curve itself
 
     Returns
     -------
     ``no_bend`` where the slopes differ by no more than four standard errors, or where 2.5 % of the
-    replicates have their break within two places of an end; None where the curve bends.
+    replicates have their break within two places of an end, or the interval of the break has an end
+    there; None where the curve bends.
 
     Notes
     -----
@@ -309,26 +313,30 @@ def why_no_bend(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | N
         )
     low, high = (hinges.scan.d_of(float(hinges.places[place])) for place in (2, -3))
     at = drawn.break_point[~np.isnan(drawn.break_point)]
-    if np.mean((at <= low) | (at >= high)) >= _AT_END:
-        start, stop = hinges.ends
-        ends = f"{start:.6g} to {stop:.6g} m"
-        return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
+    likely = found.break_point - (at - smooth.break_point)
+    for each in (at, likely):
+        if np.mean((each <= low) | (each >= high)) >= _AT_END:
+            start, stop = hinges.ends
+            ends = f"{start:.6g} to {stop:.6g} m"
+            return Failure("no_bend", f"the break may be at an end of the stretch, {ends}")
     return None
 
 
-def why_no_kink(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
+def why_no_kink(
+    found: Segments, smooth: Segments, drawn: Segments, hinges: Hinges
+) -> Failure | None:
     """Judge whether a curve gets less steep somewhere, by replicates of it.
 
     Parameters
     ----------
-    found, drawn, hinges : as `why_no_bend` takes them
+    found, smooth, drawn, hinges : as `why_no_bend` takes them
 
     Returns
     -------
     ``no_kink`` where the curve does not bend, or bends upwards; ``kink_at_end`` where the lines
     meet in the first or the last twentieth of the stretch; None where there is a kink.
     """
-    straight = why_no_bend(found, drawn, hinges)
+    straight = why_no_bend(found, smooth, drawn, hinges)
     if straight is not None:
         return Failure("no_kink", f"{hinges.straight_line}: {straight.message}")
     first, second, at = float(found.first), float(found.second), float(found.break_point)

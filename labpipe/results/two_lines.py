@@ -37,6 +37,7 @@ class _Fitted:
     break_point: Measured
     level: Measured
     hinges: Hinges
+    smooth: Segments
 
     @property
     def found(self) -> Segments:
@@ -45,8 +46,10 @@ class _Fitted:
 
     @property
     def drawn(self) -> Segments:
-        """Those of its replicates."""
-        return Segments(*(each.value + each.off for each in self._each))
+        """Those of its replicates, around those of the smooth curve."""
+        smooth = self.smooth
+        base = (smooth.break_point, smooth.first, smooth.second, smooth.level)
+        return Segments(*(at + each.off for at, each in zip(base, self._each, strict=True)))
 
     @property
     def _each(self) -> tuple[Measured, ...]:
@@ -77,7 +80,17 @@ class _TwoLines(Window):
         if isinstance(places, Failure):
             return places
         first, second, at, level = numbers
-        return _Fitted(first, second, at, level, places[1])
+        return _Fitted(first, second, at, level, places[1], self._smooth(test, numbers))
+
+    def _smooth(self, test: Evidence, numbers: tuple[Measured, ...]) -> Segments:
+        """The lines of the smooth curve; those of the curve itself where it has none."""
+        trace = None if test.replicates is None else test.replicates.smooth
+        found = None if trace is None else self.decide(trace)
+        if trace is None or not isinstance(found, Reading):
+            first, second, at, level = (np.asarray(each.value) for each in numbers)
+        else:
+            first, second, at, level = found.numbers(trace)
+        return Segments(at, first, second, level)
 
     def decide(self, trace: Trace) -> Reading | Failure:
         """Decide on the places at which the lines may meet.
@@ -142,7 +155,7 @@ class TwoSegments(_TwoLines):
         fit = self.fit(test)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        straight = why_no_bend(fit.found, fit.drawn, fit.hinges)
+        straight = why_no_bend(fit.found, fit.smooth, fit.drawn, fit.hinges)
         if straight is not None:
             return self.not_available(straight, self.method)
         start, stop = read = fit.hinges.ends
@@ -197,7 +210,7 @@ class Kink(_TwoLines):
         fit = self.fit(test)
         if isinstance(fit, Failure):
             return self.not_available(fit, self.method)
-        none = why_no_kink(fit.found, fit.drawn, fit.hinges)
+        none = why_no_kink(fit.found, fit.smooth, fit.drawn, fit.hinges)
         if none is not None:
             return self.not_available(none, self.method)
         start, stop = fit.hinges.ends

@@ -25,7 +25,7 @@ SPANS = {
     "7": "96 mm",
 }
 """By group, as the README of the exports says; 1b is taken to be as 1."""
-STRAIGHT = {"2_test1", "3_test1", "5_test1"}
+STRAIGHT = {"2_test1", "3_test1", "4_test1", "5_test1", "5_test3"}
 """No bend in the first 4 mm (a quarter of the shortest span) that two segments would be told by."""
 SEGMENTS = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
 
@@ -107,10 +107,10 @@ def test_peaks_are_the_largest_sample(done: dict[str, TensileLab]) -> None:
 
 
 def test_no_span_is_said(realdata: Path, tmp_path: Path) -> None:
-    source = realdata / "lloyd_nexygen" / "3pb_hm3_4_test1.txt"
-    lab = made(tmp_path, source, "40 mm")
+    source = realdata / "lloyd_nexygen" / "3pb_hm3_6_test1.txt"
+    lab = made(tmp_path, source, "76.8 mm")
     lab.sheet.write_text(
-        lab.sheet.read_text(encoding="utf-8").replace(", span: 40 mm", ""), encoding="utf-8"
+        lab.sheet.read_text(encoding="utf-8").replace(", span: 76.8 mm", ""), encoding="utf-8"
     )
     assert main(["process", str(lab.raw)]) == 1
     assert why(lab.results["bending_stiffness"]) == (
