@@ -33,6 +33,8 @@ _MOST = 20_000
 """Samples of a replicate, or a few more; those of a longer curve are taken in blocks."""
 _PARTS = 40
 """Intervals of the spline that tells the noise of single samples from the curve."""
+_STANDS, _LEVELS = 0.5, 10
+"""Share of the samples that stand where a converter is too coarse, and times that they do."""
 _PULSE = np.eye(1, 101, 50)[0]
 """A single sample, to see what a filter does to it."""
 
@@ -253,6 +255,9 @@ def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
     ):
         if by:
             yield Input(cause, partial(moved, by=by))
+    if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
+        half = partial(raised, by=coarse / np.sqrt(12.0))
+        yield Input(ZERO_OF_FORCE, half, law="uniform", stream="resolution of the force")
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
         law: Law = "uniform" if cause == SHAPE else "normal"
@@ -272,6 +277,20 @@ def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
         sample = int(np.searchsorted(starts, slip.stop))
         back = partial(_added_back, by=error, sample=sample)
         yield Input(REPAIRED_SLIPS, back, stream=f"{REPAIRED_SLIPS} {number}")
+
+
+def _coarse_step(values: Floats) -> float:
+    """Step of a converter that is coarser than the noise; 0 for any other.
+
+    Such a record stands more often than it moves, on many levels one after the other. Where it
+    stands, noise does not tell how far between two levels the truth lies.
+    """
+    moves = np.abs(np.diff(values[~np.isnan(values)]))
+    stands = moves == 0.0
+    if not _STANDS * len(stands) < stands.sum() < len(stands):
+        return 0.0
+    times = int(np.sum(stands[1:] & ~stands[:-1]))
+    return float(np.median(moves[~stands])) if times >= _LEVELS else 0.0
 
 
 def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:

@@ -35,7 +35,7 @@ _OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.04, 1.0
 memory that harm no number, by which short records would all be doubtful."""
 _DUST = 1e-9
 """Share of the largest row of a budget by which arithmetic moves what cancels."""
-_KEPT = 0.5
+_KEPT = 0.75
 """Share of the pieces of a record that its noise is to be judged by."""
 
 

@@ -56,6 +56,10 @@ def top(trace: Trace) -> tuple[Floats]:
     return (np.nanmax(trace.force, axis=-1),)
 
 
+def end(trace: Trace) -> tuple[Floats]:
+    return (trace.force[..., 1800:].mean(axis=-1),)
+
+
 def largest(test: Evidence) -> Measured:
     found = measure(curves(test), lambda trace: Reading(top, len(trace.time)))
     assert isinstance(found, tuple)
@@ -361,6 +365,42 @@ def test_scale_and_zero_of_the_displacement(compliance: float) -> None:
     assert moved - trace.displacement == pytest.approx(0.02 * measured, abs=1e-15)
     moved = found[ZERO_OF_DISPLACEMENT].moved(trace, -1.0).displacement
     assert moved - trace.displacement == pytest.approx(-2e-6, abs=1e-15)
+
+
+def plateau(seed: int, level: float, step: float) -> Evidence:
+    """Noise of 1 N on a way up to a level, in steps of a converter."""
+    time = np.arange(2000) / 100.0
+    force = level * (1.0 - (1.0 - time / 20.0) ** 4) + RNG(seed).normal(size=2000)
+    return recorded(time, 1e-3 * time, step * np.round(force / step))
+
+
+def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
+    """Steps of 7 standard deviations: the level is known to half a step, a rectangle."""
+    test = plateau(0, 100.0, 7.0)
+    (given,) = (each for each in curves(test).inputs if each.cause == ZERO_OF_FORCE)
+    trace = curves(test).smooth
+    assert given.law == "uniform"
+    more = given.moved(trace, 1.0).force - trace.force
+    assert more == pytest.approx(7.0 / 12.0**0.5)
+    held = 0
+    for level in (98.0, 99.0, 100.0, 101.5, 103.0, 104.0):
+        found = measure(curves(plateau(1, level, 7.0)), lambda _: Reading(end, 200))
+        assert isinstance(found, tuple)
+        interval = found[0].interval
+        held += interval.lower <= level * (1.0 - 0.1**4 / 5.0) <= interval.upper
+    assert held == 6
+
+
+def test_other_records_that_stand_are_not_coarse() -> None:
+    """Steps as fine as the noise; a full channel; what a spreadsheet computed."""
+    at = np.arange(2000) / 100.0
+    for test in (
+        plateau(0, 100.0, 1.0),
+        recorded(at, 1e-3 * at, np.minimum(10.0 * at, 30.0)),
+        recorded(at, 1e-3 * at, np.full(2000, 3.0)),
+        straight(),
+    ):
+        assert ZERO_OF_FORCE not in inputs(test)
 
 
 def test_other_displacements() -> None:

@@ -427,10 +427,9 @@ def test_noise_as_slow_as_the_record(share: float) -> None:
 
 
 def test_noise_that_is_not_alike() -> None:
-    """A third of a record is a hundred times as noisy, and another third swings."""
+    """A third of a record is five times as noisy as the rest of it."""
     record = RNG(0).normal(size=3000)
-    record[1000:2000] *= 100.0
-    record[2000:] *= 1e4
+    record[2000:] *= 5.0
     (found,) = measured(trace_of(record), mean)
     assert "uneven_noise" in [reason.code for _, reason in found.doubts]
     (found,) = measured(trace_of(RNG(0).normal(size=3000)), mean)
