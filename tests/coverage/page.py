@@ -116,7 +116,7 @@ def _noises(lines: Sequence[Line]) -> Iterator[str]:
     for kind in KINDS:
         pairs = [held.get((kind, noise), (0, 0)) for noise in NOISES]
         if any(n for _, n in pairs):
-            yield _row(kind.name, *(f"{h} of {n}" if n else "" for h, n in pairs))
+            yield _row(kind.name, *(f"{100 * h / n:.0f} % of {n}" if n else "" for h, n in pairs))
 
 
 def _faults(lines: Sequence[Line]) -> Iterator[str]:
