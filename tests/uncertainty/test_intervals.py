@@ -314,6 +314,25 @@ def test_replicates_without_the_number(above: float, doubtful: bool, fails: bool
     assert np.isfinite([found[0].error, *vars_of(found[0])]).all()
 
 
+@pytest.mark.parametrize(
+    ("without", "doubtful", "fails"),
+    [(20, False, False), (21, True, False), (199, True, False), (200, True, True)],
+)
+def test_limits_of_replicates_without_the_number(without: int, doubtful: bool, fails: bool) -> None:
+    """More than 20 of 400 are doubtful, 200 are a failure."""
+
+    def marked(trace: Trace) -> tuple[Floats]:
+        return (np.where(trace.force[..., 0] > 100.0, np.nan, trace.force.mean(axis=-1)),)
+
+    made = replicates_of(trace_of(FORCE + RNG(3).normal(size=200)))
+    force = made.force.copy()
+    force[:without, 0] = 1000.0
+    found = measure(replace(made, force=force), lambda _: Reading(marked, 200))
+    assert isinstance(found, Failure) == fails
+    if isinstance(found, tuple):
+        assert bool(found[0].doubts) == doubtful
+
+
 def vars_of(found: Measured) -> tuple[float, float, float]:
     return found.estimate, found.interval.lower, found.interval.upper
 
@@ -401,6 +420,8 @@ def slow(tau: float, count: int, seed: int = 0) -> Floats:
         (0.1, 3000, 3000, False),
         (20.0, 3000, 3000, False),
         (20.0, 3000, 60, True),
+        (10.0, 3000, 40, True),
+        (10.0, 3000, 90, False),
         (20.0, 3000, 1, False),
     ],
 )
