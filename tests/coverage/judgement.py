@@ -14,8 +14,10 @@ from tests.coverage.study import KINDS, Kind, Line
 STATED = 0.95
 LEAST = 20
 """Results that are `ok` in fewer tests are not judged."""
-ENOUGH, LEVEL = 0.9, 0.01
-"""A result fails below this share, or significantly below `STATED` at this level of the family."""
+ENOUGH, MANY = 0.9, 100
+"""A result fails below this share of so many; in fewer that is chance too often."""
+LEVEL = 0.01
+"""Of the family, at which a result fails that holds significantly below `STATED`."""
 WIDE = 0.99
 POOLED = (0.93, 0.98)
 """All results of a kind together."""
@@ -152,7 +154,7 @@ def judged(counts: Sequence[Count]) -> list[Verdict]:
 def _verdict(count: Count, *, is_seldom: bool) -> Verdict:
     if count.ok < LEAST:
         return Verdict.FEW
-    if is_seldom or count.share < ENOUGH:
+    if is_seldom or (count.ok >= MANY and count.share < ENOUGH):
         return Verdict.SELDOM
     return Verdict.WIDE if count.share > WIDE else Verdict.HOLDS
 

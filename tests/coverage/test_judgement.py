@@ -54,6 +54,12 @@ def test_nine_of_ten_are_not_enough_alone() -> None:
     assert judged([count(163, 182), *[count(173, 182)] * 50])[0] is Verdict.SELDOM
 
 
+def test_too_few_for_nine_of_ten() -> None:
+    """88 of 99 come by chance once in 93 studies of that result alone."""
+    assert judged([count(88, 99), *[count(95, 99)] * 50]) == [Verdict.HOLDS] * 51
+    assert judged([count(89, 100), *[count(95, 100)] * 50])[0] is Verdict.SELDOM
+
+
 def test_wide_and_few() -> None:
     assert judged([count(182, 182), count(180, 182)]) == [Verdict.WIDE, Verdict.HOLDS]
     assert judged([count(5, 19)]) == [Verdict.FEW]
