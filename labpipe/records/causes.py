@@ -37,6 +37,8 @@ SPAN: Final = "span"
 SECTION: Final = "section"
 SLACK: Final = "slack"
 REPAIRED_SLIPS: Final = "slips added back"
+RESOLUTION: Final = "resolution of the force"
+"""Half a step of a converter that is coarser than the noise."""
 STEP: Final = "sampling step"
 """Where between two samples a specimen broke, or a machine turned."""
 TANGENT: Final = "length of the tangents"
@@ -66,6 +68,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     SECTION: False,
     SLACK: False,
     REPAIRED_SLIPS: False,
+    RESOLUTION: False,
     STEP: False,
     TANGENT: True,  # corners of all specimens are smeared alike
 }

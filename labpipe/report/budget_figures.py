@@ -20,6 +20,7 @@ from labpipe.records.causes import (
     NOISE_OF_FORCE,
     PULL,
     REPAIRED_SLIPS,
+    RESOLUTION,
     SCALE_OF_DISPLACEMENT,
     SCALE_OF_FORCE,
     SECTION,
@@ -103,6 +104,7 @@ _COLOURS: Mapping[str, str] = {
     SECTION: "#7a3b1d",
     SLACK: "#56b4e9",
     REPAIRED_SLIPS: "#b0124f",
+    RESOLUTION: "#5c5c9e",
     STEP: "#f2a6bd",
     TANGENT: "#3a4a8c",
 }

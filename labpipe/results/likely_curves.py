@@ -14,6 +14,7 @@ from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
     LENGTH,
     REPAIRED_SLIPS,
+    RESOLUTION,
     SCALE_OF_DISPLACEMENT,
     SCALE_OF_FORCE,
     SECTION,
@@ -187,6 +188,8 @@ def _force(test: Evidence, unfiltered: Signal, curve: Curve) -> tuple[Floats, Fl
     repaired = [each for each in test.slips if each.decision is SlipDecision.REPAIRED]
     if repaired:
         found = add_back(found, repaired)
+    # Where no sample was recorded the filter reached across, and the curve has a force.
+    found = np.where(np.isnan(found), curve.force, found)
     return curve.force, np.where(np.isnan(curve.force), np.nan, found)
 
 
@@ -257,7 +260,7 @@ def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
             yield Input(cause, partial(moved, by=by))
     if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
         half = partial(raised, by=coarse / np.sqrt(12.0))
-        yield Input(ZERO_OF_FORCE, half, law="uniform", stream="resolution of the force")
+        yield Input(RESOLUTION, half, law="uniform")
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
         law: Law = "uniform" if cause == SHAPE else "normal"

@@ -372,7 +372,7 @@ def test_some_samples_missing(told: Told) -> None:
 
     lab = told(lambda lab: change_force(lab, holes))
     reasons = {n: why(each) for n, each in lab.results.items() if each["status"] != "ok"}
-    assert all(why.startswith("missing_samples: 11 of ") for why in reasons.values())
+    assert all(why.startswith("missing_samples: 11 of ") for why in reasons.values()), reasons
     assert set(reasons) == {  # soon after the first turn, and in the second loading
         *("peak_force.1", "peak_force.2", "unloading_stiffness.1", "energy.1", "energy.2"),
         "residual_displacement.1",
