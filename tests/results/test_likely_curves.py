@@ -14,6 +14,7 @@ from labpipe.records.causes import (
     CLOCK_OFFSET,
     GRIP,
     REPAIRED_SLIPS,
+    RESOLUTION,
     SCALE_OF_DISPLACEMENT,
     SCALE_OF_FORCE,
     SECTION,
@@ -377,7 +378,7 @@ def plateau(seed: int, level: float, step: float) -> Evidence:
 def test_a_converter_coarser_than_the_noise_is_an_input() -> None:
     """Steps of 7 standard deviations: the level is known to half a step, a rectangle."""
     test = plateau(0, 100.0, 7.0)
-    (given,) = (each for each in curves(test).inputs if each.cause == ZERO_OF_FORCE)
+    (given,) = (each for each in curves(test).inputs if each.cause == RESOLUTION)
     trace = curves(test).smooth
     assert given.law == "uniform"
     more = given.moved(trace, 1.0).force - trace.force
@@ -400,7 +401,7 @@ def test_other_records_that_stand_are_not_coarse() -> None:
         recorded(at, 1e-3 * at, np.full(2000, 3.0)),
         straight(),
     ):
-        assert ZERO_OF_FORCE not in inputs(test)
+        assert RESOLUTION not in inputs(test)
 
 
 def test_other_displacements() -> None:

@@ -190,6 +190,15 @@ def test_a_piece_with_a_step_is_left_out() -> None:
     assert np.var(drawn) == pytest.approx(1.0, rel=0.1)
 
 
+def test_a_piece_with_more_noise_is_left_out() -> None:
+    """Of 1.8 times the deviation: 3.2 times the variance, which white noise has by no chance."""
+    values = RNG(13).normal(size=3000)
+    values[1000:1250] *= 1.8
+    found = judged(values)
+    assert found.kept == pytest.approx(11 / 12)
+    assert found.freedom == 11 * (48 - 6)
+
+
 def test_all_branches_are_judged() -> None:
     """Pieces of 50 of a branch of 200 and one of 120: four and two."""
     noise = judged(RNG(0).normal(size=200), RNG(1).normal(size=120))
@@ -202,7 +211,7 @@ def test_all_branches_are_judged() -> None:
 def test_gaps_neither_hide_nor_thin_the_noise(gap: str) -> None:
     """A sample in 40 is missing, or stretches of 120 in 300: no piece of 250 is whole."""
     at = np.arange(3000)
-    curve = 1e-2 * at
+    curve = 1.0 * at
     values = curve + 2.0 * RNG(14).normal(size=3000)
     is_gap = at % 40 == 0 if gap == "single" else at % 300 < 120
     values[is_gap], smooth = np.nan, np.where(is_gap, np.nan, curve)

@@ -64,7 +64,7 @@ def test_no_gaps_are_too_many() -> None:
 @pytest.mark.parametrize(("count", "columns"), [(16, 5), (30, 6), (60, 10), (96, 15), (3000, 15)])
 def test_freedom_of_the_spline(count: int, columns: int) -> None:
     """A projection on p columns leaves p / n of the variance; an interval has 8 samples or more."""
-    time: Floats = np.arange(float(count))
+    time: Floats = 1000.0 + np.arange(float(count))
     rows = RNG(1).normal(size=(600, count))
     left = np.array([smooth_curve(time, row, [], 12) for row in rows])
     assert np.sum(left**2) / 600 == pytest.approx(columns, rel=0.06)
@@ -223,11 +223,12 @@ def test_what_is_left_of_a_specimen_is_not_its_noise() -> None:
     assert np.std(off) == pytest.approx(1.0, rel=0.15)
 
 
-def test_noise_of_a_specimen_that_broke_at_once() -> None:
-    """Six samples say nothing; what follows them does."""
+@pytest.mark.parametrize("cuts", [[6], [6, 12]])
+def test_noise_of_a_specimen_that_broke_at_once(cuts: list[int]) -> None:
+    """Six samples say nothing, nor do twice six; what follows them does."""
     force = RNG(0).normal(size=1000)
-    force[:6] += np.arange(6.0)
-    found = replicates_of(trace_of(force, failed_at=5), cuts=[6])
+    force[: cuts[-1]] += np.arange(float(cuts[-1]))
+    found = replicates_of(trace_of(force, failed_at=cuts[-1] - 1), cuts=cuts)
     assert np.std(found.force - found.smooth.force) == pytest.approx(1.0, rel=0.2)
 
 
