@@ -33,12 +33,14 @@ _LOST, _NONE = 0.05, 0.5
 _OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.04, 1.0
 """Share of the samples of a number, and of the record, that noise may remember; and samples of
 memory that harm no number, by which short records would all be doubtful."""
+_SLIGHT = 5e-4
+"""Share of a number below which its noise raises no doubt, whatever the noise is like."""
 _DUST = 1e-9
 """Share of the largest row of a budget by which arithmetic moves what cancels."""
 _TOLD = 100
 """Samples of the shortest record that tells slow noise from none: of a shorter one every number
 would be doubtful, or none."""
-_KEPT = 0.75
+_KEPT = 0.6
 """Share of the pieces of a record that its noise is to be judged by."""
 
 
@@ -105,9 +107,9 @@ def measure(
         return found
     if values is None:
         values = [float(each) for each in found.numbers(replicates.measured)]
-    plain = decide(replicates.smooth)
+    plain = _on_smooth(replicates, decide, found)
     if isinstance(plain, Failure):
-        return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
+        return plain
     base = _numbers(plain, replicates)
     drawn = [np.asarray(plain.drawn(each)) for each in replicates.traces()]
     noise = off = np.concatenate(drawn, axis=1) - base[:, None]
@@ -124,18 +126,32 @@ def measure(
     lost = float(np.isnan(off).any(axis=0).mean())
     if lost >= _NONE:
         return Failure("not_repeatable", f"{lost:.0%} of curves with such noise have none")
-    doubts += _doubts(replicates, plain.n, lost)
+    if lost > _LOST:
+        message = f"{lost:.0%} of curves with such noise have no such number"
+        doubts.append(("", Reason("not_repeatable", message)))
+    about_noise = tuple(_doubts(replicates, plain.n))
     spread = np.nanstd(noise, axis=1)
+    matters = spread > _SLIGHT * np.abs(values)
     return tuple(
         Measured(
             value,
             off[row],
             _budget(float(spread[row]), parts, row),
             found.n,
-            (*doubts, *_without_width(off[row])),
+            (*doubts, *_without_width(off[row]), *(about_noise if matters[row] else ())),
         )
         for row, value in enumerate(values)
     )
+
+
+def _on_smooth(replicates: Replicates, decide: Decide, found: Reading) -> Reading | Failure:
+    """Decide on the smooth curve; where it just misses a limit, by the samples of the measured."""
+    plain = decide(replicates.smooth)
+    if isinstance(plain, Reading):
+        return plain
+    if len(replicates.smooth.time) == len(replicates.measured.time):
+        return found
+    return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
 
 
 def _without_width(off: Floats) -> Iterator[tuple[str, Reason]]:
@@ -145,11 +161,8 @@ def _without_width(off: Floats) -> Iterator[tuple[str, Reason]]:
         yield "", Reason("no_width", message)
 
 
-def _doubts(replicates: Replicates, count: int, lost: float) -> Iterator[tuple[str, Reason]]:
+def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
     """Why an interval over so many samples may be too narrow."""
-    if lost > _LOST:
-        message = f"{lost:.0%} of curves with such noise have no such number"
-        yield "", Reason("not_repeatable", message)
     coarse = any(given.cause == RESOLUTION for given in replicates.inputs)
     for name, noise in replicates.noises.items():
         if noise.is_none:

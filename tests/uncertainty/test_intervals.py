@@ -275,7 +275,12 @@ def test_a_number_that_is_not_in_the_curve() -> None:
     def only_measured(trace: Trace) -> Reading | Failure:
         return Reading(mean, 200) if trace is made.measured else why
 
+    # The smooth curve just misses a limit: what was decided on the measured one holds for it.
     found = measure(made, only_measured)
+    assert isinstance(found, tuple)
+    assert found[0].interval == measured(trace_of(made.measured.force), mean)[0].interval
+    shorter = replace(made, smooth=trace_of(made.smooth.force[:-1]))
+    found = measure(shorter, only_measured)
     assert isinstance(found, Failure)
     assert found.code == "no_replicate"
     assert why.message in found.message
@@ -411,7 +416,7 @@ def slow(tau: float, count: int, seed: int = 0) -> Floats:
     found = np.zeros(count)
     for at in range(1, count):
         found[at] = factor * found[at - 1] + kicks[at]
-    return 1000.0 + found
+    return 10.0 + found
 
 
 @pytest.mark.parametrize(
@@ -448,9 +453,9 @@ def test_noise_as_slow_as_the_record(share: float) -> None:
 
 
 def test_noise_that_is_not_alike() -> None:
-    """A third of a record is five times as noisy as the rest of it."""
+    """Five pieces of twelve are five times as noisy as the others."""
     record = RNG(0).normal(size=3000)
-    record[2000:] *= 5.0
+    record[1750:] *= 5.0
     (found,) = measured(trace_of(record), mean)
     assert "uneven_noise" in [reason.code for _, reason in found.doubts]
     (found,) = measured(trace_of(RNG(0).normal(size=3000)), mean)
