@@ -197,6 +197,24 @@ def test_a_filtered_displacement_has_its_noise_back() -> None:
     assert found.smooth.displacement == pytest.approx(truth, abs=1e-5)
 
 
+def test_a_filtered_displacement_keeps_the_level_of_the_curve() -> None:
+    """Another 5 mm were taken off the curve alone."""
+    time = np.arange(3000) / 100.0
+    path = 1e-3 * time + 1e-5 * RNG(0).normal(size=3000)
+    test = recorded(time, path, 10.0 * time, filters_of_displacement=((Smoothing(25), 1),))
+    curve = test.known_curve
+    moved = replace(test, curve=replace(curve, displacement=curve.displacement - 5e-3))
+    found = curves(moved)
+    assert found.smooth.displacement == pytest.approx(1e-3 * time - 5e-3, abs=1e-5)
+
+
+def test_a_mean_lies_around_its_frame() -> None:
+    """Forces of 1000 a second at frames 50 a second, each the mean of 20: half a sample is 5 mN."""
+    time, fast = np.arange(200) / 50.0, np.arange(4000) / 1000.0
+    test = recorded(time, 1e-3 * time, 10.0 * fast, force_time=fast, filters=((Smoothing(201), 1),))
+    assert curves(test).smooth.force[1:-1] == pytest.approx(10.0 * time[1:-1], abs=1e-3)
+
+
 def test_a_force_of_which_a_part_is_unknown_leaves_the_displacement_alone() -> None:
     time = np.arange(900) / 100.0
     force = np.where(time < 6.0, 10.0 * time + RNG(0).normal(size=900), np.nan)
