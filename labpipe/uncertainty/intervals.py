@@ -30,7 +30,7 @@ from labpipe.uncertainty.replicates import Input, Replicates
 _LOW, _HIGH = 0.025, 0.975
 _LOST, _NONE = 0.05, 0.5
 """Shares of the replicates without a number: doubtful from the one on, failed from the other."""
-_OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.04, 1.0
+_OF_WINDOW, _OF_RECORD, _BRIEF = 0.2, 0.02, 1.0
 """Share of the samples of a number, and of the record, that noise may remember; and samples of
 memory that harm no number, by which short records would all be doubtful."""
 _SLIGHT = 5e-4

@@ -9,15 +9,16 @@ Case = tuple[str, int, str]
 """Kind, seed, fault."""
 
 # Results that are `ok` and far off, by test.
-WRONG: dict[Case, set[str]] = {}
+WRONG: dict[Case, set[str]] = {
+    # kink_displacement +3.5 %; a bend without a corner, its interval is twice as wide
+    ("taped-bundle", 48, ""): {"kink_displacement"},
+}
 
 # Sound tests with results that are not `ok`, and the reason given.
 NOT_OK: dict[Case, str] = {
     ("three-point-bend", 0, ""): "partial_cycle",
     ("three-point-bend", 108, ""): "partial_cycle",
     ("conduit-bundle", 0, ""): "no_camera_clock",
-    # steps of the converter seven times the noise: they come and go with the slope of the curve
-    ("stiff-bar", 48, ""): "uneven_noise",
 }
 
 # Faults of the rig that nothing in the output names.

@@ -438,7 +438,7 @@ def test_noise_as_slow_as_the_number(tau: float, count: int, window: int, is_slo
     )
 
 
-@pytest.mark.parametrize("share", [0.03, 0.05])
+@pytest.mark.parametrize("share", [0.015, 0.05])
 def test_noise_as_slow_as_the_record(share: float) -> None:
     """It surely remembers a twentieth of it, the longest that is looked for; or three in five."""
     made = replicates_of(trace_of(slow(20.0, 3000)))
