@@ -294,7 +294,7 @@ def write_number(
     Examples
     --------
     >>> write_number(0.052284, Interval(0.046271, 0.058296), 1e3)
-    Written(value='52.3', lower='46.3', upper='58.3')
+    Written(value='52.3', lower='46.3', upper='58.3', estimate='')
     >>> write_number(1234.567, None).value
     '1235'
     """
