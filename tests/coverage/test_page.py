@@ -27,7 +27,10 @@ def test_the_page_holds(repository: Path) -> None:
     assert published_digest((repository / PAGE).read_text(encoding="utf-8")) == rests_on()
 
 
-@pytest.mark.xfail(strict=True, reason="counted before one engine made all intervals")
+@pytest.mark.xfail(
+    strict=True,
+    reason="22 results hold too seldom, see the page: slow noise, wandering cameras",
+)
 def test_nothing_holds_too_seldom(repository: Path) -> None:
     assert not published_failures((repository / PAGE).read_text(encoding="utf-8"))
 
