@@ -34,6 +34,7 @@ first steps:
   labpipe new raw/A2/A2-085-1       write the test.yaml of a test
   labpipe check raw/A2              is everything there, and spelt right?
   labpipe process raw/A2/A2-085-1   numbers and figures
+  labpipe campaign run raw/A2       process what is new or changed, as often as you like
   labpipe report processed/A2       means, bands and tables of many tests
   labpipe model examples/wires.xlsx stiffness of wires from their dimensions
   labpipe bundle '19 B1' --wire examples/wires.xlsx
@@ -219,6 +220,72 @@ def _report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
 
 
+_CAMPAIGN = {
+    "run": "process what is new or changed, and nothing else",
+    "status": "states of all tests, what failed, waits or is unknown",
+    "query": "results of many tests that fit a condition",
+    "replay": "clear failures and process their tests again",
+    "decide": "accept or reject a test",
+    "rebuild": "make the catalog anew from the files of the tests",
+}
+
+
+def _campaign(parser: argparse.ArgumentParser) -> None:
+    actions = parser.add_subparsers(dest="action", metavar="ACTION ...", required=True)
+    where = "the campaign: raw/NAME with a folder per test, or processed/NAME"
+    for name, about in _CAMPAIGN.items():
+        action = actions.add_parser(name, help=about, description=f"{about[0].upper()}{about[1:]}.")
+        action.add_argument("folder", type=_path, metavar="DIR", help=where)
+        _CAMPAIGN_ARGUMENTS.get(name, lambda _: None)(action)
+
+
+def _campaign_run(parser: argparse.ArgumentParser) -> None:
+    drawn = parser.add_mutually_exclusive_group()
+    drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
+    _follow_links(parser)
+    what = "tests at a time (default: the cores, fewer where memory is short)"
+    parser.add_argument("--jobs", type=_count, metavar="N", help=what)
+    who = "what processes the tests: local, or dask://HOST:PORT (default: %(default)s)"
+    parser.add_argument("--executor", default="local", metavar="WHERE", help=who)
+
+
+def _campaign_status(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print JSON")
+
+
+def _campaign_query(parser: argparse.ArgumentParser) -> None:
+    what = "condition in SQL, such as \"name = 'peak_force.1' and type = 'A1'\" (default: all)"
+    parser.add_argument("--where", default="", metavar="CONDITION", help=what)
+    kinds = ("table", "csv", "json", "xlsx")
+    form = "of what is printed (default: %(default)s)"
+    parser.add_argument("--out", choices=kinds, default="table", metavar="FORM", help=form)
+    where = "file to write, which xlsx needs (default: standard output)"
+    parser.add_argument("--file", type=_path, metavar="FILE", help=where)
+
+
+def _campaign_replay(parser: argparse.ArgumentParser) -> None:
+    what = "clear failures of this code, such as killed (default: all)"
+    parser.add_argument("--failed", nargs="?", const="", required=True, metavar="CODE", help=what)
+    _campaign_run(parser)
+
+
+def _campaign_decide(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("test", metavar="TEST", help="name of the test, or its folder below DIR")
+    parser.add_argument("decision", choices=("accept", "reject"), help="what is decided")
+    parser.add_argument("--because", required=True, metavar="REASON", help="why")
+    parser.add_argument("--by", required=True, metavar="WHO", help="who decides")
+
+
+_CAMPAIGN_ARGUMENTS = {
+    "run": _campaign_run,
+    "status": _campaign_status,
+    "query": _campaign_query,
+    "replay": _campaign_replay,
+    "decide": _campaign_decide,
+}
+
+
 def _model(parser: argparse.ArgumentParser) -> None:
     what = "wire sheet, xlsx or csv: one row per wire"
     parser.add_argument("sheet", type=_path, metavar="WIRES", help=what)
@@ -283,6 +350,7 @@ _COMMANDS = {
     "new": ("write a test.yaml, or one per row of a campaign sheet", _new),
     "check": ("protocols and tests against each other and the files", _check),
     "process": ("exports to result.h5, summary.json and figures", _process),
+    "campaign": ("many tests: only what changed; states, queries, decisions", _campaign),
     "report": ("processed tests to one page, figures and a workbook", _report),
     "model": ("wire dimensions to stiffness tables and simulation decks", _model),
     "bundle": ("bounds of a harness bundle's bending stiffness", _bundle),
