@@ -15,27 +15,48 @@ class LabpipeError(Exception):
     """Bad input or usage, reported in one message without a traceback.
 
     The grammar of every message is *file, place: expected X, found Y. What to do.*
+
+    Attributes
+    ----------
+    code : the kind of error in one word that stays the same
     """
+
+    code = "labpipe"
 
 
 class UsageError(LabpipeError):
     """A command was called with something it cannot use."""
 
+    code = "bad_usage"
+
 
 class ReadError(LabpipeError):
     """An export cannot be read as the format it is said to be."""
+
+    code = "unreadable_export"
 
 
 class ProtocolError(LabpipeError):
     """A protocol or a test sheet is wrong; all its faults are in one message."""
 
+    code = "bad_sheet"
+
 
 class ProcessingError(LabpipeError):
     """A recording is readable but does not hold what the protocol asks for."""
 
+    code = "cannot_process"
+
 
 class StoreError(LabpipeError):
     """A result file cannot be written, or is not one that this version understands."""
+
+    code = "cannot_store"
+
+
+PROCESS_DIED, OUT_OF_MEMORY = "process_died", "out_of_memory"
+SYSTEM_REFUSED, OWN_FAULT = "system_refused", "fault_of_labpipe"
+"""Codes of failures that are no `LabpipeError`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -62,6 +62,7 @@ def process_test(
     source: Path,
     *,
     out: Path | None = None,
+    goal: Path | None = None,
     figures: bool = True,
     png: bool = False,
     follow_links: bool = False,
@@ -73,6 +74,7 @@ def process_test(
     ----------
     source : its test.yaml, or a result.h5 whose raw group is processed again
     out : folder that gets a folder per test; None for `processed` beside `raw`
+    goal : folder of the results of this test; None where `out` says
     figures : whether to draw, as SVG
     png : whether figures are drawn as PNG, too
     follow_links : whether exports may be links out of the folder of the test
@@ -95,7 +97,7 @@ def process_test(
     raw, protocol = _stored(source) if again else _exported(source, follow_links)
     say("process")
     result = reduce_test(raw, protocol)
-    folder = goal_of(source, out, lambda: result.test)
+    folder = goal or goal_of(source, out, lambda: result.test)
     owned = _figures_to_go(folder, result.run, is_drawn=figures)
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")

@@ -119,7 +119,7 @@ def test_a_process_that_is_killed_costs_one_test(
         " if test.parent.name == 'P-1' else"
         " __import__('labpipe.campaign.runs').campaign.runs._process(test, *how, **more)"
     )
-    monkeypatch.setattr("labpipe.campaign.runs._process_one_of_many", killed)
+    monkeypatch.setattr("labpipe.campaign.runs.process_safely", killed)
     first, second, third = process_tests(tests, figures=lambda _: False, jobs=2)
     assert isinstance(first, Refused)
     assert first.reason == (

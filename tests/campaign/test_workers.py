@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.runs import Died, in_processes
+from labpipe.campaign.workers import Died, in_processes
 
 
 def test_outcomes_come_in_the_order_of_the_calls() -> None:
