@@ -20,6 +20,7 @@ from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.protocol.source import ChannelSource, Source
 from labpipe.readers import read_export
 from labpipe.readers.channels import NoChannelError, is_as_written, select_channel
+from labpipe.readers.load_frame.cards import lab_card_files
 from labpipe.readers.text_cells import is_unit
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.recording import Channel, Clock, Recording
@@ -134,6 +135,8 @@ def _same(one: str, other: str, si_unit: str) -> bool:
 
 _LISTED = 8
 """Specimens that a message lists."""
+DIALECT = "dialect"
+"""Role of a lab's dialect card among the inputs of a test."""
 
 
 def read_inputs(
@@ -150,17 +153,17 @@ def read_inputs(
     Returns
     -------
     recordings : by role; channels carry the protocol's names and SI units
-    inputs : the files with their fingerprints, in the same order
+    inputs : the files with their fingerprints, in the same order; then the lab's `cards_in_play`
 
     Raises
     ------
     ReadError
         If a file is missing, is not of the format that the protocol names, or lacks a channel.
     """
-    files = [(role, name) for role in protocol.sources for name in sheet.files[role]]
+    files = named_exports(sheet, protocol)
     # Hashing runs beside reading: it takes as long and lets go of the interpreter.
     with ThreadPoolExecutor(max_workers=1) as beside:
-        waiting = [beside.submit(_fingerprint, folder / name, role, name) for role, name in files]
+        waiting = [beside.submit(fingerprint, folder / name, role, name) for role, name in files]
         recordings: dict[str, Recording] = {
             role: joined(
                 [read_role(folder / name, source) for name in sheet.files[role]],
@@ -170,7 +173,44 @@ def read_inputs(
             for role, source in protocol.sources.items()
         }
         inputs = tuple(each.result() for each in waiting)
-    return recordings, inputs
+    return recordings, (*inputs, *cards_in_play(protocol))
+
+
+def named_exports(sheet: TestSheet, protocol: Protocol) -> list[tuple[str, str]]:
+    """List the exports of a test, in the order of its protocol.
+
+    Parameters
+    ----------
+    sheet : its files by role
+    protocol : resolved
+
+    Returns
+    -------
+    Role and file of each.
+    """
+    return [(role, name) for role in protocol.sources for name in sheet.files[role]]
+
+
+def cards_in_play(protocol: Protocol) -> tuple[InputFile, ...]:
+    """Take fingerprints of the lab's own dialect cards, which say how an export is read.
+
+    Parameters
+    ----------
+    protocol : resolved
+
+    Returns
+    -------
+    All of them, as inputs of the role `DIALECT`, where a source may be the export of a load frame:
+    a card that is added may fit better than the one before. None elsewhere.
+
+    Raises
+    ------
+    ReadError
+        If a card cannot be read.
+    """
+    if not any("load-frame" in source.reader for source in protocol.sources.values()):
+        return ()
+    return tuple(fingerprint(file, DIALECT, file.name) for file in lab_card_files())
 
 
 def joined(parts: Sequence[Recording], names: Sequence[str], folder: Path) -> Recording:
@@ -382,7 +422,19 @@ def _in_si(channel: Channel, name: str, source: ChannelSource, path: Path) -> Ch
     return replace(channel, name=name, values=values, unit=unit, calibration=calibration)
 
 
-def _fingerprint(path: Path, role: str, name: str) -> InputFile:
+def fingerprint(path: Path, role: str, name: str) -> InputFile:
+    """Take the fingerprint of a file that goes into a test.
+
+    Parameters
+    ----------
+    path : of the file
+    role, name : as `InputFile` has them
+
+    Raises
+    ------
+    ReadError
+        If it cannot be read, or is no plain file.
+    """
     try:
         if path.exists() and not path.is_file():  # of a pipe one would wait for the end
             raise OSError(errno.EINVAL, "what is no plain file")

@@ -30,7 +30,7 @@ from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_
 from labpipe.store.write import write_result, write_summary
 
 SUMMARY_FILE, FIGURES = "summary.json", "figures"
-PROCESSING_VERSION = 1
+PROCESSING_VERSION = 2
 """Raised whenever the same exports, sheet and protocol give other numbers than before."""
 Say = Callable[[str], None]
 

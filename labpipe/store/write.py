@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
+from hashlib import sha256
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -262,6 +263,10 @@ def summary(result: TestResult) -> dict[str, object]:
             for given in result.inputs
         ],
         "run": result.run,
+        "made_of": {
+            "sheet": sha256(result.test_yaml.encode()).hexdigest(),
+            "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
+        },
         "results": [_entry(entry) for entry in result.results],
         "quality": [
             {"code": note.code, "severity": str(note.severity), "message": note.message}

@@ -165,6 +165,7 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
         "results",
         "quality",
         "run",
+        "made_of",
     }
     assert said["schema"] == 2
     assert set(said["inputs"][0]) == {"role", "file", "sha256"}

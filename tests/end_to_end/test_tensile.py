@@ -261,6 +261,16 @@ def test_a_card_of_the_lab(
     usual = done["pet-tape"].lab.results
     for name, found in lab.results.items():
         assert found["value"] == pytest.approx(usual[name]["value"], rel=1e-9), name
+    key = lab.summary["run"]
+    (tmp_path / "dialects" / "acme.toml").write_text(f"{ACME}\n# another card\n", encoding="utf-8")
+    assert run("process", lab.raw, "--no-figures").status == 0
+    changed = lab.summary
+    assert [each["role"] for each in changed["inputs"]] == ["frame", "dialect"]
+    assert changed["inputs"][1]["file"] == "acme.toml"
+    assert changed["run"] != key
+    (tmp_path / "dialects" / "acme.toml").unlink()
+    assert run("process", lab.result, "--no-figures").status == 0
+    assert lab.summary == changed
 
 
 def test_table_2_3_comes_back(tmp_path: Path, run: Run) -> None:

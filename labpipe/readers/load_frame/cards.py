@@ -348,9 +348,18 @@ def lab_cards(folder: Path | None = None) -> Mapping[str, Card]:
     ReadError
         If a card is wrong, or has the name of one that comes with labpipe.
     """
+    return {file.stem: _lab_card(file) for file in lab_card_files(folder)}
+
+
+def lab_card_files(folder: Path | None = None) -> list[Path]:
+    """List the files of a lab's own cards.
+
+    Parameters
+    ----------
+    folder : as for `lab_cards`
+    """
     own = Path(LAB_FOLDER) if folder is None else folder
-    files = sorted(own.glob("*.toml")) if own.is_dir() else []
-    return {file.stem: _lab_card(file) for file in files}
+    return sorted(own.glob("*.toml")) if own.is_dir() else []
 
 
 def _lab_card(file: Path) -> Card:
