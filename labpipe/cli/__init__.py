@@ -138,9 +138,11 @@ def _inspect(parser: argparse.ArgumentParser) -> None:
 
 
 def _new(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", type=_path, metavar="DIR", help="of the test, or of the campaign")
+    where = "of the test, or of the campaign: a sheet for each folder in it"
+    parser.add_argument("folder", type=_path, metavar="DIR", help=where)
     parser.add_argument("--from", dest="sheet", type=_path, metavar="SHEET", help="campaign sheet")
-    parser.add_argument("--protocol", default="wire-cantilever", help="(default: %(default)s)")
+    which = "(default: the one that fits the exports best)"
+    parser.add_argument("--protocol", metavar="NAME", help=which)
     parser.add_argument("--type", help="specimen type, such as A2")
     parser.add_argument("--spool", help="spool the sample was cut from, such as A2-s1")
     parser.add_argument("--sample", help="number of the sample on its spool")
@@ -347,7 +349,7 @@ def _simulate(parser: argparse.ArgumentParser) -> None:
 _COMMANDS = {
     "demo": ("a synthetic campaign in vendor formats, processed", _demo),
     "inspect": ("what an export holds: channels, rate, gaps, oddities", _inspect),
-    "new": ("write a test.yaml, or one per row of a campaign sheet", _new),
+    "new": ("write test.yaml files: by what lies there, or from a campaign sheet", _new),
     "check": ("protocols and tests against each other and the files", _check),
     "process": ("exports to result.h5, summary.json and figures", _process),
     "campaign": ("many tests: only what changed; states, queries, decisions", _campaign),

@@ -15,5 +15,6 @@ def run(options: argparse.Namespace) -> int:
         print(finding.message, file=sys.stderr)
     faults = len(checked.findings)
     verdict = f"{faults} fault{'' if faults == 1 else 's'}" if faults else "no faults found"
-    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests: {verdict}")
+    plans = f", {len(checked.plans)} plans" if checked.plans else ""
+    print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests{plans}: {verdict}")
     return 2 if faults else 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 
 from labpipe.errors import UsageError, complaint
-from labpipe.process.new_sheets import new_from_sheet, new_test
+from labpipe.process.new_sheets import SeenSheet, new_from_sheet, new_seen
 
 _OPTIONS = (
     "protocol",
@@ -23,11 +23,14 @@ _OPTIONS = (
 
 
 def run(options: argparse.Namespace) -> int:
-    """Write one test sheet from options, or one per row of a campaign sheet."""
+    """Write test sheets: by what lies in a folder and by options, or from a campaign sheet."""
     if options.sheet is not None:
         made = new_from_sheet(options.sheet, options.folder, overwrite=options.overwrite)
         for path in made.written:
             print(f"wrote {path}")
+            absent = ", ".join(made.absent.get(path, ()))
+            if absent:
+                print(f"  not there yet: {absent}")
         for path in made.kept:
             print(f"kept  {path}: it was there already; --overwrite replaces it")
         return 0
@@ -41,5 +44,15 @@ def run(options: argparse.Namespace) -> int:
             )
             raise UsageError(message)
         values[key.strip()] = value.strip()
-    print(f"wrote {new_test(options.folder, values, overwrite=options.overwrite)}")
+    for sheet in new_seen(options.folder, values, overwrite=options.overwrite):
+        print(_about(sheet))
     return 0
+
+
+def _about(sheet: SeenSheet) -> str:
+    if sheet.kept:
+        return f"kept  {sheet.path}: it was there already; --overwrite replaces it"
+    lines = [f"wrote {sheet.path}", *(f"  {each}" for each in sheet.said)]
+    if sheet.open:
+        lines.append(f"  to be filled in: {', '.join(sheet.open)}")
+    return "\n".join(lines)

@@ -12,7 +12,7 @@ from labpipe.records.declarations import TravelFromSpeed
 from labpipe.records.quality import Finding, doubtful
 from labpipe.records.recording import Recording
 
-_KEYS = ("date", "start_time", "Capture Start Time")
+DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """What exports call the day, or the time, that they were recorded at: ISO 8601 in all of them."""
 
 
@@ -30,7 +30,7 @@ def day_of_test(sheet: str, recordings: Mapping[str, Recording]) -> date | None:
     """
     said = parse_yaml(sheet, "test.yaml").data
     written = [said.get("date")] if isinstance(said, Mapping) else []
-    written += [each.metadata.get(key) for each in recordings.values() for key in _KEYS]
+    written += [each.metadata.get(key) for each in recordings.values() for key in DAY_KEYS]
     return next(filter(None, map(_day, written)), None)
 
 

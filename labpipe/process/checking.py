@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,16 @@ from labpipe.process.calibrated_signals import calibrated
 from labpipe.process.reading import is_empty, joined, name_channels, unit_fault, where_to_name
 from labpipe.process.steps import step_or_refusal
 from labpipe.process.targets import files_below
-from labpipe.protocol.load import load_protocol, load_test_sheet, resolve
+from labpipe.protocol.load import (
+    load_calibration_plan,
+    load_protocol,
+    load_test_sheet,
+    resolve,
+)
 from labpipe.protocol.schema import Markers, Protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, TestSheet
 from labpipe.protocol.source import ChannelSource, Source
+from labpipe.protocol.yaml_text import parse_yaml, read_text
 from labpipe.readers import read_export, recognise_export
 from labpipe.readers.channels import NoChannelError, select_channel
 from labpipe.records.declarations import Decimate, LowPass, Smooth, Zero
@@ -49,11 +55,13 @@ class Checked:
     ----------
     protocols, tests : files looked at
     findings : everything that is wrong, each once
+    plans : other files looked at: calibration plans
     """
 
     protocols: tuple[Path, ...]
     tests: tuple[Path, ...]
     findings: tuple[Finding, ...]
+    plans: tuple[Path, ...] = ()
 
 
 def check_paths(
@@ -75,15 +83,18 @@ def check_paths(
     wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
     files = list(dict.fromkeys(file for path in wanted for file in _yaml_files(path)))
     tests = tuple(file for file in files if file.name == SHEET_NAME)
-    plans = tuple(file for file in files if file.name != SHEET_NAME)
+    plans = tuple(file for file in files if file.name != SHEET_NAME and _is_plan(file))
+    others = tuple(file for file in files if file.name != SHEET_NAME and file not in plans)
     found = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
+    for other in others:
+        found += [Finding(other, message) for message in _protocol_faults(other)]
     for plan in plans:
-        found += [Finding(plan, message) for message in _protocol_faults(plan)]
+        found += [Finding(plan, message) for message in _faults_by(load_calibration_plan, plan)]
     for test in tests:
         found += [Finding(test, message) for message in _test_faults(test, protocols, follow_links)]
     found += _shared_names(tests)
     once = {finding.message: finding for finding in reversed(found)}
-    return Checked(plans, tests, tuple(reversed(once.values())))
+    return Checked(others, tests, tuple(reversed(once.values())), plans)
 
 
 def _yaml_files(path: Path) -> list[Path]:
@@ -102,6 +113,27 @@ def _unusable(path: Path) -> Iterator[Finding]:
     expected = f"a protocol, a {SHEET_NAME}, or a folder with some"
     remedy = f"`labpipe new` writes a {SHEET_NAME}."
     yield Finding(path, complaint(path, "", expected=expected, found=found, remedy=remedy))
+
+
+def _is_plan(path: Path) -> bool:
+    """Whether a YAML file is a calibration plan, by its keys; a misspelt protocol is none."""
+    from labpipe.protocol.plans import CalibrationPlan
+
+    try:
+        said = parse_yaml(read_text(path), str(path)).data
+    except ProtocolError:
+        return False
+    keys = set(said) if isinstance(said, Mapping) else set()
+    return bool(keys & {*CalibrationPlan.keys()} - {*Protocol.keys()}) and "sources" not in keys
+
+
+def _faults_by(load: Callable[[Path], object], path: Path) -> list[str]:
+    """Word the faults that loading a file finds."""
+    try:
+        load(path)
+    except ProtocolError as error:
+        return str(error).splitlines()
+    return []
 
 
 def _protocol_faults(path: Path) -> Iterator[str]:
@@ -165,15 +197,27 @@ def _refusals(
                 yield f"{path}, {error}"
 
 
-def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
-    """Find a test on two supports whose distance is missing."""
-    asked = [
+def needs_span(protocol: Protocol) -> list[str]:
+    """List the results that need the distance of the supports, where the protocol lacks it.
+
+    Parameters
+    ----------
+    protocol : resolved, or as it is
+    """
+    if protocol.specimen.span is not None:
+        return []
+    return [
         entry.result
         for entry in protocol.results
         if isinstance(entry, MidSpan | Twist)
         or (isinstance(entry, BendingStiffness) and entry.support == "three-point")
     ]
-    if asked and protocol.specimen.span is None:
+
+
+def _span_faults(path: Path, protocol: Protocol) -> Iterator[str]:
+    """Find a test on two supports whose distance is missing."""
+    asked = needs_span(protocol)
+    if asked:
         yield complaint(
             path,
             "specimen.span",

@@ -1,4 +1,4 @@
-"""Writing test sheets: one from options, or one per row of a campaign's table."""
+"""Writing test sheets: by what lies in a folder, from options, or from a campaign's table."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.errors import Fault, ReadError, UsageError, complaint, nearest
+from labpipe.process.folder_contents import folders_of_tests
+from labpipe.process.seen_tests import SeenTest, see_test, see_tests
 from labpipe.protocol.load import find_protocol
 from labpipe.protocol.sheet_grammar import SHEET_NAME, test_sheet_faults, write_test_sheet
 from labpipe.protocol.source import ROLES
@@ -59,10 +61,30 @@ class NewTests:
     ----------
     written : the test sheets written
     kept : those that were there already and were left as they are
+    absent : exports that the written sheets name and that are not there, by test sheet
     """
 
     written: tuple[Path, ...]
     kept: tuple[Path, ...]
+    absent: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class SeenSheet:
+    """A test sheet that was written by what lies in the folder of the test.
+
+    Parameters
+    ----------
+    path : of the test sheet
+    kept : whether it was there already, and was left as it is
+    said : sentences on where its values come from, and on what does not agree
+    open : keys that are to be filled in
+    """
+
+    path: Path
+    kept: bool = False
+    said: tuple[str, ...] = ()
+    open: tuple[str, ...] = ()
 
 
 def new_test(
@@ -97,16 +119,104 @@ def new_test(
     path = folder / SHEET_NAME
     test = NewTest({"test": folder.name} | dict(values))
     faults = [_unknown(column, path, column) for column in values if not _is_column(column)]
-    faults += _faults(test, path, folder, protocols)
+    faults += _faults(test, _sheet_data(test.values), path, folder, protocols=protocols)
     if faults:
         raise UsageError("\n".join(faults))
+    _refuse_existing(path, overwrite=overwrite)
+    _write(path, write_test_sheet(_sheet_data(test.values)))
+    return path
+
+
+def new_seen(
+    folder: Path,
+    given: Mapping[str, str],
+    *,
+    overwrite: bool = False,
+    protocols: Path | None = None,
+) -> Iterator[SeenSheet]:
+    """Write the test sheet of a folder, or of each folder of a campaign, by what lies there.
+
+    Parameters
+    ----------
+    folder : of a test, or of a campaign
+    given : values by column, see `new_test`; they count before what is seen
+    overwrite : whether test sheets that are there already may go; in a campaign they are kept else
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+
+    Yields
+    ------
+    Each test sheet. What is needed and cannot be seen is marked in it as to be filled in.
+
+    Raises
+    ------
+    UsageError
+        If given values are wrong (all of them in one message), or the only sheet is there already.
+    StoreError
+        If the file cannot be written.
+    """
+    below = folders_of_tests(folder)
+    unknown = [_unknown(column, folder, column) for column in given if not _is_column(column)]
+    if unknown:
+        raise UsageError("\n".join(unknown))
+    if not below:
+        _refuse_existing(folder / SHEET_NAME, overwrite=overwrite)
+        yield write_seen(see_test(folder, given, protocols=protocols), protocols=protocols)
+        return
+    there = [each for each in below if (each / SHEET_NAME).exists() and not overwrite]
+    yield from (SeenSheet(each / SHEET_NAME, kept=True) for each in there)
+    todo = [each for each in below if each not in there]
+    for seen in see_tests(todo, given, protocols=protocols):
+        yield write_seen(seen, protocols=protocols)
+
+
+def write_seen(seen: SeenTest, *, protocols: Path | None = None) -> SeenSheet:
+    """Write the test sheet of a test that was looked at.
+
+    Parameters
+    ----------
+    seen : from `see_test`
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+
+    Raises
+    ------
+    UsageError
+        If a value is wrong; all of them are in one message.
+    StoreError
+        If the file cannot be written.
+    """
+    path = seen.folder / SHEET_NAME
+    data = _seen_data(seen)
+    test = NewTest(seen.values)
+    faults = _faults(test, data, path, seen.folder, protocols=protocols, left_open=seen.open)
+    if faults:
+        raise UsageError("\n".join(faults))
+    _write(path, write_test_sheet(data))
+    return SeenSheet(path, False, seen.said, seen.open)
+
+
+def _seen_data(seen: SeenTest) -> dict[str, object]:
+    """Arrange what was seen into the blocks of a test sheet; None for what is to be filled in."""
+    data = _sheet_data(seen.values)
+    files = {
+        role: names[0] if len(names) == 1 else list(names) for role, names in seen.files.items()
+    }
+    roles = [role for role in ROLES if role in {*files, *seen.open}]
+    data["files"] = {role: files.get(role) for role in roles} or None
+    if "protocol" in seen.open:
+        rest = {key: value for key, value in data.items() if key != "test"}
+        data = {"test": data["test"], "protocol": None, **rest}
+    specimen = data["specimen"] if isinstance(data["specimen"], dict) else {}
+    keys = [*_SPECIMEN, *(key for key in seen.open if key in DIMENSIONS)]
+    data["specimen"] = {key: specimen.get(key) for key in keys} | specimen
+    return data
+
+
+def _refuse_existing(path: Path, *, overwrite: bool) -> None:
     if path.exists() and not overwrite:
         remedy = "Edit it, or ask to overwrite it."
         found = "one that is there already"
         text = complaint(path, "", expected="no such file yet", found=found, remedy=remedy)
         raise UsageError(text)
-    _write(path, write_test_sheet(_sheet_data(test.values)))
-    return path
 
 
 def new_from_sheet(
@@ -140,11 +250,13 @@ def new_from_sheet(
         raise ReadError("\n".join(faults))
     tests = [_from_row(table, row) for row in table.rows]
     for test in tests:
-        faults += _faults(test, sheet, folder / test.values.get("test", ""), protocols)
+        goal = folder / test.values.get("test", "")
+        faults += _faults(test, _sheet_data(test.values), sheet, goal, protocols=protocols)
     faults += _repeated(tests, sheet)
     if faults:
         raise ReadError("\n".join(faults))
     written, kept = [], []
+    absent: dict[Path, tuple[str, ...]] = {}
     for test in tests:
         path = folder / test.values["test"] / SHEET_NAME
         if path.exists() and not overwrite:
@@ -152,7 +264,10 @@ def new_from_sheet(
         else:
             _write(path, write_test_sheet(_sheet_data(test.values)))
             written.append(path)
-    return NewTests(tuple(written), tuple(kept))
+            named = [name for role in ROLES for name in _names(test.values.get(role, ""))]
+            missing = tuple(name for name in named if not (path.parent / name).exists())
+            absent |= {path: missing} if missing else {}
+    return NewTests(tuple(written), tuple(kept), absent)
 
 
 def _column(cell: Cell) -> tuple[str, str]:
@@ -200,9 +315,18 @@ def _from_row(table: Table, row: Sequence[Cell]) -> NewTest:
     return NewTest(values, places)
 
 
-def _faults(test: NewTest, file: Path, folder: Path, protocols: Path | None) -> list[str]:
-    """Word what is wrong with one test."""
-    faults = test_sheet_faults(_sheet_data(test.values))
+def _faults(
+    test: NewTest,
+    data: Mapping[str, object],
+    file: Path,
+    folder: Path,
+    *,
+    protocols: Path | None,
+    left_open: Sequence[str] = (),
+) -> list[str]:
+    """Word what is wrong with one test, but not what is left open."""
+    found_in = test_sheet_faults(data)
+    faults = [each for each in found_in if not set(map(str, each.path)) & set(left_open)]
     wanted = test.values.get("protocol")
     found = find_protocol(wanted, beside=folder, protocols=protocols) if wanted else None
     if isinstance(found, Fault):
@@ -236,7 +360,7 @@ def _column_of(fault: Fault) -> str:
 
 def _sheet_data(values: Mapping[str, str]) -> dict[str, object]:
     """Arrange text by column into the blocks of a test sheet."""
-    files = {role: _parts(values[role]) for role in ROLES if role in values}
+    files = {role: _parts(values[role]) for role in ROLES if values.get(role)}
     dotted = {key: value for key, value in values.items() if "." in key and not _is_label(key)}
     because = {"because": values["because"]} if "because" in values else {}
     data: dict[str, object] = {key: values[key] for key in ("test", "protocol") if key in values}
@@ -262,8 +386,12 @@ def _is_label(column: str) -> bool:
 
 
 def _parts(text: str) -> str | list[str]:
-    parts = [part.strip() for part in text.split(";")]
+    parts = _names(text)
     return parts[0] if len(parts) == 1 else parts
+
+
+def _names(text: str) -> list[str]:
+    return [part.strip() for part in text.split(";")] if text else []
 
 
 def _repeated(tests: Sequence[NewTest], sheet: Path) -> Iterator[str]:

@@ -452,6 +452,7 @@ _COMMENTS = {
     "files": "role: file in this folder, or a list of the parts of one recording",
     "overrides": "values of the protocol that this test changes, and why",
 }
+_TO_FILL_IN = re.compile(r"^( *\w+:) null$", re.MULTILINE)
 _EXAMPLE = "# overrides:                # values of the protocol that this test changes, and why\n"
 _EXAMPLES = {
     "force": "sources.force.channel: {value: Model Root/Load Cell/Out1, because: other cabling}",
@@ -483,11 +484,12 @@ def write_test_sheet(data: Mapping[str, object]) -> str:
 
     Parameters
     ----------
-    data : with the keys of ``test.yaml``, every value as text, list or block
+    data : with the keys of ``test.yaml``, every value as text, list or block; None for what is
+        to be filled in
 
     Returns
     -------
-    The text; reading it gives the same values.
+    The text; reading it gives the same values. `labpipe check` finds what is to be filled in.
     """
     parts = [_HEAD, *(_entry(key, value) for key, value in data.items())]
     return "".join(parts if "overrides" in data else [*parts, _example(data)])
@@ -509,7 +511,10 @@ def _entry(key: str, value: object) -> str:
     text = yaml.safe_dump(
         {key: value}, sort_keys=False, allow_unicode=not escaped, width=float("inf"), indent=2
     )
+    text = _TO_FILL_IN.sub(r"\1   # to be filled in", text)
     first, _, rest = text.partition("\n")
+    if value is None:
+        return text
     if key not in _COMMENTS or (isinstance(value, str) and rest):
         return text  # a comment in the middle of a text would become part of it
     return f"{first:<27} # {_COMMENTS[key]}\n{rest}"

@@ -222,9 +222,19 @@ def _text(value: object) -> str:
     return str(value)
 
 
+def has_control_characters(text: str) -> bool:
+    """Whether a text has ends of lines, or characters that no page and no YAML can hold.
+
+    Parameters
+    ----------
+    text : any, such as the name of a file
+    """
+    return _CONTROL.search(text) is not None
+
+
 def _line(value: object) -> str:
     text = _text(value)
-    if _CONTROL.search(text) is not None:
+    if has_control_characters(text):
         raise error_of(expected="text on one line, without control characters", found=value)
     return text
 
@@ -308,7 +318,7 @@ def file_inside(folder: str, remedy: str) -> BeforeValidator:
     """
 
     def check(value: object) -> str:
-        if not isinstance(value, str) or not value.strip() or _CONTROL.search(value) is not None:
+        if not isinstance(value, str) or not value.strip() or has_control_characters(value):
             raise error_of(expected="the name of a file", found=value)
         roots = PurePosixPath(value).is_absolute() or PureWindowsPath(value).anchor
         if roots or ".." in PureWindowsPath(value).parts:

@@ -97,13 +97,34 @@ def test_new_then_check(run: Run, lab: Lab) -> None:
     files = ["--force", "force.mat", "--markers", "take.csv"]
     change = ["--set", "rig.stroke=12 mm", "--because", "a short stroke"]
     ran = run("new", lab.raw, *options, *files, *change)
-    assert (ran.status, ran.out) == (DONE, f"wrote {lab.raw / 'test.yaml'}\n")
+    assert ran.status == DONE
+    assert ran.out.splitlines()[0] == f"wrote {lab.raw / 'test.yaml'}"
+    assert "  not used: truth.json: JSON" in ran.out.splitlines()
     assert run("check", lab.raw).status == DONE
     before = (lab.raw / "test.yaml").read_bytes()
     ran = run("new", lab.raw, *options, *files)
     assert ran.status == 2
     assert (lab.raw / "test.yaml").read_bytes() == before
     assert run("new", lab.raw, *options, *files, "--overwrite").status == DONE
+
+
+def test_new_sees_what_lies_there(run: Run, lab: Lab) -> None:
+    folder = lab.raw.rename(lab.raw.with_name("A2-085-3"))
+    (folder / "test.yaml").unlink()
+    ran = run("new", folder)
+    assert (ran.status, ran.err) == (DONE, "")
+    assert ran.out.splitlines()[0] == f"wrote {folder / 'test.yaml'}"
+    assert ran.out.splitlines()[-1] == "  to be filled in: spool"
+    assert "(specimen.spool): expected text, found nothing." in run("check", folder).err
+    assert run("new", folder, "--spool", "A2-s1", "--overwrite").status == DONE
+    assert run("check", folder).status == DONE
+
+
+def test_new_for_a_campaign(run: Run, lab: Lab) -> None:
+    (lab.raw / "test.yaml").unlink()
+    campaign = lab.raw.parent
+    assert run("new", campaign).out.startswith(f"wrote {lab.raw / 'test.yaml'}\n")
+    assert run("new", campaign).out.startswith(f"kept  {lab.raw / 'test.yaml'}: ")
 
 
 def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
@@ -117,6 +138,7 @@ def test_new_from_a_sheet(run: Run, tmp_path: Path) -> None:
     ran = run("new", tmp_path / "raw", "--from", sheet)
     assert ran.status == DONE
     assert ran.out.count("wrote ") == 2
+    assert ran.out.count("  not there yet: force.mat, take.csv\n") == 2
     ran = run("new", tmp_path / "raw", "--from", sheet)
     assert ran.out.count("kept ") == 2
 

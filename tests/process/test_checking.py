@@ -389,3 +389,23 @@ def test_a_test_on_two_supports_whose_distance_nobody_says(
             "'span: 152.4 mm'."
         ]
     )
+
+
+PLAN = """\
+version: 1
+wire: A2
+"""
+
+
+def test_a_calibration_plan_is_no_protocol(lab: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "raw" / "campaign" / "plan.yaml"
+    plan.write_text(PLAN, encoding="utf-8")
+
+    checked = check_paths()
+
+    assert (checked.plans, checked.findings) == ((plan.relative_to(tmp_path),), ())
+    plan.write_text(PLAN.replace("A2", "A2\nmethod: guess"), encoding="utf-8")
+    (finding,) = check_paths().findings
+    assert "(method): expected one of" in finding.message
+    plan.write_text("version: 1\nname: plan\nsource: {}\n", encoding="utf-8")
+    assert check_paths().protocols[-1] == plan.relative_to(tmp_path)  # a protocol, misspelt

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.errors import ReadError, StoreError, UsageError
-from labpipe.process.new_sheets import new_from_sheet, new_test
+from labpipe.errors import ProtocolError, ReadError, StoreError, UsageError
+from labpipe.process.new_sheets import new_from_sheet, new_seen, new_test, write_seen
+from labpipe.process.seen_tests import SeenTest
 from labpipe.protocol.load import load_test_sheet, resolve
 from labpipe.records.harness_bundle import Bundle, BundleWire
 
@@ -329,3 +330,53 @@ def test_a_fault_names_its_cell_and_nothing_is_written(
 
     assert f"{table}, {message}" in str(info.value).splitlines()
     assert not (tmp_path / "raw").exists()
+
+
+def test_what_is_to_be_filled_in_is_marked_and_found(tmp_path: Path) -> None:
+    values = {"test": "t", "type": "A2", "span": "", "protocol": ""}
+    open_ = ("protocol", "spool", "sample", "span", "frame")
+    seen = SeenTest(
+        tmp_path, {k: v for k, v in values.items() if v}, {"force": ("a;b.mat",)}, open_
+    )
+
+    sheet = write_seen(seen)
+
+    assert sheet.open == open_
+    lines = sheet.path.read_text(encoding="utf-8").splitlines()
+    blank = [line.strip() for line in lines if line.endswith("# to be filled in")]
+    assert blank == [
+        f"{key}:   # to be filled in" for key in ("protocol", "spool", "sample", "span", "frame")
+    ]
+    assert "  force: a;b.mat" in lines  # a name, not two
+    with pytest.raises(ProtocolError) as info:
+        load_test_sheet(sheet.path)
+    assert len(str(info.value).splitlines()) == len(open_)
+
+
+def test_a_wrong_value_is_refused_though_others_are_open(tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    with pytest.raises(UsageError, match=r"length: expected a quantity with a unit"):
+        list(new_seen(tmp_path / "x", {"length": "85"}))
+    with pytest.raises(UsageError, match=r"expected one of .*found 'typ'"):
+        list(new_seen(tmp_path / "x", {"typ": "A"}))
+    assert not (tmp_path / "x" / "test.yaml").exists()
+
+
+def test_a_sheet_that_is_there_is_not_seen_again(tmp_path: Path) -> None:
+    path = new_test(tmp_path / "t", VALUES)
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match="found one that is there already"):
+        list(new_seen(tmp_path / "t", {}))
+    assert path.read_bytes() == before
+
+
+def test_exports_that_a_table_names_and_that_are_not_there(tmp_path: Path) -> None:
+    table = tmp_path / "c.csv"
+    rows = (
+        "test,protocol,type,spool,sample,force,markers\nt,wire-cantilever,A,s,1,a.mat;b.mat,c.csv\n"
+    )
+    table.write_text(rows, encoding="utf-8")
+    (tmp_path / "raw" / "t").mkdir(parents=True)
+    (tmp_path / "raw" / "t" / "a.mat").write_bytes(b"x")
+    made = new_from_sheet(table, tmp_path / "raw")
+    assert dict(made.absent) == {tmp_path / "raw" / "t" / "test.yaml": ("b.mat", "c.csv")}

@@ -1,0 +1,403 @@
+"""What a test sheet can say by itself: protocol, roles, day, operator and specimen, as seen."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+from labpipe.errors import Fault, LabpipeError
+from labpipe.process.checking import needs_span
+from labpipe.process.fitting_protocols import Fit, Known, all_protocols, fitting, seen_length
+from labpipe.process.folder_contents import FolderContents, SeenExport, look_into
+from labpipe.process.recorded_facts import (
+    FOLDER,
+    Agreed,
+    Fact,
+    agreed,
+    facts_of_export,
+    facts_of_folder,
+)
+from labpipe.protocol.load import find_protocol, load_protocol, load_test_sheet
+from labpipe.protocol.schema import Protocol
+from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.source import ROLES
+from labpipe.protocol.values import is_name_of_a_test
+from labpipe.records.recording import EXPORT_FORMATS
+from labpipe.units import parse_quantity
+
+USUAL = "wire-cantilever"
+"""Protocol of a test of which nothing can be seen and nothing is said."""
+_NEEDED = ("type", "spool", "sample")
+_AGREE = 0.05
+"""Lengths that differ by more than this ratio are not the same."""
+_SAID = ("date", "operator", "type", "sample", "length", "width", "thickness")
+_MOST = 3
+"""Faults of one export that are listed."""
+
+
+@dataclass(frozen=True, slots=True)
+class SeenTest:
+    """What a test sheet can say about a test.
+
+    Parameters
+    ----------
+    folder : of the test
+    values : text by column of a campaign's table
+    files : names of exports by role
+    open : columns that are needed and not seen; the person fills them in
+    said : sentences on where the values come from, and on what does not agree
+    """
+
+    folder: Path
+    values: Mapping[str, str]
+    files: Mapping[str, tuple[str, ...]]
+    open: tuple[str, ...] = ()
+    said: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class Neighbours:
+    """Protocols of the other tests of a campaign, by type of specimen.
+
+    Parameters
+    ----------
+    by_type : of each type, how many tests have which protocol
+    """
+
+    by_type: dict[str, Counter[str]] = field(default_factory=dict)
+
+    def add(self, kind: str, protocol: str) -> None:
+        """Count a test."""
+        self.by_type.setdefault(kind, Counter())[protocol] += 1
+
+    def of_type(self, kind: str) -> frozenset[str]:
+        """Protocols of the tests of one type."""
+        return frozenset(self.by_type.get(kind, ()))
+
+    @property
+    def all(self) -> frozenset[str]:
+        """Protocols of all tests."""
+        return frozenset(name for several in self.by_type.values() for name in several)
+
+
+def neighbours_of(folder: Path) -> Neighbours:
+    """Read which protocols the tests beside a folder have.
+
+    Parameters
+    ----------
+    folder : of a test
+    """
+    found = Neighbours()
+    for sheet_path in sorted(folder.parent.glob(f"*/{SHEET_NAME}")):
+        if sheet_path.parent != folder:
+            with suppress(LabpipeError, OSError):
+                sheet = load_test_sheet(sheet_path)
+                found.add(sheet.specimen.type, sheet.protocol)
+    return found
+
+
+def see_test(
+    folder: Path,
+    given: Mapping[str, str],
+    *,
+    protocols: Path | None = None,
+    neighbours: Neighbours | None = None,
+) -> SeenTest:
+    """See what the exports in a folder say about their test.
+
+    Parameters
+    ----------
+    folder : of the test
+    given : values by column, which count before what is seen
+    protocols : folder of the lab's protocols; ``protocols`` in the working folder if None
+    neighbours : the other tests of the campaign; those beside the folder if None
+
+    Returns
+    -------
+    What can be said. Nothing is raised for what cannot be read: it is said.
+    """
+    contents = look_into(folder)
+    known = _protocols(given, folder, protocols)
+    around = neighbours_of(folder) if neighbours is None else neighbours
+    return _Sight(contents, dict(given), known, around).seen()
+
+
+def see_tests(
+    folders: Sequence[Path], given: Mapping[str, str], *, protocols: Path | None = None
+) -> Iterator[SeenTest]:
+    """See several tests of one campaign; what one leaves open, the others may settle.
+
+    Parameters
+    ----------
+    folders : of the tests
+    given, protocols : see `see_test`
+
+    Yields
+    ------
+    Each test: first those that are settled by themselves, then the others. The recordings of one
+    test are in the memory at a time.
+    """
+    if not folders:
+        return
+    known = _protocols(given, folders[0], protocols)
+    around = neighbours_of(folders[0].parent / ".")
+    waiting = []
+    for folder in folders:
+        sight = _Sight(look_into(folder), dict(given), known, around)
+        if len(sight.fits) > 1:
+            waiting.append(folder)
+            continue
+        if sight.fit is not None:
+            around.add(sight.kind, sight.fit.protocol.name)
+        yield sight.seen()
+    for folder in waiting:
+        yield _Sight(look_into(folder), dict(given), known, around).seen()
+
+
+def _protocols(given: Mapping[str, str], folder: Path, protocols: Path | None) -> list[Protocol]:
+    """The protocols that come into question: all, or the one that a person named."""
+    if "protocol" not in given:
+        return all_protocols(protocols)
+    found = find_protocol(given["protocol"], beside=folder, protocols=protocols)
+    with suppress(LabpipeError):  # one that is wrong, or not there, is said when it is written
+        return [] if isinstance(found, Fault) else [load_protocol(found)]
+    return []
+
+
+class _Sight:
+    """One test as it is looked at."""
+
+    def __init__(
+        self,
+        contents: FolderContents,
+        given: dict[str, str],
+        protocols: Sequence[Protocol],
+        around: Neighbours,
+    ) -> None:
+        self.contents, self.given, self.around = contents, given, around
+        self._protocols = protocols
+
+    @cached_property
+    def facts(self) -> Agreed:
+        each = [facts_of_export(export.name, export.recording) for export in self._belonging]
+        said = [fact for facts in each for fact in facts if fact.key != "take"]
+        own = facts_of_folder(self.contents.folder.name)
+        named = {fact.key for fact in own}
+        # The name of the folder is the lab's word; what a program counts is only a help.
+        said = [fact for fact in said if fact.key not in named]
+        if "sample" not in named:
+            said = [
+                replace(each, key="sample") if each.key == "specimen" else each for each in said
+            ]
+        return agreed([*own, *(fact for fact in said if fact.key != "specimen")])
+
+    @property
+    def _belonging(self) -> list[SeenExport]:
+        """Exports that are surely of this test; all, where no protocol takes any of them."""
+        unclear = {
+            name
+            for fit in self.fits
+            for role in fit.unclear
+            for name in fit.files[role]
+            if role not in self.given
+        }
+        return [each for each in self.contents.exports if each.name not in unclear]
+
+    @property
+    def kind(self) -> str:
+        """Type of the specimen, as far as it is known."""
+        named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
+        return self.given.get("type") or named.get("type", "")
+
+    def _fact(self, key: str) -> str:
+        return self.facts.facts[key].value if key in self.facts.facts else ""
+
+    @cached_property
+    def fits(self) -> list[Fit]:
+        roles = {role: _parts(self.given[role]) for role in ROLES if role in self.given}
+        named = {fact.key: fact.value for fact in facts_of_folder(self.contents.folder.name)}
+        length = self.given.get("length") or named.get("length", "")
+        known = Known(
+            names=(self.contents.folder.name, self.kind),
+            length=_metres(length),
+            of_type=self.around.of_type(self.kind),
+            of_campaign=self.around.all,
+            roles=roles,
+        )
+        return (
+            fitting(self.contents.exports, self._protocols, known) if self.contents.exports else []
+        )
+
+    @property
+    def fit(self) -> Fit | None:
+        """The protocol that fits better than all others; None where that is open."""
+        return self.fits[0] if len(self.fits) == 1 else None
+
+    def seen(self) -> SeenTest:
+        """Put together what can be said."""
+        seen = {key: self._fact(key) for key in _SAID if self._fact(key)}
+        values = {"test": self._name, **self._protocol, **seen, **self.given}
+        files = {role: _parts(self.given[role]) for role in ROLES if role in self.given}
+        files = {**self._files, **files}
+        needed = [*_NEEDED, *(["span"] if self.fit and needs_span(self.fit.protocol) else [])]
+        still = [key for key in ("protocol", *needed) if not values.get(key)]
+        unclear = sorted(self._unclear(files))
+        still += unclear or ([] if files else ["files"])
+        return SeenTest(
+            self.contents.folder, values, files, tuple(still), tuple(self._sentences(values, files))
+        )
+
+    @property
+    def _name(self) -> str:
+        name = self.contents.folder.resolve().name
+        return name if is_name_of_a_test(name) else _as_name(name)
+
+    @property
+    def _protocol(self) -> dict[str, str]:
+        if self.fit is not None:
+            return {"protocol": self.fit.protocol.name}
+        return {} if self.contents.exports else {"protocol": USUAL}
+
+    @property
+    def _files(self) -> dict[str, tuple[str, ...]]:
+        """Exports by role; where no protocol is settled, what all agree on, or their kinds."""
+        if not self.fits:
+            return {
+                role: tuple(
+                    each.name for each in self.contents.exports if _role(each.reader) == role
+                )
+                for role in dict.fromkeys(_role(each.reader) for each in self.contents.exports)
+            }
+        first = dict(self.fits[0].files)
+        return {role: names for role, names in first.items() if self._agree(role, names)}
+
+    def _agree(self, role: str, names: tuple[str, ...]) -> bool:
+        return all(fit.files.get(role) == names and role not in fit.unclear for fit in self.fits)
+
+    def _unclear(self, files: Mapping[str, object]) -> set[str]:
+        return {role for fit in self.fits[:1] for role in fit.unclear if role not in files}
+
+    def _sentences(
+        self, values: Mapping[str, str], files: Mapping[str, tuple[str, ...]]
+    ) -> Iterator[str]:
+        yield from self._about_protocol()
+        readers = {each.name: each.reader for each in self.contents.exports}
+        seen = {role: names for role, names in files.items() if role not in self.given}
+        if seen:
+            yield "; ".join(
+                f"{role}: {', '.join(f'{_shown(name)} ({readers[name]})' for name in names)}"
+                for role, names in seen.items()
+            )
+        for role in sorted(self._unclear(files)):
+            several = ", ".join(map(_shown, self.fits[0].files[role]))
+            yield (
+                f"{role}: {several} could each be it, and are not parts of one recording; name one"
+                f" with --{role}, and give each test a folder of its own"
+            )
+        yield from self._about_facts()
+        if values["test"] != self.contents.folder.resolve().name and "test" not in self.given:
+            yield f"test: {values['test']}, as a name of a test has no blanks or other signs"
+        left = self.facts.open
+        yield from (each for each in left if each.partition(":")[0] not in self.given)
+        yield from self._contradictions(values)
+        unclear = {role: self.fits[0].files[role] for role in self._unclear(files)}
+        yield from self._unused({**files, **unclear})
+
+    def _about_facts(self) -> Iterator[str]:
+        """Say which values come from where, one line for each place."""
+        facts = [self.facts.facts[key] for key in _SAID if key in self.facts.facts]
+        taken = [fact for fact in facts if fact.key not in self.given]
+        for where in dict.fromkeys(fact.where for fact in taken):
+            each = [f"{x.key} {x.value}{_as_written(x)}" for x in taken if x.where == where]
+            yield f"{', '.join(each)}: from {where}"
+
+    def _about_protocol(self) -> Iterator[str]:
+        if "protocol" in self.given:
+            yield from _faults(self.fits[:1])
+            return
+        if self.fit is not None:
+            why = "; ".join(sign.text for sign in self.fit.signs if sign.weight > 0)
+            yield f"protocol: {self.fit.protocol.name}" + (f", as {why}" if why else "")
+            yield from _faults([self.fit])
+        elif self.fits:
+            names = ", ".join(fit.protocol.name for fit in self.fits)
+            yield f"protocol: {names} fit alike; choose one with --protocol NAME, or in the sheet"
+        elif self.contents.exports:
+            yield "protocol: none of those here takes these exports; name one, or write one"
+        elif self.contents.others:
+            yield f"no export that labpipe reads lies here; {USUAL} was taken as the protocol"
+        else:
+            yield f"no exports lie here yet; {USUAL} was taken as the protocol"
+
+    def _contradictions(self, values: Mapping[str, str]) -> Iterator[str]:
+        """What is said in two ways, but does not keep a value from being taken."""
+        name = self.contents.folder.resolve().name
+        for export in self._belonging:
+            for fact in facts_of_export(export.name, export.recording):
+                if fact.key == "take" and fact.value != name and facts_of_folder(fact.value):
+                    yield f"look: {export.name} is of {fact.value!r}, the folder is called {name!r}"
+        stated, fit = _metres(values.get("length", "")), self.fit
+        for export in self._belonging:
+            tracks = export.recording.markers
+            if fit is None or tracks is None or not stated:
+                continue
+            reach = seen_length(fit.protocol, tracks)
+            if reach is not None and abs(reach / stated - 1.0) > _AGREE:
+                shown = f"{reach * 1e3:.3g} mm, {values['length']} is stated"
+                yield f"look: the markers of {export.name} show a length of about {shown}"
+
+    def _unused(self, files: Mapping[str, tuple[str, ...]]) -> Iterator[str]:
+        used = {name for names in files.values() for name in names}
+        for export in self.contents.exports:
+            if export.name not in used:
+                yield f"not used: {_shown(export.name)} ({export.reader})"
+        for name, why in self.contents.others.items():
+            if name not in used:
+                yield f"not used: {_shown(name)}: {why.splitlines()[0]}"
+        here = {each.name for each in self.contents.exports} | set(self.contents.others)
+        for name in sorted(used - here):
+            if not (self.contents.folder / name).exists():
+                yield f"not there yet: {_shown(name)}"
+
+
+def _faults(fits: Iterable[Fit]) -> Iterator[str]:
+    for fit in fits:
+        if not fit.unclear:
+            yield from (f"look: {fault}" for fault in fit.faults[:_MOST])
+
+
+def _role(reader: str) -> str:
+    """What an export is for, by its kind alone."""
+    if any(each.has_markers for each in EXPORT_FORMATS if each.name == reader):
+        return "markers"
+    return "frame" if reader == "load-frame" else "force"
+
+
+def _parts(text: str) -> tuple[str, ...]:
+    return tuple(part.strip() for part in text.split(";"))
+
+
+def _metres(text: str) -> float | None:
+    with suppress(ValueError):
+        return parse_quantity(text, "m") if text else None
+    return None
+
+
+def _as_name(name: str) -> str:
+    plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
+    return plain if is_name_of_a_test(plain) else f"test-{plain}"[:100]
+
+
+def _as_written(fact: Fact) -> str:
+    is_plain = fact.written in ("", fact.value) or fact.where.startswith((FOLDER, "the name of"))
+    return "" if is_plain else f" ({fact.written!r})"
+
+
+def _shown(name: str) -> str:
+    """A name of a file as a terminal can show it."""
+    return name if name.isprintable() else repr(name)[1:-1]
