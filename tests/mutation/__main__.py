@@ -1,122 +1,205 @@
 """Make faults on purpose and see whether the tests notice.
 
-``python -m tests.mutation`` goes on where it stopped, for an hour at most, and writes each mutant
-that was tried into ``tests/mutation/tried.jsonl``; ``--report`` prints the score. A mutant is
-killed if one of the tests fails that mirror its module or import it. What survives is explained in
-``tests/mutation/explained.toml``, or is a test that is missing.
+``python -m tests.mutation`` tries what has not been tried, for an hour at most, and writes down
+what notices each fault, in ``tests/mutation/tried.jsonl``. ``--again`` tries those anew that
+nothing has noticed, ``--afresh`` all. ``--report`` prints the score, ``--publish`` puts it into
+docs/explanations/mutation.md. What survives is explained in ``tests/mutation/explained.toml``, or
+is a test that is missing.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
-import shutil
+import re
 import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-from tests.mutation.mutants import COUNT, Mutant, sampled
+from tests.mutation.mutants import COUNT, LAYERS, Mutant, sampled
+from tests.mutation.trials import REPOSITORY, Demo, noticed_by, with_libraries
 
 HERE = Path(__file__).resolve().parent
-REPOSITORY = HERE.parents[1]
-TRIED = HERE / "tried.jsonl"
-_MOST = 240.0
-"""s that the tests of a mutant may take; a mutant that makes them wait forever is noticed."""
+TRIED, EXPLAINED = HERE / "tried.jsonl", HERE / "explained.toml"
+PAGE = REPOSITORY / "docs" / "explanations" / "mutation.md"
+DEMO = REPOSITORY / "raw" / "demo"
+BEGIN, END = "<!-- counted: begin -->", "<!-- counted: end -->"
+BESIDE, KEPT, OTHERS = "tests of its module", "numbers kept of the demo", "other tests"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutation", description=__doc__)
     parser.add_argument("--seconds", type=float, default=3600.0, help="go on for so long")
+    parser.add_argument("--demo", type=Path, default=DEMO, help="folder of the demo's exports")
+    parser.add_argument("--again", action="store_true", help="try anew what nothing has noticed")
+    parser.add_argument("--afresh", action="store_true", help="try all anew")
+    parser.add_argument("--only", default="", metavar="TEXT", help="faults whose name has this")
     parser.add_argument("--report", action="store_true", help="print the score")
+    parser.add_argument("--publish", action="store_true", help="put the score into the docs")
     options = parser.parse_args()
-    if not options.report:
-        try_for(options.seconds)
-    return report()
+    drawn = sampled(REPOSITORY / "labpipe")
+    if not (options.report or options.publish):
+        known = tried()
+        if options.afresh or options.again:
+            known = {key: by for key, by in known.items() if by and not options.afresh}
+        chosen = [each for each in drawn if options.only in each.key and token(each) not in known]
+        try_for(options.seconds, chosen, options.demo)
+    counted = Counted.of(drawn, tried(), explained())
+    print(counted)
+    if options.publish:
+        publish(counted)
+    return 0
 
 
-def try_for(seconds: float) -> None:
-    """Try the mutants that have not been tried, one after the other."""
-    known, ends = tried(), time.monotonic() + seconds
-    with tempfile.TemporaryDirectory() as folder:
-        tree = Path(folder) / "tree"
-        ignored = shutil.ignore_patterns("__pycache__")
-        for part in ("labpipe", "tests", "protocols", "pyproject.toml"):
-            source = REPOSITORY / part
-            if source.is_dir():
-                shutil.copytree(source, tree / part, ignore=ignored)
-            else:
-                shutil.copy(source, tree / part)
-        for mutant in sampled(REPOSITORY / "labpipe"):
-            if time.monotonic() > ends:
-                return
-            if mutant.key not in known:
-                line = {"mutant": mutant.key, "end": end_of(mutant, tree)}
-                with TRIED.open("a", encoding="utf-8") as file:
-                    file.write(json.dumps(line) + "\n")
+def try_for(seconds: float, mutants: Sequence[Mutant], demo: Path) -> None:
+    """Try mutants one after the other, and write down how each ends."""
+    ends, known = time.monotonic() + seconds, tried()
+    with_libraries()
+    followed = Demo.followed(demo)
+    for number, mutant in enumerate(mutants):
+        if time.monotonic() > ends:
+            return
+        last = known.get(token(mutant), "")
+        known[token(mutant)] = noticed_by(mutant, stages(mutant, last), followed)
+        write(known)
+        said = known[token(mutant)] or "NOTHING"
+        print(f"{number + 1}/{len(mutants)} {said}  <  {mutant.key}", flush=True)
 
 
-def end_of(mutant: Mutant, tree: Path) -> str:
-    """Whether the tests killed a mutant, survived it, or never ended."""
-    path = tree / "labpipe" / mutant.module
-    path.write_text(mutant.text, encoding="utf-8")
-    environment = os.environ | {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:randomly", *files_for(mutant)]
-    try:
-        ran = subprocess.run(
-            command, cwd=tree, env=environment, capture_output=True, timeout=_MOST, check=False
-        )
-    except subprocess.TimeoutExpired:
-        return "killed"
-    finally:
-        path.write_text(mutant.source, encoding="utf-8")
-    return "survived" if ran.returncode == 0 else "killed"
-
-
-def files_for(mutant: Mutant) -> list[str]:
-    """Files of tests that mirror a module first, then those that import it."""
+def stages(mutant: Mutant, last: str) -> list[list[str]]:
+    """Tests that mirror a module, what noticed the fault last time first; those that import it."""
     module = Path(mutant.module)
     own = sorted((REPOSITORY / "tests" / module.parent).glob(f"test_{module.stem}*.py"))
     dotted = "labpipe." + module.with_suffix("").as_posix().replace("/", ".")
     users = [
         path
-        for path in sorted((REPOSITORY / "tests").rglob("test_*.py"))
+        for layer in LAYERS
+        for path in sorted((REPOSITORY / "tests" / layer).rglob("test_*.py"))
         if path not in own and f"{dotted} " in path.read_text(encoding="utf-8")
     ]
-    return [path.relative_to(REPOSITORY).as_posix() for path in [*own, *users]]
+    beside, others = (
+        [path.relative_to(REPOSITORY).as_posix() for path in each] for each in (own, users)
+    )
+    file = last.partition("::")[0]
+    return [sorted(each, key=lambda path: path != file) for each in (beside, others)]
+
+
+def token(mutant: Mutant) -> str:
+    """Under which a trial is kept: tried again once the function has changed."""
+    return f"{mutant.key} [{mutant.digest}]"
 
 
 def tried() -> dict[str, str]:
-    """Mutants that were tried, and how that ended."""
+    """What noticed each mutant that was tried; an empty text where nothing did."""
     if not TRIED.is_file():
         return {}
     lines = map(json.loads, TRIED.read_text(encoding="utf-8").splitlines())
-    return {line["mutant"]: line["end"] for line in lines}
+    return {line["mutant"]: line["by"] for line in lines}
 
 
-def score() -> tuple[Counter[str], list[str]]:
-    """How the mutants of the package as it is ended, and which survived without an explanation."""
-    known, why = tried(), {}
-    if (HERE / "explained.toml").is_file():
-        why = tomllib.loads((HERE / "explained.toml").read_text(encoding="utf-8"))
-    keys = [mutant.key for mutant in sampled(REPOSITORY / "labpipe")]
-    ends = Counter(known.get(key, "not tried") for key in keys)
-    return ends, [key for key in keys if known.get(key) == "survived" and key not in why]
+def write(known: Mapping[str, str]) -> None:
+    """Keep what was tried, in the order of names."""
+    lines = [json.dumps({"mutant": name, "by": by}) for name, by in sorted(known.items())]
+    TRIED.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def report() -> int:
-    """Print the score."""
-    ends, unexplained = score()
-    done = COUNT - ends["not tried"]
-    print(f"{done} of {COUNT} tried, {ends['killed']} killed, {ends['survived']} survived")
-    if done:
-        print(f"killed or explained: {100.0 * (done - len(unexplained)) / done:.1f} %")
-    print("".join(f"  {key}\n" for key in unexplained), end="")
-    return 0
+def explained() -> dict[str, str]:
+    """Why a mutant changes no result, by its name."""
+    if not EXPLAINED.is_file():
+        return {}
+    entries = tomllib.loads(EXPLAINED.read_text(encoding="utf-8"))["explained"]
+    return {entry["mutant"]: entry["why"] for entry in entries}
+
+
+@dataclass(frozen=True)
+class Counted:
+    """How the mutants of the package as it is ended.
+
+    Parameters
+    ----------
+    ends : layer by layer: how many were noticed by what, were explained, or survived
+    survived : names of those that nothing notices and nobody has explained
+    """
+
+    ends: Mapping[str, Counter[str]]
+    survived: tuple[str, ...]
+
+    @classmethod
+    def of(
+        cls, drawn: Sequence[Mutant], known: Mapping[str, str], why: Mapping[str, str]
+    ) -> Counted:
+        ends: dict[str, Counter[str]] = {layer: Counter() for layer in sorted(LAYERS)}
+        survived = []
+        for mutant in drawn:
+            end = _end(mutant, known.get(token(mutant)), why)
+            ends[mutant.module.partition("/")[0]][end] += 1
+            if end == "survived":
+                survived.append(mutant.key)
+        return cls(ends, tuple(survived))
+
+    @property
+    def all(self) -> Counter[str]:
+        return sum(self.ends.values(), Counter())
+
+    @property
+    def n_tried(self) -> int:
+        return self.all.total() - self.all["not tried"]
+
+    @property
+    def share(self) -> float:
+        """Noticed or explained, of those that were tried."""
+        return (self.n_tried - len(self.survived)) / self.n_tried if self.n_tried else 0.0
+
+    def __str__(self) -> str:
+        told = ", ".join(f"{n} {end}" for end, n in sorted(self.all.items()))
+        lines = [f"{self.n_tried} of {COUNT} tried: {told}"]
+        lines += [f"noticed or explained: {100.0 * self.share:.1f} %"]
+        return "\n".join([*lines, *(f"  {key}" for key in sorted(self.survived))])
+
+    @property
+    def table(self) -> str:
+        """In markdown, layer by layer."""
+        names = (BESIDE, OTHERS, KEPT, "explained", "survived")
+        rows = [*((f"`{layer}`", ends) for layer, ends in self.ends.items()), ("all", self.all)]
+        lines = [f"| layer | {' | '.join(['tried', *names])} |", "|---" * (len(names) + 2) + "|"]
+        for name, ends in rows:
+            tries = sum(ends.values()) - ends["not tried"]
+            lines.append(f"| {' | '.join([name, str(tries), *(str(ends[n]) for n in names)])} |")
+        return "\n".join(lines)
+
+
+def _end(mutant: Mutant, by: str | None, why: Mapping[str, str]) -> str:
+    if by is None:
+        return "not tried"
+    if not by:
+        return "explained" if mutant.key in why else "survived"
+    if by.startswith("golden"):
+        return KEPT
+    module = Path(mutant.module)
+    is_beside = f"tests/{module.parent.as_posix()}/test_{module.stem}" in by or "/" not in by
+    return BESIDE if is_beside else OTHERS
+
+
+def publish(counted: Counted) -> None:
+    """Put the score between the marks of the page, with the commit that was tried."""
+    command = ["git", "rev-parse", "--short", "HEAD"]
+    commit = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=True)
+    killed = counted.n_tried - counted.all["explained"] - len(counted.survived)
+    told = (
+        f"At commit {commit.stdout.strip()}, **{counted.n_tried} of {COUNT} were tried: {killed} "
+        f"noticed, {counted.all['explained']} explained, {len(counted.survived)} survived** "
+        f"({100.0 * counted.share:.1f} % noticed or explained)."
+    )
+    text = f"{BEGIN}\n{told}\n\n{counted.table}\n{END}"
+    page = PAGE.read_text(encoding="utf-8")
+    PAGE.write_text(
+        re.sub(f"{BEGIN}.*{END}", lambda _: text, page, flags=re.DOTALL), encoding="utf-8"
+    )
 
 
 if __name__ == "__main__":
