@@ -144,7 +144,7 @@ class Smoothing:
         if window < 3:
             return values.copy()
         mean, half = moving_average(values, window=window), window // 2
-        number = np.arange(window) - 0.5 * (window - 1)
+        number = np.arange(float(window))
         for part, end in ((slice(window), slice(half)), (slice(-window, None), slice(-half, None))):
             rows, means = values[..., part].reshape(-1, window), mean[..., end].reshape(-1, half)
             known = ~np.isnan(rows)

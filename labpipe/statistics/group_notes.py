@@ -146,7 +146,7 @@ def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
     if doubtful:
         message = f"doubtful values are in the means of: {'; '.join(doubtful)}"
         notes.append(group_note("doubtful_in_mean", message, Severity.WARNING))
-    few = [number.name for number in numbers if number.values and _too_few(number)]
+    few = [number.name for number in numbers if _too_few(number)]
     if few:
         message = f"too few samples for a test of outliers: {'; '.join(few)}"
         notes.append(group_note("outliers_not_tested", message))

@@ -365,8 +365,6 @@ def stretching_moment(
     compression, and y0 where the sum of N is zero. Its slope at zero is sum of EA (y - y0)^2.
     """
     reach = float(np.ptp(y)) * float(np.max(curvature, initial=0.0))
-    if reach == 0.0:
-        return np.zeros(len(curvature))
     strain = np.append(0.0, np.geomspace(10.0**-_DECADES, 1.0, _POINTS) * reach)
     laws = [axial_force(table, strain) for table in tables]
 

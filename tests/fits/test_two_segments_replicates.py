@@ -163,6 +163,13 @@ def kink_of(found: Segments, drawn: Segments, hinges: Hinges) -> Failure | None:
     return why_no_kink(found, found, drawn, hinges)
 
 
+def test_slopes_that_change_together_are_sure_to_differ() -> None:
+    """Both are known to 1000 N/m, their difference to 10 N/m."""
+    both, own = noise(1, 200, deviation=1000.0), noise(2, 200, deviation=10.0)
+    drawn = segments(np.full(200, 0.0093), 5000.0 + both, 2700.0 + both + own)
+    assert bend_of(segments(0.0093, 5000.0, 2700.0), drawn, hinges_of(D, F)) is None
+
+
 def test_four_standard_errors_of_the_bend_by_hand() -> None:
     """Bends of -61, -62, ... -139 N/m: 2.5 % bend by less than 62.95 N/m, the middle one by 100."""
     second = 1000.0 - np.arange(61.0, 140.0)

@@ -17,6 +17,8 @@ def test_panels_meet_the_law_and_its_corners() -> None:
     assert law.energy == pytest.approx(complementary_energy(PLAYS, law.moment))
     assert law.moment[law.points][-1] == 0.02
     assert len(law.points) == 12
+    assert law.energy_change.shape == (0, len(law.moment)), "no parameter changes it"
+    assert law.node_energy_change.shape == (0, *law.node_energy.shape)
 
 
 def test_weights_sum_to_the_moment() -> None:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.curve import Branch, ClockFit, Curve, Direction, Interval
 from labpipe.records.quality import Findings, Reason, doubtful
 from labpipe.records.signals import Clocks, Signal, Signals
@@ -82,6 +83,16 @@ def test_branches_by_cycle() -> None:
     assert test.cycles == [list(BRANCHES[:2]), [BRANCHES[2]]]
     assert test.first_loading is BRANCHES[0]
     assert test.loading_stretch == slice(0, 2)
+
+
+def test_the_first_loading_ends_with_the_sample_of_the_failure() -> None:
+    def until(sample: int) -> slice:
+        failure = FailurePoint(sample)
+        return Evidence(Signals(), curve=curve(), failure=failure).loading_stretch
+
+    assert until(0) == slice(0, 1)
+    assert until(1) == slice(0, 2)
+    assert until(2) == slice(0, 2), "it failed later"
 
 
 def test_without_a_curve() -> None:

@@ -10,7 +10,7 @@ import pytest
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, PointFlag, Series, Shape
 from labpipe.records.quality import Severity
 from labpipe.records.result import Specimen, TestResult
-from labpipe.results.moment_curvature import AtRest, at_rest, held, notes_of, stated
+from labpipe.results.moment_curvature import SLACK, AtRest, at_rest, held, notes_of, stated
 
 WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05
 TIME = np.arange(COUNT) / 10.0
@@ -221,6 +221,14 @@ def test_a_stiff_wire_hangs_too_little_to_be_told_by_its_sag() -> None:
 
 
 TAUT = AtRest(ahead=0.0, sag=1e-5, reach=5e-3, weight=0.0265, lowest=-0.0084, error=1e-4)
+
+
+@pytest.mark.parametrize(("ahead", "tension"), [(SLACK, WEIGHT), (1.01 * SLACK, 0.0)])
+def test_where_it_is_not_known_a_clamp_that_is_ahead_tells_what_is_likelier(
+    ahead: float, tension: float
+) -> None:
+    found = held(replace(EVIDENCE, ahead=ahead, sag=2e-3))
+    assert (found.state, found.tension, found.other) == ("unknown", tension, WEIGHT - tension)
 
 
 def test_a_taut_string_carries_the_counterweight() -> None:

@@ -44,3 +44,21 @@ def test_strays_are_bridged_over_missing_samples_too() -> None:
     np.testing.assert_allclose(mended, [0.0, 1.0, 2.0, np.nan, 4.0, 5.0])
     assert force[2] == 90.0
     np.testing.assert_array_equal(bridge_spikes(force, np.array([], dtype=np.int64)), force)
+
+
+@pytest.mark.parametrize(("above", "is_spike"), [(4.0, False), (5.0, True), (40.0, True)])
+def test_a_spike_is_larger_than_four_steps_of_its_neighbours(
+    above: float, *, is_spike: bool
+) -> None:
+    """There is no force but a step of one newton and back just before it."""
+    force = np.zeros(60)
+    force[[28, 30]] = 1.0, above
+    assert find_spikes(force).tolist() == ([30] if is_spike else [])
+
+
+@pytest.mark.parametrize(("behind", "is_spike"), [(8.5, True), (7.5, False)])
+def test_the_force_comes_back_from_a_spike(behind: float, *, is_spike: bool) -> None:
+    """From 10 N over 14 N to less: it may lose half of the 4 N, else it is a loss of force."""
+    force = np.where(np.arange(60) < 30, 10.0, behind)
+    force[30] = 14.0
+    assert find_spikes(force).tolist() == ([30] if is_spike else [])

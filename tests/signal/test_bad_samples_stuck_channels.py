@@ -134,3 +134,22 @@ def test_a_channel_that_is_blank_or_constant() -> None:
     gaps = np.sin(time)
     gaps[10:20] = np.nan
     assert not stuck_runs(time, gaps, time)
+
+
+def test_a_channel_that_is_full_soon_after_it_begins_and_blank_at_its_end() -> None:
+    """Six samples up, twenty full, twelve down, and then the logger wrote nothing."""
+    rise, fall = 0.1 * np.arange(6.0), 0.05 * np.arange(12.0)[::-1]
+    force = np.concatenate([rise, np.full(20, 0.6), fall, np.full(5, np.nan)])
+    time = np.arange(float(len(force)))
+    assert stuck_runs(time, force, 1e-3 * time) == [Stuck(6, 26, is_end=True)]
+
+
+@pytest.mark.parametrize(("samples", "is_found"), [(5, False), (6, True)])
+def test_a_frozen_channel_jumps_faster_than_five_times_its_speed(
+    samples: int, *, is_found: bool
+) -> None:
+    """A newton a sample; after so many equal samples it jumps by as many newtons."""
+    force = np.arange(100.0)
+    force[50 : 50 + samples] = 50.0
+    found = stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0))
+    assert found == ([Stuck(50, 50 + samples, is_end=False)] if is_found else [])

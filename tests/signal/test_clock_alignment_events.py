@@ -98,3 +98,17 @@ def test_the_turn_of_a_plateau_is_its_end() -> None:
     force += np.random.default_rng(7).normal(0, 0.02, len(time))
     force += 0.04 * np.exp(-(((time - 38.0) / 3.0) ** 2))
     assert rough_peaks(time, force, smoothing=0.5, share=0.3) == pytest.approx([58.0], abs=0.3)
+
+
+@pytest.mark.parametrize(("square", "widened"), [(6.4, 1.0), (6.8, 6.8), (9.0, 9.0)])
+def test_the_quantile_above_which_scatter_widens(square: float, widened: float) -> None:
+    """One degree of freedom: 99 % of chi-square lie below 6.63. (1, -2, 1) lies across all lines.
+
+    Three events 100 s apart with errors of 1 ms know the drift to 1 ms / (100 s sqrt 2).
+    """
+    off = 1e-3 * np.sqrt(square / 6.0) * np.array([1.0, -2.0, 1.0])
+    motion = np.array([100.0, 200.0, 300.0])
+    fit = fit_clocks(motion, motion + off, np.full(3, 1e-3), method="test")
+    assert fit.drift == pytest.approx(0.0, abs=1e-15)
+    known = 1e-5 / np.sqrt(2.0)
+    assert fit.drift_interval.standard_error == pytest.approx(known * np.sqrt(widened), rel=1e-9)

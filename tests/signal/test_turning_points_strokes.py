@@ -189,3 +189,12 @@ def test_branches_count_cycles_and_cover_every_stroke() -> None:
 def test_a_downward_first_stroke_is_loading() -> None:
     branches = split_branches(np.arange(3.0), (Stroke(0, 1, -1), Stroke(1, 2, 1)))
     assert [branch.direction for branch in branches] == [Direction.LOADING, Direction.UNLOADING]
+
+
+def test_a_way_back_of_just_the_least_stroke_is_a_stroke() -> None:
+    motion = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 3.0, 2.0, 3.0, 4.0, 5.0])
+    strokes = find_strokes(np.arange(10.0), motion, min_stroke=2.0)
+    assert [(stroke.start, stroke.stop) for stroke in strokes] == [(0, 4), (4, 6), (6, 9)]
+    assert len(find_strokes(np.arange(10.0), motion, min_stroke=2.1)) == 1
+    assert len(find_strokes(np.arange(10.0), motion, min_stroke=5.0)) == 1
+    assert not find_strokes(np.arange(10.0), motion, min_stroke=5.1)

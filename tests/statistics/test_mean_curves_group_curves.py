@@ -44,6 +44,7 @@ def test_scaled_band_ends_at_one() -> None:
     group = built(samples()[:3], scaled=True)
     assert group.band_scaled is not None
     assert group.band_scaled.mean[-1] == pytest.approx(1.0)
+    assert len(group.band_scaled.displacement) == 201
     np.testing.assert_allclose(group.band_scaled.upper, group.band_scaled.lower, atol=1e-12)
 
 

@@ -468,3 +468,10 @@ def test_an_interval_without_width_is_doubtful() -> None:
     assert found.budget == ()
     (found,) = measured(trace_of(FORCE), mean, Input(ZERO_OF_FORCE, raised))
     assert not found.doubts
+
+
+def test_noise_raises_no_doubt_of_a_number_that_it_does_not_move() -> None:
+    record = RNG(0).normal(size=3000)
+    record[1750:] *= 5.0
+    (found,) = measured(trace_of(record), lambda trace: (0.0 * trace.force[..., 0],))
+    assert [reason.code for _, reason in found.doubts] == ["no_width"]

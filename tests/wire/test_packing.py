@@ -84,3 +84,12 @@ def test_the_layout_that_is_chosen() -> None:
     for kind in kinds:
         assert lay_out(layers_of("A2"), tube(1.6e-3), kind=kind).kind == kind
     assert lay_out(pressed, tube(1.1e-3, 0.2e-3), kind="compressed").kind == "compressed"
+
+
+def test_the_seed_decides_on_the_packing() -> None:
+    plain, zero, one = (
+        packed(layers_of("A3"), tube(WIRES["A3"][0]), **kwargs).x
+        for kwargs in ({}, {"seed": 0}, {"seed": 1})
+    )
+    assert plain.tolist() == zero.tolist()
+    assert plain.tolist() != one.tolist()

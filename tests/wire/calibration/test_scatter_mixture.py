@@ -37,6 +37,7 @@ def test_t_with_one_degree_less_than_samples(samples: int) -> None:
 def test_a_given_scatter_is_one_distribution() -> None:
     found = found_of(3, Settings(scatter=0.03))
     assert found.mixture.chance.tolist() == [1.0]
+    assert found.mixture.scatter == pytest.approx([0.03], rel=1e-3)
     low, high = quantiles(found.mixture, np.eye(4)[:3])
     errors = np.sqrt(np.diag(found.spread.covariance)[:3])
     assert 0.5 * (high - low) == pytest.approx(quantile(found.mixture.freedom) * errors, rel=1e-3)

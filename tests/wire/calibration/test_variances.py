@@ -58,6 +58,9 @@ def test_freedom_is_that_of_the_samples() -> None:
     assert found.freedom(mean) == pytest.approx(SAMPLES - 1, rel=0.02)
     given = uncertainty(problem, fit, NONE, levels, is_scatter_known=True)
     assert given.freedom(mean) > 1e3
+    # The variance of the noise is known as from all points, less one for the gain (chi-square).
+    known = 2.0 / (SAMPLES * POINTS - 1)
+    assert given.level_covariance == pytest.approx(np.diag([known, 0.0]))
     assert found.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
 
 
