@@ -128,3 +128,10 @@ def test_a_tear_is_no_slip() -> None:
     told = find_slips(D, force, min_drop=0.2, decision=SlipDecision.MARKED, largest_share=0.4)
     assert isinstance(told, tuple)
     assert [slip.drop for slip in told] == pytest.approx([15.0], abs=0.2)
+
+
+def test_slips_of_a_force_of_millinewtons() -> None:
+    force = SMOOTH - 0.81 * (D > 0.03085) + noise()
+    (large,), (small,) = found(force), found(1e-3 * force, min_drop=0.2e-3)
+    assert (small.start, small.stop) == (large.start, large.stop)
+    assert small.drop == pytest.approx(1e-3 * large.drop)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.play_fits import fit_plays, stick_slip_law
+from labpipe.law.play_fits import fit_plays, polygon_law, stick_slip_law
 from labpipe.law.plays import respond, virgin_plays
 
 WIRE = stick_slip_law(
@@ -64,3 +64,11 @@ def test_hardening_out_of_range(hardening: float) -> None:
             hardening=hardening,
             last_moment=2.0,
         )
+
+
+def test_plays_of_a_polygon_by_hand() -> None:
+    """Slopes of 4, 2 and 1 N m^2: compliances grow from 1/4 by 1/4 and 1/2."""
+    law = polygon_law(np.array([1.0, 2.0, 4.0]), np.array([4.0, 6.0, 8.0]))
+    assert (law.stiffness, law.largest_moment) == (4.0, 8.0)
+    assert law.half_widths.tolist() == [4.0, 6.0]
+    assert law.compliances == pytest.approx([0.25, 0.5])

@@ -7,7 +7,9 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.causes import SCALE_OF_FORCE
+from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Status
+from labpipe.results.cycles import stretch_of_cycle
 from tests.builders.reduced import loop, reduced
 
 TRUTH = {
@@ -122,3 +124,19 @@ def test_nothing_moves() -> None:
     _, results = reduced(time, 0.01 * path, force)
     assert {each.value for each in results.values()} == {None}
     assert results["peak_force.1"].why.startswith("no_motion: the motion spans 0.1")
+
+
+def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
+    """Between the cycles the motion waits for samples 5 to 8, and is lowest at 6."""
+    way = np.array([0.0, 1.0, 2.0, 1.0, 0.2, 0.1, -0.1, 0.1, 0.2, 1.0, 2.0, 1.0, 0.0])
+    branches = (
+        Branch(0, 2, 1, Direction.LOADING, 0.0, 2.0),
+        Branch(2, 5, 1, Direction.UNLOADING, 2.0, 4.0),
+        Branch(8, 10, 2, Direction.LOADING, 8.0, 10.0),
+        Branch(10, 13, 2, Direction.UNLOADING, 10.0, 12.0),
+    )
+    flags = np.zeros(13, int)
+    for sense in (1.0, -1.0):
+        curve = Curve(np.arange(13.0), sense * way, way, flags, flags, branches)
+        assert stretch_of_cycle(curve, [*branches[:2]]) == slice(0, 7)
+        assert stretch_of_cycle(curve, [*branches[2:]]) == slice(6, 13)

@@ -153,3 +153,12 @@ def test_a_frozen_channel_jumps_faster_than_five_times_its_speed(
     force[50 : 50 + samples] = 50.0
     found = stuck_runs(np.arange(100.0), force, 1e-3 * np.arange(100.0))
     assert found == ([Stuck(50, 50 + samples, is_end=False)] if is_found else [])
+
+
+@pytest.mark.parametrize("since", [3.0, 9.0, 14.0])
+def test_a_few_equal_samples_in_noise_are_chance(since: float) -> None:
+    """Nine in a row; ten are the fewest that no logger repeats."""
+    record = up_and_down(rate=1000.0, noise=1e-2)
+    at = int(np.searchsorted(record.time, since))
+    record.force[at : at + 9] = record.force[at]
+    assert not seen(record)

@@ -198,3 +198,13 @@ def test_a_way_back_of_just_the_least_stroke_is_a_stroke() -> None:
     assert len(find_strokes(np.arange(10.0), motion, min_stroke=2.1)) == 1
     assert len(find_strokes(np.arange(10.0), motion, min_stroke=5.0)) == 1
     assert not find_strokes(np.arange(10.0), motion, min_stroke=5.1)
+
+
+@pytest.mark.parametrize(("dwell", "is_one"), [(0.44, False), (0.64, True)])
+def test_a_dwell_lasts_more_than_half_a_percent_of_its_strokes(
+    dwell: float, *, is_one: bool
+) -> None:
+    """Strokes of 100 s; a tolerance of 1e-4 of their way takes 0.04 s off a dwell."""
+    time, motion = ramps((0.0, 0.0), (100.0, 100.0), (100.0 + dwell, 100.0), (200.0 + dwell, 0.0))
+    first, second = find_strokes(time, motion, min_stroke=5e-3)
+    assert (first.stop < second.start) is is_one

@@ -37,8 +37,10 @@ def test_mixed_bundles(arrangement: str) -> None:
     assert layout.radius == pytest.approx(reach.max())
 
 
-def test_every_wire_touches_another() -> None:
-    layout = arrange(bundle(("B1", 10), ("B2", 9), arrangement="asymmetric"), DIAMETERS, STIFFNESS)
+@pytest.mark.parametrize("diameters", [DIAMETERS, (1.10e-3, 1.1005e-3)])
+def test_every_wire_touches_another(diameters: tuple[float, float]) -> None:
+    """Half a micrometre makes wires unequal, too."""
+    layout = arrange(bundle(("B1", 10), ("B2", 9), arrangement="asymmetric"), diameters, STIFFNESS)
     gap = np.hypot(*(centres(layout)[:, None] - centres(layout)[None]).transpose(2, 0, 1))
     gap -= 0.5 * (layout.diameter[:, None] + layout.diameter)
     np.fill_diagonal(gap, np.inf)

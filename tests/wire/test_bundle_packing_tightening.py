@@ -29,6 +29,13 @@ def test_gradient_of_the_energy() -> None:
     assert energy > 0.0
 
 
+def test_energy_of_two_wires_by_hand() -> None:
+    """1 m and 3 m wide, 1.5 m apart: they touch at 2 m. The larger one lies 1.5 m off the origin."""
+    flat, diameters = np.array([0.0, 0.0, 1.5, 0.0]), np.array([1.0, 3.0])
+    energy, _ = pulled_overlap_energy(flat, diameters, 0.1)
+    assert energy == pytest.approx(0.5**2 + 0.1 * 3.0**2 * 1.5**2)
+
+
 def test_three_unequal_wires_touch_each_other() -> None:
     diameters = np.array([1.0, 2.0, 3.0])
     found = drawn_together(np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]]), diameters)
