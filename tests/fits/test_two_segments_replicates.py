@@ -46,27 +46,43 @@ def left_by(at: float, d: Floats, f: Floats) -> Floats:
     return left
 
 
-@pytest.mark.parametrize("count", [16, 33, 64, 181])
-@pytest.mark.parametrize("deviation", [0.0, 0.5])
-def test_of_the_curve_decided_on_it_is_the_exact_optimum(count: int, deviation: float) -> None:
-    """Against crossings of separate lines in every gap, and breaks at samples (Hudson 1966)."""
-    d = np.linspace(0.002, 0.02, count)
-    f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
-    f += noise(3, count, deviation=deviation)
+def best_of(d: Floats, f: Floats) -> float:
+    """Of crossings of separate lines in every gap, and breaks at samples (Hudson 1966)."""
     tried = list(d[3:-3])
-    for gap in range(4, count - 3):
+    for gap in range(4, len(d) - 3):
         before, behind = (
             np.polyfit(d[part], f[part], 1) for part in (slice(gap), slice(gap, None))
         )
         tried.append(np.clip((behind[1] - before[1]) / (before[0] - behind[0]), d[gap - 1], d[gap]))
-    best = min(tried, key=lambda at: float(np.sum(left_by(at, d, f) ** 2)))
-    found = hinges_of(d, f).fitted(f)
+    return float(min(tried, key=lambda at: float(np.sum(left_by(at, d, f) ** 2))))
+
+
+@pytest.mark.parametrize("count", [16, 33, 64, 181])
+@pytest.mark.parametrize("deviation", [0.0, 0.5])
+def test_of_the_curve_decided_on_it_is_the_exact_optimum(count: int, deviation: float) -> None:
+    d = np.linspace(0.002, 0.02, count)
+    f = 45.0 + np.where(d < 0.0093, 5000.0, 2700.0) * (d - 0.0093)
+    f += noise(3, count, deviation=deviation)
+    best, found = best_of(d, f), hinges_of(d, f).fitted(f)
     assert found.break_point.shape == ()
     assert float(found.break_point) == pytest.approx(best, rel=1e-9)
     level, first, second = lines_at(best, d, f)
     assert float(found.first) == pytest.approx(first, rel=1e-9)
     assert float(found.second) == pytest.approx(second, rel=1e-9)
     assert float(found.level) == pytest.approx(level, rel=1e-9)
+
+
+@pytest.mark.parametrize("at", [3, 4, 15, 16])
+def test_a_break_may_be_the_fourth_sample_from_an_end(at: int) -> None:
+    """Of 20 samples, in noise, so that separate lines seldom cross in the gap beside it."""
+    d = np.arange(20.0)
+    bests = []
+    for seed in range(20):
+        f = 10.0 * np.minimum(d - d[at], 0.0) - 10.0 * np.maximum(d - d[at], 0.0)
+        f += noise(seed, 20, deviation=3.0)
+        bests.append(best_of(d, f))
+        assert float(hinges_of(d, f).fitted(f).break_point) == pytest.approx(bests[-1], rel=1e-9)
+    assert bests.count(d[at]) > 2
 
 
 def test_replicates_are_the_optimum_of_brute_force() -> None:

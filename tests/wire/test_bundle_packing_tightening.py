@@ -30,7 +30,7 @@ def test_gradient_of_the_energy() -> None:
 
 
 def test_energy_of_two_wires_by_hand() -> None:
-    """1 m and 3 m wide, 1.5 m apart: they touch at 2 m. The larger one lies 1.5 m off the origin."""
+    """1 m and 3 m wide, 1.5 m apart: they touch at 2 m. The larger one is 1.5 m off the origin."""
     flat, diameters = np.array([0.0, 0.0, 1.5, 0.0]), np.array([1.0, 3.0])
     energy, _ = pulled_overlap_energy(flat, diameters, 0.1)
     assert energy == pytest.approx(0.5**2 + 0.1 * 3.0**2 * 1.5**2)
