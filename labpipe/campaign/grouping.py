@@ -12,6 +12,7 @@ from labpipe.errors import UsageError, complaint, nearest
 from labpipe.protocol.schema import Groups, Protocol
 from labpipe.records.group import Difference, Group, Sample
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.statistics.group_division import divide
 from labpipe.statistics.group_fields import (
     NOT_SAID,
     TYPE,
@@ -172,6 +173,7 @@ def _is_noted(key: str, noted: Sequence[str]) -> bool:
 
 
 _WITHOUT = ""
+_LENGTH = "length"
 
 
 class Key(NamedTuple):
@@ -181,10 +183,13 @@ class Key(NamedTuple):
     ----------
     words : one per field that groups are made by; empty for a sample whose sheet does not say it
     protocol : name of the protocol
+    more : field and word of what else they have alike and other samples with these words have
+        otherwise, such as a length; empty where nothing differs, or fields were asked for
     """
 
     words: tuple[str, ...]
     protocol: str
+    more: tuple[tuple[str, str], ...] = ()
 
 
 def key_of(sample: Sample, by: Sequence[str]) -> Key:
@@ -197,6 +202,32 @@ def key_of(sample: Sample, by: Sequence[str]) -> Key:
     """
     own = fields_of(sample.specimen)
     return Key(tuple(own.get(name, _WITHOUT) for name in by), sample.protocol)
+
+
+def division(samples: Sequence[Sample], by: Sequence[str] = ()) -> dict[Key, list[Sample]]:
+    """Put samples into the groups of a report.
+
+    Parameters
+    ----------
+    samples : in any order
+    by : fields that groups are made by, and by no other; if empty, the type and all else of the
+        specimen that differs within a type (`divide`)
+
+    Returns
+    -------
+    Samples by what they have alike, in the order of `in_turn`. Tests of two protocols are in two
+    groups.
+    """
+    members: dict[Key, list[Sample]] = {}
+    for sample in samples:
+        members.setdefault(key_of(sample, by or (TYPE,)), []).append(sample)
+    if not by:
+        members = {
+            key._replace(more=tuple(part.fields.items())): list(part.samples)
+            for key, own in members.items()
+            for part in divide(own)
+        }
+    return {key: members[key] for key in in_turn(members, by or (TYPE,))}
 
 
 def in_turn(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
@@ -213,7 +244,7 @@ def in_turn(keys: Iterable[Key], by: Sequence[str]) -> list[Key]:
             word if name == TYPE else in_order(name, word or NOT_SAID)
             for name, word in zip(by, key.words, strict=True)
         ]
-        return (*words, key.protocol)
+        return (*words, key.protocol, *(in_order(name, word) for name, word in key.more))
 
     return sorted(keys, key=turn)
 
@@ -224,18 +255,23 @@ def group_names(keys: Sequence[Key], by: Sequence[str]) -> dict[Key, str]:
     Parameters
     ----------
     keys : of the groups
-    by : fields that they were made by; of a type, the name is the word alone
+    by : fields that they were made by; of a type, the name is the word alone, and so it is of a
+        length that divides a type
 
     Examples
     --------
     >>> list(group_names([Key(("B2", ""), "taped-bundle")], ["wire", "taping"]).values())
     ['wire B2, without taping']
+    >>> list(group_names([Key(("A1",), "bend", (("length", "85 mm"),))], ["type"]).values())
+    ['A1, 85 mm']
     """
-    times = Counter(key.words for key in keys)
+    protocols = Counter(words for words, _ in {(key.words, key.protocol) for key in keys})
     names = {}
     for key in keys:
         words = [_word(name, word) for name, word in zip(by, key.words, strict=True)]
-        names[key] = ", ".join([*words, *([key.protocol] if times[key.words] > 1 else [])])
+        words += [key.protocol] if protocols[key.words] > 1 else []
+        words += [word if name == _LENGTH else _word(name, word) for name, word in key.more]
+        names[key] = ", ".join(words)
     return names
 
 

@@ -10,13 +10,11 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.campaign.grouping import (
-    Key,
     Settings,
     check_fields,
+    division,
     find_differences,
     group_names,
-    in_turn,
-    key_of,
     setting_notes,
     settings_by_test,
     settings_of,
@@ -32,11 +30,11 @@ from labpipe.process.targets import (
     shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.schema import Groups
+from labpipe.protocol.schema import Groups, SpecimenBlock
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
-from labpipe.records.result import TestResult
+from labpipe.records.result import Specimen, TestResult
 from labpipe.report.lab_report import write_report
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
@@ -59,17 +57,18 @@ class Wanted:
 
     Parameters
     ----------
-    by : fields of the test sheets that groups are made by
+    by : fields of the test sheets that groups are made by; if empty, the type and all else of the
+        specimen that differs within a type
     alone : show only pairs of groups that differ in this field and no other; empty for all
     wires : wire sheet, for the bounds of harness bundles; None for none
     """
 
-    by: tuple[str, ...] = (TYPE,)
+    by: tuple[str, ...] = ()
     alone: str = ""
     wires: Path | None = None
 
 
-BY_TYPE = Wanted()
+AS_SHEETS_DIFFER = Wanted()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +93,7 @@ def report_tests(
     out: Path | None = None,
     title: str = "",
     say: Callable[[str], None] = lambda _: None,
-    wanted: Wanted = BY_TYPE,
+    wanted: Wanted = AS_SHEETS_DIFFER,
 ) -> Reported:
     """Put processed tests together into one report.
 
@@ -131,7 +130,7 @@ def make_campaign(
     files: Sequence[Path],
     title: str,
     say: Callable[[str], None] = lambda _: None,
-    wanted: Wanted = BY_TYPE,
+    wanted: Wanted = AS_SHEETS_DIFFER,
 ) -> Campaign:
     """Read processed tests one after the other and put them into groups.
 
@@ -157,17 +156,15 @@ def make_campaign(
     read = _read(files, say)
     check_fields(wanted.by, read.samples, "--by")
     check_fields(list(filter(None, [wanted.alone])), read.samples, "--compare")
-    groups = _groups(read, wanted.by)
-    differences = find_differences(
-        groups, read.wishes, read.settings, by=wanted.by, alone=wanted.alone
-    )
+    groups, by = _groups(read, wanted.by), wanted.by or (TYPE,)
+    differences = find_differences(groups, read.wishes, read.settings, by=by, alone=wanted.alone)
     return Campaign(
         title=title,
         groups=tuple(groups),
         differences=differences.shown,
         left_out=read.left_out,
         labpipe_version=__version__,
-        by=wanted.by,
+        by=by,
         compared=wanted.alone,
         pairs_not_shown=differences.pairs_not_shown,
         places=() if wires is None else tuple(find_places(groups, wires)),
@@ -200,7 +197,8 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
         read.wishes[result.protocol] = protocol.groups
         read.settings[str(file)] = settings_of(protocol)
         recordings.append((file, recording_of(result, protocol)))
-        read.samples.append(sample_of(result, str(file)))
+        sized = replace(result, specimen=with_sizes(result.specimen, protocol.specimen))
+        read.samples.append(sample_of(sized, str(file)))
     if not read.samples:
         raise UsageError("\n".join(read.left_out.values()))
     refuse_repeated([(each.test, Path(each.source)) for each in read.samples], "name")
@@ -209,11 +207,24 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
     return replace(read, samples=samples, left_out=read.left_out | copies)
 
 
+def with_sizes(specimen: Specimen, said: SpecimenBlock) -> Specimen:
+    """Add to a specimen the sizes that its protocol states; its sheet overrides them.
+
+    Parameters
+    ----------
+    specimen : as its sheet describes it
+    said : of the resolved protocol, which holds the overrides of the test
+    """
+    section = {} if said.section is None else {**vars(said.section)}
+    section.pop("area", None)  # no length
+    sizes = {"length": said.length, "span": said.span, **section}
+    stated = {name: size for name, size in sizes.items() if size is not None}
+    return replace(specimen, dimensions={**stated, **specimen.dimensions})
+
+
 def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
-    members: dict[Key, list[Sample]] = {}
-    for sample in read.samples:
-        members.setdefault(key_of(sample, by), []).append(sample)
-    names = group_names(in_turn(members, by), by)
+    members, by = division(read.samples, by), by or (TYPE,)
+    names = group_names(list(members), by)
     groups = []
     for key, name in names.items():
         group = _group(name, members[key], read.wishes[key.protocol], without(key, by))

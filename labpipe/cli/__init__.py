@@ -213,7 +213,8 @@ def _report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
     parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
     fields = (
-        "fields of the test sheets that groups are made by, such as wire,taping (default: type)"
+        "fields of the test sheets that groups are made by, such as wire,taping (default: type, "
+        "and all else of the specimen that differs within a type)"
     )
     parser.add_argument("--by", default="", metavar="FIELD[,FIELD...]", help=fields)
     alone = "show only pairs of groups that differ in this field and no other, such as taping"

@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Mapping
 
-from labpipe.campaign.reporting import BY_TYPE, Reported, Wanted, report_tests
+from labpipe.campaign.reporting import Reported, Wanted, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
 from labpipe.process.targets import find_results
 from labpipe.records.group import GroupNumber
@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
 def _wanted(options: argparse.Namespace) -> Wanted:
     """Groups and comparisons as they were typed."""
     by = tuple(dict.fromkeys(filter(None, map(str.strip, options.by.split(",")))))
-    return Wanted(by or BY_TYPE.by, options.compare, options.wire)
+    return Wanted(by, options.compare, options.wire)
 
 
 def status_of(reported: Reported) -> int:

@@ -28,7 +28,7 @@ class Kind(StrEnum):
     """Kinds of concern, in the order of the report."""
 
     UNREADABLE = "Tests that could not be read"
-    UNLIKE = "Means over tests that were not processed alike"
+    UNLIKE = "Tests that were not processed alike"
     FAILED = "Failed: numbers that could not be computed"
     DOUBTFUL = "Doubtful: numbers to be checked"
     LEFT_OUT = "Samples that do not enter a mean"

@@ -27,7 +27,6 @@ from labpipe.report.wording import (
     write_mean,
     write_number,
 )
-from labpipe.statistics.group_notes import mixed
 
 DASH = "\u2013"
 _COLUMNS = 4
@@ -70,8 +69,7 @@ class Table:
 
 def key_numbers(group: Group) -> Table:
     """Make the table of means: interval, what was averaged, standard deviation."""
-    ways = {name: len(own) for name, own in mixed(group.numbers).items()}
-    rows = tuple(_mean_row(group, each, ways.get(each.name, 1)) for each in group.numbers)
+    rows = tuple(_mean_row(group, each) for each in group.numbers)
     heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
     notes = (*_no_intervals(group), *_why_so_wide(group))
     return Table(f"{group.name}: means", heads, rows, notes)
@@ -104,7 +102,7 @@ def _no_intervals(group: Group) -> tuple[str, ...]:
     )
 
 
-def _mean_row(group: Group, number: GroupNumber, ways: int) -> tuple[Cell, ...]:
+def _mean_row(group: Group, number: GroupNumber) -> tuple[Cell, ...]:
     shown = shown_in(number.name, number.unit, display_of(group))
     head = Cell(heading(number.name, shown.unit), number.name)
     if number.mean is None:
@@ -116,7 +114,7 @@ def _mean_row(group: Group, number: GroupNumber, ways: int) -> tuple[Cell, ...]:
         head,
         Cell(written.value),
         Cell(written.interval or DASH),
-        Cell(_over(number), "; ".join(filter(None, (_missing(number), _mixed(ways))))),
+        Cell(_over(number), _missing(number)),
         Cell(deviation.value),
     )
 
@@ -126,10 +124,6 @@ def _over(number: GroupNumber) -> str:
     if mean is None:
         return DASH
     return count_of(mean.chosen.n, "sample" if mean.is_pooled else "spool mean")
-
-
-def _mixed(ways: int) -> str:
-    return f"made in {ways} ways: see What needs a look" if ways > 1 else ""
 
 
 def _missing(number: GroupNumber) -> str:

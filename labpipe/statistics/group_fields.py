@@ -11,6 +11,8 @@ from labpipe.records.result import Specimen
 
 TYPE, SPOOL = "type", "spool"
 BORE = "conduit_bore"
+OF_SECTION = ("outer_diameter", "inner_diameter", "wall", "width", "thickness")
+"""Sizes of the cross-section; of a conduit they come with its name."""
 NOT_SAID = "not said"
 """In place of a word that the test sheets of a group lack."""
 _SIZES_ALIKE = 0.01
@@ -33,12 +35,13 @@ def fields_of(specimen: Specimen) -> dict[str, str]:
     >>> fields_of(Specimen("A2", "A2-s1", "1", {"length": 0.085}))
     {'type': 'A2', 'spool': 'A2-s1', 'length': '85 mm'}
     """
-    sizes = {name: _size_words(size) for name, size in specimen.dimensions.items()}
+    sizes = {name: size_words(size) for name, size in specimen.dimensions.items()}
     bore = specimen.bundle.conduit_bore if specimen.bundle is not None else None
-    return dict(specimen.fields) | sizes | ({} if bore is None else {BORE: _size_words(bore)})
+    return dict(specimen.fields) | sizes | ({} if bore is None else {BORE: size_words(bore)})
 
 
-def _size_words(size: float) -> str:
+def size_words(size: float) -> str:
+    """Write a size in mm, such as ``85 mm``."""
     return f"{1e3 * size:.4g} mm"
 
 
@@ -66,7 +69,7 @@ def shared_fields(samples: Sequence[Sample]) -> dict[str, str]:
         if len(words) == 1:
             found[name] = own[0][name]
         elif len(sizes) == len(samples) and _are_alike(sizes):
-            found[name] = _size_words(sum(sizes) / len(sizes))
+            found[name] = size_words(sum(sizes) / len(sizes))
     return found
 
 
@@ -106,9 +109,9 @@ def differing_fields(
     Returns
     -------
     Both words by field. What follows from another field is left out: of bundles, the type, and the
-    composition where wire or number differ; the tape where one of the two has none; the bore of a
-    conduit where the conduits differ; the arrangement where a bundle has wires of one kind only.
-    Dimensions differ by more than 1 %.
+    composition where wire or number differ; the tape where one of the two has none; the bore and
+    the section of a conduit where the conduits differ; the arrangement where a bundle has wires of
+    one kind only. Dimensions differ by more than 1 %.
     """
     varying = {*varying_fields(first), *varying_fields(second)}
     if "composition" in varying:
@@ -148,7 +151,7 @@ def _dependent(
     if NONE in words.get("taping", ()):
         dependent.add("tape")
     if "conduit" in found:
-        dependent.add(BORE)
+        dependent |= {BORE, *OF_SECTION}
     if any(_are_of_one_kind(each) for each in (first, second)):
         dependent.add("arrangement")
     return dependent

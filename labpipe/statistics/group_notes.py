@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from labpipe.records.group import GroupNumber, Sample
-from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Status
 from labpipe.statistics.outliers import too_few_for_outliers
 
@@ -182,33 +182,67 @@ def ways_of(number: GroupNumber) -> dict[str, list[str]]:
     return found
 
 
-def mixed(numbers: Sequence[GroupNumber]) -> dict[str, dict[str, list[str]]]:
+def mixed(samples: Sequence[Sample]) -> dict[str, dict[str, list[str]]]:
     """Find the numbers that were not made alike, and those that were made of them.
 
     Parameters
     ----------
-    numbers : of a group
+    samples : of a group
 
     Returns
     -------
     Tests by method, by result; of a number that is made of another one, the ways of that one.
     """
-    ways = {number.name: ways_of(number) for number in numbers}
-    found = {name: own for name, own in ways.items() if len(own) > 1}
-    for number in numbers:
-        made_of = {result.made_of for result in number.values.values()}
-        source = next((known for known in found if known in made_of), None)
-        if source is not None and number.name not in found:
-            found[number.name] = found[source]
-    return found
+    made: dict[str, dict[str, list[str]]] = {}
+    sources: dict[str, set[str]] = {}
+    for key, sample in zip(sample_keys(samples), samples, strict=True):
+        for result in sample.results:
+            if result.value is not None:
+                made.setdefault(result.name, {}).setdefault(result.method, []).append(key)
+                sources.setdefault(result.name, set()).add(result.made_of)
+    found = {name: ways for name, ways in made.items() if len(ways) > 1}
+    of_these = {
+        name: found[source]
+        for name, several in sources.items()
+        if name not in found and (source := next((s for s in found if s in several), ""))
+    }
+    return found | of_these
 
 
-def method_notes(numbers: Sequence[GroupNumber], samples: Sequence[Sample]) -> list[QualityNote]:
-    """Warn of means over numbers that were not made alike.
+def otherwise_made(samples: Sequence[Sample]) -> dict[str, dict[str, Reason]]:
+    """List the tests whose number is not averaged with the others, as it was not made alike.
 
     Parameters
     ----------
-    numbers : of a group
+    samples : of a group
+
+    Returns
+    -------
+    By result and test, why (``made_otherwise``). A slope from 0 to 10 mm and one from 0 to 8 mm are
+    two quantities, so a mean over both is none. Those stay that are made as in most tests; where
+    two ways are as frequent, the way of the first test.
+    """
+    left_out: dict[str, dict[str, Reason]] = {}
+    for name, ways in mixed(samples).items():
+        usual = max(ways, key=lambda way: len(ways[way]))
+        others = {
+            key: Reason("made_otherwise", f"made by {way or 'no stated method'}; the mean: {usual}")
+            for way, keys in ways.items()
+            if way != usual
+            for key in keys
+        }
+        left_out[name] = others
+    return left_out
+
+
+def method_notes(
+    made_otherwise: Mapping[str, Mapping[str, Reason]], samples: Sequence[Sample]
+) -> list[QualityNote]:
+    """Warn of numbers that were not made alike.
+
+    Parameters
+    ----------
+    made_otherwise : as `otherwise_made` gives them
     samples : of the group; their slips must have been treated alike
 
     Returns
@@ -220,9 +254,10 @@ def method_notes(numbers: Sequence[GroupNumber], samples: Sequence[Sample]) -> l
             PROTOCOLS_DIFFER,
             Severity.WARNING,
             name,
-            f"the mean mixes numbers made in {len(ways)} ways: {parted(ways)}",
+            f"not in the mean, as it was made otherwise: {', '.join(tests)}"
+            f" ({next(iter(tests.values())).message})",
         )
-        for name, ways in mixed(numbers).items()
+        for name, tests in made_otherwise.items()
     ]
     decisions: dict[str, list[str]] = {}
     for sample in samples:

@@ -16,6 +16,7 @@ from labpipe.statistics.group_notes import (
     apart,
     method_notes,
     number_notes,
+    otherwise_made,
     sample_keys,
     sample_notes,
 )
@@ -54,10 +55,13 @@ def build_group(
     """
     ordered = tuple(sorted(samples, key=_order))
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
-    numbers = tuple(group_number(each, ordered, limits) for each in names)
+    made_otherwise = otherwise_made(ordered)
+    numbers = tuple(
+        group_number(each, ordered, limits, without=made_otherwise.get(each, {})) for each in names
+    )
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
-    found = [*method_notes(numbers, ordered), *sample_notes(ordered), *number_notes(numbers)]
+    found = [*method_notes(made_otherwise, ordered), *sample_notes(ordered), *number_notes(numbers)]
     every = (*found, *notes, *share_notes)
     return Group(name, protocol, ordered, numbers, band, share, every, shared_fields(ordered))
 
@@ -75,7 +79,11 @@ def _order(sample: Sample) -> list[list[tuple[int, str]]]:
 
 
 def group_number(
-    name: str, samples: Sequence[Sample], limits: PoolingLimits = USUAL
+    name: str,
+    samples: Sequence[Sample],
+    limits: PoolingLimits = USUAL,
+    *,
+    without: Mapping[str, Reason] | None = None,
 ) -> GroupNumber:
     """Average one result over samples.
 
@@ -84,12 +92,13 @@ def group_number(
     name : of the result
     samples : with or without it
     limits : when spools may be pooled
+    without : samples whose number is not to be averaged with the others, and why
 
     Returns
     -------
     Doubtful results enter like good ones and keep their status in `values`. Left out, each with
     its reason: failed results, samples that have no such result (``no_result``), values in another
-    unit than the first (``other_unit``).
+    unit than the first (``other_unit``), and `without`.
     """
     found = {
         key: next((result for result in sample.results if result.name == name), None)
@@ -99,6 +108,8 @@ def group_number(
     units = [each.unit for each in found.values() if each is not None]
     unit = units[0] if units else ""
     left_out = {key: _why_not(result, name, unit) for key, result in found.items()}
+    for key, why in (without or {}).items():
+        left_out[key] = left_out[key] or (why,)
     values = {key: each for key, each in found.items() if each is not None and not left_out[key]}
     by_spool: dict[str, list[Result]] = {}
     for key, each in values.items():

@@ -7,6 +7,7 @@ import pytest
 from labpipe.campaign.grouping import (
     Key,
     check_fields,
+    division,
     group_names,
     in_turn,
     key_of,
@@ -73,3 +74,21 @@ def test_spools_of_one_name_belong_to_their_types() -> None:
 
 def test_groups_without_a_field_are_groups_too() -> None:
     assert [group.name for group in grouped([SEVEN, TUBE], "wire")] == ["without wire", "wire B1"]
+
+
+def test_lengths_of_one_type_are_two_groups_unless_asked_otherwise() -> None:
+    sizes = [{"length": 0.085}, {"length": 0.1}, {"length": 0.085}]
+    samples = [bundle_sample(None, at, dimensions=own) for at, own in enumerate(sizes)]
+    found = division(samples)
+    assert list(group_names(list(found), ["type"]).values()) == ["tube, 85 mm", "tube, 100 mm"]
+    assert [[each.specimen.sample for each in own] for own in found.values()] == [["0", "2"], ["1"]]
+    assert list(division(samples, ["type"])) == [Key(("tube",), "taped-bundle")]
+
+
+def test_a_protocol_is_named_once_where_a_type_is_divided() -> None:
+    length = (("length", "85 mm"),), (("length", "100 mm"),)
+    keys = [Key(("A2",), name, more) for name in ("one", "two") for more in length]
+    assert list(group_names(keys, ["type"]).values()) == [
+        "A2, one, 85 mm", "A2, one, 100 mm", "A2, two, 85 mm", "A2, two, 100 mm",
+    ]  # fmt: skip
+    assert list(group_names(keys[:2], ["type"]).values()) == ["A2, 85 mm", "A2, 100 mm"]

@@ -3,6 +3,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from labpipe.records.group import Decision
+from labpipe.records.quality import Reason
 from labpipe.report.group_tables import (
     Cell,
     Table,
@@ -85,15 +86,14 @@ def test_slips() -> None:
     assert slip_table(build_group("A", six_samples(slips=0))) is None
 
 
-def test_a_mean_over_numbers_made_in_two_ways_says_so() -> None:
-    samples = six_samples()
-    results = list(samples[0].results)
-    results[1] = replace(results[1], method="straight line over 1 mm to 9 mm")
-    samples[0] = replace(samples[0], results=tuple(results))
-    table = key_numbers(build_group("A", samples))
-    assert row(table, "Stiffness, first region (N/mm)")[3].small == (
-        "made in 2 ways: see What needs a look"
-    )
+def test_tests_that_are_not_in_a_mean_are_named_beside_it() -> None:
+    group = build_group("A", six_samples())
+    first = group.numbers[1]
+    left_out = {group.samples[0].test: (Reason("made_otherwise", "over 1 mm to 9 mm"),)}
+    numbers = (group.numbers[0], replace(first, left_out=left_out), *group.numbers[2:])
+    table = key_numbers(replace(group, numbers=numbers))
+    without = row(table, "Stiffness, first region (N/mm)")[3].small
+    assert without == f"without {group.samples[0].test}"
     assert row(table, "Stiffness, second region (N/mm)")[3].small == ""
 
 
