@@ -15,7 +15,7 @@ from labpipe.process.run import Processed
 from labpipe.process.targets import find_tests
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import shown_in
-from labpipe.store.write import summary
+from labpipe.store.summaries import summary
 
 _MOST_CYCLES = 8
 _FINISHED = "a process was killed while it replaced the files here; that was finished first"

@@ -11,6 +11,7 @@ from labpipe.protocol.yaml_text import parse_yaml
 from labpipe.records.declarations import TravelFromSpeed
 from labpipe.records.quality import Finding, doubtful
 from labpipe.records.recording import Recording
+from labpipe.records.result import Instrument
 
 DAY_KEYS = ("date", "start_time", "Capture Start Time")
 """What exports call the day, or the time, that they were recorded at: ISO 8601 in all of them."""
@@ -41,9 +42,37 @@ def _day(written: object) -> date | None:
         return None
 
 
-def is_dated(protocol: Protocol) -> bool:
-    """Whether a protocol says of any instrument when its next calibration is due."""
-    return any(each.due is not None for _, each, _ in _certificates(protocol))
+def operator_of_test(sheet: str) -> str:
+    """Find who made a test; empty where its sheet does not say.
+
+    Parameters
+    ----------
+    sheet : text of the test sheet
+    """
+    said = parse_yaml(sheet, "test.yaml").data
+    operator = said.get("operator") if isinstance(said, Mapping) else None
+    return operator if isinstance(operator, str) else ""
+
+
+def instruments_of(protocol: Protocol) -> tuple[Instrument, ...]:
+    """List the instruments whose certificates a protocol states.
+
+    Parameters
+    ----------
+    protocol : with or without certificates
+    """
+    return tuple(
+        Instrument(
+            channel=name,
+            measures=quantities,
+            certificate=each.number,
+            calibrated=each.date,
+            due=each.due,
+            uncertainty=each.uncertainty,
+            k=each.k,
+        )
+        for name, each, quantities in _certificates(protocol)
+    )
 
 
 def check_due(protocol: Protocol, tested: date | None) -> Iterator[Finding]:

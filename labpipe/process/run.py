@@ -15,7 +15,7 @@ import numpy as np
 
 from labpipe import __version__
 from labpipe.errors import ProcessingError, StoreError, complaint
-from labpipe.process.certificates import day_of_test, is_dated
+from labpipe.process.certificates import day_of_test, instruments_of, operator_of_test
 from labpipe.process.reading import read_inputs
 from labpipe.process.story import reduce_recordings
 from labpipe.process.targets import RESULT_FILE
@@ -27,7 +27,8 @@ from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.read import RawTest, read_name, read_raw, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
-from labpipe.store.write import write_result, write_summary
+from labpipe.store.summaries import write_summary
+from labpipe.store.write import write_result
 
 SUMMARY_FILE, FIGURES = "summary.json", "figures"
 PROCESSING_VERSION = 2
@@ -132,8 +133,8 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
     ProcessingError
         If a recording lacks what a step cannot do without.
     """
+    tested = day_of_test(raw.test_yaml, raw.recordings)
     try:
-        tested = day_of_test(raw.test_yaml, raw.recordings) if is_dated(protocol) else None
         reduced = reduce_recordings(raw.recordings, protocol, tested=tested)
     except ProcessingError as error:
         message = f"{raw.test}, {error}"
@@ -159,6 +160,9 @@ def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
         slips=test.slips,
         lines=reduced.lines,
         run=run_key(raw),
+        date=tested,
+        operator=operator_of_test(raw.test_yaml),
+        instruments=instruments_of(protocol),
     )
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date
+from datetime import date as Day  # noqa: N812 - a record has a field called date
 from enum import StrEnum
 
 from labpipe.records.curve import Aligned, Bending, Curve, FittedLine, Interval, Shape, Slip
@@ -125,6 +127,16 @@ class Result:
         return None if self.value is None else apart_from(self.value, self.estimate, self.interval)
 
     @property
+    def likely(self) -> float | None:
+        """The estimate, which is the value where nothing else is said."""
+        return self.value if self.estimate is None else self.estimate
+
+    @property
+    def codes(self) -> tuple[str, ...]:
+        """Codes of the reasons, each once."""
+        return tuple(dict.fromkeys(each.code for each in self.reasons))
+
+    @property
     def why(self) -> str:
         """The reasons in words, such as ``not_reached: the branch ends at 4.2 mm``."""
         return worded(self.reasons)
@@ -174,6 +186,30 @@ class InputFile:
     bytes: int
 
 
+@dataclass(frozen=True, slots=True)
+class Instrument:
+    """An instrument of a test, by the certificate of its calibration.
+
+    Parameters
+    ----------
+    channel : of the protocol that it records; ``markers`` for the cameras
+    measures : quantities that rest on it, such as ``force``
+    certificate : its number
+    calibrated : day of the calibration
+    due : day on which the next one is due; None where the certificate does not say
+    uncertainty : of the scale, expanded, as a ratio; None where the certificate does not say
+    k : coverage factor of `uncertainty`
+    """
+
+    channel: str
+    measures: tuple[str, ...]
+    certificate: str
+    calibrated: date
+    due: date | None = None
+    uncertainty: float | None = None
+    k: float = 2.0
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TestResult:
     """Everything known of one processed test: what the store keeps and the report draws.
@@ -198,6 +234,9 @@ class TestResult:
     bending : measured moment-curvature; None where the protocol does not ask for it or it failed
     run : key of exports, test sheet, protocol and way of processing, in all files of the test;
         empty in a result from before there were keys
+    date : day of the test, of its sheet, else of its exports; None where neither says it
+    operator : who made the test, empty where the sheet does not say it
+    instruments : those whose certificates the protocol states
     """
 
     __test__ = False  # not a test of this project, whatever its name suggests to pytest
@@ -221,3 +260,6 @@ class TestResult:
     lines: tuple[FittedLine, ...] = ()
     bending: Bending | None = None
     run: str = ""
+    date: Day | None = None
+    operator: str = ""
+    instruments: tuple[Instrument, ...] = ()

@@ -7,10 +7,10 @@ them. ISA-L deflates six to nine times as fast as zlib at the same size, into th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 from math import ceil, prod
 from pathlib import Path
@@ -18,17 +18,19 @@ from typing import Any
 
 import h5py
 import numpy as np
+from h5py import h5ds, h5s
 from isal import isal_zlib
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
 from labpipe.store import layout
-from labpipe.store.layout import Field
+from labpipe.store.hdf5_objects import LEVEL, make_dataset, set_text, set_texts
+from labpipe.store.layout import Field, Table
 from labpipe.store.replace import is_cut_off
 
 CHUNK_BYTES = 1 << 18
-_LEVEL = 3
-"""At levels 1 and 2 ISA-L (isal 1.9) now and then packs the same bytes otherwise in a thread."""
+_WORTH_A_THREAD = 1 << 15
+"""Bytes; fewer are deflated before a thread has woken up."""
 _MODULUS = 65535
 
 
@@ -42,7 +44,8 @@ def _deflated(array: NDArray[Any], rows: int, pool: Executor, packed: Packed) ->
     if place not in packed:
         starts = range(0, len(array) if array.size else 0, rows)
         blocks = (array[start : start + rows] for start in starts)
-        packed[place] = list(pool.map(_packed, blocks, repeat(rows)))
+        every = map if array.nbytes < _WORTH_A_THREAD else pool.map
+        packed[place] = list(every(_packed, blocks, repeat(rows)))
     return packed[place]
 
 
@@ -68,6 +71,10 @@ def same_content(dataset: Any, array: NDArray[Any]) -> bool:
     if dataset.shape != array.shape or dataset.dtype != array.dtype:
         return False
     rows = dataset.chunks[0]
+    if 0 < len(array) <= rows:
+        found = np.empty_like(array, order="C")
+        dataset.id.read(h5s.ALL, h5s.ALL, found)
+        return found.tobytes() == array.tobytes()
     starts = list(range(0, len(array) if array.size else 0, rows))
     return all(
         dataset[start : start + rows].tobytes() == array[start : start + rows].tobytes()
@@ -83,7 +90,7 @@ def _packed(block: NDArray[Any], rows: int) -> bytes:
     missing = np.zeros((rows - len(block), *block.shape[1:]), block.dtype)
     block = np.concatenate([block, missing]) if len(missing) else np.ascontiguousarray(block)
     planes = block.view(np.uint8).reshape(-1, block.dtype.itemsize).T
-    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, _LEVEL)
+    deflated = isal_zlib.compress(np.ascontiguousarray(planes).data, LEVEL)
     return deflated + fletcher32(deflated).to_bytes(4, "little")
 
 
@@ -118,10 +125,14 @@ def fletcher32(data: bytes) -> int:
 
 
 def string_array(texts: tuple[str, ...]) -> NDArray[Any]:
-    """Strings of fixed length in UTF-8, as long as the longest of them."""
+    """Texts as bytes of UTF-8, as wide as the longest, in the one kind that all programs read.
+
+    HDF5 is told that they are ASCII, which Octave reads (see `layout`), and end in a zero, up to
+    which h5dump shows them. One byte wide, they would be single characters to the netCDF library.
+    """
     encoded = [text.encode() for text in texts]
-    longest = max((len(text) for text in encoded), default=0) or 1
-    return np.array(encoded, dtype=h5py.string_dtype("utf-8", longest))
+    longest = max([1, *(len(text) for text in encoded)])
+    return np.array(encoded, dtype=f"S{longest + 1}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,16 +146,18 @@ class Target:
     written : arrays by dataset, to verify the file by
     packed : chunks of these arrays, which must still be alive: the same time axis is in several
         groups, and is deflated once
+    made : datasets of this group, with their axes
     """
 
     group: Any
     pool: Executor
     written: dict[str, NDArray[Any]] = field(default_factory=dict)
     packed: Packed = field(default_factory=dict)
+    made: dict[str, tuple[Any, Field]] = field(default_factory=dict)
 
     def inside(self, name: str) -> Target:
-        """Make a group in this one."""
-        return Target(self.group.create_group(name), self.pool, self.written, self.packed)
+        """Make a group in this one, if it is not there."""
+        return Target(self.group.require_group(name), self.pool, self.written, self.packed)
 
     def array(self, name: str, values: NDArray[Any], kind: Field, unit: str = "") -> Any:
         """Write an array of numbers as a chunked dataset with its unit and axes.
@@ -165,29 +178,80 @@ class Target:
         NaN and its bit patterns are kept. An array without elements has no chunks to write.
         """
         chunk = chunk_shape(values.shape, values.dtype.itemsize)
-        dataset = self.group.create_dataset(
-            name,
-            shape=values.shape,
-            maxshape=tuple(size or None for size in values.shape),
-            dtype=values.dtype,
-            chunks=chunk,
-            shuffle=True,
-            compression="gzip",
-            compression_opts=_LEVEL,
-            fletcher32=True,
-            track_times=False,
-        )
-        dataset.attrs["unit"] = kind.unit or unit
-        dataset.attrs["axes"] = ", ".join(kind.axes)
+        dataset = make_dataset(self.group, name, values, chunk)
+        set_text(dataset, "unit", kind.unit or unit)
+        set_text(dataset, "axes", ", ".join(kind.axes))
         for number, deflated in enumerate(_deflated(values, chunk[0], self.pool, self.packed)):
             corner = (number * chunk[0],) + (0,) * (len(chunk) - 1)
             dataset.id.write_direct_chunk(corner, deflated)
         self.written[dataset.name] = values
+        self.made[name] = dataset, kind
         return dataset
 
     def strings(self, name: str, texts: tuple[str, ...], axis: str) -> None:
         """Write a dataset of strings."""
         self.array(name, string_array(texts), Field((axis,), layout.TEXT))
+
+    def columns(self, kind: Table, rows: Sequence[Sequence[Any]], unit: str = "") -> None:
+        """Write a table into this group.
+
+        Parameters
+        ----------
+        kind : its columns
+        rows : any number, each with a cell per column
+        unit : of the columns whose unit the layout leaves open
+        """
+        for place, (column, each) in enumerate(kind.columns.items()):
+            cells = [row[place] for row in rows]
+            is_text = each.dtype == "text"
+            values = string_array(tuple(cells)) if is_text else np.array(cells, each.dtype)
+            self.array(column, values, each, unit)
+        self.scaled({kind.axis: kind.scale})
+
+    def scaled(self, scales: Mapping[str, str]) -> None:
+        """Give every axis of the arrays of this group its dimension scale, as netCDF-4 wants it.
+
+        Parameters
+        ----------
+        scales : dataset or link of this group by axis; any other axis gets a dataset of its own
+            name, with the words of `layout.COORDINATES` or numbers from 0
+        """
+        opened_scales: dict[str, Any] = {}
+        for name, (dataset, kind) in list(self.made.items()):
+            if name in scales.values():
+                continue  # a scale has no scales
+            for place, axis in enumerate(kind.axes):
+                scale = scales.get(axis, axis)
+                again = kind.axes[:place].count(axis)
+                own = f"{scale}_{again + 1}" if again else scale  # xarray wants each name once
+                if own not in opened_scales:
+                    opened_scales[own] = self._scale(own, scale, axis, dataset.shape[place])
+                self.attach(dataset, place, opened_scales[own])
+
+    def _scale(self, name: str, scale: str, axis: str, size: int) -> Any:
+        """Open a dimension scale, or make one."""
+        if name in self.group:
+            return self.group[name]
+        if name != scale:
+            same, kind = self.made[scale]
+            return self.array(name, self.written[same.name], kind)
+        words = layout.COORDINATES.get(axis)
+        if words is not None:
+            return self.array(name, string_array(words), Field((axis,), layout.TEXT))
+        return self.array(name, np.arange(size), Field((axis,), "1"))
+
+    def attach(self, dataset: Any, place: int, scale: Any) -> None:
+        """Make a dataset the dimension scale of an axis of another one.
+
+        Parameters
+        ----------
+        dataset : open
+        place : of the axis, from 0
+        scale : open dataset with as many values
+        """
+        if not h5ds.is_scale(scale.id):
+            h5ds.set_scale(scale.id, scale.name.rpartition("/")[2].encode())
+        h5ds.attach_scale(dataset.id, scale.id, place)
 
     def fields(self, record: object, kinds: Any) -> None:
         """Write those fields of a record that are arrays, each as the layout says."""
@@ -196,8 +260,7 @@ class Target:
 
     def texts(self, name: str, values: tuple[str, ...]) -> None:
         """Write an attribute that is a list of strings."""
-        data = np.array(values, dtype=object)
-        self.group.attrs.create(name, data, dtype=h5py.string_dtype())
+        set_texts(self.group, name, values)
 
 
 _AGAIN = "Process the test again from its exports."
@@ -299,6 +362,33 @@ def strings(group: Any, name: str, axis: str) -> tuple[str, ...]:
     """Read a dataset of strings."""
     encoded = array(group, name, Field((axis,), layout.TEXT, "text"))
     return tuple(bytes(word).decode() for word in encoded)
+
+
+def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[Mapping[str, Any]]:
+    """Read a table, also one from before tables were groups of columns.
+
+    Parameters
+    ----------
+    parent : open group
+    name : of the table in it
+    kind : its columns
+    unit : of the columns whose unit the layout leaves open; None for any
+
+    Returns
+    -------
+    Cells by column, texts as bytes; none where there is no such table.
+    """
+    if name not in parent:
+        return []
+    found = parent[name]
+    if isinstance(found, h5py.Dataset):
+        return list(array(parent, name, Field((kind.axis,), None, "table")))
+    columns = {
+        column: array(found, column, each if each.unit else replace(each, unit=unit)).tolist()
+        for column, each in kind.columns.items()
+    }
+    cells = zip(*columns.values(), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in cells]
 
 
 def arrays(group: Any, kinds: Mapping[str, Field]) -> dict[str, NDArray[Any]]:

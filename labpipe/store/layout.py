@@ -1,8 +1,11 @@
 """Names, units and axes of everything in a result file: the schema, as data.
 
 Every dataset carries the attributes ``unit`` and ``axes``; a unit of None here means that the
-dataset says its own. Strings are UTF-8: of variable length in attributes, of fixed length in
-datasets, so that the checksum covers them.
+dataset says its own. Each axis has a dimension scale, as netCDF-4 wants it: a dataset of its group.
+A table is a group of columns, never a compound: Octave skips compounds, and texts in them crash the
+netCDF library. Texts are UTF-8: of variable length in attributes, of fixed length in datasets,
+where they are declared ASCII. That is the one kind of text that Octave reads, and the checksum
+covers it; HDF5 has none for variable lengths.
 """
 
 from __future__ import annotations
@@ -38,6 +41,37 @@ class Field:
     dtype: str = "float64"
 
 
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A group of columns of one length.
+
+    Parameters
+    ----------
+    axis : name of the one axis
+    scale : column that is its dimension scale
+    columns : unit and number type, by name
+    """
+
+    axis: str
+    scale: str
+    columns: Mapping[str, Field]
+
+
+def _table(axis: str, scale: str, columns: Mapping[str, tuple[str | None, str]]) -> Table:
+    return Table(axis, scale, {name: Field((axis,), *kind) for name, kind in columns.items()})
+
+
+_TEXTS: Final = (TEXT, "text")
+
+COORDINATES: Final[Mapping[str, tuple[str, ...]]] = {
+    "xyz": ("x", "y", "z"),
+    "xyzw": ("x", "y", "z", "w"),
+    "xy": ("x", "y"),
+    "specimen": ("x", "y", "z"),
+    "lab": ("x", "y", "z"),
+}
+"""Words along an axis that has no dataset of its own for them; other axes are counted from 0."""
+
 # Attributes of the root, each also a field of TestResult.
 SCHEMA_ATTRIBUTE: Final = "labpipe_schema"
 ROOT_TEXTS: Final = ("test", "labpipe_version", "protocol", "protocol_yaml", "test_yaml")
@@ -45,6 +79,23 @@ SPECIMEN_TEXTS: Final = {"type": "specimen_type", "spool": "spool", "sample": "s
 RUN: Final = "run"
 DISPLAY: Final = "display"
 FIGURES: Final = "figures"
+DATE: Final = "date"
+OPERATOR: Final = "operator"
+INSTRUMENTS: Final = "instruments"
+"""Group of columns, only where the protocol has certificates."""
+INSTRUMENT_TABLE: Final = _table(
+    "instrument",
+    "channel",
+    {
+        "channel": _TEXTS,
+        "measures": _TEXTS,
+        "certificate": _TEXTS,
+        "calibrated": _TEXTS,
+        "due": _TEXTS,
+        "uncertainty": ("1", "float64"),
+        "k": ("1", "float64"),
+    },
+)
 
 SPECIMEN: Final = "specimen"
 """Group whose attributes are the dimensions: names, values, and their one unit."""
@@ -61,6 +112,7 @@ WIRE_DIAMETERS: Final = "wire_diameters"
 WIRE_DIAMETER: Final = Field(("type",), "m")
 POSITIONS: Final = "positions"
 WIRE_POSITION: Final = Field(("wire", "xy"), "m")
+BUNDLE_SCALES: Final = {"type": WIRE_TYPES}
 
 # /raw/<role>
 RAW: Final = "raw"
@@ -85,12 +137,14 @@ MARKER_FIELDS: Final[Mapping[str, Field]] = {
     "frames": Field(("frame",), "1"),
     "positions": Field(("frame", "marker", "xyz"), "m"),
 }
+MARKER_SCALES: Final = {"frame": TIME, "marker": NAMES}
 BODIES: Final = "rigid_bodies"
 BODY_FIELDS: Final[Mapping[str, Field]] = {
     "position": Field(("frame", "xyz"), "m"),
     "rotation": Field(("frame", "xyzw"), "1"),
     "error": Field(("frame",), "m"),
 }
+BODY_SCALES: Final = {"frame": TIME}
 
 # /aligned
 ALIGNED: Final = "aligned"
@@ -101,6 +155,7 @@ EVENT_FIELDS: Final[Mapping[str, Field]] = {
     "event_times_force": Field(("event",), "s"),
     "event_errors": Field(("event",), "s"),
 }
+EVENT_SCALES: Final = {"event": "event_times_motion"}
 CLOCK_FIT_UNITS: Final = {"offset": "s", "drift": "1", "residual": "s"}
 CLOCK_FIT_INTERVALS: Final = ("offset", "drift")
 
@@ -112,44 +167,51 @@ CURVE_FIELDS: Final[Mapping[str, Field]] = {
     "branch": Field(("sample",), "1", "int64"),
     "cycle": Field(("sample",), "1", "int64"),
 }
+SAMPLE_SCALES: Final = {"sample": TIME}
+"""Of the groups `ALIGNED` and `CURVE`."""
 BRANCHES: Final = "branches"
-BRANCH_COLUMNS: Final = (
-    ("start", "int64"),
-    ("stop", "int64"),
-    ("cycle", "int64"),
-    ("direction", "S16"),
-    ("start_time", "float64"),
-    ("stop_time", "float64"),
+BRANCH_TABLE: Final = _table(
+    "branch",
+    "start",
+    {
+        "start": ("sample", "int64"),
+        "stop": ("sample", "int64"),
+        "cycle": ("1", "int64"),
+        "direction": _TEXTS,
+        "start_time": (None, "float64"),
+        "stop_time": (None, "float64"),
+    },
 )
-
-
-def branch_table(time_unit: str) -> Field:
-    """Say what the table of branches must be: its times are in the unit of the curve's clock."""
-    return Field(("branch",), f"sample, sample, 1, text, {time_unit}, {time_unit}", "table")
-
+"""Its times are in the unit of the curve's clock."""
 
 SLIPS: Final = "slips"
-SLIP_TABLE: Final = Field(("slip",), "m, N, m, m, N, N, text, sample, sample", "table")
-SLIP_COLUMNS: Final = (
-    ("position", "float64"),
-    ("drop", "float64"),
-    ("position_lower", "float64"),
-    ("position_upper", "float64"),
-    ("drop_lower", "float64"),
-    ("drop_upper", "float64"),
-    ("decision", "S16"),
-    ("start", "int64"),
-    ("stop", "int64"),
+SLIP_TABLE: Final = _table(
+    "slip",
+    "position",
+    {
+        "position": ("m", "float64"),
+        "drop": ("N", "float64"),
+        "position_lower": ("m", "float64"),
+        "position_upper": ("m", "float64"),
+        "drop_lower": ("N", "float64"),
+        "drop_upper": ("N", "float64"),
+        "decision": _TEXTS,
+        "start": ("sample", "int64"),
+        "stop": ("sample", "int64"),
+    },
 )
 
 LINES: Final = "lines"
-LINE_TABLE: Final = Field(("line",), "text, N/m, N, m, m", "table")
-LINE_COLUMNS: Final = (
-    ("result", "S64"),
-    ("slope", "float64"),
-    ("level", "float64"),
-    ("start", "float64"),
-    ("stop", "float64"),
+LINE_TABLE: Final = _table(
+    "line",
+    "result",
+    {
+        "result": _TEXTS,
+        "slope": ("N/m", "float64"),
+        "level": ("N", "float64"),
+        "start": ("m", "float64"),
+        "stop": ("m", "float64"),
+    },
 )
 
 # /shape
@@ -162,6 +224,7 @@ SHAPE_FIELDS: Final[Mapping[str, Field]] = {
     "coefficients": Field(("frame", "xyz", "term"), "m"),
     "rotation_lab_to_specimen": Field(("specimen", "lab"), "1"),
 }
+SHAPE_SCALES: Final = {"frame": TIME, "point": NAMES}
 
 # /bending and /bending/law
 BENDING: Final = "bending"
@@ -178,6 +241,7 @@ CLOUD_FIELDS: Final[Mapping[str, Field]] = {
     "moment_error": Field(("mean", "place"), "N*m"),
     "moment_at_rest": Field(("place",), "N*m"),
 }
+CLOUD_SCALES: Final = {"mean": TIME, "place": "arc_length"}
 LAW: Final = "law"
 LAW_FIELDS: Final[Mapping[str, Field]] = {
     "curvature": Field(("point",), "1/m"),
@@ -194,6 +258,7 @@ LAW_FIELDS: Final[Mapping[str, Field]] = {
     "compliance": Field(("knot",), "1/(N*m^2)"),
     "compliance_covariance": Field(("knot", "knot"), "1/(N*m^2)^2"),
 }
+LAW_SCALES: Final = {"point": "curvature", "knot": "knots"}
 IS_KNOWN: Final = "is_known"
 KNOWN: Final = Field(("point",), "1", "uint8")
 LAW_UNITS: Final = {"floor": "1/m", "scale_error": "1", "residual": "m", "noise": "m"}
@@ -205,19 +270,41 @@ ESTIMATE: Final = "estimate"
 REASON_CODES: Final = "reason_codes"
 REASON_MESSAGES: Final = "reason_messages"
 INTERVAL_NUMBERS: Final = ("lower", "upper", "level")
+RESULT_TABLE: Final = "table"
+"""Group in `RESULTS` with a row per result, for programs that read no attributes."""
+RESULT_COLUMNS: Final = _table(
+    "result",
+    "name",
+    {
+        "name": _TEXTS,
+        "value": ("of the result", "float64"),
+        "estimate": ("of the result", "float64"),
+        "lower": ("of the result", "float64"),
+        "upper": ("of the result", "float64"),
+        "unit": _TEXTS,
+        "level": ("1", "float64"),
+        "status": _TEXTS,
+        "code": _TEXTS,
+        "reason": _TEXTS,
+    },
+)
 BUDGETS: Final = "budgets"
 """One table for all results: those of a test have about five rows each."""
-BUDGET_TABLE: Final = Field(("contribution",), "text, text, of the result, text, 1, 1", "table")
-BUDGET_COLUMNS: Final = (
-    ("result", "S64"),
-    ("cause", "S64"),
-    ("change", "float64"),
-    ("unit", "S16"),
-    ("share", "float64"),
-    ("is_common", "uint8"),
+BUDGET_TABLE: Final = _table(
+    "contribution",
+    "result",
+    {
+        "result": _TEXTS,
+        "cause": _TEXTS,
+        "change": ("of the result", "float64"),
+        "unit": _TEXTS,
+        "share": ("1", "float64"),
+        "is_common": ("1", "uint8"),
+    },
 )
 QUALITY: Final = "quality"
 NOTE_COLUMNS: Final = ("code", "severity", "where", "message")
+NOTE_TABLE: Final = _table("note", "code", dict.fromkeys(NOTE_COLUMNS, _TEXTS))
 
 
 def link_name(name: str, taken: Iterable[str]) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from datetime import date
+from math import isnan
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
@@ -21,10 +23,17 @@ from labpipe.records.curve import (
     SlipDecision,
 )
 from labpipe.records.recording import Recording
-from labpipe.records.result import Contribution, InputFile, Result, Specimen, Status, TestResult
+from labpipe.records.result import (
+    Contribution,
+    InputFile,
+    Instrument,
+    Result,
+    Specimen,
+    Status,
+    TestResult,
+)
 from labpipe.store import layout
-from labpipe.store.datasets import array, arrays, opened, strings, text, texts
-from labpipe.store.layout import Field
+from labpipe.store.datasets import array, arrays, opened, rows, strings, text, texts
 from labpipe.store.stored_parts import (
     method_parts,
     read_bending,
@@ -215,9 +224,35 @@ def _outcome(root: Any) -> dict[str, Any]:
         "display": _display(root),
         "run": _run(root),
         "figures": texts(root, layout.FIGURES),
-        "slips": _rows(Slip, _table(curve, layout.SLIPS, layout.SLIP_TABLE)),
-        "lines": _rows(FittedLine, _table(curve, layout.LINES, layout.LINE_TABLE)),
+        "slips": _records(Slip, rows(curve or {}, layout.SLIPS, layout.SLIP_TABLE)),
+        "lines": _records(FittedLine, rows(curve or {}, layout.LINES, layout.LINE_TABLE)),
+        **_circumstances(root),
     }
+
+
+def _circumstances(root: Any) -> dict[str, Any]:
+    """Read who made the test, when and with what; a file from before these were kept says less."""
+    day = text(root, layout.DATE) if layout.DATE in root.attrs else ""
+    return {
+        "date": date.fromisoformat(day) if day else None,
+        "operator": text(root, layout.OPERATOR) if layout.OPERATOR in root.attrs else "",
+        "instruments": tuple(
+            _instrument(row) for row in rows(root, layout.INSTRUMENTS, layout.INSTRUMENT_TABLE)
+        ),
+    }
+
+
+def _instrument(row: Mapping[str, Any]) -> Instrument:
+    words = {name: cell.decode() for name, cell in row.items() if isinstance(cell, bytes)}
+    return Instrument(
+        channel=words["channel"],
+        measures=tuple(words["measures"].split(", ")),
+        certificate=words["certificate"],
+        calibrated=date.fromisoformat(words["calibrated"]),
+        due=date.fromisoformat(words["due"]) if words["due"] else None,
+        uncertainty=None if isnan(row["uncertainty"]) else row["uncertainty"],
+        k=row["k"],
+    )
 
 
 def _display(root: Any) -> dict[str, str]:
@@ -275,17 +310,12 @@ def _curve(group: Any) -> Curve:
     return Curve(
         time=array(group, layout.TIME, layout.CLOCK_TIME),
         **arrays(group, layout.CURVE_FIELDS),
-        branches=_rows(Branch, array(group, layout.BRANCHES, layout.branch_table(time_unit))),
+        branches=_records(Branch, rows(group, layout.BRANCHES, layout.BRANCH_TABLE, time_unit)),
         time_unit=time_unit,
     )
 
 
-def _table(curve: Any, name: str, kind: Field) -> Iterable[Any]:
-    """Rows of a table that not every test has."""
-    return () if curve is None or name not in curve else array(curve, name, kind)
-
-
-def _rows(kind: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
+def _records(kind: type[_R], table: Iterable[Any]) -> tuple[_R, ...]:
     """Make the rows of a table records."""
     hints = get_type_hints(kind).items()
     return tuple(kind(**{key: _cell(row, key, of) for key, of in hints}) for row in table)
@@ -319,11 +349,10 @@ def _results(root: Any) -> tuple[Result, ...]:
 def _budgets(root: Any) -> dict[str, list[Contribution]]:
     """Rows of the budgets by result; files from before there were budgets have none."""
     found: dict[str, list[Contribution]] = {}
-    if layout.BUDGETS in root:
-        for row in array(root, layout.BUDGETS, layout.BUDGET_TABLE):
-            cause, change = row["cause"].decode(), float(row["change"])
-            own = Contribution(cause, change, bool(row["is_common"]))
-            found.setdefault(row["result"].decode(), []).append(own)
+    for row in rows(root, layout.BUDGETS, layout.BUDGET_TABLE):
+        cause, change = row["cause"].decode(), float(row["change"])
+        own = Contribution(cause, change, bool(row["is_common"]))
+        found.setdefault(row["result"].decode(), []).append(own)
     return found
 
 

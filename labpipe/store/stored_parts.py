@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from math import isnan, nan
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, R
 from labpipe.records.result import Specimen
 from labpipe.store import layout
 from labpipe.store.datasets import Target, array, arrays, strings, text, texts
+from labpipe.store.hdf5_objects import set_text
 from labpipe.store.layout import link_name
 
 _OF_ONE_WORD: Final = "cut|drift|gap|saturation|truncated"
@@ -112,6 +113,7 @@ def _write_bundle(target: Target, bundle: Bundle) -> None:
     target.array(layout.WIRE_DIAMETERS, diameters, layout.WIRE_DIAMETER)
     if bundle.positions:
         target.array(layout.POSITIONS, np.array(bundle.positions), layout.WIRE_POSITION)
+    target.scaled(layout.BUNDLE_SCALES)
 
 
 def read_specimen(root: Any) -> Specimen:
@@ -191,31 +193,37 @@ def write_recording(target: Target, recording: Recording) -> None:
     write_notes(target.inside(layout.NOTES), recording.notes)
     if recording.markers is not None:
         _write_markers(target, recording.markers)
-    _write_clocks(target, recording.clocks)
+    scales = _write_clocks(target, recording.clocks)
     if recording.markers is not None and layout.TIME not in target.group:
         target.group[layout.TIME] = target.group[layout.MARKERS][layout.TIME]
-    _write_channels(target, recording.channels)
+    _write_channels(target, recording.channels, scales)
 
 
-def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> None:
-    """One clock is ``time``, several are ``time_<clock>``."""
+def _write_clocks(target: Target, clocks: tuple[Clock, ...]) -> dict[str, Any]:
+    """One clock is ``time``, several are ``time_<clock>``; give back their datasets by clock."""
     names: list[str] = []
+    scales: dict[str, Any] = {}
     for clock in clocks:
         wanted = layout.TIME if len(clocks) == 1 else f"{layout.TIME}_{clock.name}"
         names.append(link_name(wanted, target.group))
         dataset = target.array(names[-1], clock.time, layout.CLOCK_TIME, clock.unit)
         dataset.attrs["clock"] = clock.name
+        scales[clock.name] = dataset
     target.texts("clocks", tuple(names))
+    return scales
 
 
-def _write_channels(target: Target, channels: tuple[Channel, ...]) -> None:
+def _write_channels(
+    target: Target, channels: tuple[Channel, ...], scales: Mapping[str, Any]
+) -> None:
     names: list[str] = []
     for channel in channels:
         names.append(link_name(channel.name, [*target.group, *_RESERVED]))
         unit = layout.NO_UNIT if channel.unit is None else channel.unit
         dataset = target.array(names[-1], channel.values, layout.CHANNEL, unit)
         for field_name, attribute in layout.CHANNEL_TEXTS.items():
-            dataset.attrs[attribute] = getattr(channel, field_name)
+            set_text(dataset, attribute, getattr(channel, field_name))
+        target.attach(dataset, 0, scales[channel.clock])
     target.texts("channels", tuple(names))
 
 
@@ -223,6 +231,7 @@ def _write_markers(target: Target, tracks: MarkerTracks) -> None:
     markers = target.inside(layout.MARKERS)
     markers.fields(tracks, layout.MARKER_FIELDS)
     markers.strings(layout.NAMES, tracks.names, "marker")
+    markers.scaled(layout.MARKER_SCALES)
     markers.group.attrs["rate"] = float(tracks.rate)
     markers.group.attrs["unit_in_file"] = tracks.unit_in_file
     bodies = target.inside(layout.BODIES)
@@ -232,6 +241,8 @@ def _write_markers(target: Target, tracks: MarkerTracks) -> None:
         inside = bodies.inside(names[-1])
         inside.group.attrs["name"] = body.name
         inside.fields(body, layout.BODY_FIELDS)
+        inside.group[layout.TIME] = markers.group[layout.TIME]
+        inside.scaled(layout.BODY_SCALES)
     bodies.texts("bodies", tuple(names))
 
 
@@ -243,8 +254,8 @@ def write_notes(target: Target, notes: tuple[QualityNote, ...]) -> None:
     target : an empty group
     notes : in this order
     """
-    for name in layout.NOTE_COLUMNS:
-        target.strings(name, tuple(str(getattr(note, name)) for note in notes), "note")
+    rows = [tuple(str(getattr(note, name)) for name in layout.NOTE_COLUMNS) for note in notes]
+    target.columns(layout.NOTE_TABLE, rows)
 
 
 def read_recording(group: Any) -> Recording:
@@ -342,6 +353,7 @@ def write_bending(target: Target, bending: Bending) -> None:
     bending : what was measured
     """
     target.fields(bending.cloud, layout.CLOUD_FIELDS)
+    target.scaled(layout.CLOUD_SCALES)
     target.group.attrs["frames_per_mean"] = int(bending.cloud.frames_per_mean)
     write_reasons(target, [bending.reason] if bending.reason else [])
     if bending.law is not None:
@@ -351,6 +363,7 @@ def write_bending(target: Target, bending: Bending) -> None:
 def _write_law(target: Target, law: MeasuredLaw) -> None:
     target.fields(law, layout.LAW_FIELDS)
     target.array(layout.IS_KNOWN, law.is_known.astype(np.uint8), layout.KNOWN)
+    target.scaled(layout.LAW_SCALES)
     for name, unit in layout.LAW_UNITS.items():
         target.group.attrs[name] = float(getattr(law, name))
         target.group.attrs[f"{name}_unit"] = unit

@@ -1,4 +1,4 @@
-"""TestResult to result.h5 and summary.json: written beside the old files, verified, renamed."""
+"""TestResult to result.h5: written beside the old file, verified, renamed."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import json
 import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict
-from hashlib import sha256
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
-from labpipe.records.curve import Aligned, ClockFit, Curve, Shape
-from labpipe.records.harness_bundle import Bundle
-from labpipe.records.result import Result, Specimen, TestResult
+from labpipe.records.curve import Aligned, ClockFit, Curve, Interval, Shape
+from labpipe.records.result import Result, TestResult
 from labpipe.store import layout
 from labpipe.store.datasets import Target, place_of, same_content
-from labpipe.store.layout import link_name
+from labpipe.store.hdf5_objects import open_dataset, set_number, set_text
+from labpipe.store.layout import Table, link_name
 from labpipe.store.replace import replacing
 from labpipe.store.stored_parts import (
     write_bending,
@@ -83,7 +80,9 @@ def _verify(temporary: Path, path: Path, image: bytes, written: dict[str, NDArra
         try:
             with h5py.File(temporary, "r") as root:
                 once = {place_of(array): name for name, array in written.items()}
-                is_whole = all(same_content(root[name], written[name]) for name in once.values())
+                is_whole = all(
+                    same_content(open_dataset(root, name), written[name]) for name in once.values()
+                )
         except OSError:  # a checksum that does not fit
             is_whole = False
     if not is_whole:
@@ -117,9 +116,23 @@ def _write_root(target: Target, result: TestResult) -> None:
         _write_shape(target.inside(layout.SHAPE), result.shape)
     if result.bending is not None:
         write_bending(target.inside(layout.BENDING), result.bending)
+    _write_circumstances(target, result)
     _write_results(target.inside(layout.RESULTS), result.results)
     _write_budgets(target, result.results)
     write_notes(target.inside(layout.QUALITY), result.quality)
+
+
+def _write_circumstances(target: Target, result: TestResult) -> None:
+    """Who made the test, when and with what."""
+    target.group.attrs[layout.DATE] = str(result.date or "")
+    target.group.attrs[layout.OPERATOR] = result.operator
+    rows = [
+        (each.channel, ", ".join(each.measures), each.certificate, str(each.calibrated),
+         str(each.due or ""), np.nan if each.uncertainty is None else each.uncertainty, each.k)
+        for each in result.instruments
+    ]  # fmt: skip
+    if rows:
+        target.inside(layout.INSTRUMENTS).columns(layout.INSTRUMENT_TABLE, rows)
 
 
 def _write_raw(target: Target, result: TestResult) -> None:
@@ -147,6 +160,7 @@ def _write_aligned(target: Target, aligned: Aligned) -> None:
         dataset = target.array(names[-1], series.values, layout.SERIES, series.unit)
         dataset.attrs["name"] = name
     target.texts("series", tuple(names))
+    target.scaled(layout.SAMPLE_SCALES)
     if aligned.clock_fit is not None:
         _write_clock_fit(target, aligned.clock_fit)
 
@@ -161,50 +175,41 @@ def _write_clock_fit(target: Target, fit: ClockFit) -> None:
         interval = getattr(fit, f"{name}_interval")
         for end in layout.INTERVAL_NUMBERS:
             attributes[f"{name}_{end}"] = float(getattr(interval, end))
-    target.inside(layout.EVENTS).fields(fit, layout.EVENT_FIELDS)
+    events = target.inside(layout.EVENTS)
+    events.fields(fit, layout.EVENT_FIELDS)
+    events.scaled(layout.EVENT_SCALES)
 
 
 def _write_curve(target: Target, result: TestResult, curve: Curve) -> None:
     target.array(layout.TIME, curve.time, layout.CLOCK_TIME, curve.time_unit)
     target.fields(curve, layout.CURVE_FIELDS)
-    branches = _table(curve.branches, layout.BRANCH_COLUMNS)
-    target.array(layout.BRANCHES, branches, layout.branch_table(curve.time_unit))
+    target.scaled(layout.SAMPLE_SCALES)
+    branches = _rows(curve.branches, layout.BRANCH_TABLE)
+    target.inside(layout.BRANCHES).columns(layout.BRANCH_TABLE, branches, curve.time_unit)
     if result.slips:
-        slips = _table(result.slips, layout.SLIP_COLUMNS)
-        target.array(layout.SLIPS, slips, layout.SLIP_TABLE)
+        slips = _rows(result.slips, layout.SLIP_TABLE)
+        target.inside(layout.SLIPS).columns(layout.SLIP_TABLE, slips)
     if result.lines:
-        lines = _table(result.lines, layout.LINE_COLUMNS)
-        target.array(layout.LINES, lines, layout.LINE_TABLE)
+        lines = _rows(result.lines, layout.LINE_TABLE)
+        target.inside(layout.LINES).columns(layout.LINE_TABLE, lines)
 
 
-def _table(records: Iterable[object], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
+def _rows(records: Iterable[object], table: Table) -> list[tuple[Any, ...]]:
     """Rows of a table; ``drop_lower`` is the lower end of a record's ``drop_interval``."""
-    return _typed(
-        [tuple(_cell(record, *column) for column in columns) for record in records], columns
-    )
+    return [tuple(_cell(each, column) for column in table.columns) for each in records]
 
 
-def _typed(rows: list[tuple[Any, ...]], columns: tuple[tuple[str, str], ...]) -> NDArray[Any]:
-    """Rows as a table whose columns of text are as wide as their longest word."""
-    kinds = list(columns)
-    for place, (name, kind) in enumerate(columns):
-        if kind.startswith("S"):  # numpy would cut words short that are longer than this
-            longest = max([int(kind[1:]), *(len(row[place]) for row in rows)])
-            kinds[place] = (name, f"S{longest}")
-    return np.array(rows, dtype=kinds)
-
-
-def _cell(record: object, column: str, kind: str) -> Any:
+def _cell(record: object, column: str) -> Any:
     name, _, end = column.rpartition("_")
     if name and end in layout.INTERVAL_NUMBERS:
         return getattr(getattr(record, f"{name}_interval"), end)
-    value = getattr(record, column)
-    return str(value).encode() if kind.startswith("S") else value
+    return getattr(record, column)
 
 
 def _write_shape(target: Target, shape: Shape) -> None:
     target.fields(shape, layout.SHAPE_FIELDS)
     target.strings(layout.NAMES, shape.names, "point")
+    target.scaled(layout.SHAPE_SCALES)
     target.group.attrs["length"] = float(shape.length)
     target.group.attrs["length_unit"] = "m"
 
@@ -213,142 +218,37 @@ def _write_results(target: Target, results: tuple[Result, ...]) -> None:
     target.texts("order", tuple(result.name for result in results))
     for result in results:
         inside = target.inside(result.name)
-        attributes = inside.group.attrs
-        attributes["value"] = np.nan if result.value is None else float(result.value)
-        attributes["n"] = int(result.n)
+        set_number(inside.group, "value", np.nan if result.value is None else float(result.value))
+        set_number(inside.group, "n", int(result.n))
         for name in layout.RESULT_TEXTS:
-            attributes[name] = str(getattr(result, name))
+            set_text(inside.group, name, str(getattr(result, name)))
         write_reasons(inside, result.reasons)
         if result.interval is not None:
             for end in layout.INTERVAL_NUMBERS:
-                attributes[end] = float(getattr(result.interval, end))
+                set_number(inside.group, end, float(getattr(result.interval, end)))
         if result.estimate is not None:
-            attributes[layout.ESTIMATE] = float(result.estimate)
+            set_number(inside.group, layout.ESTIMATE, float(result.estimate))
+    _write_table(target.inside(layout.RESULT_TABLE), results)
+
+
+def _write_table(target: Target, results: tuple[Result, ...]) -> None:
+    """The results as columns; what is not available is NaN, and `code` and `reason` say why."""
+    rows = []
+    for each in results:
+        interval = each.interval or Interval(np.nan, np.nan, np.nan)
+        numbers = (each.value, each.likely, interval.lower, interval.upper)
+        rows.append((
+            each.name, *(np.nan if number is None else number for number in numbers), each.unit,
+            interval.level, str(each.status), ", ".join(each.codes), each.why,
+        ))  # fmt: skip
+    target.columns(layout.RESULT_COLUMNS, rows)
 
 
 def _write_budgets(target: Target, results: tuple[Result, ...]) -> None:
     rows = [
-        (result.name.encode(), each.cause.encode(), each.change, result.unit.encode(), share,
-         each.is_common)
+        (result.name, each.cause, each.change, result.unit, share, each.is_common)
         for result in results
         for each, share in zip(result.budget, result.shares, strict=True)
-    ]  # fmt: skip
+    ]
     if rows:
-        target.array(layout.BUDGETS, _typed(rows, layout.BUDGET_COLUMNS), layout.BUDGET_TABLE)
-
-
-SUMMARY_SCHEMA = 2
-
-
-def summary(result: TestResult) -> dict[str, object]:
-    """Sum up a test in plain SI numbers.
-
-    Parameters
-    ----------
-    result : a processed test
-
-    Returns
-    -------
-    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or not
-    available, is None; the status and the reasons say why.
-    """
-    return {
-        "schema": SUMMARY_SCHEMA,
-        "test": result.test,
-        "specimen": _specimen(result.specimen),
-        "protocol": result.protocol,
-        "labpipe": result.labpipe_version,
-        "inputs": [
-            {"role": given.role, "file": given.file, "sha256": given.sha256}
-            for given in result.inputs
-        ],
-        "run": result.run,
-        "made_of": {
-            "sheet": sha256(result.test_yaml.encode()).hexdigest(),
-            "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
-        },
-        "results": [_entry(entry) for entry in result.results],
-        "quality": [
-            {"code": note.code, "severity": str(note.severity), "message": note.message}
-            for note in result.quality
-        ],
-    }
-
-
-def write_summary(result: TestResult, path: Path) -> None:
-    """Write ``summary.json``; an earlier one stays until the new one is whole.
-
-    Parameters
-    ----------
-    result : a processed test
-    path : the file
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written: full disk, no permission.
-    """
-    text = json.dumps(summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing(path) as temporary:
-        temporary.write_bytes(text.encode())
-
-
-def _specimen(specimen: Specimen) -> dict[str, object]:
-    said: dict[str, object] = {
-        "type": specimen.type,
-        "spool": specimen.spool,
-        "sample": specimen.sample,
-        **{name: _number(value) for name, value in specimen.dimensions.items()},
-    }
-    if specimen.bundle is not None:
-        said["bundle"] = _bundle(specimen.bundle)
-    if specimen.labels:
-        said["labels"] = dict(specimen.labels)
-    return said
-
-
-def _bundle(bundle: Bundle) -> dict[str, object]:
-    return {
-        "composition": bundle.composition,
-        "number": bundle.number,
-        "wires": [
-            {"type": wire.type, "number": wire.number, "diameter": _number(wire.diameter)}
-            for wire in bundle.wires
-        ],
-        "arrangement": bundle.arrangement,
-        "positions": [list(place) for place in bundle.positions],
-        "tape": bundle.tape,
-        "taping": bundle.taping,
-        "conduit": bundle.conduit,
-        "conduit_bore": _number(bundle.conduit_bore),
-    }
-
-
-def _entry(result: Result) -> dict[str, object]:
-    interval = result.interval
-    return {
-        "name": result.name,
-        "value": _number(result.value),
-        "unit": result.unit,
-        "lower": _number(interval.lower) if interval else None,
-        "upper": _number(interval.upper) if interval else None,
-        "level": _number(interval.level) if interval else None,
-        "estimate": _number(result.value if result.estimate is None else result.estimate),
-        "status": str(result.status),
-        "reasons": [asdict(reason) for reason in result.reasons],
-        "method": result.how,
-        "budget": [
-            {
-                "cause": each.cause,
-                "change": _number(each.change),
-                "share": _number(share),
-                "common": each.is_common,
-            }
-            for each, share in zip(result.budget, result.shares, strict=True)
-        ],
-    }
-
-
-def _number(value: float | None) -> float | None:
-    """The number itself; None for what JSON cannot say (NaN, infinities)."""
-    return float(value) if value is not None and isfinite(value) else None
+        target.inside(layout.BUDGETS).columns(layout.BUDGET_TABLE, rows)

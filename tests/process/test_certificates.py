@@ -6,10 +6,16 @@ from datetime import date
 
 import pytest
 
-from labpipe.process.certificates import check_due, day_of_test, is_dated
+from labpipe.process.certificates import (
+    check_due,
+    day_of_test,
+    instruments_of,
+    operator_of_test,
+)
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.recording import Recording
+from labpipe.records.result import Instrument
 from tests.builders.pulls import pull, pulled
 from tests.builders.three_point import BendingRecord, reduced
 
@@ -85,10 +91,7 @@ def test_a_displacement_by_speed_is_not_that_of_the_cameras() -> None:
 
 
 def test_what_has_no_day_has_no_due() -> None:
-    assert is_dated(protocol(CHANNELS))
-    assert is_dated(protocol(CAMERAS))
     undated = CHANNELS.replace(f", due: {DUE}", "")
-    assert not is_dated(protocol(undated))
     assert not list(check_due(protocol(undated), AFTER))
 
 
@@ -122,3 +125,20 @@ def test_bends_that_cameras_saw_too_late_are_doubtful() -> None:
 def test_day_of_a_test(sheet: str, metadata: dict[str, object], day: date | None) -> None:
     exports = {"force": Recording("a"), "markers": Recording("b", metadata=metadata)}
     assert day_of_test(sheet, exports) == day
+
+
+def test_instruments_are_those_with_a_certificate() -> None:
+    certificate = CERTIFICATE.replace("}", ", uncertainty: 0.5 %, k: 3}")
+    (found,) = instruments_of(protocol(CHANNELS.replace(CERTIFICATE, certificate)))
+    assert found == Instrument("force", ("force",), "LC-7", date(2025, 1, 10), DUE, 0.005, 3.0)
+    (cameras,) = instruments_of(protocol(CAMERAS))
+    assert (cameras.channel, cameras.measures) == ("markers", ("mid_span", "displacement"))
+    assert (cameras.uncertainty, cameras.k) == (None, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("sheet", "operator"),
+    [("operator: Zoë", "Zoë"), ("operator:", ""), ("operator: [a]", ""), ("test: a", ""), ("", "")],
+)
+def test_operator_is_who_the_sheet_says(sheet: str, operator: str) -> None:
+    assert operator_of_test(sheet) == operator

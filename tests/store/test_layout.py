@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.store import layout
-from labpipe.store.layout import Field, branch_table, link_name
+from labpipe.store.layout import link_name
 
 
 @given(st.lists(st.text(max_size=8), max_size=8))
@@ -23,24 +23,17 @@ def test_plain_names_stay() -> None:
     assert link_name("..", []) == "unnamed"
 
 
-TABLES = {
-    "branches": (layout.BRANCH_COLUMNS, branch_table("s")),
-    "slips": (layout.SLIP_COLUMNS, layout.SLIP_TABLE),
-    "lines": (layout.LINE_COLUMNS, layout.LINE_TABLE),
-}
+TABLES = {name: table for name, table in vars(layout).items() if isinstance(table, layout.Table)}
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
-def test_every_column_of_a_table_has_its_unit(
-    table: tuple[tuple[tuple[str, str], ...], Field],
-) -> None:
-    columns, kind = table
-    units = str(kind.unit).split(", ")
-    assert len(units) == len(columns)
-    for unit, (_, number) in zip(units, columns, strict=True):
-        assert (unit == "text") == number.startswith("S")
-        assert (unit in ("sample", "1")) == (number == "int64")
+def test_every_column_of_a_table_has_its_axis_and_unit(table: layout.Table) -> None:
+    assert table.scale in table.columns
+    for kind in table.columns.values():
+        assert kind.axes == (table.axis,)
+        assert (kind.unit == "text") == (kind.dtype == "text")
+        assert (kind.dtype == "int64") <= (kind.unit in ("sample", "1"))
 
 
-def test_branches_are_timed_on_the_clock_of_the_curve() -> None:
-    assert branch_table("1").unit == "sample, sample, 1, text, 1, 1"
+def test_tables_are_all_there() -> None:
+    assert len(TABLES) == 7

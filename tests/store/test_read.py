@@ -16,6 +16,7 @@ from labpipe.errors import StoreError
 from labpipe.records.curve import SlipDecision
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
+from labpipe.store import layout
 from labpipe.store.read import RawTest, read_outcome, read_raw, read_result, read_stages
 from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
@@ -77,27 +78,58 @@ def test_a_file_from_before_there_were_budgets(tmp_path: Path) -> None:
     made = build_result(half_cycle=1.0)
     write_result(made, tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5", "a") as root:
-        assert root["budgets"].shape == (2,)
-        assert root["budgets"][1].item() == (
-            b"peak_force.1",
-            b"scale of the force",
-            -0.004,
-            b"N",
-            pytest.approx(0.64),
-            1,
-        )
+        assert {name: column[1] for name, column in root["budgets"].items()} == {
+            "result": b"peak_force.1",
+            "cause": b"scale of the force",
+            "change": -0.004,
+            "unit": b"N",
+            "share": pytest.approx(0.64),
+            "is_common": 1,
+        }
         del root["budgets"]
         del root["results/peak_force.1"].attrs["estimate"]
     found = read_outcome(tmp_path / "result.h5").results
     assert found == tuple(replace(each, budget=(), estimate=None) for each in made.results)
 
 
+TABLES = {
+    "budgets": layout.BUDGET_TABLE,
+    "curve/branches": layout.BRANCH_TABLE,
+    "curve/slips": layout.SLIP_TABLE,
+    "curve/lines": layout.LINE_TABLE,
+}
+
+
+def before_columns(root: h5py.File) -> None:
+    """Turn a result file into one from before tables were columns: compounds, UTF-8, no scales."""
+    for name, table in TABLES.items():
+        columns = {each: root[name][each][()] for each in table.columns}
+        kinds = [(each, values.dtype.str) for each, values in columns.items()]
+        rows = np.array(list(zip(*columns.values(), strict=True)), dtype=kinds)
+        del root[name]
+        root[name] = rows
+        root[name].attrs["axes"] = table.axis
+    for name in layout.NOTE_COLUMNS:
+        found = root["quality"][name]
+        labels = {label: found.attrs[label] for label in ("unit", "axes")}
+        texts = found[()]
+        del root["quality"][name]
+        kind = h5py.string_dtype("utf-8", texts.dtype.itemsize)
+        root["quality"].create_dataset(name, data=texts.astype(kind)).attrs.update(labels)
+    del root["results/table"], root.attrs["date"], root.attrs["operator"]
+
+
+def test_a_file_from_before_tables_were_columns(path: Path, written: Path) -> None:
+    with h5py.File(path, "a") as root:
+        before_columns(root)
+        assert root["curve/slips"].dtype.names[0] == "position"
+    assert differences(read_result(written), read_result(path)) == []
+
+
 def test_a_decision_that_nobody_knows(tmp_path: Path) -> None:
     write_result(with_slips(build_result(half_cycle=1.0)), tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5", "a") as root:
-        table = root["curve/slips"][()]
-        table["decision"] = b"mended"
-        root["curve/slips"][...] = table
+        root["curve/slips/decision"][0] = b"mended"
     with pytest.raises(StoreError, match=r"damaged one \('mended' is not a valid SlipDecision\)"):
         read_outcome(tmp_path / "result.h5")
 
@@ -148,13 +180,14 @@ def test_newer_schema(path: Path) -> None:
 def glued(root: h5py.File) -> None:
     """Turn a result file into one of schema 1: reasons are one text, remarks are in methods."""
     root.attrs["labpipe_schema"] = 1
-    for name in (*(f"results/{each}" for each in root["results"]), "bending", "bending/law"):
+    results = [each for each in root["results"] if each != "table"]
+    for name in (*(f"results/{each}" for each in results), "bending", "bending/law"):
         if name in root:
             attributes = root[name].attrs
             told = zip(attributes["reason_codes"], attributes["reason_messages"], strict=True)
             attributes["reason"] = "; ".join(f"{code}: {message}" for code, message in told)
             del attributes["reason_codes"], attributes["reason_messages"]
-    for result in (root["results"][each].attrs for each in root["results"]):
+    for result in (root["results"][each].attrs for each in results):
         if result["remark"]:
             result["method"] += f"; {result['remark']}"
         del result["made_of"], result["remark"]
@@ -192,9 +225,9 @@ def test_schema_that_never_was(path: Path) -> None:
     [
         ("curve/force", "unit", r"/curve/force: expected unit 'N', found 'mN'"),
         ("shape/positions", "axes", r"/shape/positions: expected axes 'frame, point, xyz', found"),
-        ("curve/slips", "unit", r"/curve/slips: expected unit 'm, N, m, m, N, N, text, sample, s"),
-        ("curve/lines", "axes", r"/curve/lines: expected axes 'line', found 'mN'"),
-        ("curve/time", "unit", r"/curve/branches: expected unit 'sample, sample, 1, text, mN, mN'"),
+        ("curve/slips/drop", "unit", r"/curve/slips/drop: expected unit 'N', found 'mN'"),
+        ("curve/lines/slope", "axes", r"/curve/lines/slope: expected axes 'line', found 'mN'"),
+        ("curve/time", "unit", r"/curve/branches/start_time: expected unit 'mN', found 's'"),
     ],
 )
 def test_wrong_label(name: str, attribute: str, text: str, path: Path) -> None:

@@ -92,6 +92,8 @@ def test_the_layout_is_the_documented_one(tmp_path: Path) -> None:
             "wire_numbers": "1",
             "wire_diameters": "m",
             "positions": "m",
+            "wire": "1",
+            "xy": "text",
         }
         assert bundle["positions"].attrs["axes"] == "wire, xy"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from hypothesis import strategies as st
 
 from labpipe.errors import StoreError
 from labpipe.records.curve import FittedLine, Interval, Slip, SlipDecision
-from labpipe.records.result import TestResult
+from labpipe.records.result import Instrument, TestResult
 from labpipe.store import datasets as chunks
 from labpipe.store import layout, write
 from labpipe.store.read import read_result
@@ -134,26 +135,72 @@ def test_layout_is_the_documented_one(result: TestResult, tmp_path: Path) -> Non
         assert raw["markers/markers/positions"].attrs["unit"] == "m"
         assert raw["markers/rigid_bodies/Table_1"].attrs["name"] == "Table/1"
         assert root["aligned"].attrs["offset_unit"] == "s"
-        assert root["curve/branches"].dtype.names[:4] == ("start", "stop", "cycle", "direction")
-        assert root["curve/branches"][1]["direction"] == b"unloading"
+        assert root["curve/branches/direction"][1] == b"unloading"
         assert root["results/peak_force.1"].attrs["lower"] == 0.59
         assert np.isnan(root["results/initial_stiffness"].attrs["value"])
         assert root["quality/code"][0] == b"marker_filled"
 
 
-def test_slips_and_lines_are_tables_that_say_their_units(
+def test_slips_and_lines_are_columns_that_say_their_units(
     result: TestResult, tmp_path: Path
 ) -> None:
     write_result(result, tmp_path / "result.h5")
     with h5py.File(tmp_path / "result.h5") as root:
         slips, lines = root["curve/slips"], root["curve/lines"]
-        assert slips.attrs["unit"] == "m, N, m, m, N, N, text, sample, sample"
-        assert slips.attrs["axes"] == "slip"
+        assert {name: each.attrs["unit"] for name, each in slips.items()} == {
+            "position": "m",
+            "drop": "N",
+            "position_lower": "m",
+            "position_upper": "m",
+            "drop_lower": "N",
+            "drop_upper": "N",
+            "decision": "text",
+            "start": "sample",
+            "stop": "sample",
+        }
+        assert {each.attrs["axes"] for each in slips.values()} == {"slip"}
         assert (slips["decision"][0], slips["drop"][1]) == (b"repaired", 0.7)
-        assert lines.attrs["unit"] == "text, N/m, N, m, m"
+        assert lines["slope"].attrs["unit"] == "N/m"
         assert lines["result"][1] == b"stiffness_second"
-        for table in (slips, lines, root["curve/branches"]):
-            assert len(table.attrs["unit"].split(", ")) == len(table.dtype.names)
+
+
+def test_the_table_of_results_says_what_the_results_say(result: TestResult, tmp_path: Path) -> None:
+    write_result(result, tmp_path / "result.h5")
+    with h5py.File(tmp_path / "result.h5") as root:
+        rows = {name: each[()].tolist() for name, each in root["results/table"].items()}
+    assert list(rows) == sorted(layout.RESULT_COLUMNS.columns)
+    assert rows["name"] == [b"peak_force.1", b"residual_displacement.1", b"initial_stiffness"]
+    assert rows["unit"] == [b"N", b"m", b"N/m"]
+    assert rows["status"] == [b"ok", b"doubtful", b"failed"]
+    assert rows["code"] == [b"", b"extrapolated", b"not_reached"]
+    assert rows["reason"][2] == b"not_reached: too short"
+    for name, wanted in {
+        "value": [0.62, 0.0031, np.nan],
+        "estimate": [0.6, 0.0031, np.nan],
+        "lower": [0.59, np.nan, np.nan],
+        "upper": [0.61, np.nan, np.nan],
+        "level": [0.95, np.nan, np.nan],
+    }.items():
+        np.testing.assert_array_equal(rows[name], wanted)
+
+
+def test_a_result_may_be_called_table(result: TestResult, tmp_path: Path) -> None:
+    renamed = replace(result, results=(replace(result.results[0], name="table"),))
+    write_result(renamed, tmp_path / "result.h5")
+    assert read_result(tmp_path / "result.h5").results == renamed.results
+
+
+def test_who_when_and_with_what_come_back(result: TestResult, tmp_path: Path) -> None:
+    instruments = (
+        Instrument("force", ("force", "energy"), "LC-7", date(2026, 1, 2), None, None, 2.0),
+        Instrument("markers", ("mid_span",), "µ", date(2026, 1, 2), date(2027, 1, 2), 5e-3, 3.0),
+    )
+    said = replace(result, date=date(2026, 3, 4), operator="Zoë", instruments=instruments)
+    write_result(said, tmp_path / "result.h5")
+    assert differences(said, read_result(tmp_path / "result.h5")) == []
+    with h5py.File(tmp_path / "result.h5") as root:
+        assert (root.attrs["date"], root.attrs["operator"]) == ("2026-03-04", "Zoë")
+        assert root["instruments/due"][()].tolist() == [b"", b"2027-01-02"]
 
 
 def test_no_slips_and_no_lines_are_no_tables(result: TestResult, tmp_path: Path) -> None:
@@ -171,15 +218,8 @@ def test_rows_without_time_are_not_called_seconds(result: TestResult, tmp_path: 
     with h5py.File(tmp_path / "result.h5") as root:
         for name in ("raw/frame/time", "aligned/time", "curve/time"):
             assert root[name].attrs["unit"] == "1"
-        assert root["curve/branches"].attrs["unit"] == "sample, sample, 1, text, 1, 1"
-
-
-def test_a_name_longer_than_its_column_is_kept(result: TestResult, tmp_path: Path) -> None:
-    width = int(dict(layout.LINE_COLUMNS)["result"][1:])
-    long = FittedLine("s" * (width + 5), 1.0, 2.0, 3.0, 4.0)
-    given_result = replace(result, lines=(*result.lines, long))
-    write_result(given_result, tmp_path / "result.h5")
-    assert read_result(tmp_path / "result.h5").lines == given_result.lines
+        assert root["curve/branches/start_time"].attrs["unit"] == "1"
+        assert root["curve/branches/start"].attrs["unit"] == "sample"
 
 
 def test_large_attributes_fit(result: TestResult, tmp_path: Path) -> None:

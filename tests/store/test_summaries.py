@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,8 @@ import pytest
 from labpipe.errors import StoreError
 from labpipe.records.curve import Interval
 from labpipe.records.harness_bundle import Bundle, BundleWire
-from labpipe.records.result import Result, Specimen
-from labpipe.store.write import summary, write_summary
+from labpipe.records.result import Instrument, Result, Specimen
+from labpipe.store.summaries import summary, write_summary
 from tests.store.builders_result import build_result
 
 
@@ -20,8 +21,8 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
     read = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
     assert read == summary(result)
     assert list(read) == [
-        "schema", "test", "specimen", "protocol", "labpipe", "inputs", "run", "results",
-        "quality",
+        "schema", "test", "specimen", "protocol", "labpipe", "inputs", "date", "operator",
+        "instruments", "run", "made_of", "results", "quality",
     ]  # fmt: skip
     assert read["specimen"] == {"type": "A2", "spool": "A2-s1", "sample": "1", "length": 0.085}
     assert read["run"] == result.run
@@ -35,6 +36,8 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
         "level": 0.95,
         "estimate": 0.6,
         "status": "ok",
+        "code": "",
+        "reason": "",
         "reasons": [],
         "method": "highest",
         "budget": [
@@ -52,6 +55,9 @@ def test_summary_is_the_documented_one(tmp_path: Path) -> None:
     assert (read["results"][2]["value"], read["results"][2]["estimate"]) == (None, None)
     assert read["results"][2]["status"] == "failed"
     assert read["results"][2]["reasons"] == [{"code": "not_reached", "message": "too short"}]
+    assert read["results"][2]["code"] == "not_reached"
+    assert read["results"][2]["reason"] == "not_reached: too short"
+    assert (read["date"], read["operator"], read["instruments"]) == (None, "", [])
     assert read["quality"][0] == {
         "code": "marker_filled", "severity": "warning", "message": "26 frames were filled."
     }  # fmt: skip
@@ -87,6 +93,26 @@ def test_summary_of_a_bundle_with_labels() -> None:
         },
         "labels": {"cured": "24 h"},
     }
+
+
+def test_who_when_and_with_what() -> None:
+    cell = Instrument("force", ("force",), "LC-7", date(2026, 1, 2), date(2027, 1, 2), 0.005)
+    dated = replace(
+        build_result(half_cycle=0.5), date=date(2026, 3, 4), operator="lab", instruments=(cell,)
+    )
+    said = summary(dated)
+    assert (said["date"], said["operator"]) == ("2026-03-04", "lab")
+    assert said["instruments"] == [
+        {
+            "channel": "force",
+            "measures": ["force"],
+            "certificate": "LC-7",
+            "calibrated": "2026-01-02",
+            "due": "2027-01-02",
+            "uncertainty": 0.005,
+            "k": 2.0,
+        }
+    ]
 
 
 def test_no_number_that_json_cannot_say(tmp_path: Path) -> None:

@@ -1,0 +1,147 @@
+"""TestResult to summary.json, and back to what a table of many tests needs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from hashlib import sha256
+from math import isfinite
+from pathlib import Path
+
+from labpipe.records.harness_bundle import Bundle
+from labpipe.records.result import Instrument, Result, Specimen, TestResult
+from labpipe.store.replace import replacing
+
+SUMMARY_SCHEMA = 2
+
+
+def summary(result: TestResult) -> dict[str, object]:
+    """Sum up a test in plain SI numbers.
+
+    Parameters
+    ----------
+    result : a processed test
+
+    Returns
+    -------
+    What ``summary.json`` holds; only what JSON can say. A number that is not finite, or not
+    available, is None; the status and the reasons say why.
+    """
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "test": result.test,
+        "specimen": _specimen(result.specimen),
+        "protocol": result.protocol,
+        "labpipe": result.labpipe_version,
+        "inputs": [
+            {"role": given.role, "file": given.file, "sha256": given.sha256}
+            for given in result.inputs
+        ],
+        "date": None if result.date is None else str(result.date),
+        "operator": result.operator,
+        "instruments": [_instrument(each) for each in result.instruments],
+        "run": result.run,
+        "made_of": {
+            "sheet": sha256(result.test_yaml.encode()).hexdigest(),
+            "protocol": sha256(result.protocol_yaml.encode()).hexdigest(),
+        },
+        "results": [_entry(entry) for entry in result.results],
+        "quality": [
+            {"code": note.code, "severity": str(note.severity), "message": note.message}
+            for note in result.quality
+        ],
+    }
+
+
+def write_summary(result: TestResult, path: Path) -> None:
+    """Write ``summary.json``; an earlier one stays until the new one is whole.
+
+    Parameters
+    ----------
+    result : a processed test
+    path : the file
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written: full disk, no permission.
+    """
+    text = json.dumps(summary(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing(path) as temporary:
+        temporary.write_bytes(text.encode())
+
+
+def _specimen(specimen: Specimen) -> dict[str, object]:
+    said: dict[str, object] = {
+        "type": specimen.type,
+        "spool": specimen.spool,
+        "sample": specimen.sample,
+        **{name: _number(value) for name, value in specimen.dimensions.items()},
+    }
+    if specimen.bundle is not None:
+        said["bundle"] = _bundle(specimen.bundle)
+    if specimen.labels:
+        said["labels"] = dict(specimen.labels)
+    return said
+
+
+def _bundle(bundle: Bundle) -> dict[str, object]:
+    return {
+        "composition": bundle.composition,
+        "number": bundle.number,
+        "wires": [
+            {"type": wire.type, "number": wire.number, "diameter": _number(wire.diameter)}
+            for wire in bundle.wires
+        ],
+        "arrangement": bundle.arrangement,
+        "positions": [list(place) for place in bundle.positions],
+        "tape": bundle.tape,
+        "taping": bundle.taping,
+        "conduit": bundle.conduit,
+        "conduit_bore": _number(bundle.conduit_bore),
+    }
+
+
+def _instrument(instrument: Instrument) -> dict[str, object]:
+    due = instrument.due
+    return {
+        "channel": instrument.channel,
+        "measures": list(instrument.measures),
+        "certificate": instrument.certificate,
+        "calibrated": str(instrument.calibrated),
+        "due": None if due is None else str(due),
+        "uncertainty": _number(instrument.uncertainty),
+        "k": instrument.k,
+    }
+
+
+def _entry(result: Result) -> dict[str, object]:
+    interval = result.interval
+    return {
+        "name": result.name,
+        "value": _number(result.value),
+        "unit": result.unit,
+        "lower": _number(interval.lower) if interval else None,
+        "upper": _number(interval.upper) if interval else None,
+        "level": _number(interval.level) if interval else None,
+        "estimate": _number(result.likely),
+        "status": str(result.status),
+        "code": ", ".join(result.codes),
+        "reason": result.why,
+        "reasons": [asdict(reason) for reason in result.reasons],
+        "method": result.how,
+        "budget": [
+            {
+                "cause": each.cause,
+                "change": _number(each.change),
+                "share": _number(share),
+                "common": each.is_common,
+            }
+            for each, share in zip(result.budget, result.shares, strict=True)
+        ],
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """The number itself; None for what JSON cannot say (NaN, infinities)."""
+    return float(value) if value is not None and isfinite(value) else None

@@ -1,0 +1,162 @@
+"""A result file in programs that know nothing of labpipe: xarray, pandas, h5dump, Octave."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+
+from labpipe.records.harness_bundle import Bundle, BundleWire
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.result import TestResult
+from labpipe.store.write import write_result
+from tests.builders.measured_bending import some_bending
+from tests.store.builders_result import build_result, with_slips
+
+OCTAVE, H5DUMP = shutil.which("octave-cli"), shutil.which("h5dump")
+needs_octave = pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
+needs_h5dump = pytest.mark.skipif(H5DUMP is None, reason="h5dump is not installed")
+
+
+@pytest.fixture(scope="module")
+def result() -> TestResult:
+    made = with_slips(build_result(half_cycle=1.0))
+    wires = (BundleWire("B1", 1, 0.0011), BundleWire("B2", 1))
+    bundle = Bundle(wires, positions=((0.0, 0.0), (0.002, 0.0)))
+    note = QualityNote("gap", Severity.WARNING, "Weg in µm", "Größe über 3 µm")
+    return replace(
+        made,
+        bending=some_bending(),
+        specimen=replace(made.specimen, bundle=bundle),
+        quality=(*made.quality, note),
+    )
+
+
+@pytest.fixture(scope="module")
+def path(result: TestResult, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("other") / "result.h5"
+    write_result(result, file)
+    return file
+
+
+def test_every_axis_has_one_scale_of_its_length_in_its_group(path: Path) -> None:
+    seen = list[str]()
+
+    def look(name: str, found: object) -> None:
+        if not isinstance(found, h5py.Dataset) or found.is_scale:
+            return
+        for axis, size in zip(found.dims, found.shape, strict=True):
+            (scale,) = axis.values()
+            assert scale.shape == (size,), name
+            assert scale.name.rpartition("/")[2] in found.parent, name
+        seen.append(name)
+
+    with h5py.File(path) as root:
+        root.visititems(look)
+    assert len(seen) > 60
+
+
+READ_ALL = """
+import sys, warnings
+import h5py, xarray
+warnings.simplefilter("error")
+path, engine = sys.argv[1:]
+with h5py.File(path) as root:
+    every = []
+    root.visit(every.append)
+    groups = [name for name in every if isinstance(root[name], h5py.Group)]
+for name in groups:
+    with xarray.open_dataset(path, engine=engine, group=name) as found:
+        found.load()
+        print(name, *sorted(f"{axis}={size}" for axis, size in found.sizes.items()))
+        assert sorted(found.coords) == sorted(found.sizes), name
+"""
+
+
+@pytest.mark.parametrize("engine", ["h5netcdf", "netcdf4"])
+def test_xarray_opens_every_group_with_its_axes(engine: str, path: Path) -> None:
+    """In a process of its own: a file that the netCDF library does not take kills it."""
+    command = [sys.executable, "-W", "ignore", "-c", READ_ALL, str(path), engine]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "phony" not in ran.stdout
+    lines = ran.stdout.splitlines()
+    assert {"results/table name=3", "specimen/bundle wire=2 wire_types=2 xy=2"} <= set(lines)
+    assert "curve time=600" in lines
+
+
+def test_xarray_finds_values_by_their_axes(path: Path, result: TestResult) -> None:
+    xarray = pytest.importorskip("xarray")
+    assert result.curve is not None
+    assert result.shape is not None
+    with xarray.open_dataset(path, engine="h5netcdf", group="shape") as found:
+        tip = found.positions.sel(xyz=b"y", names=b"pull").values
+    np.testing.assert_array_equal(tip, result.shape.positions[:, -1, 1])
+    with xarray.open_dataset(path, engine="h5netcdf", group="curve") as found:
+        late = found.force.sel(time=slice(2.0, None)).values
+    np.testing.assert_array_equal(late, result.curve.force[result.curve.time >= 2.0])
+
+
+def test_pandas_reads_the_table(path: Path) -> None:
+    with h5py.File(path) as root:
+        columns = {name: each[()] for name, each in root["results/table"].items()}
+    table = pd.DataFrame(columns)
+    assert table["value"][table["name"] == b"peak_force.1"].tolist() == [0.62]
+    assert table["lower"].isna().tolist() == [False, True, True]
+
+
+@needs_h5dump
+def test_h5dump_shows_the_table(path: Path) -> None:
+    command = [H5DUMP or "", "-y", "-g", "/results/table", str(path)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert '"peak_force.1", "residual_displacement.1", "initial_stiffness"' in ran.stdout
+    assert "0.62, 0.0031, nan" in ran.stdout
+
+
+LOAD = """
+d = load("result.h5");
+t = d.results.table;
+names = cellstr(t.name);
+printf("%s=%.6g [%.6g, %.6g] %s|", names{1}, t.value(1), t.lower(1), t.upper(1), t.unit(1, 1));
+printf("%d|", isnan(t.value));
+printf("%s|", strtrim(d.quality.message(3, :)));
+printf("%.6g|", d.budgets.share);
+printf("%d %d|", size(d.curve.force), size(d.shape.positions));
+printf("%s", strjoin(fieldnames(d)', " "));
+"""
+
+
+@needs_octave
+def test_octave_loads_everything(path: Path, result: TestResult) -> None:
+    command = [OCTAVE or "", "--quiet", "--no-init-file", "--eval", LOAD]
+    ran = subprocess.run(command, capture_output=True, check=False, cwd=path.parent)
+    assert result.curve is not None
+    assert result.shape is not None
+    count = len(result.curve.force)
+    frames, points, _ = result.shape.positions.shape
+    assert ran.stdout.decode().split("|") == [
+        "peak_force.1=0.62 [0.59, 0.61] N",
+        *("0", "0", "1"),
+        "Größe über 3 µm",
+        *("0.36", "0.64"),
+        f"1 {count}",
+        f"3 {points}",
+        f"{frames} aligned bending budgets curve quality raw results shape specimen",
+    ]
+
+
+@needs_octave
+def test_octave_loads_a_test_that_came_to_nothing(result: TestResult, tmp_path: Path) -> None:
+    bare = replace(result, curve=None, slips=(), lines=(), results=(), quality=(), shape=None)
+    write_result(bare, tmp_path / "result.h5")
+    command = [OCTAVE or "", "--quiet", "--no-init-file", "--eval"]
+    command += ['d = load("result.h5"); printf("%d", size(d.results.table.value))']
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert (ran.stdout, "unknown" in ran.stderr) == ("10", False)
