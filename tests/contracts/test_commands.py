@@ -166,6 +166,9 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
         "quality",
         "run",
         "made_of",
+        "date",
+        "operator",
+        "instruments",
     }
     assert said["schema"] == 2
     assert set(said["inputs"][0]) == {"role", "file", "sha256"}
@@ -178,6 +181,8 @@ def test_json_of_process(run: Run, lab: Lab, tmp_path: Path) -> None:
             "upper",
             "level",
             "estimate",
+            "code",
+            "reason",
             "status",
             "reasons",
             "method",
