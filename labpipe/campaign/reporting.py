@@ -21,6 +21,7 @@ from labpipe.campaign.grouping import (
     with_own_spools,
     without,
 )
+from labpipe.campaign.stated import NumberKinds, number_kinds, with_sizes
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.targets import (
     find_copies,
@@ -30,11 +31,11 @@ from labpipe.process.targets import (
     shared_folder,
 )
 from labpipe.protocol.load import parse_protocol
-from labpipe.protocol.schema import Groups, SpecimenBlock
+from labpipe.protocol.schema import Groups
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch, Direction
 from labpipe.records.group import Campaign, Group, Sample, SampleCurve
-from labpipe.records.result import Specimen, TestResult
+from labpipe.records.result import TestResult
 from labpipe.report.lab_report import write_report
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
@@ -174,16 +175,17 @@ def make_campaign(
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """What was read: samples, what protocols say of groups, settings by file, what is left out."""
+    """What was read: samples, what protocols say of them, settings by file, what is left out."""
 
     samples: list[Sample]
     wishes: dict[str, Groups]
+    kinds: dict[str, NumberKinds]
     settings: dict[str, Settings]
     left_out: dict[str, str]
 
 
 def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
-    read = _Read([], {}, {}, {})
+    read = _Read([], {}, {}, {}, {})
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
@@ -195,6 +197,7 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
             read.left_out[str(file)] = str(error)
             continue
         read.wishes[result.protocol] = protocol.groups
+        read.kinds[result.protocol] = number_kinds(protocol)
         read.settings[str(file)] = settings_of(protocol)
         recordings.append((file, recording_of(result, protocol)))
         sized = replace(result, specimen=with_sizes(result.specimen, protocol.specimen))
@@ -207,27 +210,13 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
     return replace(read, samples=samples, left_out=read.left_out | copies)
 
 
-def with_sizes(specimen: Specimen, said: SpecimenBlock) -> Specimen:
-    """Add to a specimen the sizes that its protocol states; its sheet overrides them.
-
-    Parameters
-    ----------
-    specimen : as its sheet describes it
-    said : of the resolved protocol, which holds the overrides of the test
-    """
-    section = {} if said.section is None else {**vars(said.section)}
-    section.pop("area", None)  # no length
-    sizes = {"length": said.length, "span": said.span, **section}
-    stated = {name: size for name, size in sizes.items() if size is not None}
-    return replace(specimen, dimensions={**stated, **specimen.dimensions})
-
-
 def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
     members, by = division(read.samples, by), by or (TYPE,)
     names = group_names(list(members), by)
     groups = []
     for key, name in names.items():
-        group = _group(name, members[key], read.wishes[key.protocol], without(key, by))
+        said = read.wishes[key.protocol], read.kinds[key.protocol]
+        group = _group(name, members[key], *said, without(key, by))
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
@@ -290,7 +279,11 @@ def _stop_before_failure(result: TestResult, branch: Branch, displacement: Float
 
 
 def _group(
-    name: str, members: Sequence[Sample], settings: Groups, not_said: Sequence[str]
+    name: str,
+    members: Sequence[Sample],
+    settings: Groups,
+    kinds: NumberKinds,
+    not_said: Sequence[str],
 ) -> Group:
     samples, renamed = with_own_spools(members)
     # Results that say something about the specimen, so that no table has to leave any out.
@@ -304,6 +297,7 @@ def _group(
         of_specimens,
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
+        signed=kinds.signed,
     )
     numbers = {number.name: number for number in group.numbers}
     first = [numbers.pop(name) for name in settings.main if name in numbers]

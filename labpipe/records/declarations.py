@@ -181,6 +181,10 @@ class Output:
     rests_on : quantities; what makes one of them doubtful makes the number doubtful
     first : number of the first of several, one per cycle or slip; None where there is one alone
     is_raised_by_slips : whether a repaired slip anywhere on the way has raised it
+    can_be_negative : whether a specimen can have it below zero; means of all others have their
+        interval on a log scale
+    is_set_by_stroke : whether the rig sets it where a protocol states the stroke: it is then no
+        property of the specimen, and its scatter says how the rig stops
     """
 
     name: str
@@ -189,6 +193,8 @@ class Output:
     rests_on: tuple[str, ...] = CURVE
     first: int | None = None
     is_raised_by_slips: bool = False
+    can_be_negative: bool = False
+    is_set_by_stroke: bool = False
 
     def name_in(self, kind: Any, entry: Mapping[str, object]) -> str:
         """Name in the summary, of several the first.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import log
 
 from labpipe.records.arrays import ArrayRecord, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
@@ -75,6 +76,7 @@ class MeanInterval:
     estimate : mean of the estimates, in the middle of the interval; None where it is the mean
     common : what causes that all tests of a rig share change, in the unit of the mean; in the
         interval
+    is_log : whether the interval is on a log scale, as that of a positive number
     """
 
     mean: float
@@ -84,6 +86,20 @@ class MeanInterval:
     reason: Reason | None = None
     estimate: float | None = None
     common: tuple[Contribution, ...] = ()
+    is_log: bool = False
+
+    @property
+    def middle(self) -> float:
+        """What the interval lies about: the estimate, or else the mean."""
+        return self.mean if self.estimate is None else self.estimate
+
+    @property
+    def half(self) -> float:
+        """Half the width that the interval has, or had before it was put on a log scale; NaN."""
+        if self.interval is None:
+            return float("nan")
+        lower, upper = self.interval.lower, self.interval.upper
+        return 0.5 * self.middle * log(upper / lower) if self.is_log else 0.5 * (upper - lower)
 
     @property
     def apart(self) -> float | None:

@@ -254,7 +254,9 @@ _ABOUT = (
     "Lower and upper are the ends of 95 % intervals. An empty cell: there is no such number.",
     "Of a sample, the interval says how well this one sample was measured. Of a mean, it is based"
     " on Student's t with n - 1 degrees of freedom, with what all tests of a rig share, and holds"
-    " the mean of all such specimens.",
+    " the mean of all such specimens. On the scale 'log' its ends are mean / exp(h / mean) and"
+    " mean x exp(h / mean), on 'linear' mean - h and mean + h; without what tests share, h ="
+    " T.INV.2T(0.05;n-1) x standard deviation / SQRT(n).",
     "Budgets: what one standard uncertainty of each cause changes, and its share of the variance."
     " 'yes': all tests of a rig share the cause, so it does not average out. Where an estimate is"
     " given, the interval is that of the estimate, and may leave the plain value out.",
@@ -329,9 +331,9 @@ def _concerns(campaign: Campaign) -> _Table:
 
 def _groups(campaign: Campaign) -> _Table:
     heads = (
-        "group", "number", "result", "unit", "mean", "lower", "upper", "standard deviation", "n",
-        "mean over", "n samples", "within spools", "between spools", "spools alike, p", "decision",
-        "reason",
+        "group", "number", "result", "unit", "mean", "lower", "upper", "scale",
+        "standard deviation", "n", "mean over", "n samples", "within spools", "between spools",
+        "spools alike, p", "decision", "reason",
     )  # fmt: skip
     rows = [_mean(group, number) for group in campaign.groups for number in group.numbers]
     return heads, rows
@@ -342,12 +344,13 @@ def _mean(group: Group, number: GroupNumber) -> Row:
     head = (group.name, in_words(number.name), number.name, scale.unit)
     mean = number.mean
     if mean is None:
-        return (*head, *[None] * 10, "", "; ".join(map(worded, number.left_out.values())))
+        return (*head, *[None] * 11, "", "; ".join(map(worded, number.left_out.values())))
     chosen, up = mean.chosen, scale.factor
     return (
-        *head, up * chosen.mean, *_ends(chosen.interval, up), up * chosen.deviation, chosen.n,
-        "samples" if mean.is_pooled else "spool means", mean.over_samples.n, up * mean.within,
-        up * mean.between, mean.spool_p, str(mean.decision), str(chosen.reason or ""),
+        *head, up * chosen.mean, *_ends(chosen.interval, up), "log" if chosen.is_log else "linear",
+        up * chosen.deviation, chosen.n, "samples" if mean.is_pooled else "spool means",
+        mean.over_samples.n, up * mean.within, up * mean.between, mean.spool_p,
+        str(mean.decision), str(chosen.reason or ""),
     )  # fmt: skip
 
 

@@ -61,7 +61,7 @@ class Plateau(Kind):
 
     result: ClassVar = "plateau"
     outputs: ClassVar = (
-        Output("end_slope", "1", "End slope"),
+        Output("end_slope", "1", "End slope", can_be_negative=True),
         Output("plateau_displacement", "m", "Displacement at the plateau"),
         Output("plateau_force", "N", "Plateau force"),
     )

@@ -292,7 +292,14 @@ class ResidualDisplacement(OfCycle):
 
     result: ClassVar = "residual-displacement"
     outputs: ClassVar = (
-        Output("residual_displacement", "m", "Residual displacement", CURVE, first=1),
+        Output(
+            "residual_displacement",
+            "m",
+            "Residual displacement",
+            CURVE,
+            first=1,
+            can_be_negative=True,
+        ),
     )
     force_below: Force
     reads: ClassVar = (1.0, 2.0)
@@ -449,7 +456,14 @@ class PeakDisplacement(OfCycle):
 
     result: ClassVar = "peak-displacement"
     outputs: ClassVar = (
-        Output("peak_displacement", "m", "Displacement at the peak", ("displacement",), first=1),
+        Output(
+            "peak_displacement",
+            "m",
+            "Displacement at the peak",
+            ("displacement",),
+            first=1,
+            is_set_by_stroke=True,
+        ),
     )
     whole: ClassVar = 1
     reads: ClassVar = (0.9, 1.1)

@@ -203,7 +203,7 @@ class SlackResult(Kind):
     """``slack`` (m): displacement before the specimen is taut."""
 
     result: ClassVar = "slack"
-    outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",)),)
+    outputs: ClassVar = (Output("slack", "m", "Slack", ("displacement",), can_be_negative=True),)
     needs: ClassVar = Needs(branches=True, correction="slack")
 
     def compute(self, test: Evidence) -> Computed:

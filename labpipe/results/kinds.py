@@ -255,8 +255,8 @@ class ClockResult(Kind):
 
     result: ClassVar = "clock"
     outputs: ClassVar = (
-        Output("clock_offset", "s", "Offset of the clocks", ("clock",)),
-        Output("clock_drift", "1", "Drift of the clocks", ("clock",)),
+        Output("clock_offset", "s", "Offset of the clocks", ("clock",), can_be_negative=True),
+        Output("clock_drift", "1", "Drift of the clocks", ("clock",), can_be_negative=True),
     )
     needs: ClassVar = Needs(clocks=True)
 

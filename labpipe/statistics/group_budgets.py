@@ -62,8 +62,7 @@ def in_order(causes: set[str]) -> list[str]:
 def _of_mean(mean: MeanInterval) -> dict[str, float]:
     if mean.interval is None or not mean.interval.upper > mean.interval.lower:
         return {}
-    half = 0.5 * (mean.interval.upper - mean.interval.lower)
-    normal = Interval.normal_95(0.0, 1.0).upper / half
+    normal = Interval.normal_95(0.0, 1.0).upper / mean.half
     common = {each.cause: (normal * each.change) ** 2 for each in mean.common if each.change}
     scatter = 1.0 - (normal * standard_uncertainty(mean.common)) ** 2
     return {SCATTER: scatter, **{cause: common[cause] for cause in in_order(set(common))}}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from re import ASCII, split
 
@@ -20,6 +20,7 @@ from labpipe.statistics.group_notes import (
     sample_keys,
     sample_notes,
 )
+from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
 from labpipe.statistics.mean_curves import loading_band, scaled_band
 from labpipe.statistics.means import USUAL, PoolingLimits, nested_mean
 from labpipe.statistics.outliers import mark_outliers
@@ -36,6 +37,7 @@ def build_group(
     *,
     limits: PoolingLimits = USUAL,
     scaled: bool = False,
+    signed: Container[str] = (),
 ) -> Group:
     """Put the samples of one type together.
 
@@ -46,6 +48,8 @@ def build_group(
     samples : in any order; none is a group too, with an empty band
     limits : when spools may be pooled
     scaled : whether to average force / peak force as well
+    signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
+        others are on a log scale
 
     Returns
     -------
@@ -57,7 +61,14 @@ def build_group(
     names = dict.fromkeys(result.name for sample in ordered for result in sample.results)
     made_otherwise = otherwise_made(ordered)
     numbers = tuple(
-        group_number(each, ordered, limits, without=made_otherwise.get(each, {})) for each in names
+        group_number(
+            each,
+            ordered,
+            limits,
+            without=made_otherwise.get(each, {}),
+            is_signed=each.partition(".")[0] in signed,
+        )
+        for each in names
     )
     band, notes = loading_band(ordered, limits)
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
@@ -84,6 +95,7 @@ def group_number(
     limits: PoolingLimits = USUAL,
     *,
     without: Mapping[str, Reason] | None = None,
+    is_signed: bool = False,
 ) -> GroupNumber:
     """Average one result over samples.
 
@@ -93,6 +105,8 @@ def group_number(
     samples : with or without it
     limits : when spools may be pooled
     without : samples whose number is not to be averaged with the others, and why
+    is_signed : whether it can be negative; else intervals are on a log scale (`on_log_scale`), if
+        no value is zero or below
 
     Returns
     -------
@@ -117,7 +131,7 @@ def group_number(
     return GroupNumber(
         name=name,
         unit=unit,
-        mean=_nested(by_spool, limits) if by_spool else None,
+        mean=_nested(by_spool, limits, is_signed=is_signed) if by_spool else None,
         values=values,
         left_out={key: reasons for key, reasons in left_out.items() if reasons},
         outliers=mark_outliers({key: _value(each) for key, each in values.items()}, spools),
@@ -141,9 +155,13 @@ def _value(result: Result) -> float:
     return float("nan") if result.value is None else result.value
 
 
-def _nested(spools: Mapping[str, Sequence[Result]], limits: PoolingLimits) -> NestedMean:
+def _nested(
+    spools: Mapping[str, Sequence[Result]], limits: PoolingLimits, *, is_signed: bool
+) -> NestedMean:
     values = {name: [_value(each) for each in own] for name, own in spools.items()}
-    return with_shared(nested_mean(values, limits), spools)
+    mean = with_shared(nested_mean(values, limits), spools)
+    every = [each for own in spools.values() for each in own]
+    return mean if is_signed or not can_be_on_a_log_scale(every) else on_log_scale(mean)
 
 
 def compare_groups(

@@ -40,14 +40,10 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
     reason = first.reason or second.reason
     if reason:
         return MeanInterval(found, None, np.nan, n, reason, common=common)
-    half, middle = _welch(first, second).half, _estimate(second) - _estimate(first)
+    half, middle = _welch(first, second).half, second.middle - first.middle
     interval = widened_by(Interval(middle - half, middle + half), common)
     estimate = None if middle == found else middle
     return MeanInterval(found, interval, np.nan, n, estimate=estimate, common=common)
-
-
-def _estimate(mean: MeanInterval) -> float:
-    return mean.mean if mean.estimate is None else mean.estimate
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +89,7 @@ def equivalence_p(first: MeanInterval, second: MeanInterval, margin: float) -> f
         return float("nan")
     spread = _welch(first, second)
     shared = standard_uncertainty(difference_of(first.common, second.common))
-    room = margin - abs(_estimate(second) - _estimate(first))
+    room = margin - abs(second.middle - first.middle)
     p = _tail(abs(room), spread, shared)
     return p if room > 0 else 1.0 - p
 

@@ -9,18 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.reporting import (
-    Wanted,
-    make_campaign,
-    report_tests,
-    sample_of,
-    with_sizes,
-)
+from labpipe.campaign.reporting import Wanted, make_campaign, report_tests, sample_of
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.run import process_test
 from labpipe.process.targets import find_results
-from labpipe.protocol.schema import Section, SpecimenBlock
-from labpipe.records.result import Specimen, TestResult
+from labpipe.records.result import TestResult
 from labpipe.store.read import read_result
 from tests.builders.bundles import EXAMPLES
 from tests.builders.pulls import broken, pull, slipped
@@ -285,12 +278,3 @@ def test_a_recording_is_counted_once(results: Path) -> None:
         f" in {results / 'c' / 'T-1' / 'result.h5'}. Look at `files` in both test sheets, or leave"
         " the copy out."
     }
-
-
-def test_sizes_of_the_protocol_belong_to_the_specimen_unless_its_sheet_says_them() -> None:
-    section = Section.model_validate({"width": "18.8 mm", "area": "5 mm^2"})
-    said = SpecimenBlock.model_validate({"length": "300 mm", "section": section})
-    specimen = with_sizes(Specimen("tape", "s1", "1", {"length": 0.25}), said)
-    assert specimen.dimensions == {"length": 0.25, "width": 0.0188}
-    bare = Specimen("tape", "s1", "1")
-    assert with_sizes(bare, SpecimenBlock()) == bare
