@@ -72,3 +72,8 @@ def test_plays_of_a_polygon_by_hand() -> None:
     assert (law.stiffness, law.largest_moment) == (4.0, 8.0)
     assert law.half_widths.tolist() == [4.0, 6.0]
     assert law.compliances == pytest.approx([0.25, 0.5])
+
+
+def test_the_curvature_at_which_a_soft_law_softens_is_said() -> None:
+    with pytest.raises(ValueError, match=r"softens before curvature=3 1/m"):
+        polygon_law(np.array([1.0, 2.0, 3.0]), np.array([1e-3, 1.5e-3, 1.4e-3]))

@@ -32,6 +32,19 @@ def test_failure_and_energy() -> None:
     holds(results["energy_to_break"], 0.5 * 5e3 * 0.01601**2, "J")
 
 
+def test_a_loss_that_began_a_sample_earlier_is_in_the_interval() -> None:
+    """The last sample before the force is gone lies 5 N below the one before it."""
+    travel, force = pull()
+    torn = broken(travel, force, at=0.01601)
+    last = int(np.flatnonzero(travel <= 0.01601)[-1])
+    torn[last] -= 5.0
+    _, results = pulled(travel, torn, curve=BREAK, results=["failure"])
+    found = results["failure_force"]
+    assert found.value == torn[last]
+    assert found.interval is not None
+    assert 0.95 * 5.0 < found.interval.upper - torn[last] < 1.05 * 5.0
+
+
 def test_energy_of_the_last_cycle_of_several() -> None:
     """Half way up, back to zero, and up until it tears: the work of the second way up."""
     travel, _ = pull(length=0.01)

@@ -131,6 +131,8 @@ def test_a_channel_that_is_blank_or_constant() -> None:
     assert not stuck_runs(time, np.full(50, np.nan))
     assert not stuck_runs(time, np.ones(50), time)
     assert not stuck_runs(time[:0], time[:0])
+    every_other = np.where(np.arange(50) % 2 == 0, time, np.nan)
+    assert not stuck_runs(time, every_other, time)
     gaps = np.sin(time)
     gaps[10:20] = np.nan
     assert not stuck_runs(time, gaps, time)

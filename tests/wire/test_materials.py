@@ -71,3 +71,11 @@ def test_bad_numbers() -> None:
         RambergOsgood(1.0, 1.0, 1.0)
     with pytest.raises(ValueError, match=r"modulus=-1.0: allowed are finite numbers > 0"):
         Elastic(-1.0)
+
+
+def test_a_table_ends_at_its_last_strain() -> None:
+    table = StressTable((0.01, 0.05), (1e8, 2e8))
+    assert table.largest_strain == 0.05
+    assert table.stress(np.array([0.03, 0.05, 0.051])) == pytest.approx(
+        [1.5e8, 2e8, np.nan], nan_ok=True
+    )

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -205,8 +206,13 @@ def test_a_law_that_softens_is_refused_with_the_curvature(monkeypatch: pytest.Mo
         return replace(curve, insulation=curve.insulation - 1e-3 * (curve.curvature > 10.0))
 
     monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", softening)
-    with pytest.raises(WireError, match=r"the law softens: the moment falls from .* at 9\.\d+ 1/m"):
+    said = (
+        r"the law softens: the moment falls from (\S+) N m at 9\.\d+ 1/m to (\S+) N m at 10\.\d+ "
+    )
+    with pytest.raises(WireError, match=said) as raised:
         wire_table(A2)
+    before, behind = map(float, re.findall(r"(\S+) N m at", str(raised.value)))
+    assert before - behind == pytest.approx(1e-3, rel=0.2)
 
 
 def test_a_law_that_stiffens_has_no_cantilever(monkeypatch: pytest.MonkeyPatch) -> None:
