@@ -98,7 +98,7 @@ def _back_to_first(t: Floats, f: Floats, last: int, rule: LossOfForce, peak: flo
     """Go back while the force falls by the share within the time, or at that rate."""
     lost = rule.loss * peak
     while last > 0:
-        begin = min(int(np.searchsorted(t, t[last] - rule.within)), last - 1)
+        begin = int(np.searchsorted(t, t[last] - rule.within))
         higher = np.flatnonzero(f[begin:last] - f[last] >= lost)
         step = float(t[last] - t[last - 1])
         if len(higher):

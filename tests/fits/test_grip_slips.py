@@ -34,6 +34,8 @@ def test_the_two_slips_of_the_source() -> None:
         assert slip.drop_interval.lower < drop < slip.drop_interval.upper
         assert slip.position_interval.lower <= slip.position <= slip.position_interval.upper
         assert D[slip.start] <= slip.position <= D[slip.stop]
+        ends = slip.position_interval.lower, slip.position_interval.upper
+        assert ends == pytest.approx((D[slip.start], D[slip.stop]), abs=2 * D[1])
     repaired = add_back(force, (one, two))
     assert np.abs(repaired - SMOOTH - noise()).max() < 0.3
 

@@ -117,3 +117,14 @@ def test_a_converter_coarser_than_the_noise() -> None:
     step = 3e-3
     reversal = fit_reversal(time, step * np.round(force / step), near=3.97, window=1.0)
     assert reversal is None or reversal.corner.time_error > 0.01
+
+
+def test_the_ends_of_the_window_belong_to_it() -> None:
+    """A second on each side at 256 samples a second, and half a second of waiting."""
+    time = np.arange(2.0, 6.0, 2.0**-8)
+    force = HEIGHT - 0.02 * np.abs(time - 4.0)
+    force += np.random.default_rng(2).normal(0.0, 5e-4, len(time))
+    for dwell, samples in ((0.0, 513), (0.5, 641)):
+        reversal = fit_reversal(time, force, near=4.0, window=1.0, dwell=dwell)
+        assert reversal is not None
+        assert reversal.corner.n == samples

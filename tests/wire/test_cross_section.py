@@ -109,6 +109,8 @@ def test_bad_layers() -> None:
         Layer(0, 1e-3)
     with pytest.raises(ValueError, match=r"poisson=0.6: allowed are numbers above -1, up to 0.5"):
         Layer(1, 1e-3, poisson=0.6)
+    with pytest.raises(ValueError, match=r"poisson=-1.0: allowed are numbers above -1, up to 0.5"):
+        Layer(1, 1e-3, poisson=-1.0)
     with pytest.raises(ValueError, match=r"diameter=nan: allowed are finite numbers > 0"):
         Layer(1, np.nan)
 
