@@ -28,6 +28,10 @@ def test_says_why_not() -> None:
     assert late == Failure("not_reached", "the branch begins at 27.5 N, above 10% of 90 N")
     coarse = toe_line(D[::40], F[::40], start_share=0.1, stop_share=0.3)
     assert coarse == Failure("too_few_samples", "2 samples in the linear region, 8 are needed")
+    newtons = np.arange(41.0)  # from 4 N to less than 12 N
+    assert toe_line(newtons, newtons, start_share=0.1, stop_share=0.3) == slice(4, 12)
+    eight = toe_line(newtons[:8], newtons[:8], start_share=0.1, stop_share=0.3)
+    assert eight == coarse
 
 
 def test_the_line_goes_through_the_samples_between_the_shares() -> None:
