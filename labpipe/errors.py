@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 KeyPath: TypeAlias = tuple[str | int, ...]
@@ -16,12 +17,18 @@ class LabpipeError(Exception):
 
     The grammar of every message is *file, place: expected X, found Y. What to do.*
 
-    Attributes
+    Parameters
     ----------
-    code : the kind of error in one word that stays the same
+    message : for people
+    code : one of `CODES`, where the class does not say it well enough
     """
 
-    code = "labpipe"
+    code = "cannot_process"
+
+    def __init__(self, message: str, *, code: str = "") -> None:
+        super().__init__(message)
+        if code:
+            self.code = code
 
 
 class UsageError(LabpipeError):
@@ -45,8 +52,6 @@ class ProtocolError(LabpipeError):
 class ProcessingError(LabpipeError):
     """A recording is readable but does not hold what the protocol asks for."""
 
-    code = "cannot_process"
-
 
 class StoreError(LabpipeError):
     """A result file cannot be written, or is not one that this version understands."""
@@ -54,9 +59,28 @@ class StoreError(LabpipeError):
     code = "cannot_store"
 
 
-PROCESS_DIED, OUT_OF_MEMORY = "process_died", "out_of_memory"
-SYSTEM_REFUSED, OWN_FAULT = "system_refused", "fault_of_labpipe"
-"""Codes of failures that are no `LabpipeError`."""
+CODES = MappingProxyType(
+    {
+        "bad_usage": "a command was called with something that it cannot use",
+        "bad_sheet": "test.yaml or the protocol is wrong, or is not there",
+        "missing_export": "an export that test.yaml names is not there",
+        "missing_channel": "an export has no such channel, or several that could be meant",
+        "unreadable_export": "an export is damaged, or is not what it is said to be",
+        "cannot_process": "the recordings do not hold what the protocol asks for",
+        "bad_result": "an earlier result.h5 that is to be processed again cannot be used",
+        "disk_full": "there is no room for the results, or a quota is used up",
+        "cannot_store": "the results cannot be written for another reason, such as permissions",
+        "in_use": "another labpipe process writes the same results; no failure of the test",
+        "system_refused": "the operating system refuses a file",
+        "out_of_memory": "the test does not go into the memory",
+        "process_died": "the process of the test ended: a crash, a kill, the memory used up",
+        "time_limit": "the test took longer than the limit",
+        "fault_of_labpipe": "labpipe itself has a fault: report it with the exports",
+        "worker_died": "the worker of a cluster that did the test died, each time",
+        "worker_without_data": "no worker of the cluster sees the files that are seen here",
+    }
+)
+"""Why a test failed, in one word each; words stay what they are from version to version."""
 
 
 @dataclass(frozen=True, slots=True)

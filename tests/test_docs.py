@@ -13,6 +13,7 @@ from typing import Any, get_args
 import pytest
 
 from labpipe.cli import main
+from labpipe.errors import CODES
 from labpipe.protocol.load import load_calibration_plan, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.outline import RESULTS
 from labpipe.protocol.reference import kinds_of_notes
@@ -298,6 +299,11 @@ def test_every_reason_of_a_failure_is_documented_and_no_other() -> None:
         if isinstance(node, ast.Call) and ast.unparse(node.func) == "Failure"
     }
     assert set(table) == in_code - {None}
+
+
+def test_every_code_of_a_failed_test_is_documented_and_no_other() -> None:
+    table = re.findall(r"^\| `(\w+)` \| (.+) \|$", page("docs/reference/failures.md"), re.MULTILINE)
+    assert dict(table) == CODES
 
 
 def test_every_step_and_reader_is_named() -> None:

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+import pickle
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe import errors
-from labpipe.errors import LabpipeError, complaint, nearest
+from labpipe.errors import CODES, LabpipeError, ReadError, complaint, nearest
 
 
 def test_grammar() -> None:
@@ -24,6 +26,22 @@ def test_no_place() -> None:
 def test_one_tree(name: str) -> None:
     assert issubclass(getattr(errors, name), LabpipeError)
     assert not issubclass(LabpipeError, ValueError)
+
+
+def every(kind: type[LabpipeError]) -> set[type[LabpipeError]]:
+    return {kind}.union(*(every(each) for each in kind.__subclasses__()))
+
+
+def test_every_error_has_a_code_of_the_list() -> None:
+    kinds = every(LabpipeError)
+    assert len(kinds) > 6
+    assert {kind.code for kind in kinds} <= CODES.keys()
+
+
+def test_a_code_passes_from_one_process_to_another() -> None:
+    error = pickle.loads(pickle.dumps(ReadError("x", code="missing_export")))
+    assert (str(error), error.code) == ("x", "missing_export")
+    assert ReadError("x").code == "unreadable_export"
 
 
 def test_nearest_ignores_case_and_keeps_to_the_most() -> None:

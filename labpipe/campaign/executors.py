@@ -9,31 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
-from labpipe.campaign.runs import Refused, ended, process_safely
-from labpipe.campaign.workers import Died, Raised, as_they_end
-from labpipe.records.result import Result, Status, TestResult
+from labpipe.campaign.workers import Died, Raised, as_they_end, why
+from labpipe.process.attempts import Refused, Task, attempt, refuse
+from labpipe.records.result import Status
+
+__all__ = ["Executor", "Outcome", "Task", "local"]
 
 State: TypeAlias = Literal["ok", "doubtful", "failed"]
-
-
-@dataclass(frozen=True, slots=True)
-class Task:
-    """One test to be processed.
-
-    Parameters
-    ----------
-    sheet : its test.yaml, or a result.h5 whose raw group is processed again
-    goal : folder of its results; None where `labpipe process` puts them
-    figures : whether to draw, as SVG
-    png : whether figures are drawn as PNG, too
-    follow_links : whether exports may be links out of the folder of the test
-    """
-
-    sheet: Path
-    goal: Path | None = None
-    figures: bool = True
-    png: bool = False
-    follow_links: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,12 +47,13 @@ Executor: TypeAlias = Callable[[Iterable[Task]], Iterator[Outcome]]
 """Takes tasks one by one as it can begin them; gives outcomes in the order in which they end."""
 
 
-def local(jobs: int) -> Executor:
+def local(jobs: int, *, limit: float | None = None) -> Executor:
     """Process tests on this machine, each in a process that it cannot take others down with.
 
     Parameters
     ----------
     jobs : how many at a time
+    limit : s, after which a test is given up; None for no limit
 
     Returns
     -------
@@ -78,60 +61,54 @@ def local(jobs: int) -> Executor:
     """
 
     def executor(tasks: Iterable[Task]) -> Iterator[Outcome]:
-        with closing(as_they_end(attempt, tasks, jobs=jobs)) as outcomes:
-            for task, outcome in outcomes:
-                if isinstance(outcome, Raised):
-                    raise outcome.error
-                yield _died(task, outcome) if isinstance(outcome, Died) else outcome
+        with closing(as_they_end(outcome_of, tasks, jobs=jobs, limit=limit)) as ended:
+            for task, outcome in ended:
+                yield settled(task, outcome)
 
     return executor
 
 
-def attempt(task: Task) -> Outcome:
+def outcome_of(task: Task) -> Outcome:
     """Process one test, whatever becomes of it.
 
     Parameters
     ----------
     task : the test
-
-    Returns
-    -------
-    The outcome; a test that could not be processed is one, too.
     """
     start = time.perf_counter()
-    done = process_safely(
-        task.sheet,
-        task.figures,
-        goal=task.goal,
-        png=task.png,
-        follow_links=task.follow_links,
-    )
+    done = attempt(task)
     seconds = time.perf_counter() - start
     if isinstance(done, Refused):
-        return Outcome(task.sheet, task.goal, "failed", done.code, done.reason, "", seconds)
-    state, code, reason = verdict_of(done.result)
-    return Outcome(task.sheet, done.folder, state, code, reason, done.result.run, seconds)
+        return _failed(done, seconds)
+    doubted = next((each for each in done.result.results if each.status is not Status.OK), None)
+    if doubted is None:
+        return Outcome(task.sheet, done.folder, "ok", run=done.result.run, seconds=seconds)
+    first, run = doubted.reasons[0], done.result.run
+    reason = f"{doubted.name}: {first.message}"
+    return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
 
 
-def verdict_of(result: TestResult) -> tuple[State, str, str]:
-    """Sum up the results of a test in one state.
+def settled(task: Task, ended: Outcome | Died | Raised) -> Outcome:
+    """Make an outcome of what came from the process of a test.
 
     Parameters
     ----------
-    result : the test
+    task : the test
+    ended : what came
 
-    Returns
-    -------
-    state, code, reason : as in `Outcome`.
+    Raises
+    ------
+    Exception
+        What cannot be: that the process could not hand over what it had.
     """
-    doubted = next((each for each in result.results if each.status is not Status.OK), None)
-    return ("ok", "", "") if doubted is None else ("doubtful", *_first_reason(doubted))
+    if isinstance(ended, Raised):
+        raise ended.error
+    if isinstance(ended, Died):
+        return _failed(refuse(task, *why(task.sheet, ended), is_read=False))
+    return ended
 
 
-def _first_reason(result: Result) -> tuple[str, str]:
-    first = result.reasons[0]
-    return first.code, f"{result.name}: {first.message}"
-
-
-def _died(task: Task, died: Died) -> Outcome:
-    return Outcome(task.sheet, task.goal, "failed", "process_died", ended(task.sheet, died))
+def _failed(refused: Refused, seconds: float = 0.0) -> Outcome:
+    return Outcome(
+        refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run, seconds
+    )

@@ -129,7 +129,7 @@ def _demo(parser: argparse.ArgumentParser) -> None:
     where = "folder that gets raw/demo and processed/demo (default: here)"
     parser.add_argument("folder", nargs="?", type=_path, default=Path(), metavar="DIR", help=where)
     parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
-    _jobs(parser, default=min(os.cpu_count() or 1, 4))
+    _jobs(parser)
 
 
 def _inspect(parser: argparse.ArgumentParser) -> None:
@@ -175,7 +175,8 @@ def _process(parser: argparse.ArgumentParser) -> None:
     drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
     _follow_links(parser)
-    _jobs(parser, default=1)
+    _jobs(parser)
+    _limit(parser)
 
 
 def _follow_links(parser: argparse.ArgumentParser) -> None:
@@ -194,9 +195,17 @@ def _path(text: str) -> Path:
     return Path(text)
 
 
-def _jobs(parser: argparse.ArgumentParser, *, default: int) -> None:
-    what = "tests at a time, each in a process of its own (default: %(default)s)"
-    parser.add_argument("--jobs", type=_count, default=default, metavar="N", help=what)
+def _jobs(parser: argparse.ArgumentParser) -> None:
+    what = (
+        "tests at a time, each in a process of its own (default: the cores, fewer where memory is"
+        " short)"
+    )
+    parser.add_argument("--jobs", type=_count, metavar="N", help=what)
+
+
+def _limit(parser: argparse.ArgumentParser) -> None:
+    what = "minutes after which a test of many is given up (default: %(default)s)"
+    parser.add_argument("--limit", type=_count, default=60, metavar="MINUTES", help=what)
 
 
 def _count(text: str) -> int:
@@ -247,8 +256,8 @@ def _campaign_run(parser: argparse.ArgumentParser) -> None:
     drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
     drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
     _follow_links(parser)
-    what = "tests at a time (default: the cores, fewer where memory is short)"
-    parser.add_argument("--jobs", type=_count, metavar="N", help=what)
+    _jobs(parser)
+    _limit(parser)
     who = "what processes the tests: local, or dask://HOST:PORT (default: %(default)s)"
     parser.add_argument("--executor", default="local", metavar="WHERE", help=who)
 

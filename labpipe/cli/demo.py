@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.reporting import Wanted, report_tests
 from labpipe.campaign.runs import run_jobs
 from labpipe.cli.calibrate import calibration_table
@@ -40,6 +41,7 @@ PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are p
 def run(options: argparse.Namespace) -> int:
     """Make synthetic campaigns in vendor formats, process, report and calibrate, and say where."""
     raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
+    options.jobs = options.jobs or default_jobs()
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_jobs(
         [partial(simulate_campaigns, each, raw / name) for name, each in CAMPAIGNS.items()],

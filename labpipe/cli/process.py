@@ -9,8 +9,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from labpipe.campaign.runs import Refused, process_tests
+from labpipe.campaign.machine import default_jobs
+from labpipe.campaign.runs import process_tests
 from labpipe.cli.terminal import from_here, name_width, progress, result_line
+from labpipe.process.attempts import Refused
 from labpipe.process.run import Processed
 from labpipe.process.targets import find_tests
 from labpipe.records.result import Result, Status
@@ -30,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
         figures=lambda _: not options.no_figures,
         png=options.png,
         jobs=options.jobs,
+        limit=60.0 * options.limit,
         follow_links=options.follow_links,
     )
     if not processed:
@@ -49,7 +52,8 @@ def process_all(
     *,
     out: Path | None,
     figures: Callable[[Path], bool],
-    jobs: int,
+    jobs: int | None,
+    limit: float | None = None,
     png: bool = False,
     follow_links: bool = False,
 ) -> tuple[list[Processed], int]:
@@ -68,7 +72,8 @@ def process_all(
             figures=figures,
             png=png,
             follow_links=follow_links,
-            jobs=jobs,
+            jobs=jobs or default_jobs(),
+            limit=limit,
             begin=begin,
         ):
             if isinstance(done, Refused):

@@ -274,7 +274,7 @@ def read_role(path: Path, source: Source) -> Recording:
         )
         return recording if is_empty(recording) else name_channels(recording, source, path)
     except NoChannelError as error:
-        raise ReadError(where_to_name(error, source, path)) from error
+        raise ReadError(where_to_name(error, source, path), code=error.code) from error
 
 
 def where_to_name(error: NoChannelError, source: Source, path: Path) -> str:

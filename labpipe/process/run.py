@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,6 +25,7 @@ from labpipe.protocol.values import is_name_of_a_test
 from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
+from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.read import RawTest, read_name, read_raw, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
 from labpipe.store.summaries import write_summary
@@ -92,14 +93,15 @@ def process_test(
     """
     say("read")
     again, finished = source.suffix == ".h5", False
-    if again and out is None and is_cut_off(source.parent):  # by a process that was killed
+    is_in_place = out is None if goal is None else goal == source.parent
+    if again and is_in_place and is_cut_off(source.parent):  # by a process that was killed
         with locked(source.parent), storing(source.parent):
             finished = finish_cut_off(source.parent)
     raw, protocol = _stored(source) if again else _exported(source, follow_links)
     say("process")
     result = reduce_test(raw, protocol)
     folder = goal or goal_of(source, out, lambda: result.test)
-    owned = _figures_to_go(folder, result.run, is_drawn=figures)
+    owned = [FAILURE_FILE, *_figures_to_go(folder, result.run, is_drawn=figures)]
     with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("write")
         with ThreadPoolExecutor(max_workers=1) as beside:  # most of writing is packing, not Python
@@ -192,8 +194,21 @@ def run_key(raw: RawTest) -> str:
     -------
     SHA-256, hexadecimal, of these and of `PROCESSING_VERSION`; no time, no machine is in it.
     """
-    exports = [[each.role, each.sha256] for each in raw.inputs]
-    parts = [PROCESSING_VERSION, exports, raw.test_yaml, raw.protocol_yaml]
+    exports = [(each.role, each.sha256) for each in raw.inputs]
+    return key_of(exports, raw.test_yaml, raw.protocol_yaml)
+
+
+def key_of(inputs: Iterable[tuple[str, str]], test_yaml: str, protocol_yaml: str) -> str:
+    """Name what a result is made of, see `run_key`.
+
+    Parameters
+    ----------
+    inputs : role and SHA-256 of each, in the order of the protocol
+    test_yaml : the test sheet as written
+    protocol_yaml : the resolved protocol
+    """
+    exports = [list(each) for each in inputs]
+    parts = [PROCESSING_VERSION, exports, test_yaml, protocol_yaml]
     return hashlib.sha256(json.dumps(parts).encode()).hexdigest()
 
 
@@ -236,7 +251,7 @@ def _stored(result_path: Path) -> tuple[RawTest, Protocol]:
             found=repr(raw.test),
             remedy="Process the test again from its exports.",
         )
-        raise StoreError(message)
+        raise StoreError(message, code="bad_result")
     protocol = parse_protocol(raw.protocol_yaml, f"{result_path}, protocol_yaml")
     _require_fitting(raw, protocol, result_path)
     return raw, protocol
@@ -258,7 +273,7 @@ def _require_fitting(raw: RawTest, protocol: Protocol, result_path: Path) -> Non
         remedy = "Process the test again from its exports."
         place = f"raw/{role}"
         text = complaint(result_path, place, expected=expected, found=found, remedy=remedy)
-        raise StoreError(text)
+        raise StoreError(text, code="bad_result")
 
 
 def _times_go_on(recording: Recording) -> bool:

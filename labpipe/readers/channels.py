@@ -36,6 +36,8 @@ class NoChannelError(ReadError):
         where that is not why
     """
 
+    code = "missing_channel"
+
     def __init__(self, message: str, wanted: tuple[str, ...], parts: tuple[str, ...] = ()) -> None:
         super().__init__(message)
         self.wanted, self.parts = wanted, parts

@@ -72,7 +72,8 @@ def reading(
     try:
         yield
     except FileNotFoundError as error:
-        raise unreadable(path, "", "a file", "none of that name", _LOOK) from error
+        message = complaint(path, "", expected="a file", found="none of that name", remedy=_LOOK)
+        raise ReadError(message, code="missing_export") from error
     except PermissionError as error:
         found = "one that may not be read"
         raise unreadable(path, "", "a file", found, "Check its permissions.") from error

@@ -302,7 +302,8 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def _fault(file: object, place: str, expected: str, found: str, remedy: str) -> StoreError:
-    return StoreError(complaint(file, place, expected=expected, found=found, remedy=remedy))
+    message = complaint(file, place, expected=expected, found=found, remedy=remedy)
+    return StoreError(message, code="bad_result")
 
 
 def _instead_of_hdf5(path: Path) -> str:

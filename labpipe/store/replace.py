@@ -244,7 +244,8 @@ def storing(path: Path) -> Iterator[None]:
             ("a file that can be written", str(error), "Look at the disk and try again."),
         )
         message = complaint(path, "", expected=expected, found=found, remedy=remedy)
-        raise StoreError(message) from error
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        raise StoreError(message, code="disk_full" if is_full else "") from error
 
 
 def _flush_to_disk(path: Path) -> None:
@@ -307,7 +308,7 @@ def _own(path: Path) -> int:
                 found="another labpipe process at work in it",
                 remedy="Wait until it is done, or end it, and try again.",
             )
-            raise StoreError(message)
+            raise StoreError(message, code="in_use")
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), path.stat()):
                 return handle

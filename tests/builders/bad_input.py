@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from labpipe.errors import CODES
 from tests.builders.lab_folders import LabFolder
 from tests.builders.small_tests import Run, state
 
@@ -27,8 +29,14 @@ class Refused(Generic[L]):
         ran = self.run("process", self.lab.raw)
         assert (ran.status, ran.out) == (2, ""), ran
         assert state(self.lab.home / "raw") == raw
-        assert state(self.lab.home / "processed") == earlier
         _, _, message = ran.err.partition("labpipe process: ")
+        after = state(self.lab.home / "processed")
+        told = after.pop(f"c/{self.lab.name}/failure.json")
+        assert after == earlier
+        assert told
+        said = json.loads((self.lab.processed / "failure.json").read_text("utf-8"))
+        assert f"{said['reason']}\n" == message
+        assert said["code"] in CODES
         # *file, place: expected X, found Y. What to do.*, in one line
         grammar = r"[^\n]+?: expected [^\n]+?, found [^\n]+\. [^\n]+[.?)]\n"
         assert re.fullmatch(f"({grammar}){{{faults}}}", message), message

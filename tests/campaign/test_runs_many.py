@@ -1,8 +1,6 @@
 from __future__ import annotations
 
-import json
 import os
-import re
 import signal
 from collections.abc import Callable
 from functools import partial
@@ -11,10 +9,12 @@ from typing import Any
 
 import pytest
 
-from labpipe.campaign.runs import Refused, process_tests, run_jobs
+from labpipe.campaign.runs import process_tests, run_jobs
 from labpipe.errors import ProcessingError, UsageError
-from labpipe.process.run import Processed, process_test
+from labpipe.process.attempts import Refused
+from labpipe.process.run import Processed
 from labpipe.virtual_lab.sheet_texts import write_wire_sheet
+from tests.builders.other_processes import spoiled
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
 
@@ -48,19 +48,21 @@ def test_in_order_and_a_bad_one_does_not_stop_the_others(tests: list[Path], jobs
     assert isinstance(second, Refused)
     assert second.test == tests[1]
     assert "expected a file, found none of that name" in second.reason
-    assert list(dict.fromkeys(name for name, _ in told)) == ["P-1", "P-2", "P-3"]
+    assert told == [("P-1", "wait"), ("P-2", "wait"), ("P-3", "wait")]
     assert not first.result.recordings
     assert first.result.curve is None
     assert (first.folder / "result.h5").is_file()
 
 
 def test_several_at_a_time_give_the_same(tests: list[Path], tmp_path: Path) -> None:
+    told: list[str] = []
     said = {}
-    for jobs in (1, 3):
-        out = tmp_path / f"by-{jobs}"
-        list(process_tests(tests[:1], out=out, figures=lambda _: False, jobs=jobs))
-        said[jobs] = json.loads((out / "P-1" / "summary.json").read_text(encoding="utf-8"))
+    for many in (tests[:1], tests):
+        out = tmp_path / f"of-{len(many)}"
+        list(process_tests(many, out=out, figures=lambda _: False, begin=lambda _: told.append))
+        said[len(many)] = (out / "P-1" / "result.h5").read_bytes()
     assert said[1] == said[3]
+    assert told == ["read", "process", "write", "wait", "wait", "wait"]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -98,70 +100,25 @@ def test_a_test_and_its_own_result(tests: list[Path]) -> None:
         list(process_tests([tests[0], done.folder / "result.h5"]))
 
 
-class There:
-    """A function that a process makes from its text."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return eval, (self.text,)
-
-    def __call__(self, *_: object, **more: object) -> None:
-        """Not here."""
-
-
+@pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
+@pytest.mark.parametrize("jobs", [1, 2])
 def test_a_process_that_is_killed_costs_one_test(
-    tests: list[Path], monkeypatch: pytest.MonkeyPatch
+    tests: list[Path], monkeypatch: pytest.MonkeyPatch, jobs: int
 ) -> None:
-    killed = There(
-        "lambda test, *how, **more: __import__('os').kill(__import__('os').getpid(), 9)"
-        " if test.parent.name == 'P-1' else"
-        " __import__('labpipe.campaign.runs').campaign.runs._process(test, *how, **more)"
-    )
-    monkeypatch.setattr("labpipe.campaign.runs.process_safely", killed)
-    first, second, third = process_tests(tests, figures=lambda _: False, jobs=2)
+    killed = spoiled("labpipe.process.attempts.attempt", {"P-1": "kill"})
+    monkeypatch.setattr("labpipe.campaign.runs.attempt", killed)
+    first, second, third = process_tests(tests, figures=lambda _: False, jobs=jobs)
     assert isinstance(first, Refused)
-    assert first.reason == (
+    assert (first.code, first.reason) == (
+        "process_died",
         f"{tests[0]}: expected a process that comes to its end, found that it was ended by the"
         " signal SIGKILL. Often the memory was used up: close other programs, or choose fewer"
-        " --jobs."
+        " --jobs.",
     )
     assert isinstance(second, Refused)
     assert "found none of that name" in second.reason
     assert isinstance(third, Processed)
     assert third.result.test == "P-3"
-
-
-@pytest.mark.parametrize(
-    ("error", "said"),
-    [
-        (
-            MemoryError(),
-            "expected a test that goes into the memory, found that the memory was used",
-        ),
-        (
-            ZeroDivisionError("of\nall"),
-            r"expected to get through, found a fault of labpipe itself \(ZeroDivisionError: of all"
-            r"\)\. Report it \(runs.py, line \d+\) with the exports of the test; processed alone",
-        ),
-    ],
-)
-def test_a_fault_of_labpipe_costs_one_test(
-    tests: list[Path], monkeypatch: pytest.MonkeyPatch, error: Exception, said: str
-) -> None:
-    usual = process_test
-
-    def spoiled(test: Path, **more: Any) -> Processed:
-        if test == tests[0]:
-            raise error
-        return usual(test, **more)
-
-    monkeypatch.setattr("labpipe.campaign.runs.process_test", spoiled)
-    first, _, third = process_tests(tests, figures=lambda _: False)
-    assert isinstance(first, Refused)
-    assert re.search(said, first.reason)
-    assert isinstance(third, Processed)
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")

@@ -73,6 +73,7 @@ def test_full_disk(lab: Lab, run: Run, monkeypatch: pytest.MonkeyPatch, place: s
     assert {path.name for path in lab.processed.iterdir()} == {
         "result.h5",
         "summary.json",
+        "failure.json",
         "figures",
     }
 
