@@ -14,6 +14,7 @@ from labpipe.process.steps import step_or_refusal
 from labpipe.process.targets import files_below
 from labpipe.protocol.load import (
     load_calibration_plan,
+    load_campaign_plan,
     load_protocol,
     load_test_sheet,
     resolve,
@@ -55,7 +56,7 @@ class Checked:
     ----------
     protocols, tests : files looked at
     findings : everything that is wrong, each once
-    plans : other files looked at: calibration plans
+    plans : other files looked at: calibration plans, campaign plans
     """
 
     protocols: tuple[Path, ...]
@@ -83,13 +84,14 @@ def check_paths(
     wanted = list(paths) or [path for path in (Path("protocols"), Path("raw")) if path.is_dir()]
     files = list(dict.fromkeys(file for path in wanted for file in _yaml_files(path)))
     tests = tuple(file for file in files if file.name == SHEET_NAME)
-    plans = tuple(file for file in files if file.name != SHEET_NAME and _is_plan(file))
-    others = tuple(file for file in files if file.name != SHEET_NAME and file not in plans)
+    loaders = {file: _loader_of(file) for file in files if file.name != SHEET_NAME}
+    plans = tuple(file for file, load in loaders.items() if load is not None)
+    others = tuple(file for file, load in loaders.items() if load is None)
     found = [finding for path in wanted or [Path("protocols")] for finding in _unusable(path)]
     for other in others:
         found += [Finding(other, message) for message in _protocol_faults(other)]
-    for plan in plans:
-        found += [Finding(plan, message) for message in _faults_by(load_calibration_plan, plan)]
+    for plan, load in loaders.items():
+        found += [Finding(plan, message) for message in _faults_by(load, plan)]
     for test in tests:
         found += [Finding(test, message) for message in _test_faults(test, protocols, follow_links)]
     found += _shared_names(tests)
@@ -115,22 +117,27 @@ def _unusable(path: Path) -> Iterator[Finding]:
     yield Finding(path, complaint(path, "", expected=expected, found=found, remedy=remedy))
 
 
-def _is_plan(path: Path) -> bool:
-    """Whether a YAML file is a calibration plan, by its keys; a misspelt protocol is none."""
+def _loader_of(path: Path) -> Callable[[Path], object] | None:
+    """What reads a YAML file that is no protocol; a misspelt protocol is one."""
+    from labpipe.protocol.campaign_plan import PLAN_NAME
     from labpipe.protocol.plans import CalibrationPlan
 
+    if path.name == PLAN_NAME:
+        return load_campaign_plan
     try:
         said = parse_yaml(read_text(path), str(path)).data
     except ProtocolError:
-        return False
+        return None
     keys = set(said) if isinstance(said, Mapping) else set()
-    return bool(keys & {*CalibrationPlan.keys()} - {*Protocol.keys()}) and "sources" not in keys
+    is_plan = keys & {*CalibrationPlan.keys()} - {*Protocol.keys()} and "sources" not in keys
+    return load_calibration_plan if is_plan else None
 
 
-def _faults_by(load: Callable[[Path], object], path: Path) -> list[str]:
+def _faults_by(load: Callable[[Path], object] | None, path: Path) -> list[str]:
     """Word the faults that loading a file finds."""
     try:
-        load(path)
+        if load is not None:
+            load(path)
     except ProtocolError as error:
         return str(error).splitlines()
     return []

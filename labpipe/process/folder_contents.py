@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from labpipe.errors import LabpipeError
+from labpipe.errors import LabpipeError, ReadError
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.values import has_control_characters
-from labpipe.readers import recognise_export
+from labpipe.readers import Reader, recognise_export
 from labpipe.readers.unknown_files import describe_unknown
 from labpipe.records.recording import Recording
 
@@ -48,12 +48,14 @@ class FolderContents:
     ----------
     folder : looked into, but not into the folders below it
     exports : those that can be read, by name
-    others : names of files that are no exports, and why each cannot be read
+    others : names of files that are no exports, and what each appears to be
+    unread : names of exports that cannot be read as they are, and why: damaged, cut, locked
     """
 
     folder: Path
     exports: tuple[SeenExport, ...]
     others: dict[str, str]
+    unread: dict[str, str]
 
 
 def look_into(folder: Path) -> FolderContents:
@@ -63,28 +65,30 @@ def look_into(folder: Path) -> FolderContents:
     ----------
     folder : of the test; one that is not there holds nothing
     """
-    exports, others = list[SeenExport](), dict[str, str]()
+    exports, others, unread = list[SeenExport](), dict[str, str](), dict[str, str]()
     for path in files_in(folder):
         if has_control_characters(path.name):
             others[path.name] = "its name has control characters; rename it"
             continue
         try:
-            reader = recognise_export(path)
-        except (LabpipeError, OSError):
-            others[path.name] = _appears_to_be(path)
-            continue
-        try:
-            exports.append(SeenExport(path, reader.read(path)))
+            reader = _reader_of(path)
+            if reader is None:
+                others[path.name] = describe_unknown(path).what
+            else:
+                exports.append(SeenExport(path, reader.read(path)))
         except (LabpipeError, OSError) as error:
-            others[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
-    return FolderContents(folder, tuple(exports), others)
+            unread[path.name] = str(error).removeprefix(f"{path}").lstrip(":, ")
+    return FolderContents(folder, tuple(exports), others, unread)
 
 
-def _appears_to_be(path: Path) -> str:
+def _reader_of(path: Path) -> Reader | None:
+    """The reader of an export; None where it is of no format that is read."""
+    with path.open("rb") as stream:  # what the system refuses is no matter of the format
+        stream.read(1)
     try:
-        return describe_unknown(path).what
-    except (LabpipeError, OSError) as error:
-        return str(error).removeprefix(f"{path}").lstrip(":, ")
+        return recognise_export(path)
+    except ReadError:
+        return None
 
 
 def files_in(folder: Path) -> list[Path]:

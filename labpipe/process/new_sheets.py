@@ -207,8 +207,10 @@ def _seen_data(seen: SeenTest) -> dict[str, object]:
         data = {"test": data["test"], "protocol": None, **rest}
     specimen = data["specimen"] if isinstance(data["specimen"], dict) else {}
     keys = [*_SPECIMEN, *(key for key in seen.open if key in DIMENSIONS)]
-    data["specimen"] = {key: specimen.get(key) for key in keys} | specimen
-    return data
+    blocks = {key: dict(block) for key, block in seen.blocks.items() if block}
+    shared = blocks.pop("specimen", {})
+    data["specimen"] = {key: specimen.get(key) for key in keys} | shared | specimen
+    return data | blocks
 
 
 def _refuse_existing(path: Path, *, overwrite: bool) -> None:

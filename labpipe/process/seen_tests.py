@@ -51,6 +51,8 @@ class SeenTest:
     files : names of exports by role
     open : columns that are needed and not seen; the person fills them in
     said : sentences on where the values come from, and on what does not agree
+    unread : exports of a known format that cannot be read, with the reason
+    blocks : what no column holds, by key of the test sheet: it is put beside what was seen
     """
 
     folder: Path
@@ -58,6 +60,8 @@ class SeenTest:
     files: Mapping[str, tuple[str, ...]]
     open: tuple[str, ...] = ()
     said: tuple[str, ...] = ()
+    unread: Mapping[str, str] = field(default_factory=dict)
+    blocks: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -249,13 +253,18 @@ class _Sight:
         unclear = sorted(self._unclear(files))
         still += unclear or ([] if files else ["files"])
         return SeenTest(
-            self.contents.folder, values, files, tuple(still), tuple(self._sentences(values, files))
+            self.contents.folder,
+            values,
+            files,
+            tuple(still),
+            tuple(self._sentences(values, files)),
+            self.contents.unread,
         )
 
     @property
     def _name(self) -> str:
         name = self.contents.folder.resolve().name
-        return name if is_name_of_a_test(name) else _as_name(name)
+        return name if is_name_of_a_test(name) else safe_name(name)
 
     @property
     def _protocol(self) -> dict[str, str]:
@@ -329,7 +338,7 @@ class _Sight:
             yield f"protocol: {names} fit alike; choose one with --protocol NAME, or in the sheet"
         elif self.contents.exports:
             yield "protocol: none of those here takes these exports; name one, or write one"
-        elif self.contents.others:
+        elif self.contents.others or self.contents.unread:
             yield f"no export that labpipe reads lies here; {USUAL} was taken as the protocol"
         else:
             yield f"no exports lie here yet; {USUAL} was taken as the protocol"
@@ -356,11 +365,10 @@ class _Sight:
         for export in self.contents.exports:
             if export.name not in used:
                 yield f"not used: {_shown(export.name)} ({export.reader})"
-        for name, why in self.contents.others.items():
+        for name, why in {**self.contents.unread, **self.contents.others}.items():
             if name not in used:
                 yield f"not used: {_shown(name)}: {why.splitlines()[0]}"
-        here = {each.name for each in self.contents.exports} | set(self.contents.others)
-        for name in sorted(used - here):
+        for name in sorted(used):
             if not (self.contents.folder / name).exists():
                 yield f"not there yet: {_shown(name)}"
 
@@ -388,7 +396,20 @@ def _metres(text: str) -> float | None:
     return None
 
 
-def _as_name(name: str) -> str:
+def safe_name(name: str) -> str:
+    """Make a name that a test can have of any.
+
+    Parameters
+    ----------
+    name : such as that of a folder
+
+    Examples
+    --------
+    >>> safe_name("Run 4, (2)"), safe_name("A2-085-1")
+    ('Run-4-2', 'A2-085-1')
+    """
+    if is_name_of_a_test(name):
+        return name
     plain = re.sub(r"[^\w.+-]+", "-", name).strip("-.+") or "test"
     return plain if is_name_of_a_test(plain) else f"test-{plain}"[:100]
 

@@ -28,6 +28,7 @@ from labpipe.protocol.source import ROLES
 from labpipe.protocol.yaml_text import Document, PlacedFault, parse_yaml, read_text
 
 if TYPE_CHECKING:
+    from labpipe.protocol.campaign_plan import CampaignPlan
     from labpipe.protocol.plans import CalibrationPlan
 
 
@@ -190,6 +191,27 @@ def load_calibration_plan(path: Path) -> CalibrationPlan:
     from labpipe.protocol.plans import CalibrationPlan  # tests do without it
 
     return checked(CalibrationPlan, parse_yaml(read_text(path), str(path)))
+
+
+def load_campaign_plan(path: Path) -> CampaignPlan:
+    """Read how exports become the tests of a campaign.
+
+    Parameters
+    ----------
+    path : the YAML file
+
+    Returns
+    -------
+    The plan, defaults filled in.
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it; the message has one line per fault.
+    """
+    from labpipe.protocol.campaign_plan import CampaignPlan  # tests do without it
+
+    return checked(CampaignPlan, parse_yaml(read_text(path), str(path)))
 
 
 def resolve(

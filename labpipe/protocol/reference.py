@@ -18,6 +18,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from labpipe.protocol.campaign_plan import CampaignPlan
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
@@ -29,6 +30,7 @@ from labpipe.results.kinds import Kind
 SCHEMAS: dict[str, type[Block]] = {
     "protocol.schema.json": Protocol,
     "test-sheet.schema.json": TestSheet,
+    "campaign.schema.json": CampaignPlan,
 }
 PAGES = ("quality-notes.md", "results.md")
 """Pages that hold tables which derive from the code."""
@@ -39,7 +41,7 @@ def json_schema(model: type[Block]) -> str:
 
     Parameters
     ----------
-    model : `Protocol` or `TestSheet`
+    model : `Protocol`, `TestSheet` or `CampaignPlan`
     """
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return json.dumps(schema | model.model_json_schema(by_alias=True), indent=2) + "\n"

@@ -1,0 +1,309 @@
+"""Pairing exports to tests: one folder per test, or by the patterns of their names."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from labpipe.errors import LabpipeError
+from labpipe.process.new_sheets import write_seen
+from labpipe.process.seen_tests import SeenTest, safe_name, see_test
+from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
+from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol
+from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.protocol.values import has_control_characters
+from labpipe.store.replace import replacing, storing
+
+_COLUMNS = ("type", "spool", "sample", "length", "span", "width", "thickness", "diameter")
+"""Keys of a specimen that are columns of a campaign's table, too."""
+_OTHER = (".yaml", ".yml", ".md", ".ini")
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Exports that may be those of one test.
+
+    Parameters
+    ----------
+    folder : of the test, below that of the campaign; need not be there yet
+    files : where each export lies now; by role where the plan says the roles, else by name
+    values : what the names say, by column of a campaign's table
+    by_role : whether the keys of `files` are roles
+    """
+
+    folder: Path
+    files: Mapping[str, Path]
+    values: Mapping[str, str] = field(default_factory=dict)
+    by_role: bool = False
+
+    @property
+    def name(self) -> str:
+        """Of the folder."""
+        return self.folder.name
+
+    @property
+    def sheet(self) -> Path:
+        """Where its test sheet is, or will be."""
+        return self.folder / SHEET_NAME
+
+
+@dataclass(frozen=True, slots=True)
+class Listed:
+    """What lies where exports come to.
+
+    Parameters
+    ----------
+    candidates : tests, by name
+    strangers : files that no rule takes, with the reason
+    """
+
+    candidates: tuple[Candidate, ...]
+    strangers: Mapping[Path, str]
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """What became of a test that was to get its sheet.
+
+    Parameters
+    ----------
+    sheet : that was written, or was there; None where it is waited for more
+    said : sentences on what the sheet is made of
+    open : keys that a person must fill in before the test can be processed
+    missing : roles that are waited for
+    unread : exports that cannot be read as they are, with the reason
+    """
+
+    sheet: Path | None
+    said: tuple[str, ...] = ()
+    open: tuple[str, ...] = ()
+    missing: tuple[str, ...] = ()
+    unread: Mapping[str, str] = field(default_factory=dict)
+
+
+def plan_of(folder: Path) -> CampaignPlan:
+    """Read the campaign YAML of a folder; one folder per test where there is none.
+
+    Parameters
+    ----------
+    folder : of the campaign's exports
+
+    Raises
+    ------
+    ProtocolError
+        If anything is wrong with it.
+    """
+    path = folder / PLAN_NAME
+    return load_campaign_plan(path) if path.exists() else CampaignPlan(version=1)
+
+
+def list_candidates(folder: Path, plan: CampaignPlan) -> Listed:
+    """List the tests of a campaign by its rules, without opening a file.
+
+    Parameters
+    ----------
+    folder : of the campaign's exports
+    plan : its rules
+
+    Raises
+    ------
+    OSError
+        If a folder cannot be listed, as when a network drive is gone.
+    """
+    if isinstance(plan.pair, ByName):
+        return _by_name(folder, plan.pair)
+    return _by_folder(folder, plan.pair)
+
+
+def _by_folder(folder: Path, pair: ByFolder) -> Listed:
+    candidates, strangers = list[Candidate](), dict[Path, str]()
+    for place in _folders(folder):
+        files = {name: place / name for name in _names(place) if _may_be_export(name)}
+        for name in [each for each in files if has_control_characters(each)]:
+            strangers[files.pop(name)] = "its name has control characters; rename it"
+        values = _folder_values(place, pair)
+        if values is None:
+            strangers |= dict.fromkeys(files.values(), f"its folder is not called {pair.name!r}")
+        elif files or (place / SHEET_NAME).exists():
+            candidates.append(Candidate(place, files, values))
+    loose = [folder / name for name in _names(folder) if _may_be_export(name)]
+    strangers |= dict.fromkeys(loose, "it is in no folder of a test")
+    return Listed(tuple(candidates), strangers)
+
+
+def _folder_values(place: Path, pair: ByFolder) -> dict[str, str] | None:
+    """What the name of a folder says; None where it is not of the plan's pattern."""
+    return {} if pair.pattern is None else pair.pattern.match(place.name)
+
+
+def _by_name(folder: Path, pair: ByName) -> Listed:
+    top = folder / pair.source
+    patterns = pair.patterns
+    found: dict[tuple[str, ...], dict[str, Path]] = {}
+    names: dict[tuple[str, ...], tuple[str, dict[str, str]]] = {}
+    strangers: dict[Path, str] = {}
+    for name in _below(top, depth=1 + max(each.text.count("/") for each in patterns.values())):
+        roles = {role: each.match(name) for role, each in patterns.items()}
+        fits = {role: values for role, values in roles.items() if values is not None}
+        if has_control_characters(name):
+            strangers[top / name] = "its name has control characters; rename it"
+        elif not fits:
+            strangers[top / name] = "its name is of no pattern in campaign.yaml"
+        elif len(fits) > 1:
+            strangers[top / name] = f"its name is of several patterns: {', '.join(fits)}"
+        else:
+            ((role, values),) = fits.items()
+            key = tuple(f"{each}={values[each].casefold()}" for each in sorted(values))
+            if role in found.setdefault(key, {}):
+                other = found[key][role].name
+                strangers[top / name] = f"{other} is the {role} of the same test already"
+                continue
+            found[key][role] = top / name
+            test = values.get("test") or patterns[role].stem(name)
+            names.setdefault(key, (safe_name(test), values))
+    candidates = [
+        Candidate(folder / names[key][0], files, names[key][1], by_role=True)
+        for key, files in found.items()
+    ]
+    return Listed(tuple(sorted(candidates, key=lambda each: each.name)), strangers)
+
+
+def _names(folder: Path) -> list[str]:
+    """Files of a folder by name, none that are hidden."""
+    with os.scandir(folder) as entries:
+        return sorted(x.name for x in entries if x.is_file() and not x.name.startswith("."))
+
+
+def _folders(folder: Path) -> list[Path]:
+    with os.scandir(folder) as entries:
+        names = [x.name for x in entries if x.is_dir() and not x.name.startswith(".")]
+    return [folder / name for name in sorted(names)]
+
+
+def _below(top: Path, depth: int, prefix: str = "") -> Iterator[str]:
+    """Files down to a depth, with slashes; none in a folder that is a test already."""
+    if prefix and (top / SHEET_NAME).exists():
+        return
+    yield from (f"{prefix}{name}" for name in _names(top) if _may_be_export(name))
+    if depth > 1:
+        for place in _folders(top):
+            yield from _below(place, depth - 1, f"{prefix}{place.name}/")
+
+
+def _may_be_export(name: str) -> bool:
+    return not name.casefold().endswith(_OTHER)
+
+
+def given_by(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
+    """Collect what the plan and the names say about a test, by column of a campaign's table.
+
+    Parameters
+    ----------
+    plan : of the campaign
+    candidate : the test
+    """
+    given = {key: str(plan.specimen[key]) for key in _COLUMNS if key in plan.specimen}
+    given |= {"operator": plan.operator} if plan.operator else {}
+    given |= {"protocol": plan.protocol} if plan.protocol else {}
+    given |= {key: value for key, value in candidate.values.items() if key != "test"}
+    named = dict(candidate.files) if candidate.by_role else {}
+    return given | {"test": safe_name(candidate.name)} | {role: path.name for role, path in named.items()}
+
+
+def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> Written:
+    """Write the sheet of a test, once all its exports are there and can be read.
+
+    Parameters
+    ----------
+    candidate : the test, its files standing still
+    plan : of the campaign
+    waited : s, since the last of its files came
+
+    Returns
+    -------
+    The sheet, or what is waited for. A sheet that is there already is never written over.
+
+    Raises
+    ------
+    LabpipeError
+        If a file cannot be copied or written, or names and plan say something wrong.
+    """
+    if candidate.sheet.exists():
+        return Written(candidate.sheet)
+    early = _missing_by_name(candidate, plan)
+    if early:
+        return Written(None, missing=early)
+    _bring_together(candidate)
+    seen = see_test(candidate.folder, given_by(plan, candidate))
+    unread = {name: seen.unread[name] for name in seen.unread}
+    missing = _missing(seen, plan, waited)
+    if unread or missing:
+        return Written(None, missing=missing, unread=unread)
+    sheet = write_seen(with_blocks(seen, plan))
+    return Written(sheet.path, sheet.said, sheet.open)
+
+
+def with_blocks(seen: SeenTest, plan: CampaignPlan) -> SeenTest:
+    """Add what the plan says of every test and no column holds: labels, bundle, overrides.
+
+    Parameters
+    ----------
+    seen : a test
+    plan : of the campaign
+    """
+    rest = {key: value for key, value in plan.specimen.items() if key not in _COLUMNS}
+    overrides = {key: each.model_dump() for key, each in plan.overrides.items()}
+    return replace(seen, blocks={"specimen": rest, "overrides": overrides})
+
+
+def _missing_by_name(candidate: Candidate, plan: CampaignPlan) -> tuple[str, ...]:
+    """Roles that the patterns name, are needed, and have no file yet."""
+    if not candidate.by_role:
+        return ()
+    return tuple(role for role in _needed(plan, candidate) if role not in candidate.files)
+
+
+def _needed(plan: CampaignPlan, candidate: Candidate) -> Sequence[str]:
+    if plan.wait_for is not None:
+        return plan.wait_for
+    return list(plan.pair.exports) if isinstance(plan.pair, ByName) else list(candidate.files)
+
+
+def _missing(seen: SeenTest, plan: CampaignPlan, waited: float) -> tuple[str, ...]:
+    """Roles that are waited for, by what was seen in the folder."""
+    if plan.wait_for is not None:
+        return tuple(role for role in plan.wait_for if role not in seen.files)
+    needed, optional = _roles(seen, plan)
+    missing = [role for role in needed if role not in seen.files]
+    late = [role for role in optional if role not in seen.files]
+    return tuple(missing or (late if waited < plan.patience else []))
+
+
+def _roles(seen: SeenTest, plan: CampaignPlan) -> tuple[list[str], list[str]]:
+    """Roles that a test needs, and those that it may lack, by its protocol."""
+    name = plan.protocol or seen.values.get("protocol", "")
+    found = find_protocol(name, beside=seen.folder) if name else None
+    if not isinstance(found, Path):
+        return [], []
+    try:
+        sources = load_protocol(found).sources
+    except LabpipeError:
+        return [], []
+    needed = [str(role) for role, source in sources.items() if not source.optional]
+    return needed, [str(role) for role in sources if role not in needed]
+
+
+def _bring_together(candidate: Candidate) -> None:
+    """Copy exports that lie elsewhere into the folder of their test; the originals stay."""
+    for path in candidate.files.values():
+        goal = candidate.folder / path.name
+        if path == goal or goal.exists():
+            continue
+        with storing(goal):
+            candidate.folder.mkdir(parents=True, exist_ok=True)
+            with replacing(goal) as part:
+                shutil.copyfile(path, part)
+                shutil.copystat(path, part)
