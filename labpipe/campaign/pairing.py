@@ -5,14 +5,20 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from labpipe.errors import LabpipeError
+from labpipe.errors import LabpipeError, ProtocolError, StoreError, complaint
 from labpipe.process.new_sheets import write_seen
 from labpipe.process.seen_tests import SeenTest, safe_name, see_test
 from labpipe.protocol.campaign_plan import PLAN_NAME, ByFolder, ByName, CampaignPlan
-from labpipe.protocol.load import find_protocol, load_campaign_plan, load_protocol
+from labpipe.protocol.load import (
+    find_protocol,
+    load_campaign_plan,
+    load_protocol,
+    load_test_sheet,
+)
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.protocol.values import has_control_characters
 from labpipe.store.replace import replacing, storing
@@ -71,7 +77,8 @@ class Written:
     Parameters
     ----------
     sheet : that was written, or was there; None where it is waited for more
-    said : sentences on what the sheet is made of
+    said : sentences on what the sheet is made of, or on what is odd
+    is_new : whether the sheet was written now
     open : keys that a person must fill in before the test can be processed
     missing : roles that are waited for
     unread : exports that cannot be read as they are, with the reason
@@ -79,6 +86,7 @@ class Written:
 
     sheet: Path | None
     said: tuple[str, ...] = ()
+    is_new: bool = False
     open: tuple[str, ...] = ()
     missing: tuple[str, ...] = ()
     unread: Mapping[str, str] = field(default_factory=dict)
@@ -210,7 +218,11 @@ def given_by(plan: CampaignPlan, candidate: Candidate) -> dict[str, str]:
     given |= {"protocol": plan.protocol} if plan.protocol else {}
     given |= {key: value for key, value in candidate.values.items() if key != "test"}
     named = dict(candidate.files) if candidate.by_role else {}
-    return given | {"test": safe_name(candidate.name)} | {role: path.name for role, path in named.items()}
+    return (
+        given
+        | {"test": safe_name(candidate.name)}
+        | {role: path.name for role, path in named.items()}
+    )
 
 
 def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) -> Written:
@@ -232,18 +244,42 @@ def pair_test(candidate: Candidate, plan: CampaignPlan, *, waited: float = 0.0) 
         If a file cannot be copied or written, or names and plan say something wrong.
     """
     if candidate.sheet.exists():
-        return Written(candidate.sheet)
+        return _with_sheet(candidate)
     early = _missing_by_name(candidate, plan)
     if early:
         return Written(None, missing=early)
-    _bring_together(candidate)
+    copies = _bring_together(candidate)
     seen = see_test(candidate.folder, given_by(plan, candidate))
-    unread = {name: seen.unread[name] for name in seen.unread}
     missing = _missing(seen, plan, waited)
-    if unread or missing:
-        return Written(None, missing=missing, unread=unread)
+    if seen.unread or missing:
+        _take_back(copies, candidate.folder)
+        return Written(None, missing=missing, unread=seen.unread)
     sheet = write_seen(with_blocks(seen, plan))
-    return Written(sheet.path, sheet.said, sheet.open)
+    return Written(sheet.path, sheet.said, is_new=True, open=sheet.open)
+
+
+def _with_sheet(candidate: Candidate) -> Written:
+    """Say what a test with a sheet waits for: exports that the sheet names."""
+    try:
+        sheet = load_test_sheet(candidate.sheet)
+    except ProtocolError:
+        return Written(candidate.sheet)  # processing says what is wrong with it
+    names = [name for several in sheet.files.values() for name in several]
+    absent = tuple(name for name in names if not (candidate.folder / name).exists())
+    if absent:
+        return Written(None, missing=absent)
+    elsewhere = [path for path in candidate.files.values() if path.parent != candidate.folder]
+    newer = [path.name for path in elsewhere if _differs(path, candidate.folder / path.name)]
+    said = [f"{name} is another one than its copy in the folder of the test" for name in newer]
+    return Written(candidate.sheet, tuple(f"look: {each}; the copy counts" for each in said))
+
+
+def _differs(path: Path, copy: Path) -> bool:
+    """Whether an export was written again after it was copied; by size and time."""
+    if not copy.exists():
+        return False
+    one, other = path.stat(), copy.stat()
+    return (one.st_size, int(one.st_mtime)) != (other.st_size, int(other.st_mtime))
 
 
 def with_blocks(seen: SeenTest, plan: CampaignPlan) -> SeenTest:
@@ -296,14 +332,34 @@ def _roles(seen: SeenTest, plan: CampaignPlan) -> tuple[list[str], list[str]]:
     return needed, [str(role) for role in sources if role not in needed]
 
 
-def _bring_together(candidate: Candidate) -> None:
+def _bring_together(candidate: Candidate) -> list[Path]:
     """Copy exports that lie elsewhere into the folder of their test; the originals stay."""
+    made = []
     for path in candidate.files.values():
         goal = candidate.folder / path.name
-        if path == goal or goal.exists():
+        if path == goal:
+            continue
+        if goal.exists():
+            if _differs(path, goal):
+                remedy = "Take away the one that is wrong."
+                found = "another file of that name"
+                raise StoreError(
+                    complaint(goal, "", expected=f"a copy of {path}", found=found, remedy=remedy)
+                )
             continue
         with storing(goal):
             candidate.folder.mkdir(parents=True, exist_ok=True)
             with replacing(goal) as part:
                 shutil.copyfile(path, part)
                 shutil.copystat(path, part)
+        made.append(goal)
+    return made
+
+
+def _take_back(copies: Sequence[Path], folder: Path) -> None:
+    """Take away copies of exports that may still be written."""
+    for path in copies:
+        path.unlink(missing_ok=True)
+    with suppress(OSError):  # where there is more in it
+        if copies:
+            folder.rmdir()

@@ -26,7 +26,7 @@ from labpipe.records.curve import Bending
 from labpipe.records.recording import Recording
 from labpipe.records.result import Status, TestResult
 from labpipe.store.failure_file import FAILURE_FILE
-from labpipe.store.read import RawTest, read_name, read_raw, read_run
+from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
 from labpipe.store.summaries import write_summary
 from labpipe.store.write import write_result
@@ -116,6 +116,31 @@ def process_test(
             writing.result()
     files = tuple(folder / path.relative_to(stage) for path in drawn)
     return Processed(folder, result, files, finished)
+
+
+def draw_figures(folder: Path) -> tuple[Path, ...]:
+    """Draw the figures of a processed test from its result, as `process_test` would have.
+
+    Parameters
+    ----------
+    folder : holds its result.h5
+
+    Returns
+    -------
+    The files.
+
+    Raises
+    ------
+    StoreError
+        If the result cannot be read, or another labpipe is at work there.
+    """
+    from labpipe.report.figures import save_figures
+
+    with locked(folder):
+        result = read_result(folder / RESULT_FILE)
+        with replacing_together(folder, owned=_all_figures()) as stage:
+            drawn = save_figures(result, stage / FIGURES)
+    return tuple(folder / path.relative_to(stage) for path in drawn)
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:
@@ -218,6 +243,10 @@ def _figures_to_go(folder: Path, run: str, *, is_drawn: bool) -> list[str]:
         with suppress(StoreError):
             if read_run(folder / RESULT_FILE) == run:
                 return []
+    return _all_figures()
+
+
+def _all_figures() -> list[str]:
     names = get_args(FigureName)
     return [f"{FIGURES}/{name}{ending}" for name in names for ending in (".svg", ".png")]
 

@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from labpipe.campaign.pairing import (
+    Candidate,
+    given_by,
+    list_candidates,
+    pair_test,
+    plan_of,
+)
+from labpipe.errors import ProtocolError, StoreError, UsageError
+from labpipe.protocol.load import load_test_sheet
+from tests.builders.small_tests import Lab, state
+
+BY_NAME = """\
+version: 1
+protocol: wire-cantilever
+pair:
+  by: name
+  from: incoming
+  exports:
+    force: "{type}-{length mm}-{sample}_force.mat"
+    markers: "{type}-{length mm}-{sample}.csv"
+specimen: {spool: A2-s1, labels: {cured: 24 h}}
+operator: bench 2
+overrides:
+  rig.stroke: {value: 12 mm, because: a short stroke}
+"""
+
+
+@pytest.fixture
+def campaign(lab: Lab) -> Path:
+    """A campaign whose exports lie in one folder, with a campaign YAML."""
+    folder = lab.raw.parent
+    incoming = folder / "incoming"
+    incoming.mkdir()
+    (lab.raw / "force.mat").rename(incoming / "A2-085-3_Force.mat")
+    (lab.raw / "take.csv").rename(incoming / "A2-085-3.csv")
+    shutil.rmtree(lab.raw)
+    (folder / "campaign.yaml").write_text(BY_NAME, encoding="utf-8")
+    return folder
+
+
+def only(folder: Path) -> Candidate:
+    (candidate,) = list_candidates(folder, plan_of(folder)).candidates
+    return candidate
+
+
+def test_exports_of_one_folder_are_paired_by_their_names(campaign: Path) -> None:
+    candidate = only(campaign)
+
+    assert candidate.folder == campaign / "A2-085-3"
+    assert {role: path.name for role, path in candidate.files.items()} == {
+        "force": "A2-085-3_Force.mat",
+        "markers": "A2-085-3.csv",
+    }
+    assert candidate.values == {"type": "A2", "length": "85 mm", "sample": "3"}
+    assert given_by(plan_of(campaign), candidate)["spool"] == "A2-s1"
+
+
+def test_a_sheet_with_copies_of_the_exports(campaign: Path) -> None:
+    before = state(campaign / "incoming")
+
+    written = pair_test(only(campaign), plan_of(campaign))
+
+    assert written.sheet == campaign / "A2-085-3" / "test.yaml"
+    assert (written.is_new, written.open, written.missing) == (True, (), ())
+    sheet = load_test_sheet(written.sheet)
+    assert (sheet.test, sheet.protocol, sheet.operator) == (
+        "A2-085-3",
+        "wire-cantilever",
+        "bench 2",
+    )
+    assert (sheet.specimen.spool, sheet.specimen.length) == ("A2-s1", 0.085)
+    assert sheet.specimen.labels == {"cured": "24 h"}
+    assert sheet.overrides["rig.stroke"].because == "a short stroke"
+    assert sheet.files == {"force": ("A2-085-3_Force.mat",), "markers": ("A2-085-3.csv",)}
+    assert str(sheet.date) == "2026-03-04"
+    assert state(campaign / "incoming") == before
+    copies = {name: mark[0] for name, mark in state(campaign / "A2-085-3").items()}
+    assert {name: mark[0] for name, mark in before.items()}.items() <= copies.items()
+
+
+def test_a_sheet_that_is_there_is_left_as_it_is(campaign: Path) -> None:
+    candidate = only(campaign)
+    pair_test(candidate, plan_of(campaign))
+    candidate.sheet.write_text(candidate.sheet.read_text("utf-8") + "# by hand\n", "utf-8")
+    before = state(candidate.folder)
+    source = campaign / "incoming" / "A2-085-3.csv"
+    source.write_text(source.read_text("utf-8") + "\n", "utf-8")
+
+    written = pair_test(only(campaign), plan_of(campaign))
+
+    assert state(candidate.folder) == before
+    assert not written.is_new
+    assert written.said == (
+        "look: A2-085-3.csv is another one than its copy in the folder of the test;"
+        " the copy counts",
+    )
+
+
+def test_what_is_not_there_yet_is_waited_for(campaign: Path) -> None:
+    take = campaign / "incoming" / "A2-085-3.csv"
+    elsewhere = take.rename(campaign.parent / "take.csv")
+    written = pair_test(only(campaign), plan_of(campaign))
+    assert (written.sheet, written.missing) == (None, ("markers",))
+    assert not (campaign / "A2-085-3").exists()
+    elsewhere.rename(take)
+    content = take.read_bytes()
+    take.write_bytes(b"")
+    written = pair_test(only(campaign), plan_of(campaign))
+    assert (written.sheet, list(written.unread)) == (None, ["A2-085-3.csv"])
+    assert not (campaign / "A2-085-3").exists()
+    take.write_bytes(content)
+    assert pair_test(only(campaign), plan_of(campaign)).sheet is not None
+
+
+def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
+    (campaign / "A2-085-3").mkdir()
+    other = campaign / "A2-085-3" / "A2-085-3.csv"
+    other.write_bytes(b"by hand")
+    with pytest.raises(StoreError, match="expected a copy of .* found another file of that name"):
+        pair_test(only(campaign), plan_of(campaign))
+    assert other.read_bytes() == b"by hand"
+
+
+def test_files_that_no_rule_takes(campaign: Path) -> None:
+    incoming = campaign / "incoming"
+    for name in ("notes.docx", "A2-085-3_FORCE.mat", "A2-085-4_force.mat", "a\nb.csv", "x.yaml"):
+        (incoming / name).write_bytes(b"x")
+
+    listed = list_candidates(campaign, plan_of(campaign))
+
+    assert [each.name for each in listed.candidates] == ["A2-085-3", "A2-085-4"]
+    assert {path.name: why for path, why in listed.strangers.items()} == {
+        "notes.docx": "its name is of no pattern in campaign.yaml",
+        "a\nb.csv": "its name has control characters; rename it",
+        "A2-085-3_Force.mat": "A2-085-3_FORCE.mat is the force of the same test already",
+    }
+
+
+def test_every_printable_character_in_a_name(campaign: Path) -> None:
+    signs = "".join(map(chr, range(32, 127))).translate(str.maketrans("", "", "/\\"))
+    source = campaign / "incoming"
+    for old, role in (("A2-085-3_Force.mat", "_force.mat"), ("A2-085-3.csv", ".csv")):
+        (source / old).rename(source / f"ü{signs} …-085-3{role}")
+
+    candidate = only(campaign)
+    written = pair_test(candidate, plan_of(campaign))
+
+    assert candidate.folder.parent == campaign
+    assert written.sheet is not None
+    assert load_test_sheet(written.sheet).specimen.type == f"ü{signs} …"
+
+
+def test_one_folder_per_test(lab: Lab) -> None:
+    folder = lab.raw.parent
+    lab.sheet.unlink()
+    (folder / "loose.csv").write_text("x", encoding="utf-8")
+    (folder / "empty").mkdir()
+    plan = plan_of(folder)
+    listed = list_candidates(folder, plan)
+    assert [each.name for each in listed.candidates] == ["T1"]
+    assert listed.strangers == {folder / "loose.csv": "it is in no folder of a test"}
+    written = pair_test(listed.candidates[0], plan)
+    assert written.open == ("type", "spool", "sample")
+    assert refuses(lab.sheet)
+
+
+def refuses(sheet: Path) -> bool:
+    with pytest.raises(ProtocolError, match="specimen.spool"):
+        load_test_sheet(sheet)
+    return True
+
+
+def test_folders_by_their_pattern(lab: Lab) -> None:
+    folder = lab.raw.parent
+    lab.sheet.unlink()
+    lab.raw.rename(folder / "s7_A2_3")
+    (folder / "other").mkdir()
+    (folder / "other" / "x.csv").write_text("x", encoding="utf-8")
+    plan = 'version: 1\npair: {name: "{spool}_{type}_{sample}"}\nspecimen: {length: 85 mm}\n'
+    (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
+    listed = list_candidates(folder, plan_of(folder))
+    (candidate,) = listed.candidates
+    assert list(listed.strangers) == [folder / "other" / "x.csv"]
+    written = pair_test(candidate, plan_of(folder))
+    assert written.open == ()
+    specimen = load_test_sheet(candidate.sheet).specimen
+    assert (specimen.spool, specimen.type, specimen.sample, specimen.length) == (
+        "s7",
+        "A2",
+        "3",
+        0.085,
+    )
+
+
+def test_optional_exports_are_waited_for_a_while(lab: Lab) -> None:
+    folder = lab.raw.parent
+    lab.sheet.unlink()
+    (lab.raw / "take.csv").unlink()
+    plan = "version: 1\nprotocol: conduit-bundle\nspecimen: {span: 152.4 mm}\npatience: 30 s\n"
+    (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
+    early = pair_test(only(folder), plan_of(folder), waited=29.0)
+    assert early.missing == ("frame", "markers")
+    assert pair_test(only(folder), plan_of(folder), waited=30.0).sheet is not None
+
+
+def test_roles_that_are_waited_for(lab: Lab) -> None:
+    folder = lab.raw.parent
+    lab.sheet.unlink()
+    (lab.raw / "take.csv").unlink()
+    plan = "version: 1\nprotocol: conduit-bundle\nwait_for: [force, markers]\n"
+    (folder / "campaign.yaml").write_text(plan, encoding="utf-8")
+    assert pair_test(only(folder), plan_of(folder), waited=1e6).missing == ("markers",)
+
+
+def test_a_sheet_by_hand_waits_for_the_exports_that_it_names(lab: Lab) -> None:
+    (lab.raw / "take.csv").unlink()
+    written = pair_test(only(lab.raw.parent), plan_of(lab.raw.parent))
+    assert (written.sheet, written.missing) == (None, ("take.csv",))
+
+
+def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
+    plan = campaign / "campaign.yaml"
+    plan.write_text(BY_NAME.replace("{type}", "{labels.Type}"), encoding="utf-8")
+    with pytest.raises(ProtocolError, match="expected one of"):
+        plan_of(campaign)
+    plan.write_text(BY_NAME.replace("wire-cantilever", "wire-cantilver"), encoding="utf-8")
+    with pytest.raises(UsageError, match="Did you mean 'wire-cantilever'"):
+        pair_test(only(campaign), plan_of(campaign))
