@@ -21,11 +21,13 @@ class _Seen:
     mark : size and time
     since : when it first had them, by the clock of the watch: that of a drive may differ
     moving_since : when it last began to change
+    stood : whether it was seen to stand still with this mark
     """
 
     mark: Mark
     since: float
     moving_since: float
+    stood: bool = False
 
 
 class StandingFiles:
@@ -65,13 +67,12 @@ class StandingFiles:
             self._seen[path] = _Seen(mark, now, now)
             return "growing"
         if seen.mark != mark:
-            was_still = now - seen.since > self.still_for
-            moving_since = now if was_still else seen.moving_since
-            self._seen[path] = _Seen(mark, now, moving_since)
+            self._seen[path] = _Seen(mark, now, now if seen.stood else seen.moving_since)
             return "growing"
         if now - seen.since < self.still_for:
             return "growing"
-        return "still" if _opens(path) else "locked"
+        seen.stood = _opens(path)
+        return "still" if seen.stood else "locked"
 
     def mark(self, path: Path) -> Mark | None:
         """Size and time of a file when it was last looked at; None if it is gone."""

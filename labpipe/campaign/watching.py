@@ -117,6 +117,7 @@ class Watcher:
         Whether more tests are ready: then there is no reason to pause.
         """
         try:
+            self._campaign.raw.stat()
             self._read_plan()
             listed = list_candidates(self._campaign.raw, self.plan)
             ready = self._ready(listed)
@@ -236,7 +237,7 @@ class Watcher:
                 self._voice.once(f"{what} yet ({why}); waited for")
             if stood > LONG:
                 self._voice.once(f"{what} after an hour; waited for")
-        waits = ", ".join(written.missing)
+        waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
             self._voice.say(f"{candidate.name}: waits for {waits}")

@@ -123,7 +123,7 @@ def test_a_file_in_the_way_of_a_copy_is_not_harmed(campaign: Path) -> None:
     (campaign / "A2-085-3").mkdir()
     other = campaign / "A2-085-3" / "A2-085-3.csv"
     other.write_bytes(b"by hand")
-    with pytest.raises(StoreError, match="expected a copy of .* found another file of that name"):
+    with pytest.raises(StoreError, match=r"expected a copy of .* found another file of that name"):
         pair_test(only(campaign), plan_of(campaign))
     assert other.read_bytes() == b"by hand"
 
@@ -172,7 +172,7 @@ def test_one_folder_per_test(lab: Lab) -> None:
 
 
 def refuses(sheet: Path) -> bool:
-    with pytest.raises(ProtocolError, match="specimen.spool"):
+    with pytest.raises(ProtocolError, match=r"specimen\.spool"):
         load_test_sheet(sheet)
     return True
 
