@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
-from labpipe.campaign.executors import Outcome, Task, attempt
-from labpipe.campaign.runs import ended
-from labpipe.campaign.workers import Died, Raised, Worker
+from labpipe.campaign.executors import Outcome, outcome_of, settled
+from labpipe.campaign.workers import Crew, Died, Raised, why
 from labpipe.errors import ProcessingError
+from labpipe.process.attempts import Task
 from labpipe.process.run import draw_figures
 
 T = TypeVar("T")
@@ -35,10 +36,16 @@ _NEEDED = (
 
 
 class StandingWorker:
-    """A process that does one call after the other; one that dies costs its call alone."""
+    """A process that does one call after the other; one that dies costs its call alone.
 
-    def __init__(self) -> None:
-        self._worker: Worker[Callable[[], object], object] = Worker(_do)
+    Parameters
+    ----------
+    limit : s, after which a call is given up and its process ended
+    """
+
+    def __init__(self, *, limit: float = 3600.0) -> None:
+        self._crew: Crew[Callable[[], object], object] = Crew(_do, jobs=1, limit=limit)
+        self._behind: threading.Thread | None = None
 
     def warm(self) -> None:
         """Begin to import what tests need; this call does not wait for it."""
@@ -55,17 +62,17 @@ class StandingWorker:
         Raises
         ------
         ProcessingError
-            If the process dies; another takes its place.
+            If the process dies, or the call takes too long; another takes its place.
         LabpipeError
             What the call raises.
         """
-        self._begin(work)
-        _, outcome = self._worker.finish()
+        outcome = self._ended(work)
         if isinstance(outcome, Raised):
             raise outcome.error
         if isinstance(outcome, Died):
-            raise ProcessingError(ended(about, outcome))
-        return outcome  # type: ignore[return-value]  # what `work` gave
+            _, reason = why(about, outcome)
+            raise ProcessingError(reason)
+        return outcome
 
     def draw(self, folder: Path) -> None:
         """Begin to draw the figures of a processed test; this call does not wait for it.
@@ -79,20 +86,31 @@ class StandingWorker:
     def executor(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Process tests, numbers only; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
-            only_numbers = replace(task, figures=False)
-            try:
-                yield self.call(partial(attempt, only_numbers), about=task.sheet)
-            except ProcessingError as error:
-                yield Outcome(task.sheet, task.goal, "failed", "process_died", str(error))
+            yield settled(task, self._ended(partial(outcome_of, replace(task, figures=False))))
 
     def leave(self) -> None:
         """Wait until it has done what was begun, and end it."""
-        self._worker.leave()
+        self._wait()
+        self._crew.leave()
 
     def _begin(self, work: Callable[[], object]) -> None:
-        if self._worker.is_at_work:
-            self._worker.finish()  # figures, or imports: what became of them shows elsewhere
-        self._worker.begin(work)
+        """Have a call done behind: figures, or imports; what becomes of them shows elsewhere."""
+        self._wait()
+        self._behind = threading.Thread(target=self._done, args=(work,))
+        self._behind.start()
+
+    def _ended(self, work: Callable[[], T]) -> T | Died | Raised:
+        self._wait()
+        return self._done(work)
+
+    def _done(self, work: Callable[[], T]) -> T | Died | Raised:
+        ((_, outcome),) = self._crew.as_they_end([work])
+        return cast("T | Died | Raised", outcome)
+
+    def _wait(self) -> None:
+        if self._behind is not None:
+            self._behind.join()
+            self._behind = None
 
 
 def _do(work: Callable[[], object]) -> object:

@@ -8,7 +8,7 @@ from functools import partial
 
 import pytest
 
-from labpipe.campaign.executors import Task
+from labpipe.campaign.executors import Outcome, Task
 from labpipe.campaign.standing_worker import StandingWorker
 from labpipe.errors import ProcessingError, UsageError
 from labpipe.process.run import process_test
@@ -37,7 +37,7 @@ def test_calls_are_done_in_one_process_that_stays(worker: StandingWorker) -> Non
 
 
 def test_a_process_that_dies_costs_one_call(worker: StandingWorker) -> None:
-    with pytest.raises(ProcessingError, match="x: .* ended with exit code 3"):
+    with pytest.raises(ProcessingError, match=r"x: .* ended with exit code 3"):
         worker.call(partial(os._exit, 3), about="x")
     assert worker.call(os.getpid, about="x") != os.getpid()
 
@@ -60,7 +60,10 @@ def test_numbers_first_and_figures_behind(worker: StandingWorker, lab: Lab) -> N
 def test_a_process_that_dies_in_a_test_is_an_outcome(
     worker: StandingWorker, lab: Lab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("labpipe.campaign.standing_worker.attempt", os._exit)
-    lab.sheet.unlink()
+    monkeypatch.setattr("labpipe.campaign.standing_worker.outcome_of", die)
     (outcome,) = worker.executor([Task(lab.sheet, lab.processed)])
     assert (outcome.state, outcome.code) == ("failed", "process_died")
+
+
+def die(_: Task) -> Outcome:
+    os._exit(3)

@@ -18,6 +18,7 @@ from labpipe.campaign.verdicts import (
     shown_by,
     verdict,
 )
+from labpipe.errors import CODES
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.records.quality import Severity
 from tests.builders.small_tests import Lab
@@ -148,25 +149,10 @@ def test_every_code_that_doubts_or_fails_has_an_action(repository: Path) -> None
     failing = set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE))
     said = set(re.findall(r"`(\w+)`", table))
 
-    missing = (doubting | failing) - set(actions()) - {"mid_span", "code"}
+    missing = (doubting | failing | set(CODES)) - set(actions()) - {"mid_span", "code"}
     assert not missing
-    known = {each.code for each in kinds_of_notes()} | said | OF_TESTS
+    known = {each.code for each in kinds_of_notes()} | said | set(CODES)
     assert not set(actions()) - known  # no action for a code that there is not
-
-
-OF_TESTS = {
-    "unreadable_export",
-    "bad_sheet",
-    "cannot_process",
-    "cannot_store",
-    "system_refused",
-    "newer_result",
-    "out_of_memory",
-    "process_died",
-    "own_fault",
-    "in_use",
-}
-"""Codes of tests that are refused whole."""
 
 
 def test_numbers_are_shown_as_the_protocol_says(lab: Lab) -> None:
