@@ -14,6 +14,7 @@ from labpipe.campaign.executors import Outcome, outcome_of, settled
 from labpipe.campaign.workers import Crew, Died, Raised, why
 from labpipe.errors import ProcessingError
 from labpipe.process.attempts import Task
+from labpipe.process.fitting_protocols import all_protocols
 from labpipe.process.run import draw_figures
 
 T = TypeVar("T")
@@ -22,7 +23,9 @@ _NEEDED = (
     "labpipe.campaign.pairing",
     "labpipe.process.run",
     "labpipe.process.story",
+    "labpipe.process.camera_steps",
     "labpipe.process.span_steps",
+    "labpipe.markers.specimen_shape",
     "labpipe.results.moment_curvature",
     "labpipe.store.write",
     "labpipe.report.figures",
@@ -120,3 +123,4 @@ def _do(work: Callable[[], object]) -> object:
 def _import_all() -> None:
     for name in _NEEDED:
         import_module(name)
+    all_protocols()  # parsed once, and with them the units

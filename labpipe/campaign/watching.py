@@ -190,7 +190,7 @@ class Watcher:
 
     def _say_waiting(self, candidate: Candidate, path: Path, state: str) -> None:
         moving = self._files.moving_for(path)
-        name = f"{candidate.name}: {_shown(path.name)}"
+        name = f"{_called(candidate)}: {_shown(path.name)}"
         if state == "locked" and moving > self.plan.patience:
             self._voice.once(f"{name} cannot be opened, another program holds it; waited for")
         if moving > LONG and state in ("growing", "locked"):
@@ -205,7 +205,7 @@ class Watcher:
             written = self._pair(candidate, self.plan, self._waited(candidate))
         except LabpipeError as error:
             test.done = marks
-            self._voice.once(f"{candidate.name}: {error}")
+            self._voice.once(f"{_called(candidate)}: {error}")
             return
         if written.sheet is None:
             self._say_missing(candidate, test, written)
@@ -221,7 +221,7 @@ class Watcher:
         try:
             self._campaign.process(candidate.sheet, told)
         except LabpipeError as error:
-            self._voice.once(f"{candidate.name}: {error}")
+            self._voice.once(f"{_called(candidate)}: {error}")
             return False
         return True
 
@@ -232,7 +232,7 @@ class Watcher:
         """Say once what a test waits for; it is dealt with again when a file comes, or later."""
         for name, why in written.unread.items():
             stood = self._stood(candidate.files.get(name, candidate.folder / name))
-            what = f"{candidate.name}: {_shown(name)} cannot be read"
+            what = f"{_called(candidate)}: {_shown(name)} cannot be read"
             if stood > self.plan.patience:
                 self._voice.once(f"{what} yet ({why}); waited for")
             if stood > LONG:
@@ -240,10 +240,12 @@ class Watcher:
         waits = "" if written.unread else ", ".join(written.missing)
         if waits and waits != test.waits:
             test.waits = waits
-            self._voice.say(f"{candidate.name}: waits for {waits}")
+            self._voice.say(f"{_called(candidate)}: waits for {waits}")
 
     def _say_sheet(self, candidate: Candidate, written: Written) -> None:
-        lines = [f"{candidate.name}: wrote {self._below(candidate.sheet)}"] * written.is_new
+        lines = [
+            f"{_called(candidate)}: wrote {_shown(self._below(candidate.sheet))}"
+        ] * written.is_new
         lines += [f"{'  ' * written.is_new}{each}" for each in written.said]
         if written.open:
             lines.append(f"  to be filled in: {', '.join(written.open)}; it is processed then")
@@ -257,10 +259,10 @@ class Watcher:
         if outcome.state == "failed":
             _refuse_vanished(candidate)
         if outcome.state == "failed" or outcome.folder is None or summary is None:
-            lines = refused(candidate.name, outcome.code, outcome.reason)
+            lines = refused(_called(candidate), outcome.code, outcome.reason)
         else:
             group, shown = self._groups.group_of(summary), shown_by(candidate.sheet)
-            lines = verdict(candidate.name, outcome.folder, summary, group, shown)
+            lines = verdict(_called(candidate), outcome.folder, summary, group, shown)
             self._draw(outcome.folder)
         self._voice.say("\n".join(lines))
 
@@ -281,6 +283,10 @@ def _refuse_vanished(candidate: Candidate) -> None:
     for path in (candidate.sheet, *candidate.files.values()):
         with path.open("rb") as stream:
             stream.read(1)
+
+
+def _called(candidate: Candidate) -> str:
+    return _shown(candidate.name)
 
 
 def _paths(candidate: Candidate) -> list[Path]:

@@ -409,3 +409,13 @@ def test_a_calibration_plan_is_no_protocol(lab: Path, tmp_path: Path) -> None:
     assert "(method): expected one of" in finding.message
     plan.write_text("version: 1\nname: plan\nsource: {}\n", encoding="utf-8")
     assert check_paths().protocols[-1] == plan.relative_to(tmp_path)  # a protocol, misspelt
+
+
+def test_a_campaign_plan_is_known_by_its_name(lab: Path, tmp_path: Path) -> None:
+    plan = tmp_path / "raw" / "campaign" / "campaign.yaml"
+    plan.write_text("version: 1\nprotocol: wire\n", encoding="utf-8")
+    checked = check_paths()
+    assert (checked.plans, checked.findings) == ((plan.relative_to(tmp_path),), ())
+    plan.write_text("version: 1\nprotocl: wire\n", encoding="utf-8")
+    (finding,) = check_paths().findings
+    assert "Did you mean 'protocol'?" in finding.message

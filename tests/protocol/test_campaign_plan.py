@@ -43,7 +43,7 @@ def test_a_plan_by_names(tmp_path: Path) -> None:
     )
     assert list(plan.pair.patterns) == ["force", "markers"]
     assert plan.wait_for == ("force", "markers")
-    assert (plan.still_for, plan.look_every, plan.patience) == (3.0, 0.5, 60.0)
+    assert (plan.still_for, plan.look_every, plan.patience) == (3.0, 0.25, 60.0)
     assert plan.specimen["labels"] == {"cured": "24 h"}
 
 
