@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.play_fits import fit_plays, polygon_law, stick_slip_law
+from labpipe.law.play_fits import concave_law, fit_plays, polygon_law, stick_slip_law
 from labpipe.law.plays import respond, virgin_plays
 
 WIRE = stick_slip_law(
@@ -77,3 +77,13 @@ def test_plays_of_a_polygon_by_hand() -> None:
 def test_the_curvature_at_which_a_soft_law_softens_is_said() -> None:
     with pytest.raises(ValueError, match=r"softens before curvature=3 1/m"):
         polygon_law(np.array([1.0, 2.0, 3.0]), np.array([1e-3, 1.5e-3, 1.4e-3]))
+
+
+def test_a_stiffening_law_is_bridged_by_one_percent_at_most() -> None:
+    """From (1, 4) to (3, 7) the bridge passes 5.5 N m at 2 1/m."""
+    curvature = np.array([1.0, 2.0, 3.0])
+    law = concave_law(curvature, np.array([4.0, 5.45, 7.0]))
+    assert law.half_widths.tolist() == [4.0]
+    assert law.compliances == pytest.approx([1.0 / 1.5 - 1.0 / 4.0])
+    with pytest.raises(ValueError, match=r"curvature=2 1/m: .* is 10 % above it, allowed is 1 %"):
+        concave_law(curvature, np.array([4.0, 5.0, 7.0]))

@@ -166,6 +166,15 @@ def test_a_string_that_goes_slack_later_tells_what_it_carried(tension: float) ->
     assert found.was_pulled is (tension > 0.0)
 
 
+@pytest.mark.parametrize(("slack_for", "is_told"), [(0.6e-3, True), (0.3e-3, False)])
+def test_two_quarters_of_a_millimetre_of_slack_tell(slack_for: float, *, is_told: bool) -> None:
+    found = moved(tension=WEIGHT, slack_for=slack_for)
+    if is_told:
+        assert found.slackened == pytest.approx(-WEIGHT, abs=3e-4)
+    else:
+        assert np.isnan(found.slackened)
+
+
 def test_a_string_that_stays_taut_tells_by_its_lowest_force_alone() -> None:
     found = moved(tension=0.02)
     assert np.isnan(found.slackened)

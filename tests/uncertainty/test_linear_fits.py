@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from labpipe.records.arrays import Floats
-from labpipe.uncertainty.linear_fits import fit_linear, orthonormal
+from labpipe.uncertainty.linear_fits import _half_widths, fit_linear, orthonormal
+from labpipe.uncertainty.noise import Noise
 
 
 def columns(count: int) -> Floats:
@@ -67,3 +69,14 @@ def test_too_few_samples() -> None:
         fit_linear(np.ones((5, 2)), np.ones(5))
     with pytest.raises(ValueError, match="expected at least 3 samples for 2 coefficients, found 2"):
         fit_linear(np.eye(2), np.ones(2), beside=[np.arange(100.0)])
+
+
+@pytest.mark.parametrize("freedom", [2, 5, 40])
+@pytest.mark.parametrize("offset", [0.0, 2.0])
+def test_half_widths_hold_95_percent_of_a_mixture(freedom: int, offset: float) -> None:
+    """Of t-distributions of the deviations 1 and 3, the second perhaps moved aside."""
+    noise = Noise(np.array([0.6, 0.4]), np.ones(2), freedom)
+    deviations, offsets = np.array([1.0, 3.0]), np.array([0.0, offset])
+    (half,) = _half_widths(noise, deviations[:, None] ** 2, offsets[:, None])
+    between = [stats.t.cdf((end * half - offsets) / deviations, freedom) for end in (-1.0, 1.0)]
+    assert noise.chances @ (between[1] - between[0]) == pytest.approx(0.95, abs=1e-6)
