@@ -26,6 +26,14 @@ def test_the_sample_before_the_loss() -> None:
     assert final_loss(TIME, F, RULE) == 200
 
 
+@pytest.mark.parametrize(("low", "is_lost"), [(45.0, True), (46.0, False)])
+def test_a_loss_of_just_the_share_is_one(low: float, *, is_lost: bool) -> None:
+    """A sample a second, 5 N slower each, and 10 % of 100 N on the way below half of it."""
+    force = np.array([0.0, 50.0, 100.0, *np.arange(95.0, 54.0, -5.0), low, 42.0, 41.0])
+    found = final_loss(np.arange(float(len(force))), force, RULE)
+    assert found == 11 if is_lost else isinstance(found, Failure)
+
+
 def test_missing_samples_are_left_out() -> None:
     force = F.copy()
     force[50], force[198] = np.nan, np.nan

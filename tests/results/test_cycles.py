@@ -9,7 +9,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.curve import Branch, Curve, Direction
 from labpipe.records.result import Status
-from labpipe.results.cycles import stretch_of_cycle
+from labpipe.results.cycles import _when, stretch_of_cycle
 from tests.builders.reduced import loop, reduced
 
 TRUTH = {
@@ -140,3 +140,23 @@ def test_cycles_part_where_a_waiting_motion_is_farthest() -> None:
         curve = Curve(np.arange(13.0), sense * way, way, flags, flags, branches)
         assert stretch_of_cycle(curve, [*branches[:2]]) == slice(0, 7)
         assert stretch_of_cycle(curve, [*branches[2:]]) == slice(6, 13)
+
+
+@pytest.mark.parametrize(
+    ("reads", "stretch"),
+    [
+        ((0.0, 1.0), (0.0, 2.0)),
+        ((1.0, 2.0), (2.0, 5.0)),
+        ((0.5, 1.5), (1.0, 3.5)),
+        ((0.0, 2.0), (0.0, 5.0)),
+        ((0.0, 3.0), (0.0, 5.0)),
+        ((2.0, 3.0), None),
+    ],
+)
+def test_parts_of_a_cycle_counted_in_branches(
+    reads: tuple[float, float], stretch: tuple[float, float] | None
+) -> None:
+    """Loaded for 2 s, unloaded for 3 s."""
+    up = Branch(0, 2, 1, Direction.LOADING, 0.0, 2.0)
+    down = Branch(2, 5, 1, Direction.UNLOADING, 2.0, 5.0)
+    assert _when([up, down], reads) == stretch

@@ -9,12 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from labpipe.wire.bending_law import (
+    _different_turns,
     moment_curvature,
     orientation_range,
     slip_stiffness,
     stick_stiffness,
 )
-from labpipe.wire.cross_section import CrossSection, Layer, concentric
+from labpipe.wire.cross_section import CrossSection, Layer, concentric, hexagonal, lay_up
 from labpipe.wire.friction import insulated
 from labpipe.wire.materials import ANNEALED_COPPER, Elastic, ElasticPerfectlyPlastic, StressTable
 from labpipe.wire.packing import packed
@@ -228,3 +229,15 @@ def test_the_range_over_orientations_of_strands_without_order() -> None:
     ]
     assert low == pytest.approx(np.min(moments, axis=0), rel=1e-12)
     assert high == pytest.approx(np.max(moments, axis=0), rel=1e-12)
+
+
+@pytest.mark.parametrize("strand", [0.32e-3, 0.02e-3])
+@pytest.mark.parametrize(("number", "angles"), [(7, (12.0,)), (19, (12.0, -15.0))])
+def test_turns_that_swap_strands_are_alike_however_thin_they_are(
+    strand: float, number: int, angles: tuple[float, ...]
+) -> None:
+    """A hexagon repeats after 60 degrees, and its mirror image bends alike: 0, 15 and 30 differ."""
+    layers = lay_up(number, strand, [float(np.radians(each)) for each in angles], ANNEALED_COPPER)
+    turns = _different_turns(hexagonal(layers), 24)
+    folded = np.degrees(turns) % 60.0
+    assert np.minimum(folded, 60.0 - folded) == pytest.approx([0.0, 15.0, 30.0], abs=1e-9)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.wire.bundle_layout import sites
+from labpipe.wire.bundle_layout import _core_of_hexagon, sites
 from labpipe.wire.bundle_packing import holding_circle
 from labpipe.wire.cross_section import largest_overlap
 
@@ -15,6 +15,14 @@ def test_hexagons_around_a_wire(number: int, radius: float) -> None:
     found = sites(number)
     assert found[0] == pytest.approx([0.0, 0.0], abs=1e-12)
     assert np.hypot(*found.T).max() == pytest.approx(radius)
+
+
+def test_every_hexagon_is_known_and_nothing_else_is_one() -> None:
+    rings = np.arange(40)
+    around_one = [int(each) for each in 1 + 3 * rings * (rings + 1)]
+    around_three = [int(each) for each in 3 * (rings + 1) ** 2]
+    known = {number for number in range(1, 4800) if _core_of_hexagon(number) is not None}
+    assert known == {each for each in (*around_one, *around_three) if each < 4800}
 
 
 @pytest.mark.parametrize(
