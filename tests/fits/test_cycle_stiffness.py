@@ -252,3 +252,11 @@ def test_samples_at_rest_in_the_window_are_counted() -> None:
         assert isinstance(taut, TakeUp)
         found = LoadingSlope(taut, first, slope, 0.0)
         assert found.share_at_rest == pytest.approx(share, abs=0.03)
+
+
+@pytest.mark.parametrize("count", [9, 10, 11, 12])
+def test_a_branch_of_fewer_samples_than_the_path_is_averaged_over(count: int) -> None:
+    path = np.arange(float(count))
+    found = window_slope(path, path, 2.0 * path, path, low=0.0, high=count - 1.5)
+    assert not isinstance(found, Failure)
+    assert float(found.of(path, 2.0 * path)) == pytest.approx(2.0)

@@ -5,7 +5,7 @@ import pytest
 
 from labpipe.records.wire_calibration import CalibrationFailure, ParameterChoice
 from labpipe.wire.calibration.fit import Found, Settings, find
-from labpipe.wire.calibration.profile_likelihood import trace
+from labpipe.wire.calibration.profile_likelihood import _root, trace
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from tests.builders.loading_tests import measured, wire_of
 
@@ -66,3 +66,11 @@ def test_one_parameter_and_nothing_else() -> None:
     assert traced.lower < np.log(1e9) + 0.1
     assert traced.upper > np.log(1e9) - 0.1
     assert traced.threshold_above == pytest.approx(1.96**2, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    ("quantile", "error", "root"), [(3.0, 1.5, 2.0), (0.1, 1.0, 0.5), (7.0, 0.0, 1.96)]
+)
+def test_how_high_the_objective_is_followed(quantile: float, error: float, root: float) -> None:
+    """Quantile in standard errors, half of one at least; that of a normal one without an error."""
+    assert _root(quantile, error) == root

@@ -64,6 +64,25 @@ def test_freedom_is_that_of_the_samples() -> None:
     assert found.freedom(np.array([1.0, 0.0, 0.0, 0.0])) == np.inf
 
 
+def test_variances_are_known_as_by_the_analysis_of_variance() -> None:
+    """Of a balanced layout with k samples of n points, by its mean squares within and between.
+
+    They are independent, with k (n - 1) and k - 1 degrees of freedom (Searle, Casella and
+    McCulloch, Variance Components, 1992, sec. 3.5).
+    """
+    problem, fit, _ = layout(2, gain=1e6)
+    levels = estimate_levels(problem, fit, NONE, 0.0, None)
+    found = uncertainty(problem, fit, NONE, levels, is_scatter_known=False)
+    noise, samples = levels.noise, levels.scatter**2
+    within, between = 2.0 / (SAMPLES * (POINTS - 1)), 2.0 / (SAMPLES - 1)
+    both = noise**2 * within + (noise + POINTS * samples) ** 2 * between
+    wanted = [
+        [within, -noise * within / (POINTS * samples)],
+        [-noise * within / (POINTS * samples), both / (POINTS * samples) ** 2],
+    ]
+    assert found.level_covariance == pytest.approx(np.array(wanted), rel=5e-3)
+
+
 def test_a_given_scatter_stays() -> None:
     problem, fit, values = layout(3)
     found = estimate_levels(problem, fit, NONE, 0.0, 3.0)
