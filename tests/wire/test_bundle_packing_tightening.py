@@ -45,9 +45,13 @@ def test_three_unequal_wires_touch_each_other() -> None:
     assert np.average(found, axis=0, weights=diameters**2) == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def test_wires_on_one_another_part() -> None:
-    found = drawn_together(np.zeros((7, 2)), np.ones(7))
-    assert largest_overlap(found, np.ones(7) / 2.0) < 1e-9
+@pytest.mark.parametrize("beside", [0, 1, 2])
+def test_wires_on_one_another_part(beside: int) -> None:
+    """Seven at one place, some more at another."""
+    centres = np.concatenate([np.zeros((7, 2)), np.full((beside, 2), 3.0)])
+    found = drawn_together(centres, np.ones(7 + beside))
+    assert largest_overlap(found, np.full(7 + beside, 0.5)) < 1e-9
+    assert holding_circle(found, np.ones(7 + beside))[1] < 2.0
 
 
 def test_one_wire_lies_in_the_middle() -> None:

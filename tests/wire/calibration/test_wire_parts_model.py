@@ -66,3 +66,10 @@ def test_the_slope_is_that_of_the_curve() -> None:
     model, more, less = (model_forces(PARTS, TRUTH, (each,))[0] for each in (curve, ahead, behind))
     wanted = (more.force - less.force) / (2.0 * step)
     assert model.slope[1:] == pytest.approx(wanted[1:], rel=0.02)
+
+
+def test_copper_is_elastic_where_its_table_begins() -> None:
+    """Half of moment times curvature is stored; the moment is that of the strands' EI."""
+    for part in PARTS.copper:
+        stiffness, energy = part.table(np.log(part.first))
+        assert energy == pytest.approx(0.5 * stiffness, rel=1e-6)
