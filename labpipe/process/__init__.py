@@ -1,1 +1,8 @@
-"""One test: from its exports to its results; `story` is the page to read first."""
+"""One test: from its exports to its results; `story` is the page to read first.
+
+The package can be called: ``labpipe.process(source)`` processes a test in memory (`labpipe.door`).
+"""
+
+from labpipe import _make_callable
+
+_make_callable(__name__)

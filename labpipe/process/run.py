@@ -28,10 +28,11 @@ from labpipe.records.result import Status, TestResult
 from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.read import RawTest, read_name, read_raw, read_result, read_run
 from labpipe.store.replace import finish_cut_off, is_cut_off, locked, replacing_together, storing
+from labpipe.store.summaries import SUMMARY_FILE as SUMMARY_FILE  # noqa: PLC0414 - as `FIGURES`
 from labpipe.store.summaries import write_summary
 from labpipe.store.write import write_result
 
-SUMMARY_FILE, FIGURES = "summary.json", "figures"
+FIGURES = "figures"
 PROCESSING_VERSION = 2
 """Raised whenever the same exports, sheet and protocol give other numbers than before."""
 Say = Callable[[str], None]
@@ -97,7 +98,7 @@ def process_test(
     if again and is_in_place and is_cut_off(source.parent):  # by a process that was killed
         with locked(source.parent), storing(source.parent):
             finished = finish_cut_off(source.parent)
-    raw, protocol = _stored(source) if again else _exported(source, follow_links)
+    raw, protocol = read_source(source, follow_links=follow_links)
     say("process")
     result = reduce_test(raw, protocol)
     folder = goal or goal_of(source, out, lambda: result.test)
@@ -141,6 +142,25 @@ def draw_figures(folder: Path) -> tuple[Path, ...]:
         with replacing_together(folder, owned=_all_figures()) as stage:
             drawn = save_figures(result, stage / FIGURES)
     return tuple(folder / path.relative_to(stage) for path in drawn)
+
+
+def read_source(source: Path, *, follow_links: bool = False) -> tuple[RawTest, Protocol]:
+    """Read what a test is made of.
+
+    Parameters
+    ----------
+    source, follow_links : see `process_test`
+
+    Returns
+    -------
+    Its recordings and what is known about it, and its resolved protocol.
+
+    Raises
+    ------
+    LabpipeError
+        If an input is bad.
+    """
+    return _stored(source) if source.suffix == ".h5" else _exported(source, follow_links)
 
 
 def reduce_test(raw: RawTest, protocol: Protocol) -> TestResult:

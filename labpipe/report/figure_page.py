@@ -8,7 +8,8 @@ import textwrap
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -203,6 +204,40 @@ def finish_layout(page: Figure) -> None:
     if engine is not None:
         engine.execute(page)
     page.set_layout_engine("none")
+
+
+_NOTEBOOK_DPI = 150
+
+
+def with_own_fonts(page: Figure) -> Figure:
+    """Give a page, inside the present style, what it needs to look the same outside of it.
+
+    Parameters
+    ----------
+    page : laid out
+
+    Returns
+    -------
+    The same page: its words name their fonts, and a notebook can show it.
+    """
+    import matplotlib as mpl
+    from matplotlib.font_manager import fontManager
+    from matplotlib.text import Text
+
+    wanted = [*mpl.rcParams["font.serif"], *mpl.rcParams["font.sans-serif"]]
+    installed = {font.name for font in fontManager.ttflist}
+    fonts = [font for font in wanted if font in installed]
+    for text in page.findobj(Text):
+        text.set_fontfamily(fonts)
+    vars(page)["_repr_png_"] = partial(_as_png, page)
+    return page
+
+
+def _as_png(page: Figure) -> bytes:
+    image = BytesIO()
+    with style():
+        page.savefig(image, format="png", dpi=_NOTEBOOK_DPI)
+    return image.getvalue()
 
 
 def _fit_words(page: Figure) -> None:

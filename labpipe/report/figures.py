@@ -15,11 +15,12 @@ from labpipe.report.curve_figures import (
     draw_stiffness_lines,
     draw_timeline,
 )
+from labpipe.report.figure_page import finish_layout, style, with_own_fonts
 from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
 from labpipe.report.saving import FigureToSave, save_pages
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the door takes it from here
 
 FIGURES: dict[str, Callable[[TestResult], Figure]] = {
     "force-displacement": draw_force_displacement,
@@ -64,3 +65,22 @@ def save_figures(result: TestResult, folder: Path, *, png: bool = False) -> list
     pages = [FigureToSave(name, partial(FIGURES[name], result)) for name in result.figures]
     again = "process the test"
     return save_pages(pages, folder, what="figures", again=again, run=result.run, png=png)
+
+
+def draw_figure(result: TestResult, name: str) -> Figure:
+    """Draw one figure for a notebook or a script of one's own.
+
+    Parameters
+    ----------
+    result : a processed test
+    name : one of `FIGURES`
+
+    Returns
+    -------
+    The figure, laid out in labpipe's style. It keeps its looks wherever it is drawn, and a notebook
+    shows it.
+    """
+    with style():
+        page = FIGURES[name](result)
+        finish_layout(page)
+        return with_own_fonts(page)

@@ -7,11 +7,14 @@ from dataclasses import asdict
 from hashlib import sha256
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
+from labpipe.errors import StoreError, complaint
 from labpipe.records.harness_bundle import Bundle
 from labpipe.records.result import Instrument, Result, Specimen, TestResult
 from labpipe.store.replace import replacing
 
+SUMMARY_FILE = "summary.json"
 SUMMARY_SCHEMA = 2
 
 
@@ -145,3 +148,42 @@ def _entry(result: Result) -> dict[str, object]:
 def _number(value: float | None) -> float | None:
     """The number itself; None for what JSON cannot say (NaN, infinities)."""
     return float(value) if value is not None and isfinite(value) else None
+
+
+_MOST_BYTES = 1 << 26
+"""A summary of a test of a hundred cycles has a hundredth of it."""
+
+
+def read_summary(path: Path) -> dict[str, Any]:
+    """Read a ``summary.json``.
+
+    Parameters
+    ----------
+    path : the file
+
+    Returns
+    -------
+    What it says, as JSON has it; of schema 1 it lacks some keys.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read, is no summary of labpipe's, or is of a newer schema.
+    """
+    try:
+        if not path.is_file() or path.stat().st_size > _MOST_BYTES:
+            said = None
+        else:
+            said = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError) as error:
+        raise _no_summary(path, f"a damaged one ({error})") from error
+    if not isinstance(said, dict) or not isinstance(schema := said.get("schema"), int):
+        raise _no_summary(path, "something else")
+    if schema > SUMMARY_SCHEMA:
+        raise _no_summary(path, f"one of a newer labpipe, schema {schema}", "Update labpipe.")
+    return said
+
+
+def _no_summary(path: Path, found: str, remedy: str = "Process the test again.") -> StoreError:
+    expected = "a summary of a processed test"
+    return StoreError(complaint(path, "", expected=expected, found=found, remedy=remedy))
