@@ -3,11 +3,218 @@
 from __future__ import annotations
 
 import argparse
+import json
+import sys
+from typing import Any
 
-from labpipe.errors import UsageError
+from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
+from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES
+from labpipe.campaign.decisions import Decision, not_applied
+from labpipe.campaign.file_accounts import account_for
+from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
+from labpipe.campaign.refreshing import Overview, opened_campaign
+from labpipe.campaign.running import Drawing, Ran, clear_failures, decide, rebuild, run_campaign
+from labpipe.cli.terminal import counting, from_here
+from labpipe.errors import UsageError, complaint
+
+_SHOWN = 20
+"""Tests, or files, that a list shows."""
 
 
 def run(options: argparse.Namespace) -> int:
     """Do what is asked of a campaign."""
-    message = f"labpipe campaign {options.action} is not there yet"
-    raise UsageError(message)
+    return int(_ACTIONS[options.action](options, find_campaign(options.folder)))
+
+
+def _run(
+    options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
+) -> int:
+    from labpipe.campaign.executors import local
+
+    executor = local(options.jobs or 2)
+    with counting("test") as (begin, told):
+        ran = run_campaign(
+            campaign,
+            executor,
+            again=again or (),
+            drawing=Drawing(figures=not options.no_figures, png=options.png),
+            follow_links=options.follow_links,
+            begin=begin,
+            told=lambda folder, outcome: told(f"{escaped(folder)}: {outcome.state}"),
+        )
+    _tell(ran.overview)
+    print(_after_run(campaign, ran))
+    return _status_of(ran.overview)
+
+
+def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    with opened_campaign(campaign) as keeper:
+        overview = keeper.refresh()
+        files = account_for(keeper, overview)
+    _tell(overview)
+    if options.json:
+        print(json.dumps(_as_json(campaign, overview, files), indent=2))
+    else:
+        print("\n".join([_counts(campaign, overview), *_lists(overview, files)]))
+    return _status_of(overview)
+
+
+def _query(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    if options.out == "xlsx" and options.file is None:
+        raise UsageError(
+            complaint("--out xlsx", "", expected="a file to write", found="none",
+                      remedy="Add --file results.xlsx.")
+        )  # fmt: skip
+    with opened_campaign(campaign) as keeper:
+        overview = keeper.refresh()
+        _tell(overview)
+        with answered(keeper.catalog, options.where) as answer:
+            if options.out == "xlsx":
+                count = write_workbook(answer, options.file)
+            elif options.file is not None:
+                from labpipe.store.replace import replacing
+
+                with (
+                    replacing(options.file) as temporary,
+                    temporary.open(
+                        "w", encoding="utf-8", newline="", errors="backslashreplace"
+                    ) as out,
+                ):
+                    count = write_answer(answer, options.out, out)
+            else:
+                count = write_answer(answer, options.out, sys.stdout)
+    print(f"{count} rows", file=sys.stderr)
+    return 0
+
+
+def _replay(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    cleared = clear_failures(campaign, options.failed)
+    print(f"{len(cleared)} failures cleared", file=sys.stderr)
+    return _run(options, campaign, cleared)
+
+
+def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    for key in ("because", "by"):
+        if not getattr(options, key).strip():
+            raise UsageError(
+                complaint(f"--{key}", "", expected="words", found="none",
+                          remedy="Others will want to know.")
+            )  # fmt: skip
+    said = Decision("", "", options.decision, options.because.strip(), options.by.strip())
+    row = decide(campaign, options.test, said)
+    print(f"{escaped(row.folder)}: {row.state}")
+    return 0
+
+
+def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
+    overview = rebuild(campaign)
+    _tell(overview)
+    print(_counts(campaign, overview))
+    return _status_of(overview)
+
+
+_ACTIONS: dict[str, Any] = {
+    "run": _run,
+    "status": _status,
+    "query": _query,
+    "replay": _replay,
+    "decide": _decide,
+    "rebuild": _rebuild,
+}
+
+
+def _tell(overview: Overview) -> None:
+    for note in overview.notes:
+        print(f"labpipe campaign: {escaped(note)}", file=sys.stderr)
+
+
+def _status_of(overview: Overview) -> int:
+    """Exit status: 2 where a test failed or a file has to be mended, 1 where a result failed."""
+    if overview.bad_input or overview.counts[FAILED]:
+        return 2
+    return 1 if overview.has_failed_results else 0
+
+
+def _after_run(campaign: CampaignFolders, ran: Ran) -> str:
+    done, total = len(ran.processed), len(ran.overview.rows)
+    lines = [_counts(campaign, ran.overview), f"  processed {done} of {total}"]
+    if ran.elsewhere:
+        lines.append(
+            f"  another labpipe is at work on {len(ran.elsewhere)}: {_some(ran.elsewhere)}"
+        )
+    failed = [row for row in ran.overview.rows.values() if row.state == FAILED]
+    lines += [f"  {FAILED}  {row.folder}  {row.code}: {row.reason}" for row in failed[:_SHOWN]]
+    if len(failed) > _SHOWN:
+        lines.append(f"  ... {len(failed) - _SHOWN} more: labpipe campaign status")
+    return "\n".join(map(escaped, lines))
+
+
+def _counts(campaign: CampaignFolders, overview: Overview) -> str:
+    counts = overview.counts
+    said = ", ".join(f"{counts[state]} {state}" for state in STATES if counts[state]) or "no tests"
+    return escaped(f"{campaign.name}: {said}  ->  {from_here(campaign.processed)}")
+
+
+def _lists(overview: Overview, files: dict[str, list[str]]) -> list[str]:
+    """What needs a look, by state; then decisions that do not count, and files nobody names."""
+    lines: list[str] = []
+    says = {
+        FAILED: lambda row: f"{row.code}: {row.reason}",
+        STALE: lambda row: row.why,
+        PENDING: lambda row: row.why,
+        RUNNING: lambda row: _who(overview, row.folder),
+        REJECTED: lambda row: f"{row.why} ({row.decided_by}, {row.decided})",
+    }
+    for state, say in says.items():
+        rows = [row for name, row in overview.rows.items() if overview.state_of(name) == state]
+        lines += _listed(state, [f"{row.folder}  {say(row)}".rstrip() for row in rows])
+    runs = {folder: row.attempt for folder, row in overview.rows.items()}
+    left = not_applied([each for each, _ in overview.decisions], runs)
+    lines += _listed(
+        "decisions that do not count",
+        [f"{each.test}  {each.decision} ({each.by}, {each.when}): {why}" for each, why in left],
+    )
+    lines += _listed("unknown files", files["unknown"])
+    return lines
+
+
+def _who(overview: Overview, folder: str) -> str:
+    claim = overview.claims[folder]
+    return f"process {claim.pid} on {claim.host.split()[0]}"
+
+
+def _listed(heading: str, lines: list[str]) -> list[str]:
+    if not lines:
+        return []
+    more = [f"  ... {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
+    return [f"{heading} ({len(lines)})", *(f"  {escaped(each)}" for each in lines[:_SHOWN]), *more]
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (" ..." if len(names) > 3 else "")
+
+
+def _as_json(
+    campaign: CampaignFolders, overview: Overview, files: dict[str, list[str]]
+) -> dict[str, Any]:
+    runs = {folder: row.attempt for folder, row in overview.rows.items()}
+    left = not_applied([each for each, _ in overview.decisions], runs)
+    keys = ("test", "why", "code", "reason", "decided_by", "decided", "run")
+    return {
+        "campaign": campaign.name,
+        "counts": {state: overview.counts[state] for state in STATES},
+        "tests": {
+            folder: {"state": overview.state_of(folder)} | {key: getattr(row, key) for key in keys}
+            for folder, row in overview.rows.items()
+        },
+        "running": {
+            folder: {"host": claim.host.split()[0], "pid": claim.pid, "since": claim.since}
+            for folder, claim in overview.claims.items()
+        },
+        "decisions_not_applied": [
+            {"test": each.test, "decision": each.decision, "by": each.by, "why": why}
+            for each, why in left
+        ],
+        "files": files,
+        "notes": overview.notes,
+    }

@@ -6,6 +6,7 @@ import itertools
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from labpipe.records.result import Result, Status
@@ -52,6 +53,37 @@ def progress(count: int) -> Iterator[Callable[[Path], Callable[[str], None]]]:
             return say
 
         yield begin
+
+
+@contextmanager
+def counting(unit: str) -> Iterator[tuple[Callable[[int], None], Callable[[str], None]]]:
+    """Show what has ended, in any order: with a bar on a terminal, with a line each in a pipe.
+
+    Parameters
+    ----------
+    unit : what is counted
+
+    Yields
+    ------
+    begin, told : to be called with the number of things, and with the words on each that has ended
+    """
+    total, done = [0], itertools.count(1)
+    if not sys.stderr.isatty():
+
+        def say(words: str) -> None:
+            print(f"{next(done)}/{total[0]} {words}", file=sys.stderr)
+
+        yield partial(total.__setitem__, 0), say
+        return
+    from tqdm import tqdm
+
+    with tqdm(unit=unit, leave=False, delay=1.0) as bar:
+
+        def show(words: str) -> None:
+            bar.set_description(words)
+            bar.update()
+
+        yield bar.reset, show
 
 
 @contextmanager

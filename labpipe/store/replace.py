@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -264,16 +265,18 @@ def _flush_folder(folder: Path) -> None:
 
 
 LOCK_FILE = ".labpipe.lock"
+_PAUSE = 0.05
 _NOT_BY_LINK = getattr(os, "O_NOFOLLOW", 0)  # Windows has none
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
+def locked(folder: Path, *, patience: float = 0.0) -> Iterator[None]:
     """Keep other labpipe processes out of `folder` while the block runs.
 
     Parameters
     ----------
     folder : made if it is not there
+    patience : s, how long to wait for another labpipe process
 
     Raises
     ------
@@ -288,19 +291,22 @@ def locked(folder: Path) -> Iterator[None]:
     path = folder / LOCK_FILE
     with storing(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = _own(path)
+        handle = _own(path, time.monotonic() + patience)
     try:
         yield
     finally:
         _give_back(handle, path)
 
 
-def _own(path: Path) -> int:
+def _own(path: Path, end: float) -> int:
     """Open the lock file and lock it; anew if its last owner removed it in between."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | _NOT_BY_LINK, 0o666)
         if not _try_lock(handle):
             os.close(handle)
+            if time.monotonic() < end:
+                time.sleep(_PAUSE)
+                continue
             message = complaint(
                 path.parent,
                 "",

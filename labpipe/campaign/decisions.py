@@ -1,0 +1,306 @@
+"""What people decide of tests: accepted or rejected, why, by whom; bound to what was tested."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from labpipe.campaign.outcome_rows import ResultRow, plain
+from labpipe.errors import StoreError, UsageError, complaint
+from labpipe.store.replace import locked, replacing
+
+DECISIONS: Final = "decisions.json"
+SCHEMA: Final = 1
+ACCEPT, REJECT = "accept", "reject"
+_TEXTS = ("test", "run", "decision", "because", "by", "when")
+_NEEDED = ("test", "run", "decision", "because", "by")
+_MOST_BYTES = 50_000_000
+_PATIENCE = 30.0
+"""s: how long another process may be writing."""
+_SHARE = 0.1
+"""Share of an interval that a number may move by before a decision on it is asked for again."""
+_MEND = "Mend the file, or move it away and decide again; nothing in it was changed."
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A decision on a test.
+
+    Parameters
+    ----------
+    test : its folder below the campaign
+    run : key of what was decided on; a decision counts for that key and no other
+    decision : ``accept`` or ``reject``
+    because, by : why, and who decided
+    when : time of the decision, ISO 8601, as it is written
+    note : where it was carried over from another key, why
+    """
+
+    test: str
+    run: str
+    decision: str
+    because: str
+    by: str
+    when: str = ""
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class DecisionFile:
+    """What a file of decisions holds.
+
+    Parameters
+    ----------
+    decisions : those that can be read, in order
+    faults : what is wrong with the file or with single decisions, as messages
+    is_whole : whether the file as such could be read; no decision of it is known otherwise
+    document : all of it, as it was
+    """
+
+    decisions: tuple[Decision, ...] = ()
+    faults: tuple[str, ...] = ()
+    is_whole: bool = True
+    document: Mapping[str, Any] = field(default_factory=dict)
+
+
+def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
+    """Read the decisions of a campaign.
+
+    Parameters
+    ----------
+    folder : of the results of the campaign
+    campaign : its name; a file of another one is said. Empty for not known
+
+    Returns
+    -------
+    The decisions; none where there is no file. Whatever is wrong is said in `faults`.
+    """
+    path = folder / DECISIONS
+    if not path.exists():
+        return DecisionFile()
+    document = _document(path)
+    if isinstance(document, str):
+        return DecisionFile(faults=(document,), is_whole=False)
+    faults = []
+    if campaign and document.get("campaign", campaign) != campaign:
+        faults.append(
+            complaint(
+                path,
+                "campaign",
+                expected=f"decisions of {campaign!r}",
+                found=f"those of {document['campaign']!r}",
+                remedy="Those that were made on the same exports, sheet and protocol count.",
+            )
+        )
+    read = [_decision(path, number, each) for number, each in enumerate(document["decisions"])]
+    faults += [each for each in read if isinstance(each, str)]
+    decisions = tuple(each for each in read if isinstance(each, Decision))
+    return DecisionFile(decisions, tuple(faults), document=document)
+
+
+def _document(path: Path) -> dict[str, Any] | str:
+    """The content of the file, or what is wrong with it."""
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            return _broken(path, "", f"{path.stat().st_size} bytes")
+        document = json.loads(path.read_text(encoding="utf-8-sig"))
+    except json.JSONDecodeError as error:
+        return _broken(path, f"line {error.lineno}, column {error.colno}", error.msg)
+    except (OSError, ValueError, RecursionError) as error:
+        return _broken(path, "", getattr(error, "strerror", None) or "text that is no JSON")
+    if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
+        return _broken(path, "", "JSON without a list 'decisions'")
+    if document.get("schema") != SCHEMA:
+        found = f"{document.get('schema')!r}, where this labpipe knows {SCHEMA}"
+        return _broken(path, "schema", found)
+    return document
+
+
+def _broken(path: Path, place: str, found: str) -> str:
+    return complaint(path, place, expected="decisions in JSON", found=found, remedy=_MEND)
+
+
+def _decision(path: Path, number: int, said: object) -> Decision | str:
+    """One decision, or what is wrong with it."""
+    place = f"decisions.{number}"
+    if not isinstance(said, dict):
+        return complaint(path, place, expected="a decision", found=repr(said)[:60], remedy=_MEND)
+    missing = [key for key in _NEEDED if not str(said.get(key) or "").strip()]
+    if missing:
+        found = f"none of {', '.join(missing)}"
+        return complaint(path, place, expected="test, run, decision, because and by", found=found,
+                         remedy=_MEND)  # fmt: skip
+    if said["decision"] not in {ACCEPT, REJECT}:
+        found = repr(said["decision"])[:60]
+        expected = f"{ACCEPT} or {REJECT}"
+        return complaint(path, place, expected=expected, found=found, remedy=_MEND)
+    texts = {key: plain(said.get(key) or "") for key in (*_TEXTS, "note")}
+    return Decision(**texts)
+
+
+def in_force(decisions: Iterable[Decision]) -> dict[tuple[str, str], Decision]:
+    """Find the decision that counts for each test and key: the last one.
+
+    Parameters
+    ----------
+    decisions : in order
+    """
+    return {(each.test, each.run): each for each in decisions}
+
+
+def not_applied(
+    decisions: Sequence[Decision], runs: Mapping[str, str]
+) -> Iterator[tuple[Decision, str]]:
+    """Find decisions that count for nothing now.
+
+    Parameters
+    ----------
+    decisions : in order
+    runs : key of each test as it stands, by test
+
+    Yields
+    ------
+    Each test's last decision and why it is not applied, if it is not.
+    """
+    last: dict[str, Decision] = {}
+    for each in decisions:
+        counts = each.test in last and last[each.test].run == runs.get(each.test)
+        if not counts or each.run == runs.get(each.test):
+            last[each.test] = each
+    for test, each in last.items():
+        if test not in runs:
+            yield each, "there is no such test"
+        elif runs[test] != each.run:
+            yield each, "it was made on another key: exports, sheet, protocol or labpipe changed"
+
+
+def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) -> None:
+    """Write decisions behind those that there are.
+
+    Parameters
+    ----------
+    folder : of the results of the campaign; made if it is not there
+    campaign : its name
+    decisions : new ones
+
+    Raises
+    ------
+    UsageError
+        If the file that is there cannot be read: it stays as it is.
+    StoreError
+        If it cannot be written, or another process is at work in the folder.
+
+    Notes
+    -----
+    What else the file holds, also what this labpipe does not understand, stays in it.
+    """
+    with locked(folder, patience=_PATIENCE):
+        known = read_decisions(folder)
+        if not known.is_whole:
+            raise UsageError("\n".join(known.faults))
+        document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **known.document}
+        document["decisions"] = [*document["decisions"], *map(_entry, decisions)]
+        text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+        with replacing(folder / DECISIONS) as temporary:
+            temporary.write_bytes(text.encode("utf-8", "surrogatepass"))
+
+
+def _entry(decision: Decision) -> dict[str, str]:
+    texts = {key: getattr(decision, key) for key in _TEXTS}
+    return texts | ({"note": decision.note} if decision.note else {})
+
+
+def now() -> str:
+    """The time, as decisions state it."""
+    return datetime.now(tz=UTC).isoformat(timespec="seconds")
+
+
+def largest_move(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> float:
+    """Compare the numbers of a test before and after.
+
+    Parameters
+    ----------
+    before, after : results
+
+    Returns
+    -------
+    How far the number that moved most did, in widths of its interval before; infinite where a
+    result came, went, failed, or moved and has no interval.
+    """
+    if [each.name for each in before] != [each.name for each in after]:
+        return float("inf")
+    return max(map(_move, before, after), default=0.0)
+
+
+def _move(before: ResultRow, after: ResultRow) -> float:
+    if before.value == after.value:
+        return 0.0
+    width = (before.upper or 0.0) - (before.lower or 0.0)
+    if before.value is None or after.value is None or width <= 0.0:
+        return float("inf")
+    return abs(after.value - before.value) / width
+
+
+def carried_over(
+    decision: Decision, run: str, before: Sequence[ResultRow], after: Sequence[ResultRow]
+) -> Decision | None:
+    """Carry a decision over to a test that was only processed by a newer labpipe.
+
+    Parameters
+    ----------
+    decision : on the results before
+    run : key of the results after
+    before, after : the results
+
+    Returns
+    -------
+    The same decision on the new key, with a note; None where a number moved by more than a tenth of
+    its interval: then it has to be decided again.
+    """
+    moved = largest_move(before, after)
+    if moved > _SHARE:
+        return None
+    note = (
+        f"carried over from {decision.run}: only the processing version changed, and no number"
+        f" moved by more than {moved:.2g} of its interval"
+    )
+    return Decision(
+        decision.test, run, decision.decision, decision.because, decision.by, decision.when, note
+    )
+
+
+def rejections_of(files: Sequence[Path]) -> dict[Path, Sequence[Decision]]:
+    """Find the decisions that hold for some results, by the file.
+
+    Parameters
+    ----------
+    files : result.h5 files
+
+    Returns
+    -------
+    The decisions of the campaign on each of them, in order; of none for tests of no campaign.
+
+    Raises
+    ------
+    StoreError
+        If a file of decisions cannot be read: a rejected test must not slip in.
+    """
+    found: dict[Path, Sequence[Decision]] = {}
+    read: dict[Path, DecisionFile] = {}
+    for file in files:
+        home = file.resolve().parent
+        for above in home.parents:
+            if (above / DECISIONS).is_file():
+                known = read.setdefault(above, read_decisions(above))
+                if not known.is_whole:
+                    raise StoreError("\n".join(known.faults))
+                label = home.relative_to(above).as_posix()
+                found[file] = [each for each in known.decisions if each.test == label]
+                break
+            if above.name == "processed":
+                break
+    return found

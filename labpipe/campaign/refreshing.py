@@ -1,0 +1,368 @@
+"""The catalog brought up to date with the files of a campaign, or made anew from them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from labpipe.campaign.campaign_folders import (
+    CampaignFolders,
+    OutcomeFiles,
+    RawFolder,
+    list_processed,
+    list_raw,
+    look_at_outcome,
+)
+from labpipe.campaign.catalog import (
+    CATALOG,
+    DOUBTFUL,
+    FAILED,
+    OK,
+    PENDING,
+    REJECTED,
+    RUNNING,
+    STALE,
+    Catalog,
+    Entry,
+    Seen,
+    TestRow,
+    as_json,
+    can_write,
+)
+from labpipe.campaign.catalog_file import NoCatalog, new_catalog, open_catalog
+from labpipe.campaign.claims import Claim
+from labpipe.campaign.content_keys import Content, ContentKeys, changes, parse_content
+from labpipe.campaign.decisions import (
+    REJECT,
+    Decision,
+    DecisionFile,
+    add_decisions,
+    carried_over,
+    in_force,
+    read_decisions,
+)
+from labpipe.campaign.outcome_rows import NEWER_RESULT, Outcome, plain, read_outcome_files
+from labpipe.errors import LabpipeError, StoreError, complaint
+from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.store.replace import locked
+
+PATIENCE = 30.0
+"""s: how long to wait until another process has made the catalog, or written its decisions."""
+
+
+@dataclass(slots=True)
+class Overview:
+    """A campaign as it stands.
+
+    Parameters
+    ----------
+    rows : of all tests, by folder
+    claims : who is at work, by folder
+    raw : test sheets and files
+    decisions : all of them, and whether each counts
+    notes : what a person should be told: a catalog made anew, decisions that cannot be read
+    bad_input : whether a note is about a file that a person has to mend
+    has_failed_results : whether any result of a test that is not rejected failed
+    """
+
+    rows: dict[str, TestRow]
+    claims: dict[str, Claim] = field(default_factory=dict)
+    raw: RawFolder = field(default_factory=RawFolder)
+    decisions: list[tuple[Decision, bool]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    bad_input: bool = False
+    has_failed_results: bool = False
+
+    def state_of(self, folder: str) -> str:
+        """State of a test, also that another process is at work on it.
+
+        Parameters
+        ----------
+        folder : of the test
+        """
+        return RUNNING if folder in self.claims else self.rows[folder].state
+
+    @property
+    def counts(self) -> Counter[str]:
+        """Number of tests by state."""
+        return Counter(map(self.state_of, self.rows))
+
+
+@contextmanager
+def opened_campaign(campaign: CampaignFolders, *, anew: bool = False) -> Iterator[Keeper]:
+    """Open the catalog of a campaign; it is made anew where there is no sound one.
+
+    Parameters
+    ----------
+    campaign : its folders
+    anew : whether it is made anew in any case
+
+    Raises
+    ------
+    LabpipeError
+        If it is of a newer labpipe, or cannot be made.
+    """
+    notes: list[str] = []
+    catalog = _opened(campaign, notes, anew=anew)
+    try:
+        yield Keeper(campaign, catalog, notes)
+    finally:
+        catalog.close()
+
+
+def _opened(campaign: CampaignFolders, notes: list[str], *, anew: bool) -> Catalog:
+    folder = campaign.processed
+    if not anew:
+        with suppress(NoCatalog):
+            return open_catalog(folder)
+    with suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+    path = folder / CATALOG
+    if not can_write(path):
+        notes.append(f"{path}: the folder cannot be written: a catalog was made in memory")
+        return new_catalog(folder)
+    with locked(folder, patience=PATIENCE):
+        try:
+            found = open_catalog(folder)
+        except NoCatalog as why:
+            if path.exists():
+                notes.append(f"{path}: made anew from the files of the tests: {why}")
+            return new_catalog(folder)
+        if not anew:
+            return found  # another process has just made it
+        with closing(found):
+            _refuse_at_work(found)
+        return new_catalog(folder, keep_old=False)
+
+
+def _refuse_at_work(catalog: Catalog) -> None:
+    for folder, claim in catalog.claims().items():
+        found = f"process {claim.pid} on {claim.host.split()[0]} at work on {folder!r}"
+        remedy = "Wait until it is done, or end it, and try again."
+        text = complaint(
+            catalog.path, "", expected="no process at work", found=found, remedy=remedy
+        )
+        raise StoreError(text)
+
+
+class Keeper:
+    """Keeps the catalog of a campaign in step with its files.
+
+    Parameters
+    ----------
+    campaign : its folders
+    catalog : open
+    notes : what a person should be told so far
+    """
+
+    def __init__(self, campaign: CampaignFolders, catalog: Catalog, notes: list[str]) -> None:
+        self.campaign, self.catalog, self.notes = campaign, catalog, notes
+        self._keys = ContentKeys()
+        self._decisions = DecisionFile()
+        self._in_force: dict[tuple[str, str], Decision] = {}
+
+    def refresh(self) -> Overview:
+        """Bring the catalog up to date with all files.
+
+        Returns
+        -------
+        The campaign as it stands. Files that look as they did are not opened.
+        """
+        raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
+        rows, seen = self.catalog.rows(), self.catalog.seen()
+        self._read_decisions()
+        changed: dict[str, Entry] = {}
+        for folder in sorted(raw.sheets.keys() | outcomes.keys()):
+            entry = self._renewed(
+                folder, raw.sheets.get(folder), outcomes.get(folder), rows.get(folder),
+                seen.get(folder),
+            )  # fmt: skip
+            if entry is not None:
+                changed[folder] = entry
+        gone = rows.keys() - raw.sheets.keys() - outcomes.keys()
+        if changed:
+            self.catalog.put(changed.values(), seen)
+        if gone:
+            self.catalog.forget(gone)
+        rows = {folder: row for folder, row in rows.items() if folder not in gone}
+        rows |= {folder: entry.row for folder, entry in changed.items()}
+        return self._overview(dict(sorted(rows.items())), raw)
+
+    def renew(self, folder: str) -> TestRow:
+        """Bring one test up to date, such as one that has just been processed.
+
+        Parameters
+        ----------
+        folder : of the test
+        """
+        sheet = self.campaign.raw / folder / SHEET_NAME
+        files = look_at_outcome(self.campaign, folder)
+        row, seen = self.catalog.row_of(folder), self.catalog.seen_of(folder)
+        there = sheet if sheet.is_file() else None
+        entry = self._renewed(folder, there, files, row, seen)
+        if entry is not None:
+            self.catalog.put([entry])
+            return entry.row
+        return row or TestRow(folder)
+
+    def content_of(self, folder: str) -> Content:
+        """Tell what a test is made of, and keep it.
+
+        Parameters
+        ----------
+        folder : of the test, which has a test sheet
+        """
+        seen = self.catalog.seen_of(folder) or Seen()
+        sheet = self.campaign.raw / folder / SHEET_NAME
+        content = self._keys.content_of(sheet, parse_content(seen.content))
+        self.catalog.put_seen(folder, replace(seen, content=content.as_text()))
+        return content
+
+    def files_of(self, folder: str, sheet: Path) -> tuple[str, ...]:
+        """Files that a test names, below its folder; none where its sheet is wrong.
+
+        Parameters
+        ----------
+        folder : of the test
+        sheet : its test.yaml
+        """
+        known = parse_content((self.catalog.seen_of(folder) or Seen()).content)
+        if known is not None and known.stamps:
+            return tuple(known.stamps)
+        try:
+            files = load_test_sheet(sheet).files
+        except LabpipeError:
+            return (SHEET_NAME,)
+        return (SHEET_NAME, *(name for names in files.values() for name in names))
+
+    def _read_decisions(self) -> None:
+        campaign = self.campaign
+        self._decisions = read_decisions(campaign.processed, campaign.name)
+        self._in_force = in_force(self._decisions.decisions)
+
+    def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
+        runs = {folder: row.attempt for folder, row in rows.items()}
+        decisions = [
+            (each, self._in_force.get((each.test, runs.get(each.test, ""))) is each)
+            for each in self._decisions.decisions
+        ]
+        self.catalog.put_decisions(decisions)
+        notes = [*self.notes, *self._decisions.faults, *raw.refused]
+        is_bad = bool(self._decisions.faults or raw.refused)
+        has_failed = self.catalog.has_failed_results()
+        return Overview(rows, self.catalog.claims(), raw, decisions, notes, is_bad, has_failed)
+
+    def _renewed(
+        self,
+        folder: str,
+        sheet: Path | None,
+        files: OutcomeFiles | None,
+        row: TestRow | None,
+        seen: Seen | None,
+    ) -> Entry | None:
+        """What the catalog is to keep of a test; None where it has it."""
+        marks = files.marks if files is not None else ""
+        known = parse_content(seen.content) if seen is not None else None
+        content = known if sheet is None or not marks else self._keys.content_of(sheet, known)
+        kept = Seen("" if content is None else content.as_text(), marks)
+        now = content if sheet is not None and marks else None
+        if row is not None and seen is not None and seen.marks == marks and self._fits(row, now):
+            return None if content == known else Entry(row, kept)
+        outcome = read_outcome_files(files)
+        decision = self._decision_on(folder, outcome, row)
+        made = _row(folder, outcome, now, decision)
+        return Entry(made, kept, outcome.inputs, outcome.results)
+
+    def _fits(self, row: TestRow, content: Content | None) -> bool:
+        """Whether a row says what it would say if it were made anew from the same files."""
+        if row.state == PENDING:
+            return True
+        is_stale = content is not None and content.key != row.attempt
+        if is_stale or row.state == STALE:
+            return is_stale and row.state == STALE
+        decision = self._rejection(row.folder, row.attempt)
+        if decision is None:
+            return row.state != REJECTED
+        said = (decision.because, decision.by, decision.when)
+        return row.state == REJECTED and said == (row.why, row.decided_by, row.decided)
+
+    def _rejection(self, folder: str, run: str) -> Decision | None:
+        decision = self._in_force.get((folder, run))
+        return decision if decision is not None and decision.decision == REJECT else None
+
+    def _decision_on(self, folder: str, outcome: Outcome, row: TestRow | None) -> Decision | None:
+        """The rejection of a test; carried over where only the way of processing changed."""
+        if (folder, outcome.attempt) in self._in_force or row is None or outcome.has_failed:
+            return self._rejection(folder, outcome.attempt)
+        old = self._in_force.get((folder, row.run))
+        if old is None or not outcome.run or not self._is_made_of_the_same(row, outcome):
+            return None
+        before = self.catalog.results_of(folder)
+        carried = carried_over(old, outcome.run, before, outcome.results)
+        if carried is None or self.catalog.in_memory:
+            return None
+        add_decisions(self.campaign.processed, self.campaign.name, [carried])
+        self._read_decisions()
+        return self._rejection(folder, outcome.run)
+
+    def _is_made_of_the_same(self, row: TestRow, outcome: Outcome) -> bool:
+        """Whether exports, sheet and protocol of a test are those of its row."""
+        texts = (outcome.sheet, outcome.protocol_text)
+        same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
+        return same and self.catalog.inputs_of(row.folder) == outcome.inputs
+
+
+def _row(
+    folder: str, outcome: Outcome, content: Content | None, rejection: Decision | None
+) -> TestRow:
+    """The row of a test."""
+    about = dict(content.about) if content is not None else {}
+    specimen = outcome.specimen or {key: about.get(key, "") for key in ("type", "spool", "sample")}
+    state, why = _state(outcome, content, rejection)
+    is_rejected = state == REJECTED and rejection is not None
+    return TestRow(
+        folder=folder,
+        test=outcome.test or about.get("test", "") or folder.rpartition("/")[2],
+        state=state,
+        why=why,
+        code=outcome.code,
+        reason=outcome.reason,
+        protocol=outcome.protocol or about.get("protocol", ""),
+        type=plain(specimen["type"]),
+        spool=plain(specimen["spool"]),
+        sample=plain(specimen["sample"]),
+        date=outcome.date or about.get("date", ""),
+        operator=outcome.operator or about.get("operator", ""),
+        specimen=plain(as_json(specimen)),
+        labpipe=outcome.labpipe,
+        run=outcome.run,
+        failed_run=outcome.failed_run,
+        sheet=outcome.sheet,
+        resolved=outcome.protocol_text,
+        decided_by=rejection.by if is_rejected and rejection is not None else "",
+        decided=rejection.when if is_rejected and rejection is not None else "",
+    )
+
+
+def _state(
+    outcome: Outcome, content: Content | None, rejection: Decision | None
+) -> tuple[str, str]:
+    """State of a test, and why."""
+    if outcome.code == NEWER_RESULT:
+        return FAILED, ""
+    if not outcome.attempt and not outcome.has_failed:
+        return PENDING, outcome.unreadable
+    if content is not None and content.key != outcome.attempt:
+        now = changes(
+            inputs=outcome.inputs, sheet=outcome.sheet, protocol=outcome.protocol_text, now=content
+        )
+        return STALE, now
+    if rejection is not None:
+        return REJECTED, rejection.because
+    if outcome.has_failed:
+        return FAILED, ""
+    return (DOUBTFUL if outcome.code else OK), ""

@@ -1,0 +1,125 @@
+"""Campaigns of many small tests, and an executor that stands in for the real one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from hashlib import sha256
+from pathlib import Path
+
+from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
+from labpipe.campaign.executors import Outcome, Task
+from labpipe.campaign.running import Ran, run_campaign
+from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
+
+SHEET = """\
+test: {name}
+protocol: {protocol}
+specimen: {{type: CT-7, spool: CT-7-s1, sample: {sample}, length: 114.3 mm}}
+date: 2026-03-09
+files: {{frame: frame.csv}}
+"""
+
+
+@dataclass(slots=True)
+class StandIn:
+    """An executor that writes outcomes at once, of tests whose export says what they are.
+
+    An export begins with ``fail CODE``, ``doubt``, or a number, which is the peak force.
+    """
+
+    processed: list[str] = field(default_factory=list)
+    before: Callable[[str], None] = lambda _: None
+
+    def __call__(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+        for task in tasks:
+            name = task.sheet.parent.name
+            self.before(name)
+            self.processed.append(name)
+            assert task.goal is not None
+            yield outcome_of(task, task.goal)
+
+
+def outcome_of(task: Task, goal: Path) -> Outcome:
+    goal.mkdir(parents=True, exist_ok=True)
+    export = task.sheet.parent / "frame.csv"
+    words = export.read_text(encoding="utf-8").split() if export.is_file() else ["fail", "missing"]
+    if words[0] == "fail":
+        said = {"code": words[1], "reason": f"a {words[1]} of an export", "run": task.run}
+        (goal / "failure.json").write_text(json.dumps(said), encoding="utf-8")
+        return Outcome(task.sheet, goal, "failed", words[1], said["reason"], task.run)
+    doubts = words[0] == "doubt"
+    text = json.dumps(summary_of(task, 1.0 if doubts else float(words[0]), doubts=doubts))
+    (goal / "result.h5").write_text("results", encoding="utf-8")
+    (goal / "summary.json").write_text(text, encoding="utf-8")
+    (goal / "failure.json").unlink(missing_ok=True)
+    return Outcome(task.sheet, goal, "doubtful" if doubts else "ok", run=task.run)
+
+
+def summary_of(task: Task, peak: float, *, doubts: bool = False) -> dict[str, object]:
+    sheet = load_test_sheet(task.sheet)
+    protocol = dump_protocol(resolve(sheet, task.sheet))
+    export = (task.sheet.parent / "frame.csv").read_bytes()
+    texts = {"sheet": task.sheet.read_text(encoding="utf-8"), "protocol": protocol}
+    reasons = [{"code": "noisy", "message": "much noise"}] if doubts else []
+    return {
+        "schema": 2,
+        "test": sheet.test,
+        "specimen": {"type": "CT-7", "spool": "CT-7-s1", "sample": "1", "length": 0.1143},
+        "protocol": sheet.protocol,
+        "labpipe": "0.1.0",
+        "inputs": [
+            {"role": "frame", "file": "frame.csv", "sha256": sha256(export).hexdigest()}
+        ],
+        "run": task.run,
+        "made_of": {key: sha256(text.encode()).hexdigest() for key, text in texts.items()},
+        "date": "2026-03-09",
+        "results": [
+            {
+                "name": "peak_force.1",
+                "value": peak,
+                "unit": "N",
+                "lower": peak - 0.5,
+                "upper": peak + 0.5,
+                "level": 0.95,
+                "estimate": peak,
+                "status": "doubtful" if doubts else "ok",
+                "reasons": reasons,
+            }
+        ],
+        "quality": [],
+    }
+
+
+@dataclass(slots=True)
+class KeptCampaign:
+    """A campaign ``raw/C`` in a folder."""
+
+    home: Path
+    stand_in: StandIn = field(default_factory=StandIn)
+
+    @property
+    def raw(self) -> Path:
+        return self.home / "raw" / "C"
+
+    @property
+    def processed(self) -> Path:
+        return self.home / "processed" / "C"
+
+    @property
+    def folders(self) -> CampaignFolders:
+        return find_campaign(self.raw)
+
+    def add(self, name: str, export: str = "62.5", protocol: str = "corrugated-tube") -> Path:
+        folder = self.raw / name
+        folder.mkdir(parents=True)
+        (folder / "frame.csv").write_text(export, encoding="utf-8")
+        sheet = SHEET.format(name=folder.name, protocol=protocol, sample=1)
+        (folder / "test.yaml").write_text(sheet, encoding="utf-8")
+        return folder
+
+    def run(self, **options: object) -> Ran:
+        """Run the campaign; `stand_in.processed` has the tests of this run alone."""
+        self.stand_in.processed.clear()
+        return run_campaign(self.folders, self.stand_in, **options)  # type: ignore[arg-type]
