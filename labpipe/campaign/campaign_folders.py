@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from labpipe.errors import StoreError, UsageError, complaint, refusal
+from labpipe.process.run import FIGURES, SUMMARY_FILE
+from labpipe.process.targets import RESULT_FILE
 from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import STAGES, finish_cut_off, is_cut_off, locked, storing
 
 RAW, PROCESSED = "raw", "processed"
-SUMMARY, FAILURE, RESULT = SUMMARY_FILE, FAILURE_FILE, RESULT_FILE
-_FIGURES = "figures"
+_OUTCOME = (SUMMARY_FILE, FAILURE_FILE, RESULT_FILE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,12 +112,12 @@ class OutcomeFiles:
     @property
     def has_results(self) -> bool:
         """Whether there are whole results."""
-        return f"{SUMMARY}:" in self.marks and f"{RESULT}:" in self.marks
+        return f"{SUMMARY_FILE}:" in self.marks and f"{RESULT_FILE}:" in self.marks
 
     @property
     def has_failure(self) -> bool:
         """Whether the last attempt failed."""
-        return f"{FAILURE}:" in self.marks
+        return f"{FAILURE_FILE}:" in self.marks
 
 
 def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
@@ -133,7 +135,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     for label, place, files, hidden in _walk(campaign.processed, []):
         is_mended = bool(hidden & {*STAGES}) and _mended(Path(place))
         there = os.listdir(place) if is_mended else files  # noqa: PTH208  as the walk gives them
-        if {SUMMARY, FAILURE, RESULT} & {*there}:
+        if {*_OUTCOME} & {*there}:
             found[label] = OutcomeFiles(Path(place), _marks(place, there))
     return found
 
@@ -157,13 +159,13 @@ def look_at_outcome(campaign: CampaignFolders, test: str) -> OutcomeFiles:
     """
     folder = campaign.processed / test
     _mended(folder)
-    files = [name for name in (SUMMARY, FAILURE, RESULT) if (folder / name).is_file()]
+    files = [name for name in _OUTCOME if (folder / name).is_file()]
     return OutcomeFiles(folder, _marks(str(folder), files))
 
 
 def _marks(place: str, files: list[str]) -> str:
     said = []
-    for name in (SUMMARY, FAILURE, RESULT):
+    for name in _OUTCOME:
         if name not in files:
             continue
         with suppress(OSError):
@@ -194,7 +196,7 @@ def _walk(top: Path, refused: list[str]) -> Iterator[tuple[str, str, list[str], 
         left += [
             (f"{label}/{name}" if label else name, f"{place}/{name}")
             for name in sorted(folders, reverse=True)
-            if name != _FIGURES
+            if name != FIGURES
         ]
 
 

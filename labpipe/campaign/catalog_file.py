@@ -23,7 +23,6 @@ from labpipe.campaign.remote_drives import is_on_this_machine
 from labpipe.errors import UsageError, complaint
 from labpipe.store.replace import storing
 
-_NONE: Final = "there was none"
 _DAMAGED: Final = "it was damaged ({})"
 _NOT_DAMAGED: Final = ("lock", "readonly", "unable to open", "busy")
 """Words of SQLite for what says nothing about the file."""
@@ -57,7 +56,7 @@ def open_catalog(folder: Path) -> Catalog:
     """
     path = folder / CATALOG
     if not path.is_file():
-        raise NoCatalog(_NONE)
+        raise NoCatalog("no file" if path.exists() else "there was none")
     try:
         with closing(connected(path, "ro")) as connection:
             _check(connection, path)

@@ -306,7 +306,7 @@ def changes(
         {file for _, file, sha256 in now.inputs if then.get(file) != sha256}
         | then.keys() - {file for _, file, _ in now.inputs}
     )
-    said = [f"export changed ({', '.join(files)})"] if files and now.inputs else []
+    said = [f"export changed ({', '.join(files)})"] if files and then and now.inputs else []
     if not sheet or not now.sheet:
         return ", ".join(said) or "something changed"
     said += ["sheet changed"] if sheet != now.sheet else []

@@ -239,10 +239,11 @@ def largest_move(before: Sequence[ResultRow], after: Sequence[ResultRow]) -> flo
 def _move(before: ResultRow, after: ResultRow) -> float:
     if before.value == after.value:
         return 0.0
-    width = (before.upper or 0.0) - (before.lower or 0.0)
-    if before.value is None or after.value is None or width <= 0.0:
+    known = (before.value, before.lower, before.upper, after.value)
+    if any(number is None for number in known):
         return float("inf")
-    return abs(after.value - before.value) / width
+    value, lower, upper, other = (float(number or 0.0) for number in known)
+    return abs(other - value) / (upper - lower) if upper > lower else float("inf")
 
 
 def carried_over(
@@ -273,8 +274,8 @@ def carried_over(
     )
 
 
-def rejections_of(files: Sequence[Path]) -> dict[Path, Sequence[Decision]]:
-    """Find the decisions that hold for some results, by the file.
+def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
+    """Find what was decided on tests, by their results.
 
     Parameters
     ----------
@@ -282,25 +283,24 @@ def rejections_of(files: Sequence[Path]) -> dict[Path, Sequence[Decision]]:
 
     Returns
     -------
-    The decisions of the campaign on each of them, in order; of none for tests of no campaign.
+    By file, the decisions on that test, in order and of whatever key; only of campaigns that have
+    decisions.
 
     Raises
     ------
     StoreError
-        If a file of decisions cannot be read: a rejected test must not slip in.
+        If the decisions cannot be read: a rejected test must not slip in.
     """
-    found: dict[Path, Sequence[Decision]] = {}
+    found: dict[Path, tuple[Decision, ...]] = {}
     read: dict[Path, DecisionFile] = {}
     for file in files:
-        home = file.resolve().parent
-        for above in home.parents:
-            if (above / DECISIONS).is_file():
-                known = read.setdefault(above, read_decisions(above))
-                if not known.is_whole:
-                    raise StoreError("\n".join(known.faults))
-                label = home.relative_to(above).as_posix()
-                found[file] = [each for each in known.decisions if each.test == label]
-                break
-            if above.name == "processed":
-                break
+        test = file.resolve().parent
+        home = next((each for each in test.parents if (each / DECISIONS).is_file()), None)
+        if home is None:
+            continue
+        known = read.setdefault(home, read_decisions(home))
+        if not known.is_whole:
+            raise StoreError("\n".join(known.faults))
+        label = test.relative_to(home).as_posix()
+        found[file] = tuple(each for each in known.decisions if each.test == label)
     return found

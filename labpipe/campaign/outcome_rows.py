@@ -8,8 +8,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from labpipe.campaign.campaign_folders import FAILURE, RESULT, SUMMARY, OutcomeFiles
+from labpipe.campaign.campaign_folders import OutcomeFiles
 from labpipe.errors import complaint
+from labpipe.process.run import SUMMARY_FILE
+from labpipe.process.targets import RESULT_FILE
+from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.summaries import SUMMARY_SCHEMA
 
 NEWER_RESULT: Final = "newer_result"
@@ -104,12 +107,12 @@ def read_outcome_files(files: OutcomeFiles | None) -> Outcome:
     """
     if files is None:
         return Outcome()
-    done = _summary(files.folder / SUMMARY) if files.has_results else Outcome()
-    if not files.has_results and f"{SUMMARY}:" in files.marks:
-        done = Outcome(unreadable=f"{RESULT} is gone")
+    done = _summary(files.folder / SUMMARY_FILE) if files.has_results else Outcome()
+    if not files.has_results and f"{SUMMARY_FILE}:" in files.marks:
+        done = Outcome(unreadable=f"{RESULT_FILE} is gone")
     if not files.has_failure:
         return done
-    return _failed(done, _object(files.folder / FAILURE) or {})
+    return _failed(done, _object(files.folder / FAILURE_FILE) or {})
 
 
 def _failed(done: Outcome, said: Mapping[str, Any]) -> Outcome:
@@ -140,7 +143,7 @@ def _failed(done: Outcome, said: Mapping[str, Any]) -> Outcome:
 def _summary(path: Path) -> Outcome:
     said = _object(path)
     if said is None:
-        return Outcome(unreadable=f"{SUMMARY} cannot be read")
+        return Outcome(unreadable=f"{SUMMARY_FILE} cannot be read")
     if isinstance(said.get("schema"), int) and said["schema"] > SUMMARY_SCHEMA:
         reason = complaint(
             path,
@@ -153,7 +156,7 @@ def _summary(path: Path) -> Outcome:
     try:
         return _outcome(said)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        return Outcome(unreadable=f"{SUMMARY} lacks something ({error})")
+        return Outcome(unreadable=f"{SUMMARY_FILE} lacks something ({error})")
 
 
 def _outcome(said: Mapping[str, Any]) -> Outcome:

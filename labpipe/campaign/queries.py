@@ -6,7 +6,7 @@ import csv
 import json
 import re
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import chain, islice
@@ -64,10 +64,12 @@ class Answer:
     ----------
     columns : names
     rows : text, numbers or None
+    count : counts all of them, without reading any
     """
 
     columns: tuple[str, ...]
     rows: Iterator[Sequence[Any]]
+    count: Callable[[], int]
 
 
 @contextmanager
@@ -114,7 +116,11 @@ def _asked(connection: sqlite3.Connection, where: str, fields: dict[str, str]) -
     except (sqlite3.Error, sqlite3.Warning, ValueError) as error:
         raise _no_condition(where, error, list(columns)) from error
     names = tuple(each[0] for each in rows.description)
-    return Answer(names, _reading(chain(first, rows), where))
+
+    def count() -> int:
+        return int(connection.execute(f"select count(*) from ({sql})").fetchone()[0])
+
+    return Answer(names, _reading(chain(first, rows), where), count)
 
 
 def _reading(rows: Iterable[Sequence[Any]], where: str) -> Iterator[Sequence[Any]]:
@@ -179,9 +185,13 @@ def write_answer(answer: Answer, form: str, out: IO[str]) -> int:
 
 
 def _table(answer: Answer, out: IO[str]) -> int:
-    """Columns that hold nothing in the first rows are left out."""
+    """Keys, and columns that hold nothing in the first rows or repeat the first, are left out."""
     head = [[_cell(each) for each in row] for row in islice(answer.rows, _SAMPLED)]
-    shown = [n for n in range(len(answer.columns)) if any(row[n] for row in head)]
+    shown = [
+        n
+        for n, name in enumerate(answer.columns)
+        if name != "run" and any(row[n] and (n == 0 or row[n] != row[0]) for row in head)
+    ]
     widths = {n: max(len(answer.columns[n]), *(len(row[n]) for row in head)) for n in shown}
     if shown:
         names = {n: answer.columns[n] for n in shown}
@@ -254,18 +264,15 @@ def write_workbook(answer: Answer, path: Path) -> int:
     from openpyxl import Workbook
     from openpyxl.cell import WriteOnlyCell
 
+    count = answer.count()
+    if count > _MOST_ROWS:
+        remedy = "Ask for less with --where, or take --out csv."
+        expected = f"{_MOST_ROWS} rows at the most"
+        raise UsageError(complaint(path, "", expected=expected, found=f"{count}", remedy=remedy))
     book = Workbook(write_only=True)
     sheet = book.create_sheet("results")
     sheet.append(list(answer.columns))
-    count = 0
     for row in answer.rows:
-        count += 1
-        if count > _MOST_ROWS:
-            remedy = "Ask for less with --where, or take --out csv."
-            raise UsageError(
-                complaint(path, "", expected=f"{_MOST_ROWS} rows at the most", found="more",
-                          remedy=remedy)
-            )  # fmt: skip
         cells = []
         for said in row:
             cell = WriteOnlyCell(sheet, escaped(said) if isinstance(said, str) else said)

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Generator
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from labpipe.campaign.campaign_folders import FAILURE, CampaignFolders
+from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog import FAILED, PENDING, STALE, TestRow
 from labpipe.campaign.decisions import Decision, add_decisions, now
 from labpipe.campaign.executors import Executor, Outcome, Task
 from labpipe.campaign.refreshing import Keeper, Overview, opened_campaign
 from labpipe.errors import StoreError, UsageError, complaint, nearest
 from labpipe.protocol.sheet_grammar import SHEET_NAME
+from labpipe.store.failure_file import FAILURE_FILE
 from labpipe.store.replace import storing
 
 _PAUSE, _TRIES = 1.0, 60
@@ -149,7 +150,7 @@ class _Run:
             for outcome in executor(tasks):
                 self._settle(outcome)
 
-    def _tasks(self, due: list[str], again: Collection[str]) -> Iterator[Task]:
+    def _tasks(self, due: list[str], again: Collection[str]) -> Generator[Task, None, None]:
         """Claim tests one by one; one that another run has done meanwhile is left out."""
         keeper = self._keeper
         for folder in due:
@@ -260,7 +261,7 @@ def clear_failures(campaign: CampaignFolders, code: str = "") -> list[str]:
                           found=found, remedy=remedy)
             )  # fmt: skip
         for folder in chosen:
-            path = campaign.processed / folder / FAILURE
+            path = campaign.processed / folder / FAILURE_FILE
             with storing(path):
                 path.unlink(missing_ok=True)
             keeper.renew(folder)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Callable
 from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
-from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES
+from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import Decision, not_applied
+from labpipe.campaign.executors import Executor, local
 from labpipe.campaign.file_accounts import account_for
+from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, opened_campaign
 from labpipe.campaign.running import Drawing, Ran, clear_failures, decide, rebuild, run_campaign
@@ -29,9 +32,7 @@ def run(options: argparse.Namespace) -> int:
 def _run(
     options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
 ) -> int:
-    from labpipe.campaign.executors import local
-
-    executor = local(options.jobs or 2)
+    executor = _executor(options)
     with counting("test") as (begin, told):
         ran = run_campaign(
             campaign,
@@ -45,6 +46,16 @@ def _run(
     _tell(ran.overview)
     print(_after_run(campaign, ran))
     return _status_of(ran.overview)
+
+
+def _executor(options: argparse.Namespace) -> Executor:
+    """What processes the tests."""
+    if options.executor != "local":
+        raise UsageError(
+            complaint("--executor", "", expected="local", found=repr(options.executor),
+                      remedy="Leave it out to process on this machine.")
+        )  # fmt: skip
+    return local(options.jobs or default_jobs(), limit=60.0 * options.limit)
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:
@@ -158,7 +169,7 @@ def _counts(campaign: CampaignFolders, overview: Overview) -> str:
 def _lists(overview: Overview, files: dict[str, list[str]]) -> list[str]:
     """What needs a look, by state; then decisions that do not count, and files nobody names."""
     lines: list[str] = []
-    says = {
+    says: dict[str, Callable[[TestRow], str]] = {
         FAILED: lambda row: f"{row.code}: {row.reason}",
         STALE: lambda row: row.why,
         PENDING: lambda row: row.why,

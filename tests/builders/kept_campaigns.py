@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
+from labpipe.campaign.catalog_file import open_catalog
 from labpipe.campaign.executors import Outcome, Task
 from labpipe.campaign.running import Ran, run_campaign
 from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
@@ -26,11 +28,13 @@ files: {{frame: frame.csv}}
 class StandIn:
     """An executor that writes outcomes at once, of tests whose export says what they are.
 
-    An export begins with ``fail CODE``, ``doubt``, or a number, which is the peak force.
+    An export begins with ``fail CODE``, ``doubt``, or a number, which is the peak force (plus
+    `shift`), in an interval of 1 N.
     """
 
     processed: list[str] = field(default_factory=list)
     before: Callable[[str], None] = lambda _: None
+    shift: float = 0.0
 
     def __call__(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
         for task in tasks:
@@ -38,19 +42,21 @@ class StandIn:
             self.before(name)
             self.processed.append(name)
             assert task.goal is not None
-            yield outcome_of(task, task.goal)
+            yield outcome_of(task, task.goal, self.shift)
 
 
-def outcome_of(task: Task, goal: Path) -> Outcome:
+def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
     goal.mkdir(parents=True, exist_ok=True)
     export = task.sheet.parent / "frame.csv"
     words = export.read_text(encoding="utf-8").split() if export.is_file() else ["fail", "missing"]
     if words[0] == "fail":
         said = {"code": words[1], "reason": f"a {words[1]} of an export", "run": task.run}
-        (goal / "failure.json").write_text(json.dumps(said), encoding="utf-8")
+        if words[1] != "in_use":
+            (goal / "failure.json").write_text(json.dumps(said), encoding="utf-8")
         return Outcome(task.sheet, goal, "failed", words[1], said["reason"], task.run)
     doubts = words[0] == "doubt"
-    text = json.dumps(summary_of(task, 1.0 if doubts else float(words[0]), doubts=doubts))
+    peak = shift + (1.0 if doubts else float(words[0]))
+    text = json.dumps(summary_of(task, peak, doubts=doubts))
     (goal / "result.h5").write_text("results", encoding="utf-8")
     (goal / "summary.json").write_text(text, encoding="utf-8")
     (goal / "failure.json").unlink(missing_ok=True)
@@ -69,9 +75,7 @@ def summary_of(task: Task, peak: float, *, doubts: bool = False) -> dict[str, ob
         "specimen": {"type": "CT-7", "spool": "CT-7-s1", "sample": "1", "length": 0.1143},
         "protocol": sheet.protocol,
         "labpipe": "0.1.0",
-        "inputs": [
-            {"role": "frame", "file": "frame.csv", "sha256": sha256(export).hexdigest()}
-        ],
+        "inputs": [{"role": "frame", "file": "frame.csv", "sha256": sha256(export).hexdigest()}],
         "run": task.run,
         "made_of": {key: sha256(text.encode()).hexdigest() for key, text in texts.items()},
         "date": "2026-03-09",
@@ -123,3 +127,12 @@ class KeptCampaign:
         """Run the campaign; `stand_in.processed` has the tests of this run alone."""
         self.stand_in.processed.clear()
         return run_campaign(self.folders, self.stand_in, **options)  # type: ignore[arg-type]
+
+
+def content_of(kept: KeptCampaign) -> dict[str, list[Any]]:
+    """Rows of the catalog as it lies, without looking at the files of the tests."""
+    catalog = open_catalog(kept.processed)
+    try:
+        return catalog.content()
+    finally:
+        catalog.close()

@@ -1,0 +1,261 @@
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labpipe.campaign import content_keys
+from labpipe.campaign.content_keys import (
+    Content,
+    ContentKeys,
+    Stamp,
+    changes,
+    parse_content,
+    stamp_of,
+)
+from labpipe.process.run import process_test
+from labpipe.protocol.load import resolve
+from labpipe.protocol.schema import Protocol
+from tests.builders.kept_campaigns import KeptCampaign
+from tests.builders.pulls import broken, pull
+from tests.builders.tensile_tests import TensileLab, write_pull
+
+
+@pytest.fixture
+def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of files whose hash is taken."""
+    names: list[str] = []
+    usual = hashlib.file_digest
+
+    def digest(file: Any, kind: str) -> object:
+        names.append(Path(file.name).name)
+        return usual(file, kind)
+
+    monkeypatch.setattr(hashlib, "file_digest", digest)
+    return names
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return KeptCampaign(tmp_path).add("T1")
+
+
+def aged(folder: Path) -> None:
+    """Let the files of a folder be old enough for their times to be believed."""
+    for file in folder.iterdir():
+        os.utime(file, (1e9, 1e9))
+
+
+def sure(content: Content) -> Content:
+    """As if all hashes had been taken long after the files were written."""
+    stamps = {
+        name: replace(stamp, taken=stamp.taken + 10**10) for name, stamp in content.stamps.items()
+    }
+    return replace(content, stamps=stamps)
+
+
+@pytest.mark.parametrize("ends", ["\n", "\r\n"])
+def test_the_key_is_that_of_the_results(tmp_path: Path, ends: str) -> None:
+    lab = TensileLab(tmp_path, "P-1")
+    travel, force = pull(slack=0.001, seed=1)
+    write_pull(lab, "tensile", broken(travel, force, at=0.018), travel)
+    lab.override("rig.crosshead_speed", "1 mm/s")
+    text = lab.sheet.read_text("utf-8")
+    lab.sheet.write_bytes(text.replace("\n", ends).encode())
+    result = process_test(lab.sheet, figures=False).result
+    content = ContentKeys().content_of(lab.sheet)
+    assert content.key == result.run
+    assert content.inputs == tuple((i.role, i.file, i.sha256) for i in result.inputs)
+    assert {"sheet": content.sheet, "protocol": content.protocol} == lab.summary["made_of"]
+    assert content.about["test"] == "P-1"
+
+
+def test_a_card_of_the_lab_is_in_the_key(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sheet = folder / "test.yaml"
+    without = ContentKeys().content_of(sheet)
+    (tmp_path / "dialects").mkdir()
+    (tmp_path / "dialects" / "own.toml").write_text("about = 'a frame'", "utf-8")
+    with_card = ContentKeys().content_of(sheet, without)
+    assert with_card.key != without.key
+    assert [role for role, _, _ in with_card.inputs] == ["frame", "dialect"]
+
+
+def test_what_looks_the_same_is_not_read_again(folder: Path, read: list[str]) -> None:
+    keys, sheet = ContentKeys(), folder / "test.yaml"
+    first = sure(keys.content_of(sheet))
+    read.clear()
+    assert keys.content_of(sheet, first) is first
+    assert read == []
+
+
+def test_what_was_hashed_within_a_tick_of_its_change_is_read_again(
+    folder: Path, read: list[str]
+) -> None:
+    keys, sheet = ContentKeys(), folder / "test.yaml"
+    first = keys.content_of(sheet)
+    read.clear()
+    again = keys.content_of(sheet, first)
+    assert sorted(read) == ["frame.csv", "test.yaml"]
+    assert again.key == first.key
+
+
+def test_a_change_that_leaves_size_and_time_as_they_were(folder: Path) -> None:
+    """As a copy with its times, or a clock that was set back: the file's own record tells."""
+    keys, sheet, export = ContentKeys(), folder / "test.yaml", folder / "frame.csv"
+    first = sure(keys.content_of(sheet))
+    about = export.stat()
+    time.sleep(0.02)
+    export.write_text("26.5", "utf-8")
+    os.utime(export, ns=(about.st_atime_ns, about.st_mtime_ns))
+    assert export.stat().st_size == about.st_size
+    assert keys.content_of(sheet, first).key != first.key
+
+
+def test_a_file_of_the_future_is_always_read(folder: Path, read: list[str]) -> None:
+    keys, sheet = ContentKeys(), folder / "test.yaml"
+    ahead = time.time() + 1e6
+    os.utime(folder / "frame.csv", (ahead, ahead))
+    first = sure(keys.content_of(sheet))
+    read.clear()
+    keys.content_of(sheet, first)
+    assert read == ["frame.csv"]
+
+
+def test_touched_files_keep_their_key(folder: Path) -> None:
+    keys, sheet = ContentKeys(), folder / "test.yaml"
+    first = sure(keys.content_of(sheet))
+    aged(folder)
+    again = keys.content_of(sheet, first)
+    assert (again.key, again.inputs) == (first.key, first.inputs)
+    assert again.stamps != first.stamps
+
+
+def test_another_version_of_the_code_or_of_a_protocol_makes_the_key_anew(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sheet = folder / "test.yaml"
+    first = sure(ContentKeys().content_of(sheet))
+    monkeypatch.setattr(content_keys, "_code", lambda: "another")
+    again = ContentKeys().content_of(sheet, first)
+    assert again.key == first.key  # it rests on the resolved protocol, which is the same
+    assert again.rests_on != first.rests_on
+    monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", -1)
+    assert ContentKeys().content_of(sheet).key != first.key
+
+
+def test_a_protocol_of_the_lab_goes_before_the_shipped_one(
+    folder: Path, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sheet = folder / "test.yaml"
+    first = sure(ContentKeys().content_of(sheet))
+    (tmp_path / "protocols").mkdir()
+    text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
+    own = tmp_path / "protocols" / "corrugated-tube.yaml"
+    own.write_text(text.replace("0.423 mm/s", "0.5 mm/s"), "utf-8")
+    assert ContentKeys().content_of(sheet, first).key != first.key
+
+
+def test_tests_that_say_the_same_share_a_resolved_protocol(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = KeptCampaign(tmp_path)
+    sheets = [kept.add(f"T{n}") / "test.yaml" for n in range(5)]
+    other = sheets[3]
+    other.write_text(other.read_text("utf-8").replace("114.3 mm", "100 mm"), "utf-8")
+    resolved = []
+
+    def counted(*given: Any, **more: Any) -> Protocol:
+        resolved.append(given)
+        return resolve(*given, **more)
+
+    monkeypatch.setattr(content_keys, "resolve", counted)
+    keys = ContentKeys()
+    contents = [keys.content_of(sheet) for sheet in sheets]
+    assert len(resolved) == 2
+    assert len({each.protocol for each in contents}) == 2
+    alone = ContentKeys().content_of(sheets[4])
+    assert alone.key == contents[4].key
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "test: [", "test: T1\n", "\x00", "{name}: x", "overrides: {a.b: {value: 1, because: x}}"],
+)
+def test_a_sheet_that_is_wrong_has_a_key_of_its_own(folder: Path, text: str) -> None:
+    sheet = folder / "test.yaml"
+    good = ContentKeys().content_of(sheet)
+    sheet.write_text(text, "utf-8")
+    first, again = (ContentKeys().content_of(sheet) for _ in range(2))
+    assert first.key == again.key != good.key
+    assert first.inputs == ()
+
+
+def test_a_protocol_that_is_not_there_and_then_is(
+    folder: Path, tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    sheet = folder / "test.yaml"
+    sheet.write_text(sheet.read_text("utf-8").replace("corrugated-tube", "own"), "utf-8")
+    first = sure(ContentKeys().content_of(sheet))
+    assert ContentKeys().content_of(sheet, first) == first
+    (tmp_path / "protocols").mkdir()
+    text = (repository / "protocols" / "corrugated-tube.yaml").read_text("utf-8")
+    (tmp_path / "protocols" / "own.yaml").write_text(text, "utf-8")
+    assert ContentKeys().content_of(sheet, first).inputs
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes here")
+def test_a_pipe_is_not_waited_for(folder: Path) -> None:
+    (folder / "frame.csv").unlink()
+    os.mkfifo(folder / "frame.csv")
+    assert stamp_of(folder / "frame.csv").sha256 == ""
+    assert stamp_of(folder / "nothing").sha256 == ""
+    assert stamp_of(Path("a\x00b")).sha256 == ""
+
+
+def test_a_content_comes_back_from_its_text(folder: Path) -> None:
+    content = ContentKeys().content_of(folder / "test.yaml")
+    assert parse_content(content.as_text()) == content
+    for text in ("", "{}", "[]", "null", '{"inputs": 1}'):
+        assert parse_content(text) is None
+
+
+NOW = Content("new", (("force", "a.mat", "1"), ("markers", "b.csv", "2")), "s", "p")
+
+
+@pytest.mark.parametrize(
+    ("inputs", "sheet", "protocol", "said"),
+    [
+        (NOW.inputs, "s", "p", "newer labpipe"),
+        (NOW.inputs, "t", "p", "sheet changed"),
+        (NOW.inputs, "s", "q", "protocol changed"),
+        ((("force", "a.mat", "0"), NOW.inputs[1]), "s", "p", "export changed (a.mat)"),
+        (
+            (*NOW.inputs, ("frame", "c.csv", "3")),
+            "t",
+            "q",
+            "export changed (c.csv), sheet changed, protocol changed",
+        ),
+        ((), "", "", "something changed"),
+        (NOW.inputs, "", "", "something changed"),
+    ],
+)
+def test_what_changed_is_said(
+    inputs: tuple[tuple[str, str, str], ...], sheet: str, protocol: str, said: str
+) -> None:
+    assert changes(inputs=inputs, sheet=sheet, protocol=protocol, now=NOW) == said
+
+
+def test_a_stamp_is_sure_a_tick_after_the_last_change() -> None:
+    stamp = Stamp(1, 0, 0, 0, 2_000_000_001, "x")
+    assert stamp.is_sure
+    assert not replace(stamp, changed=1).is_sure

@@ -1,0 +1,234 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from labpipe.campaign.catalog import DOUBTFUL, OK, REJECTED, STALE
+from labpipe.campaign.decisions import (
+    Decision,
+    add_decisions,
+    carried_over,
+    decisions_on,
+    largest_move,
+    not_applied,
+    read_decisions,
+)
+from labpipe.campaign.outcome_rows import ResultRow
+from labpipe.campaign.running import decide, look, rebuild
+from labpipe.errors import StoreError, UsageError
+from tests.builders.kept_campaigns import KeptCampaign, content_of
+
+REJECT = Decision("", "", "reject", "slipped in the grip", "A. Tester")
+ACCEPT = Decision("", "", "accept", "looks right", "A. Tester")
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> KeptCampaign:
+    kept = KeptCampaign(tmp_path)
+    kept.add("T1")
+    kept.add("T2", "doubt")
+    kept.run()
+    return kept
+
+
+def written(kept: KeptCampaign) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((kept.processed / "decisions.json").read_text("utf-8"))
+    return found
+
+
+def test_a_rejected_test_says_by_whom_why_and_when(kept: KeptCampaign) -> None:
+    row = decide(kept.folders, "T1", REJECT)
+    assert (row.state, row.why, row.decided_by) == (REJECTED, "slipped in the grip", "A. Tester")
+    assert row.decided.endswith("+00:00")
+    (entry,) = written(kept)["decisions"]
+    assert entry == {
+        "test": "T1",
+        "run": row.run,
+        "decision": "reject",
+        "because": "slipped in the grip",
+        "by": "A. Tester",
+        "when": row.decided,
+    }
+    kept.run()
+    assert kept.stand_in.processed == []
+
+
+def test_the_last_decision_counts(kept: KeptCampaign) -> None:
+    decide(kept.folders, "T2", REJECT)
+    assert decide(kept.folders, "T2", ACCEPT).state == DOUBTFUL
+    overview = look(kept.folders)
+    assert [counts for _, counts in overview.decisions] == [False, True]
+
+
+def test_a_decision_counts_for_its_key_alone(kept: KeptCampaign) -> None:
+    decide(kept.folders, "T1", REJECT)
+    export = kept.raw / "T1" / "frame.csv"
+    export.write_text("99", "utf-8")
+    assert look(kept.folders).rows["T1"].state == STALE
+    kept.run()
+    overview = look(kept.folders)
+    assert overview.rows["T1"].state == OK
+    runs = {folder: row.attempt for folder, row in overview.rows.items()}
+    ((left, why),) = not_applied([each for each, _ in overview.decisions], runs)
+    assert left.because == "slipped in the grip"
+    assert why.startswith("it was made on another key")
+    export.write_text("62.5", "utf-8")
+    kept.run()
+    assert look(kept.folders).rows["T1"].state == REJECTED
+
+
+def test_which_test_is_meant(kept: KeptCampaign) -> None:
+    with pytest.raises(UsageError, match=r"T9: expected a test of 'C', found none of that name\."):
+        decide(kept.folders, "T9", REJECT)
+    kept.add("new")
+    with pytest.raises(UsageError, match="expected a test that was processed, found one that was"):
+        decide(kept.folders, "new", REJECT)
+
+
+BROKEN = {
+    "": "line 1, column 1: expected decisions in JSON, found Expecting value",
+    '{"schema": 1, "decisions": [}': "line 1, column 29",
+    "[]": "found JSON without a list 'decisions'",
+    '{"schema": 1, "decisions": {}}': "found JSON without a list 'decisions'",
+    '{"schema": 2, "decisions": []}': "schema: expected decisions in JSON, found 2, where",
+    "[" * 100_000: "expected decisions in JSON, found text that is no JSON",
+}
+
+
+@pytest.mark.parametrize("text", BROKEN, ids=range(len(BROKEN)))
+def test_a_file_that_cannot_be_read_is_said_and_stays(kept: KeptCampaign, text: str) -> None:
+    path = kept.processed / "decisions.json"
+    path.write_text(text, "utf-8")
+    overview = look(kept.folders)
+    assert overview.bad_input
+    assert BROKEN[text] in overview.notes[0]
+    with pytest.raises(UsageError, match="Mend the file, or move it away and decide again"):
+        decide(kept.folders, "T1", REJECT)
+    assert path.read_text("utf-8") == text
+    with pytest.raises(StoreError, match="expected decisions in JSON"):
+        decisions_on([kept.processed / "T1" / "result.h5"])
+
+
+def test_single_decisions_that_cannot_be_read_are_said_and_stay(kept: KeptCampaign) -> None:
+    decide(kept.folders, "T1", REJECT)
+    path = kept.processed / "decisions.json"
+    document = written(kept)
+    mine = ["a word", {"test": "T1"}, document["decisions"][0] | {"decision": "perhaps"}]
+    path.write_text(json.dumps(document | {"remark": "by hand", "decisions": [
+        *mine, *document["decisions"]
+    ]}), "utf-8-sig")  # fmt: skip
+    overview = look(kept.folders)
+    assert overview.rows["T1"].state == REJECTED
+    assert [note.partition(": expected ")[2].partition(". ")[0] for note in overview.notes] == [
+        "a decision, found 'a word'",
+        "test, run, decision, because and by, found none of run, decision, because, by",
+        "accept or reject, found 'perhaps'",
+    ]
+    decide(kept.folders, "T1", ACCEPT)
+    after = written(kept)
+    assert after["remark"] == "by hand"
+    assert after["decisions"][:3] == mine
+    assert len(after["decisions"]) == 5
+
+
+def test_decisions_of_another_campaign_count_by_their_keys(kept: KeptCampaign) -> None:
+    decide(kept.folders, "T1", REJECT)
+    path = kept.processed / "decisions.json"
+    document = written(kept) | {"campaign": "other"}
+    path.write_text(json.dumps(document), "utf-8")
+    overview = look(kept.folders)
+    assert "campaign: expected decisions of 'C', found those of 'other'" in overview.notes[0]
+    assert overview.rows["T1"].state == REJECTED
+    document["decisions"][0]["run"] = "0" * 64
+    path.write_text(json.dumps(document), "utf-8")
+    assert look(kept.folders).rows["T1"].state == OK
+
+
+NASTY = "<script>alert(1)</script> \x1b[31m =cmd() \u202e ü \\ ' \" \n\t"
+
+
+def test_markup_and_control_characters_stay_what_they_are(kept: KeptCampaign) -> None:
+    row = decide(kept.folders, "T1", replace(REJECT, because=NASTY, by=NASTY))
+    assert (row.why, row.decided_by) == (NASTY, NASTY)
+    before = content_of(kept)
+    rebuild(kept.folders)
+    assert content_of(kept) == before
+
+
+def test_a_decision_is_carried_over_to_a_newer_way_of_processing(
+    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old = decide(kept.folders, "T1", REJECT)
+    monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", 1000)
+    monkeypatch.setattr("labpipe.campaign.content_keys._code", lambda: "newer")
+    assert look(kept.folders).rows["T1"].why == "newer labpipe"
+    kept.stand_in.shift = 0.09
+    kept.run()
+    row = look(kept.folders).rows["T1"]
+    assert (row.state, row.why, row.decided) == (REJECTED, REJECT.because, old.decided)
+    assert row.run != old.run
+    carried = written(kept)["decisions"][-1]
+    assert carried["note"] == (
+        f"carried over from {old.run}: only the processing version changed, and no number moved by"
+        " more than 0.09 of its interval"
+    )
+    before = content_of(kept)
+    rebuild(kept.folders)
+    assert content_of(kept) == before
+    assert len(written(kept)["decisions"]) == 2
+
+
+def test_a_decision_is_not_carried_over_where_numbers_moved(
+    kept: KeptCampaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decide(kept.folders, "T1", REJECT)
+    monkeypatch.setattr("labpipe.process.run.PROCESSING_VERSION", 1000)
+    monkeypatch.setattr("labpipe.campaign.content_keys._code", lambda: "newer")
+    kept.stand_in.shift = 0.11
+    kept.run()
+    assert look(kept.folders).rows["T1"].state == OK
+    assert len(written(kept)["decisions"]) == 1
+
+
+ROW = ResultRow("peak", 10.0, "N", 9.0, 11.0, 0.95, 10.0, "ok", "", "")
+
+
+@pytest.mark.parametrize(
+    ("after", "moved"),
+    [
+        (ROW, 0.0),
+        (replace(ROW, value=10.2), pytest.approx(0.1)),
+        (replace(ROW, name="other"), float("inf")),
+        (replace(ROW, value=None), float("inf")),
+        (replace(ROW, value=9.0), 0.5),
+    ],
+)
+def test_the_largest_move(after: ResultRow, moved: float) -> None:
+    assert largest_move([ROW], [after]) == moved
+    assert largest_move([replace(ROW, lower=None)], [replace(ROW, value=10.1)]) == float("inf")
+    assert largest_move([replace(ROW, upper=9.0)], [replace(ROW, value=10.1)]) == float("inf")
+    assert largest_move([ROW, ROW], [ROW]) == float("inf")
+    assert largest_move([], []) == 0.0
+    small = carried_over(REJECT, "b", [ROW], [replace(ROW, value=10.19)])
+    assert small is not None
+    assert (small.run, small.because) == ("b", REJECT.because)
+    assert carried_over(REJECT, "b", [ROW], [replace(ROW, value=10.21)]) is None
+
+
+def test_decisions_are_found_from_the_results(kept: KeptCampaign) -> None:
+    files = [kept.processed / name / "result.h5" for name in ("T1", "T2")]
+    assert decisions_on(files) == {}
+    row = decide(kept.folders, "T1", REJECT)
+    found = decisions_on(files)
+    assert [each.run for each in found[files[0]]] == [row.run]
+    assert found[files[1]] == ()
+
+
+def test_a_folder_of_decisions_is_written_by_one_process_at_a_time(tmp_path: Path) -> None:
+    for number in range(3):
+        add_decisions(tmp_path, "C", [replace(REJECT, test=f"T{number}", run="r")])
+    assert [each.test for each in read_decisions(tmp_path).decisions] == ["T0", "T1", "T2"]

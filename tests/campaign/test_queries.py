@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import string
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import openpyxl
+import pytest
+
+from labpipe.campaign.catalog import OK, Catalog, Entry, Seen, TestRow, as_json
+from labpipe.campaign.catalog_file import new_catalog
+from labpipe.campaign.outcome_rows import ResultRow
+from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
+from labpipe.errors import UsageError
+
+NASTY = "=1+1 " + string.printable + "\x00\x1b[31m\u202eü"
+
+
+def result(name: str, value: float | None, **more: object) -> ResultRow:
+    texts = {"status": "ok", "code": "", "reason": ""} | more
+    return ResultRow(name, value, "N", None, None, 0.95, value, **texts)  # type: ignore[arg-type]
+
+
+def test_row(folder: str, kind: str, **specimen: object) -> TestRow:
+    said = {"type": kind, "spool": "s", "sample": "1", **specimen}
+    return TestRow(folder, test=folder, state=OK, type=kind, spool="s", sample="1",
+                   specimen=as_json(said), date="2026-03-09", run="r")  # fmt: skip
+
+
+test_row.__test__ = False  # type: ignore[attr-defined]
+
+
+@pytest.fixture
+def catalog(tmp_path: Path) -> Iterator[Catalog]:
+    made = new_catalog(tmp_path)
+    peaks = (result("peak_force.1", 1.5), result("energy.1", None, status="failed", code="no_end",
+                                                  reason="it has no end"))  # fmt: skip
+    one = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})
+    two = test_row("T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")})
+    made.put([
+        Entry(one, Seen(), (), peaks),
+        Entry(two, Seen(), (), (result("peak_force.1", 2.5),)),
+        Entry(TestRow("T3", test="T3", state="failed", code="process_died"), Seen(), (), ()),
+    ])  # fmt: skip
+    yield made
+    made.close()
+
+
+def asked(catalog: Catalog, where: str) -> list[dict[str, object]]:
+    with answered(catalog, where) as answer:
+        return [dict(zip(answer.columns, row, strict=True)) for row in answer.rows]
+
+
+@pytest.mark.parametrize(
+    ("where", "tests"),
+    [
+        ("", ["T1", "T1", "T2", "T3"]),
+        ("name = 'peak_force.1' and type = 'A1'", ["T1"]),
+        ("value > 2", ["T2"]),
+        ("length between 0.08 and 0.09 and value is not null", ["T1"]),
+        ("state = 'failed'", ["T3"]),
+        ("status = 'failed' and code = 'no_end'", ["T1"]),
+        ("code = 'process_died'", ["T3"]),
+        ("cured = '24 h'", ["T1", "T1"]),
+        ("\"room temperature\" = '23' -- and a remark", ["T1", "T1"]),
+        ("date >= '2026-03-01' and name like 'peak%'", ["T1", "T2"]),
+        ("test in (select test from tests where state = 'failed')", ["T3"]),
+    ],
+)
+def test_conditions(catalog: Catalog, where: str, tests: list[str]) -> None:
+    assert [row["test"] for row in asked(catalog, where)] == tests
+
+
+def test_a_test_that_another_process_is_at_work_on(catalog: Catalog) -> None:
+    catalog.claim("T2")
+    assert [row["test"] for row in asked(catalog, "state = 'running'")] == ["T2"]
+
+
+@pytest.mark.parametrize(
+    ("where", "said"),
+    [
+        ("forse > 1", r"found no such column: forse\. Nearest: "),
+        ("type = A1 or nam = 2", r"found no such column: A1\. Nearest: .*Text stands in single"),
+        ("name = 'x", "found unrecognized token"),
+        ("1; drop table tests", "found near"),
+        ("1) ; drop table tests; --", "one statement at a time"),
+        ("load_extension('x')", "found "),
+        ("(select count(*) from pragma_table_info('tests')) > 0", "A condition can only look at"),
+        ("value > 'a\x00b'", "found "),
+        (f"{'(' * 5000}1{')' * 5000}", "found "),
+        ("'\ud800' = name", "found "),
+    ],
+)
+def test_a_condition_that_is_none(catalog: Catalog, where: str, said: str) -> None:
+    with pytest.raises(
+        UsageError, match=r"(?s)^--where, .*: expected a condition in SQL"
+    ) as caught:
+        asked(catalog, where)
+    assert __import__("re").search(said, str(caught.value))
+    assert len(asked(catalog, "")) == 4
+
+
+def written(catalog: Catalog, form: str, where: str = "") -> str:
+    out = io.StringIO()
+    with answered(catalog, where) as answer:
+        write_answer(answer, form, out)
+    return out.getvalue()
+
+
+def test_a_table_for_a_terminal(catalog: Catalog) -> None:
+    lines = written(catalog, "table", "value > 0").splitlines()
+    assert lines[0].split() == [
+        "test", "state", "type", "spool", "sample", "name", "value", "unit", "level", "estimate",
+        "status", "date", "length", "cured", "room", "temperature",
+    ]  # fmt: skip
+    assert lines[1].split()[:8] == ["T1", "ok", "A1", "s", "1", "peak_force.1", "1.5", "N"]
+    assert len(lines) == 3
+    assert not any(ord(sign) < 32 or sign == "\u202e" for line in lines for sign in line)
+
+
+def test_csv_and_json_keep_every_character(catalog: Catalog) -> None:
+    nasty = NASTY.replace("\x00", "")
+    rows = list(csv.DictReader(io.StringIO(written(catalog, "csv"), newline="")))
+    assert [row["cured"] for row in rows] == ["24 h", "24 h", nasty, ""]
+    assert [row["value"] for row in rows] == ["1.5", "", "2.5", ""]
+    found = json.loads(written(catalog, "json"))
+    assert [row["cured"] for row in found] == ["24 h", "24 h", nasty, None]
+    assert found == asked(catalog, "")
+    assert json.loads(written(catalog, "json", "0")) == []
+
+
+def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None:
+    with answered(catalog, "") as answer:
+        assert write_workbook(answer, tmp_path / "out.xlsx") == 4
+    sheet = openpyxl.load_workbook(tmp_path / "out.xlsx")["results"]
+    rows = list(sheet.iter_rows())
+    place = [cell.value for cell in rows[0]].index("cured")
+    cell = rows[3][place]
+    assert (cell.data_type, str(cell.value)[:5]) == ("s", "=1+1 ")
+    assert cell.value == escaped(NASTY.replace("\x00", ""))
+    assert [row[7].value for row in rows[1:]] == [1.5, None, 2.5, None]
+
+
+def test_more_rows_than_a_sheet_takes(
+    catalog: Catalog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("labpipe.campaign.queries._MOST_ROWS", 3)
+    message = "expected 3 rows at the most, found 4. Ask for less with --where, or take"
+    with answered(catalog, "") as answer, pytest.raises(UsageError, match=message):
+        write_workbook(answer, tmp_path / "out.xlsx")
+    assert not (tmp_path / "out.xlsx").exists()
+
+
+def many(catalog: Catalog, tests: int, results: int) -> None:
+    rows = tuple(result(f"peak_force.{n}", float(n)) for n in range(results))
+    entries = (Entry(test_row(f"M{n:06d}", "A3"), Seen(), (), rows) for n in range(tests))
+    catalog.put(entries)
+
+
+class Counted(io.StringIO):
+    """Counts lines and keeps none."""
+
+    lines = 0
+
+    def write(self, text: str) -> int:
+        self.lines += text.count("\n")
+        return len(text)
+
+
+def test_rows_are_written_as_they_are_read(catalog: Catalog) -> None:
+    many(catalog, 200, 10)
+    with answered(catalog, "type = 'A3'") as answer:
+        assert next(answer.rows)[0] == "M000000"
+        assert write_answer(answer, "csv", Counted()) == 1999
+
+
+@pytest.mark.slow
+def test_a_million_rows(catalog: Catalog) -> None:
+    import tracemalloc
+
+    many(catalog, 10_000, 100)
+    begun, out = time.process_time(), Counted()
+    tracemalloc.start()
+    with answered(catalog, "type = 'A3'") as answer:
+        assert write_answer(answer, "csv", out) == 1_000_000
+    _, most = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert out.lines == 1_000_001
+    assert most < 20e6
+    assert time.process_time() - begun < 120
