@@ -154,6 +154,7 @@ def _signal(channel: Channel, source: ChannelSource, clock: Clock, role: str) ->
         unit=source.target_unit,
         clock=role,
         relative_error=source.gain_uncertainty,
+        zero_drift=source.zero_drift or 0.0,
         time_unit=clock.unit,
     )
 

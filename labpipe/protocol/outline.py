@@ -25,7 +25,7 @@ RESULTS: Final[Mapping[str, Any]] = {kind.result: kind for kind in KINDS}
 
 CHANNEL_KEYS = (
     *("channel", "unit", "wrong_unit_in_file", "calibration"),
-    *("quantity", "plausible_peak", "scale_uncertainty", "certificate"),
+    *("quantity", "plausible_peak", "scale_uncertainty", "zero_drift", "certificate"),
 )
 _OF_CAMERAS = frozenset({"scale_uncertainty", "certificate"})
 """Keys of a channel that marker tracks have, too."""
@@ -304,6 +304,7 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
         yield _unknown_quantity(channel)
         return
     yield from _peak_faults(channel, target)
+    yield from _drift_faults(channel)
     calibration, unit = channel.values.get("calibration"), channel.values.get("unit")
     if unit is None and channel.values.get("wrong_unit_in_file") is not None:
         remedy = "Add the key 'unit', such as N."
@@ -328,6 +329,13 @@ def _unit_faults(channel: ChannelOutline) -> Iterator[Fault]:
         return
     if isinstance(calibration, dict):
         yield from _calibration_faults(channel, calibration, f"{target}/({before})")
+
+
+def _drift_faults(channel: ChannelOutline) -> Iterator[Fault]:
+    """Find a drift of a zero that no interval would hold: only that of the force is an input."""
+    if channel.quantity != "force" and "zero_drift" in channel.values:
+        found = f"the key 'zero_drift' of a {channel.quantity}"
+        yield Fault((*channel.path, "zero_drift"), "this key for a force alone", found, _OUT, "key")
 
 
 def _peak_faults(channel: ChannelOutline, target: str) -> Iterator[Fault]:

@@ -88,6 +88,11 @@ class ChannelSource(Block):
     scale_uncertainty: Uncertainty = Field(
         0.0, description="Standard uncertainty of the scale, as the class of a load cell says"
     )
+    zero_drift: Uncertainty | None = Field(
+        None,
+        description="Of a force: standard uncertainty of how far its zero has moved by the end of "
+        "the test, as a share of the largest force; read it with the specimen out",
+    )
     certificate: Certificate | None = Field(
         None, description="Of the calibration; its uncertainty is that of gain and scale together"
     )
@@ -171,6 +176,7 @@ class Source(Block):
     scale_uncertainty: Uncertainty | None = Field(
         None, description="Of one channel named like the role, or of the cameras"
     )
+    zero_drift: Uncertainty | None = None
     certificate: Certificate | None = Field(
         None, description="Of one channel named like the role, or of the cameras"
     )
@@ -195,6 +201,7 @@ class Source(Block):
                 quantity=self.quantity,
                 plausible_peak=self.plausible_peak,
                 scale_uncertainty=self.scale_uncertainty or 0.0,
+                zero_drift=self.zero_drift,
                 certificate=self.certificate,
             )
             return {self._role: single.named(self._role, key)}

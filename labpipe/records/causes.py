@@ -20,6 +20,8 @@ SCALE_OF_FORCE: Final = "scale of the force"
 """Gain of the calibration, or scale of a load cell that gives newtons."""
 SCALE_OF_DISPLACEMENT: Final = "scale of the displacement"
 ZERO_OF_FORCE: Final = "zero of the force"
+DRIFT_OF_ZERO: Final = "drift of the zero"
+"""How far the zero of the force moved after it was taken."""
 ZERO_OF_DISPLACEMENT: Final = "zero of the displacement"
 SHAPE: Final = "shape of the wire"
 """What the displacement of another shape, fitted with one term more or fewer, changes."""
@@ -52,6 +54,7 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     SCALE_OF_FORCE: True,
     SCALE_OF_DISPLACEMENT: True,
     ZERO_OF_FORCE: False,  # taken anew in every test
+    DRIFT_OF_ZERO: False,
     ZERO_OF_DISPLACEMENT: False,
     SHAPE: False,
     COMPLIANCE: True,

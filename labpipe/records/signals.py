@@ -45,6 +45,8 @@ class Signal:
     clock : name of the clock that `time` belongs to
     relative_error : standard uncertainty of the scale, from the protocol
     zero_error : standard error of the zero, in `unit`
+    zero_drift : standard uncertainty of how far the zero has moved by the end of the test, as a
+        share of the largest value, from the protocol
     moved : by cause (``grip offset``, ``shape of the wire``), shape (n,): the signal as it is with
         that input one standard uncertainty higher, and all others as they are taken
     time_unit : ``s``; ``1`` where the export has no time and `time` counts its rows
@@ -56,6 +58,7 @@ class Signal:
     clock: str
     relative_error: float = 0.0
     zero_error: float = 0.0
+    zero_drift: float = 0.0
     moved: Mapping[str, Floats] = field(default_factory=dict)
     time_unit: str = "s"
 

@@ -12,6 +12,7 @@ import numpy as np
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
+    DRIFT_OF_ZERO,
     LENGTH,
     REPAIRED_SLIPS,
     RESOLUTION,
@@ -36,6 +37,8 @@ _PARTS = 40
 """Intervals of the spline that tells the noise of single samples from the curve."""
 _STANDS, _LEVELS = 0.5, 10
 """Share of the samples that stand where a converter is too coarse, and times that they do."""
+_MODES = 3
+"""Of a zero that wanders: they hold 93 % of the variance of a random walk."""
 _PULSE = np.eye(1, 101, 50)[0]
 """A single sample, to see what a filter does to it."""
 
@@ -261,6 +264,7 @@ def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
     if test.unfiltered is not None and (coarse := _coarse_step(test.unfiltered.values)):
         half = partial(raised, by=coarse / np.sqrt(12.0))
         yield Input(RESOLUTION, half, law="uniform")
+    yield from _wanders(test, _means(test.known_curve.time, starts))
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
         law: Law = "uniform" if cause == SHAPE else "normal"
@@ -296,12 +300,49 @@ def _coarse_step(values: Floats) -> float:
     return float(np.median(moves[~stands])) if times >= _LEVELS else 0.0
 
 
+def _wanders(test: Evidence, time: Floats) -> Iterator[Input]:
+    """How the zero of the force wanders from where it was taken: a random walk by its first modes.
+
+    Those of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi), each times
+    a standard normal draw (Karhunen-Loeve; Loeve, Probability Theory II, 4th ed. 1978, section
+    37.5). They are scaled so that the variance at the end is that of the protocol.
+    """
+    force = test.known_curve.force
+    by = test.raw_force.zero_drift * float(np.nanmax(np.abs(force)))
+    away = np.abs(time - _zeroed_at(test))
+    places = np.pi * (np.arange(_MODES) + 0.5)
+    scale = by / float(np.sqrt(np.sum(places**-2.0)))
+    for number, place in enumerate(places if by else (), start=1):
+        wave = scale * np.sin(place * away / away.max()) / place
+        drifted = partial(_drifted, by=wave, compliance=test.compliance)
+        yield Input(DRIFT_OF_ZERO, drifted, stream=f"{DRIFT_OF_ZERO} {number}")
+
+
+def _zeroed_at(test: Evidence) -> float:
+    """When the zero of the force was taken last, s on the clock of the curve.
+
+    The middle of a mean, the outer end of a line; the first sample where it came as it was.
+    """
+    signals, time = test.signals, test.known_curve.time
+    name, clock = signals.force, signals.raw[signals.force].clock
+    if name in signals.zeroed:
+        return test.clocks.to_curve(0.5 * sum(signals.zeroed[name]), clock)
+    if name not in signals.lined:
+        return float(time[0])
+    first, last = (test.clocks.to_curve(at, clock) for at in signals.lined[name])
+    return first if first - time[0] < time[-1] - last else last
+
+
 def _gain(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
     return _more_force(trace, x * by * trace.force, compliance)
 
 
 def _raised(trace: Trace, x: float, *, by: float, compliance: float) -> Trace:
     return _more_force(trace, np.full(len(trace.time), x * by), compliance)
+
+
+def _drifted(trace: Trace, x: float, *, by: Floats, compliance: float) -> Trace:
+    return _more_force(trace, x * by, compliance)
 
 
 def _more_force(trace: Trace, more: Floats, compliance: float) -> Trace:

@@ -23,12 +23,15 @@ from labpipe.virtual_lab import CantileverScenario, ConduitObservation, Observat
 from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.campaigns import GROUPS, ConduitCampaign, TapedCampaign, WireCampaign
 from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
+from labpipe.virtual_lab.cantilever_scenarios import LoadCell
 from labpipe.virtual_lab.conduit_scenarios import CONDUIT_TYPES, ConduitScenario, ThreePointTest
 from labpipe.virtual_lab.curve_truth import KINK_WINDOW, LoadingTruth, evaluate_taped, line_slope
+from labpipe.virtual_lab.recorders import FORCE_PATH
 from labpipe.virtual_lab.sheet_texts import protocol_of, write_sheet
 from labpipe.virtual_lab.specimens import ElasticModel
 from labpipe.virtual_lab.three_point_path import solve_three_point
 from tests.builders.bent_tests import law_moment
+from tests.coverage.lab_tensile import wandering
 from tests.foreign.stated import scale, stated
 
 Truth = dict[str, float]
@@ -95,7 +98,8 @@ def on_a_string(scenario: CantileverScenario, seed: int, folder: Path, protocols
     """
     test, name = observe(scenario, seed), protocol_of(scenario)
     plan = _plan(write_sheet(_as_written(scenario, seed)), folder, protocols)
-    results = _reduced({"force": test.force, "markers": _filmed(test.markers, name, seed)}, plan)
+    force = _wandering(test.force, scenario.load_cell, name, seed)
+    results = _reduced({"force": force, "markers": _filmed(test.markers, name, seed)}, plan)
     return results, taped_truth(test) if name == "taped-bundle" else wire_truth(test)
 
 
@@ -104,7 +108,10 @@ def on_two_supports(scenario: ConduitScenario, seed: int, folder: Path, protocol
     test = observe(scenario, seed)
     name, random = protocol_of(scenario), np.random.default_rng([seed, 71])
     markers = _filmed(test.markers, name, seed)
-    roles: dict[str, Recording] = {"force": test.force, "markers": markers}
+    roles: dict[str, Recording] = {
+        "force": _wandering(test.force, scenario.load_cell, name, seed),
+        "markers": markers,
+    }
     span, speed, travel, centre = random.standard_normal(4).tolist()
     if test.frame is not None:
         travel *= scale(name, "frame", "displacement")
@@ -137,6 +144,18 @@ def _filmed(markers: Recording, protocol: str, seed: int) -> Recording:
     assert tracks is not None
     bodies = tuple(replace(each, position=by * each.position) for each in tracks.bodies)
     return replace(markers, markers=replace(tracks, positions=by * tracks.positions, bodies=bodies))
+
+
+def _wandering(force: Recording, cell: LoadCell, protocol: str, seed: int) -> Recording:
+    """What a load cell gives whose zero wanders."""
+    step = 2.0 * cell.full_scale / 2**cell.bits
+    channels = tuple(
+        replace(each, values=wandering(each.values, protocol, seed, step))
+        if each.path.startswith(FORCE_PATH)
+        else each
+        for each in force.channels
+    )
+    return replace(force, channels=channels)
 
 
 def _in_file(frame: Recording, by: float) -> Recording:

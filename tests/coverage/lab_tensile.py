@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from labpipe.records.arrays import Floats
 from labpipe.virtual_lab import TensileObservation, TensileScenario
 from labpipe.virtual_lab.tensile_scenarios import (
     TABLE_2_3,
@@ -17,7 +18,8 @@ from labpipe.virtual_lab.tensile_scenarios import (
     twist_tube,
 )
 from tests.builders.tensile_tests import true_values
-from tests.foreign.stated import scale, stated
+from tests.foreign.noise import walk
+from tests.foreign.stated import scale, stated, zero_drift
 
 
 def drawn(kind: str, seed: int) -> TensileScenario:
@@ -34,10 +36,27 @@ def drawn(kind: str, seed: int) -> TensileScenario:
 
 
 def as_recorded(kind: str, seed: int, test: TensileObservation) -> TensileObservation:
-    """The test with its crosshead off by as much as the protocol says."""
+    """The test, crosshead and zero of the force off by as much as the protocol says."""
     by = scale(kind, "frame", "displacement") * float(np.random.default_rng([seed, 79]).normal())
     travel = test.record.displacement * (1.0 + by)
-    return replace(test, record=replace(test.record, displacement=travel))
+    step = test.scenario.instruments.force_step
+    force = wandering(test.record.force, kind, seed, step)
+    return replace(test, record=replace(test.record, displacement=travel, force=force))
+
+
+def wandering(force: Floats, kind: str, seed: int, step: float) -> Floats:
+    """A force, in any unit, whose zero wanders by as much as the protocol says of the largest.
+
+    Parameters
+    ----------
+    force : as it was recorded, unloaded at first
+    kind : name of the protocol
+    seed : of the test
+    step : of the converter, in the unit of the force; 0 for none
+    """
+    largest = float(np.abs(force - force[0]).max())
+    moved = zero_drift(kind) * largest * walk(len(force), np.random.default_rng([seed, 97]))
+    return np.asarray(force + (step * np.rint(moved / step) if step else moved))
 
 
 def truth(kind: str, seed: int, test: TensileObservation) -> dict[str, float]:

@@ -16,7 +16,7 @@ from tests.foreign.exports import write_mat, write_mts, write_sheet, write_tra
 from tests.foreign.noise import noisy
 from tests.foreign.pulls import Specimen
 from tests.foreign.rig import Chance, Made, Way, pulled
-from tests.foreign.stated import scale
+from tests.foreign.stated import force_channel, scale
 
 Array = NDArray[np.float64]
 Truth = dict[str, float]
@@ -25,11 +25,15 @@ Truth = dict[str, float]
 def sheet(
     chance: Chance, specimen: dict[str, Any], files: dict[str, str], **overrides: str
 ) -> dict[str, Any]:
-    """A test.yaml; overrides with `__` for a point."""
+    """A test.yaml; overrides with `__` for a point. A rig whose zero wanders says so."""
     changed = {
         key.replace("__", "."): {"value": value, "because": "a short synthetic test"}
         for key, value in overrides.items()
     }
+    if chance.noise == "drift":
+        key = ".".join((*force_channel(chance.kind), "zero_drift"))
+        drifts = f"{100.0 * chance.drifts:.2f} %"
+        changed[key] = {"value": drifts, "because": "with no specimen in it the rig shows as much"}
     said = {"type": chance.kind, "spool": "s1", "sample": chance.seed, **specimen}
     made = {"test": f"{chance.kind}-{chance.seed}", "protocol": chance.kind, "specimen": said}
     return {**made, "files": files, **({"overrides": changed} if changed else {})}

@@ -15,6 +15,8 @@ HUM = 49.93
 """Hz; mains are never at 50 exactly. The rates of the rig do not fold it to slow waves."""
 MEMORY = 0.3
 """s, of a load cell that remembers."""
+WAVES = (0.4, 1.0)
+"""That a drifting zero goes along in a record, from the one to the other with the same chance."""
 
 
 def white(n: int, _: float, rng: Random) -> Array:
@@ -59,9 +61,29 @@ def quiet(n: int, _: float, rng: Random) -> Array:
 
 def drifting(n: int, _: float, rng: Random) -> Array:
     """White, and a zero that wanders along half a wave or so from where it was."""
-    phase = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.linspace(0.0, rng.uniform(0.4, 1.0), n)
+    phase = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.linspace(0.0, rng.uniform(*WAVES), n)
     wander = np.sin(phase) - np.sin(phase[0])
-    return np.asarray(0.5 * rng.standard_normal(n) + 1.5 * wander, dtype=np.float64)
+    return np.asarray(0.5 * rng.standard_normal(n) + DRIFT * wander, dtype=np.float64)
+
+
+DRIFT = 1.5
+"""Height of the wave that a drifting zero goes along."""
+
+
+def drifted() -> float:
+    """How far a drifting zero has moved by the end, root of the mean square over all records.
+
+    The square of sin(a + d) - sin(a) is 1 - cos(d) in the mean over a; that over d, in between.
+    """
+    low, high = (2.0 * np.pi * each for each in WAVES)
+    return float(DRIFT * np.sqrt(1.0 - (np.sin(high) - np.sin(low)) / (high - low)))
+
+
+def walk(n: int, rng: Random) -> Array:
+    """A zero that is pushed at every sample, from 0 on, with a variance of 1 at the end."""
+    pushes = rng.standard_normal(n)
+    pushes[0] = 0.0
+    return np.asarray(np.cumsum(pushes) / np.sqrt(max(n - 1, 1)), dtype=np.float64)
 
 
 def periodic(n: int, dt: float, rng: Random) -> Array:

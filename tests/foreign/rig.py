@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.foreign.noise import noisy
+from tests.foreign.noise import drifted, noisy, walk
 from tests.foreign.pulls import Specimen
-from tests.foreign.stated import scale, stated
+from tests.foreign.stated import scale, stated, zero_drift
 
 Array = NDArray[np.float64]
 
@@ -66,10 +66,13 @@ class Chance:
 
     def off(self, name: str, size: float) -> float:
         """What something else is off by, in chance of its own."""
-        drawn = np.random.default_rng(
+        return 0.0 if self.exact else size * float(self.own(name).standard_normal())
+
+    def own(self, name: str) -> np.random.Generator:
+        """Chance of something of this test alone, that moves no other."""
+        return np.random.default_rng(
             [self.seed, *(zlib.crc32(x.encode()) for x in (self.kind, name))]
         )
-        return 0.0 if self.exact else size * float(drawn.standard_normal())
 
     def length(self, name: str) -> float:
         """What a length or a measure of the section is off by in truth, m."""
@@ -103,7 +106,14 @@ class Chance:
         """The force as the instrument gives it."""
         peak = float(np.abs(force).max())
         kind = "white" if self.noise == "hum" and dt > 0.05 else self.noise
+        wander = 0.0 if self.exact else min(self.loud, 1.0) * zero_drift(self.kind) * peak
+        force = force + wander * walk(len(force), self.own("zero"))
         return noisy(force, kind, self.size(peak), dt, self.rng)
+
+    @property
+    def drifts(self) -> float:
+        """How far a zero moves that drifts more than the protocol states, a share of the peak."""
+        return float(np.hypot(zero_drift(self.kind), self.size(1.0) * drifted()))
 
     def seen(self, places: Array) -> Array:
         """Places as cameras see them: white noise of 15 um, or pink of 6."""

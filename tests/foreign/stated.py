@@ -41,6 +41,20 @@ def stated(protocol: str, *path: str) -> float:
     return float(matched[1]) * UNITS[matched[2]]
 
 
+def force_channel(protocol: str) -> tuple[str, ...]:
+    """Keys of the channel that the force comes from."""
+    sources = _said(protocol)["sources"]
+    if "channel" in sources.get("force", {}):
+        return "sources", "force"
+    role = "force" if "force" in sources else "frame"
+    return "sources", role, "channels", "force"
+
+
+def zero_drift(protocol: str) -> float:
+    """How far the zero of the force moves in a test, a share of the largest force."""
+    return stated(protocol, *force_channel(protocol), "zero_drift")
+
+
 def scale(protocol: str, role: str, channel: str = "") -> float:
     """Of a channel's scale, a ratio.
 

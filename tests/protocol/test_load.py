@@ -165,6 +165,7 @@ def _tensile_protocols(draw: st.DrawFn) -> dict[str, Any]:
     force["scale_uncertainty"] = draw(st.floats(0, 100).map(lambda number: f"{number!r} %"))
     least = draw(st.floats(0, 1e6))
     most = least + draw(st.floats(1e-3, 1e6))
+    force["zero_drift"] = draw(st.floats(0, 100).map(lambda number: f"{number!r} %"))
     force["plausible_peak"] = {"from": f"{least!r} mN", "to": f"{most!r} N"}
     low = draw(st.floats(0.1, 49.0))
     high = draw(st.floats(50.0, 100.0))
