@@ -304,8 +304,8 @@ def _wanders(test: Evidence, time: Floats) -> Iterator[Input]:
     """How the zero of the force wanders from where it was taken: a random walk by its first modes.
 
     Those of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi), each times
-    a standard normal draw (Karhunen-Loeve; Loeve, Probability Theory II, 4th ed. 1978, section
-    37.5). They are scaled so that the variance at the end is that of the protocol.
+    a standard normal draw (Karhunen-Loeve; M. Loeve, Probability Theory II, 4th ed., 1978).
+    They are scaled so that the variance at the end is that of the protocol.
     """
     force = test.known_curve.force
     by = test.raw_force.zero_drift * float(np.nanmax(np.abs(force)))

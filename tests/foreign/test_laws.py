@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import zlib
+
 import numpy as np
 import pytest
 
 from tests.foreign import definitions
 from tests.foreign.bends import Bending, Wire, knives, loops
-from tests.foreign.noise import KINDS, MAKERS
+from tests.foreign.noise import KINDS, MAKERS, drifted, walk
 from tests.foreign.pulls import Loop
+from tests.foreign.rig import Chance
 
 
 @pytest.mark.parametrize(("load", "deflection"), [(1.0, 0.301721), (2.0, 0.493457)])
@@ -55,3 +58,32 @@ def test_two_segments_that_meet() -> None:
     f = 3.0 * d - 2.0 * np.clip(d - 0.0123, 0.0, None)
     found = definitions.two_segments(d, f, 0.002, 0.02)
     assert found == pytest.approx((3.0, 1.0, 0.0123, 0.0369), rel=1e-4)
+
+
+def test_a_zero_that_drifts_ends_as_far_off_as_its_test_sheet_says() -> None:
+    """Less the white noise of half the size that is there, too; a tenth of 500 records."""
+    made = [MAKERS["drift"](300, 0.01, np.random.default_rng(seed)) for seed in range(500)]
+    moved = [each[-30:].mean() - each[:30].mean() for each in made]
+    assert np.sqrt(np.mean(np.square(moved))) == pytest.approx(drifted(), rel=0.15)
+    assert 0.15 * drifted() == pytest.approx(0.242, abs=5e-4)
+    chance = Chance("tensile", 0, "drift")
+    assert chance.drifts == pytest.approx(np.hypot(0.0012, 0.0015 * drifted()), rel=1e-9)
+
+
+def test_a_walk_is_as_wide_at_its_end_as_is_stated() -> None:
+    """From zero on, and half the variance half way."""
+    made = np.array([walk(101, np.random.default_rng(seed)) for seed in range(2000)])
+    assert np.all(made[:, 0] == 0.0)
+    assert made[:, [50, 100]].var(axis=0) == pytest.approx([0.5, 1.0], rel=0.08)
+
+
+def test_the_wander_of_a_zero_moves_no_other_number() -> None:
+    """It has chance of its own, and none where all is exact."""
+    force, still = np.linspace(0.0, 50.0, 1000), np.zeros(1000)
+    chance, exact = Chance("tensile", 3), Chance("tensile", 3, exact=True)
+    moved = chance.noisy(force, 0.01) - force
+    white = 0.0015 * 50.0 * np.random.default_rng([3, zlib.crc32(b"tensile")]).standard_normal(1000)
+    wander = moved - white
+    assert wander == pytest.approx(0.0012 * 50.0 * walk(1000, chance.own("zero")), abs=1e-12)
+    assert np.ptp(wander) > 0.0
+    assert np.array_equal(exact.noisy(still, 0.01), still)

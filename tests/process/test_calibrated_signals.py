@@ -15,7 +15,7 @@ from tests.builders.doubts import doubted
 PROTOCOL = parse_protocol(
     "version: 1\nname: p\nsources:\n"
     "  force: {reader: dspace-mat, channel: A, unit: V,"
-    " calibration: {gain: 0.5 N/V, offset: 2 N, gain_uncertainty: 1 %}}\n"
+    " calibration: {gain: 0.5 N/V, offset: 2 N, gain_uncertainty: 1 %}, zero_drift: 0.2 %}\n"
     "  markers: {reader: motive-csv, scale_uncertainty: 0.05 %}\n"
     "markers: {clamp: Clamp, along: all}\n",
     "p.yaml",
@@ -47,6 +47,7 @@ def test_calibrated_signal_and_notes() -> None:
     signal = made.signals.raw["force"]
     np.testing.assert_allclose(signal.values, 0.5 * np.arange(10.0) + 2.0)
     assert (signal.unit, signal.clock, signal.relative_error) == ("N", "force", 0.01)
+    assert signal.zero_drift == 0.002
     assert made.signals.filtered["force"] is signal
     assert [each.note for each in found] == [QualityNote("x", Severity.INFO, "force: file", "y")]
     assert made.take.tracks is None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.errors import ProtocolError
 from labpipe.protocol.load import dump_protocol, load_test_sheet, parse_protocol, resolve
 from labpipe.protocol.schema import Protocol
 from tests.protocol.conftest import SHEET, Tell, Told
@@ -75,6 +76,28 @@ def test_cameras_have_a_scale(wire: str, said: str, standard: float) -> None:
     assert cameras.all_channels == {}
 
 
+def test_the_zero_of_a_force_drifts(wire: str, tube: str) -> None:
+    """Of one channel named like its role, and of one of several; 0 is stated, too."""
+    said = wire.replace(FORCE, f"{FORCE}    zero_drift: 0.12 %\n")
+    assert kept(parse_protocol(said, "p.yaml")).channels["force"].zero_drift == 0.0012
+    assert kept(parse_protocol(wire, "p.yaml")).channels["force"].zero_drift is None
+    frame = tube.replace("force: {", "force: {zero_drift: 0, ", 1)
+    channels = kept(parse_protocol(frame, "p.yaml")).channels
+    assert (channels["force"].zero_drift, channels["displacement"].zero_drift) == (0.0, None)
+
+
+def test_only_the_zero_of_a_force_is_an_input(tube: str) -> None:
+    wrong = tube.replace("displacement: {", "displacement: {zero_drift: 1 %, ", 1)
+    with pytest.raises(ProtocolError) as told:
+        parse_protocol(wrong, "p.yaml")
+    where, _, said = str(told.value).partition(": ")
+    assert where.endswith("(sources.frame.channels.displacement.zero_drift)")
+    assert said == (
+        "expected this key for a force alone, found the key 'zero_drift' of a displacement."
+        " Remove it."
+    )
+
+
 def test_sizes_have_uncertainties(tube: str) -> None:
     said = "thickness: 0.3 mm}, uncertainty: {length: 0.5 mm, thickness: 6 um, area: 0.05 mm^2}}"
     specimen = kept(parse_protocol(tube.replace("thickness: 0.3 mm}}", said), "p.yaml")).specimen
@@ -136,6 +159,12 @@ WRONG = {
         f"{FORCE}    scale_uncertainty: 2.5\n",
         "p.yaml, line 8, column 24 (sources.force.scale_uncertainty): expected a pure number (also"
         " in % or ppm) from 0 % up, at most 100 %, found '2.5'.",
+    ),
+    "zero beyond the force": (
+        FORCE,
+        f"{FORCE}    zero_drift: 101 %\n",
+        "p.yaml, line 8, column 17 (sources.force.zero_drift): expected a pure number (also in % or"
+        " ppm) from 0 % up, at most 100 %, found '101 %'.",
     ),
     "centre of less than nothing": (
         "grip_offset: 6 mm",
