@@ -150,7 +150,10 @@ def _wandering(force: Recording, cell: LoadCell, protocol: str, seed: int) -> Re
     """What a load cell gives whose zero wanders."""
     step = 2.0 * cell.full_scale / 2**cell.bits
     channels = tuple(
-        replace(each, values=wandering(each.values, protocol, seed, step))
+        replace(
+            each,
+            values=wandering(each.values, force.clock(each.clock).time, protocol, seed, step),
+        )
         if each.path.startswith(FORCE_PATH)
         else each
         for each in force.channels

@@ -18,7 +18,7 @@ from labpipe.virtual_lab.tensile_scenarios import (
     twist_tube,
 )
 from tests.builders.tensile_tests import true_values
-from tests.foreign.noise import walk
+from tests.foreign.noise import wander
 from tests.foreign.stated import scale, stated, zero_drift
 
 
@@ -40,22 +40,23 @@ def as_recorded(kind: str, seed: int, test: TensileObservation) -> TensileObserv
     by = scale(kind, "frame", "displacement") * float(np.random.default_rng([seed, 79]).normal())
     travel = test.record.displacement * (1.0 + by)
     step = test.scenario.instruments.force_step
-    force = wandering(test.record.force, kind, seed, step)
+    force = wandering(test.record.force, test.record.time, kind, seed, step)
     return replace(test, record=replace(test.record, displacement=travel, force=force))
 
 
-def wandering(force: Floats, kind: str, seed: int, step: float) -> Floats:
+def wandering(force: Floats, time: Floats, kind: str, seed: int, step: float) -> Floats:
     """A force, in any unit, whose zero wanders by as much as the protocol says of the largest.
 
     Parameters
     ----------
-    force : as it was recorded, unloaded at first
+    force, time : as it was recorded, unloaded at first; s
     kind : name of the protocol
     seed : of the test
     step : of the converter, in the unit of the force; 0 for none
     """
     largest = float(np.abs(force - force[0]).max())
-    moved = zero_drift(kind) * largest * walk(len(force), np.random.default_rng([seed, 97]))
+    random, apart = np.random.default_rng([seed, 97]), float(np.median(np.diff(time)))
+    moved = zero_drift(kind) * largest * wander(len(force), apart, random)
     return np.asarray(force + (step * np.rint(moved / step) if step else moved))
 
 

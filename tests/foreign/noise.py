@@ -15,6 +15,8 @@ HUM = 49.93
 """Hz; mains are never at 50 exactly. The rates of the rig do not fold it to slow waves."""
 MEMORY = 0.3
 """s, of a load cell that remembers."""
+LAG = 60.0
+"""s, by which a load cell of some hundred grams follows the air around it."""
 WAVES = (0.4, 1.0)
 """That a drifting zero goes along in a record, from the one to the other with the same chance."""
 
@@ -24,9 +26,9 @@ def white(n: int, _: float, rng: Random) -> Array:
     return rng.standard_normal(n)
 
 
-def remembering(n: int, dt: float, rng: Random) -> Array:
-    """First-order autoregressive with `MEMORY`, by halves of its past."""
-    keep = np.exp(-dt / MEMORY)
+def remembering(n: int, dt: float, rng: Random, memory: float = MEMORY) -> Array:
+    """First-order autoregressive, by halves of its past."""
+    keep = np.exp(-dt / memory)
     kicks = rng.standard_normal(n)
     kicks[1:] *= np.sqrt(1.0 - keep**2)
     # out_i = sum keep^(i-j) kick_j, doubling the reach in every round.
@@ -79,11 +81,16 @@ def drifted() -> float:
     return float(DRIFT * np.sqrt(1.0 - (np.sin(high) - np.sin(low)) / (high - low)))
 
 
-def walk(n: int, rng: Random) -> Array:
-    """A zero that is pushed at every sample, from 0 on, with a variance of 1 at the end."""
-    pushes = rng.standard_normal(n)
-    pushes[0] = 0.0
-    return np.asarray(np.cumsum(pushes) / np.sqrt(max(n - 1, 1)), dtype=np.float64)
+def wander(n: int, dt: float, rng: Random) -> Array:
+    """A zero that moves from 0 on, with a variance of 1 at the end.
+
+    The air pushes at random, and the cell follows with a lag, as it did before the record: over
+    minutes a random walk, over seconds a straight line.
+    """
+    speed, steps = remembering(n, dt, rng, LAG), np.arange(1.0, n - 1.0)
+    speed[0] = 0.0
+    last = n - 1.0 + 2.0 * float(np.sum((n - 1.0 - steps) * np.exp(-steps * dt / LAG)))
+    return np.asarray(np.cumsum(speed) / np.sqrt(max(last, 1.0)), dtype=np.float64)
 
 
 def periodic(n: int, dt: float, rng: Random) -> Array:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.foreign.noise import drifted, noisy, walk
+from tests.foreign.noise import drifted, noisy, wander
 from tests.foreign.pulls import Specimen
 from tests.foreign.stated import scale, stated, zero_drift
 
@@ -106,8 +106,8 @@ class Chance:
         """The force as the instrument gives it."""
         peak = float(np.abs(force).max())
         kind = "white" if self.noise == "hum" and dt > 0.05 else self.noise
-        wander = 0.0 if self.exact else min(self.loud, 1.0) * zero_drift(self.kind) * peak
-        force = force + wander * walk(len(force), self.own("zero"))
+        far = 0.0 if self.exact else min(self.loud, 1.0) * zero_drift(self.kind) * peak
+        force = force + far * wander(len(force), dt, self.own("zero"))
         return noisy(force, kind, self.size(peak), dt, self.rng)
 
     @property

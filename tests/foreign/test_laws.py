@@ -9,7 +9,7 @@ import pytest
 
 from tests.foreign import definitions
 from tests.foreign.bends import Bending, Wire, knives, loops
-from tests.foreign.noise import KINDS, MAKERS, drifted, walk
+from tests.foreign.noise import KINDS, MAKERS, drifted, wander
 from tests.foreign.pulls import Loop
 from tests.foreign.rig import Chance
 
@@ -70,11 +70,13 @@ def test_a_zero_that_drifts_ends_as_far_off_as_its_test_sheet_says() -> None:
     assert chance.drifts == pytest.approx(np.hypot(0.0012, 0.0015 * drifted()), rel=1e-9)
 
 
-def test_a_walk_is_as_wide_at_its_end_as_is_stated() -> None:
-    """From zero on, and half the variance half way."""
-    made = np.array([walk(101, np.random.default_rng(seed)) for seed in range(2000)])
+@pytest.mark.parametrize(("lasts", "half"), [(6.0, 0.25), (6000.0, 0.5)])
+def test_a_zero_is_as_far_off_at_its_end_as_is_stated(lasts: float, half: float) -> None:
+    """From zero on; a line in a short record, a walk in a long one, each half way."""
+    dt = lasts / 100.0
+    made = np.array([wander(101, dt, np.random.default_rng(seed)) for seed in range(2000)])
     assert np.all(made[:, 0] == 0.0)
-    assert made[:, [50, 100]].var(axis=0) == pytest.approx([0.5, 1.0], rel=0.08)
+    assert made[:, [50, 100]].var(axis=0) == pytest.approx([half, 1.0], rel=0.08)
 
 
 def test_the_wander_of_a_zero_moves_no_other_number() -> None:
@@ -83,7 +85,7 @@ def test_the_wander_of_a_zero_moves_no_other_number() -> None:
     chance, exact = Chance("tensile", 3), Chance("tensile", 3, exact=True)
     moved = chance.noisy(force, 0.01) - force
     white = 0.0015 * 50.0 * np.random.default_rng([3, zlib.crc32(b"tensile")]).standard_normal(1000)
-    wander = moved - white
-    assert wander == pytest.approx(0.0012 * 50.0 * walk(1000, chance.own("zero")), abs=1e-12)
-    assert np.ptp(wander) > 0.0
+    far = 0.0012 * 50.0
+    assert moved - white == pytest.approx(far * wander(1000, 0.01, chance.own("zero")), abs=1e-12)
+    assert np.ptp(moved - white) > 0.0
     assert np.array_equal(exact.noisy(still, 0.01), still)
