@@ -85,7 +85,8 @@ def _notes(test: str, notes: Iterable[Mapping[str, str]]) -> Iterator[Row]:
 def _samples(path: Path) -> dict[str, int]:
     """How many samples each result rests on, by its name."""
     with h5py.File(path) as file:
-        return {name: int(group.attrs["n"]) for name, group in file["results"].items()}
+        each = file["results"]
+        return {name: int(each[name].attrs["n"]) for name in each.attrs["order"]}
 
 
 def _text(number: float | None) -> str:
