@@ -73,7 +73,7 @@ def mean(trace: Trace) -> tuple[Floats]:
 
 
 def work(trace: Trace) -> tuple[Floats]:
-    return (np.trapezoid(trace.force, trace.displacement, axis=-1),)
+    return (np.asarray(np.trapezoid(trace.force, trace.displacement, axis=-1)),)
 
 
 def slope(trace: Trace) -> tuple[Floats]:
@@ -121,8 +121,9 @@ def test_the_frame_gives_way_to_a_force_that_is_not_there() -> None:
 def test_it_is_counted_from_where_the_zero_was_taken() -> None:
     """At the end of the record, as the mean of a rest or as the end of a line: it began off."""
     test = straight()
-    for rest in ({"zeroed": {"force": (19.0, 21.0)}}, {"lined": {"force": (19.0, 20.0)}}):
-        late = replace(test, signals=replace(test.signals, **rest))
+    rested = replace(test.signals, zeroed={"force": (19.0, 21.0)})
+    for signals in (rested, replace(test.signals, lined={"force": (19.0, 20.0)})):
+        late = replace(test, signals=signals)
         assert drift_of(late, first) == pytest.approx(SHARE * PEAK, rel=1e-9)
         ends = [given.moved(curves(late).smooth, 1.0).force[-1] for given in modes(late)]
         assert ends == pytest.approx([PEAK] * 3, abs=1e-9)
