@@ -52,8 +52,12 @@ def test_errors_are_those_of_other_laws() -> None:
 
 
 def test_nothing_is_extrapolated() -> None:
-    at = law_points(BASIS.knots, LAW, COVARIANCE, np.array([1e3, -1.0]), scale_error=0.0)
+    last = float(BASIS.values(BASIS.knots[-1:])[0] @ LAW)
+    curvature = np.array([1e3, -1.0, 1.01 * last])
+    at = law_points(BASIS.knots, LAW, COVARIANCE, curvature, scale_error=0.0)
     assert np.isnan([at.moment, at.secant, at.tangent]).all()
+    at = law_points(BASIS.knots, LAW, COVARIANCE, np.array([last]), scale_error=0.0)
+    assert at.moment == pytest.approx(BASIS.knots[-1:])
 
 
 def test_a_flat_law_has_no_stiffness() -> None:

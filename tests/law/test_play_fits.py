@@ -43,6 +43,17 @@ def test_fit_refuses_a_law_that_softens() -> None:
         )
 
 
+def test_fit_refuses_a_curvature_that_stands() -> None:
+    with pytest.raises(ValueError, match="curvature softens"):
+        fit_plays(
+            lambda moment: np.full_like(moment, 0.2),
+            stiffness=0.5,
+            first_moment=0.1,
+            last_moment=3.0,
+            n_plays=10,
+        )
+
+
 def test_fit_refuses_a_law_that_stiffens() -> None:
     with pytest.raises(ValueError, match=r"curvature stiffens at moment="):
         fit_plays(np.sqrt, stiffness=1.0, first_moment=0.1, last_moment=2.0, n_plays=10)

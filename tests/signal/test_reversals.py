@@ -37,6 +37,7 @@ def test_errors_hold_wherever_the_fall_bends(sticks: float) -> None:
         pulls[-1][1] = (corner.value - HEIGHT) / corner.value_error
     # Of 60 intervals of 95 %, 52 at least hold their truth in 99 studies of 100.
     assert (np.sum(np.abs(pulls) < 1.96, axis=0) >= 52).all()
+    assert (np.std(pulls, axis=0) > 0.7).all(), "nor are they too large"
 
 
 def test_what_the_fall_may_hide_is_told_from_noise() -> None:

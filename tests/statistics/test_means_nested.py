@@ -63,6 +63,12 @@ def test_equal_values_are_not_pooled() -> None:
     )
 
 
+def test_equal_values_of_one_sample_each_tell_nothing_of_samples() -> None:
+    found = nested_mean({"a": [1.0], "b": [1.0]})
+    assert "no spool has two samples" in str(found.decision)
+    assert "all values are equal" not in str(found.decision)
+
+
 def test_two_spools_are_not_pooled_for_want_of_evidence() -> None:
     found = nested_mean({"a": [1.0, 2.0, 3.0], "b": [1.1, 2.1, 2.9]})
     assert found.spool_p > 0.5

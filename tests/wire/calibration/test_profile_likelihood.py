@@ -74,3 +74,15 @@ def test_one_parameter_and_nothing_else() -> None:
 def test_how_high_the_objective_is_followed(quantile: float, error: float, root: float) -> None:
     """Quantile in standard errors, half of one at least; that of a normal one without an error."""
     assert _root(quantile, error) == root
+
+
+def test_where_no_look_is_close_enough_the_end_is_taken_a_little_too_far_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = found_of(Settings({"radial_friction": FIXED, "copper_scale": FIXED}))
+    usual = trace(found, 1)
+    monkeypatch.setattr("labpipe.wire.calibration.profile_likelihood._CLOSE", 0.0)
+    finest = trace(found, 1)
+    half = 0.5 * (usual.upper - usual.lower)
+    assert finest.upper == pytest.approx(usual.upper, abs=0.03 * half)
+    assert finest.lower == pytest.approx(usual.lower, abs=0.03 * half)
