@@ -142,7 +142,7 @@ def _decision(path: Path, number: int, said: object) -> Decision | str:
     return Decision(**texts)
 
 
-def in_force(decisions: Iterable[Decision]) -> dict[tuple[str, str], Decision]:
+def by_test_and_run(decisions: Iterable[Decision]) -> dict[tuple[str, str], Decision]:
     """Find the decision that counts for each test and key: the last one.
 
     Parameters
@@ -150,6 +150,17 @@ def in_force(decisions: Iterable[Decision]) -> dict[tuple[str, str], Decision]:
     decisions : in order
     """
     return {(each.test, each.run): each for each in decisions}
+
+
+def in_force(decisions: Iterable[Decision], *, run: str) -> Decision | None:
+    """Find the decision that counts for a test: the last one on its key.
+
+    Parameters
+    ----------
+    decisions : on the test, in order
+    run : key of its results
+    """
+    return next((each for each in reversed([*decisions]) if each.run == run), None)
 
 
 def not_applied(

@@ -40,8 +40,8 @@ from labpipe.campaign.decisions import (
     Decision,
     DecisionFile,
     add_decisions,
+    by_test_and_run,
     carried_over,
-    in_force,
     read_decisions,
 )
 from labpipe.campaign.outcome_rows import NEWER_RESULT, Outcome, plain, read_outcome_files
@@ -242,7 +242,7 @@ class Keeper:
     def _read_decisions(self) -> None:
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
-        self._in_force = in_force(self._decisions.decisions)
+        self._in_force = by_test_and_run(self._decisions.decisions)
 
     def _overview(self, rows: dict[str, TestRow], raw: RawFolder) -> Overview:
         runs = {folder: row.attempt for folder, row in rows.items()}

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe import __version__
+from labpipe.campaign.decisions import REJECT, decisions_on, in_force
 from labpipe.campaign.grouping import (
     Settings,
     check_fields,
@@ -137,8 +138,8 @@ def make_campaign(
 
     Parameters
     ----------
-    files : result.h5 files; one that cannot be read, or is made of the same recording as another,
-        is left out, with the reason
+    files : result.h5 files; one that cannot be read, is made of the same recording as another, or
+        was rejected is left out, with the reason
     title : of the report
     say : is given the name of each test as it is read
     wanted : groups and comparisons
@@ -150,8 +151,8 @@ def make_campaign(
     Raises
     ------
     LabpipeError
-        If no file can be read, two tests have one name, no test sheet has a field that is wanted,
-        or the wire sheet has faults.
+        If no file can be read, all were rejected, decisions cannot be read, two tests have one
+        name, no test sheet has a field that is wanted, or the wire sheet has faults.
     """
     wires = None if wanted.wires is None else read_wire_sheet(wanted.wires)
     read = _read(files, say)
@@ -164,6 +165,7 @@ def make_campaign(
         groups=tuple(groups),
         differences=differences.shown,
         left_out=read.left_out,
+        rejected=read.rejected,
         labpipe_version=__version__,
         by=by,
         compared=wanted.alone,
@@ -175,17 +177,19 @@ def make_campaign(
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """What was read: samples, what protocols say of them, settings by file, what is left out."""
+    """What was read: samples, what protocols say of them, settings by file, what does not count."""
 
     samples: list[Sample]
     wishes: dict[str, Groups]
     kinds: dict[str, NumberKinds]
     settings: dict[str, Settings]
     left_out: dict[str, str]
+    rejected: dict[str, str]
 
 
 def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
-    read = _Read([], {}, {}, {}, {})
+    read = _Read([], {}, {}, {}, {}, {})
+    decided = decisions_on(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
@@ -196,6 +200,10 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
         except LabpipeError as error:
             read.left_out[str(file)] = str(error)
             continue
+        decision = in_force(decided.get(file, ()), run=result.run)
+        if decision is not None and decision.decision == REJECT:
+            read.rejected[str(file)] = f"{decision.because} ({decision.by}, {decision.when})"
+            continue
         read.wishes[result.protocol] = protocol.groups
         read.kinds[result.protocol] = number_kinds(protocol)
         read.settings[str(file)] = settings_of(protocol)
@@ -203,7 +211,8 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
         sized = replace(result, specimen=with_sizes(result.specimen, protocol.specimen))
         read.samples.append(sample_of(sized, str(file)))
     if not read.samples:
-        raise UsageError("\n".join(read.left_out.values()))
+        said = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
+        raise UsageError("\n".join([*read.left_out.values(), *said]))
     refuse_repeated([(each.test, Path(each.source)) for each in read.samples], "name")
     copies = find_copies(recordings)
     samples = [each for each in read.samples if each.source not in copies]

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Mapping
+from pathlib import Path
 
+from labpipe.campaign.queries import escaped
 from labpipe.campaign.reporting import Reported, Wanted, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
 from labpipe.process.targets import find_results
@@ -62,6 +64,8 @@ def report_table(reported: Reported) -> str:
         width = name_width(number.name for number in group.numbers)
         lines += [_mean_line(number, display, width) for number in group.numbers]
         lines.append("")
+    for file, why in reported.campaign.rejected.items():
+        lines.append(f"rejected: {from_here(Path(file).absolute().parent)}: {escaped(why)}")
     lines.append(
         f"report: {from_here(reported.files[0])}" if reported.files else "report: nothing written"
     )

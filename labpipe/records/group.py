@@ -335,6 +335,7 @@ class Campaign:
     pairs_not_shown : pairs of groups that were left out for it
     places : bending stiffness of bundles between the bounds of their model
     wire_sheet : name of the file that the bounds are from; empty where none was given
+    rejected : by file, why a person decided that a test does not count, by whom and when
     """
 
     title: str
@@ -347,3 +348,4 @@ class Campaign:
     pairs_not_shown: int = 0
     places: tuple[BundlePlace, ...] = ()
     wire_sheet: str = ""
+    rejected: Mapping[str, str] = field(default_factory=dict)

@@ -28,6 +28,7 @@ class Kind(StrEnum):
     """Kinds of concern, in the order of the report."""
 
     UNREADABLE = "Tests that could not be read"
+    REJECTED = "Tests that were rejected"
     UNLIKE = "Tests that were not processed alike"
     FAILED = "Failed: numbers that could not be computed"
     DOUBTFUL = "Doubtful: numbers to be checked"
@@ -72,6 +73,7 @@ def find_concerns(campaign: Campaign) -> tuple[Concern, ...]:
     that share a reason stand together.
     """
     found = [Concern(Kind.UNREADABLE, "", file, "", why) for file, why in campaign.left_out.items()]
+    found += [Concern(Kind.REJECTED, "", file, "", why) for file, why in campaign.rejected.items()]
     for group in campaign.groups:
         found += _of_group(group)
     order = list(Kind)

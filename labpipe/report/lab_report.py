@@ -135,6 +135,9 @@ def _summary(campaign: Campaign) -> str:
     )
     if campaign.left_out:
         words += f" {count_of(len(campaign.left_out), 'test')} could not be read."
+    if campaign.rejected:
+        were = "was" if len(campaign.rejected) == 1 else "were"
+        words += f" {count_of(len(campaign.rejected), 'test')} {were} rejected."
     return words
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.campaign.decisions import Decision, add_decisions
 from labpipe.campaign.reporting import Wanted, make_campaign, report_tests, sample_of
-from labpipe.errors import LabpipeError, UsageError
+from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import process_test
 from labpipe.process.targets import find_results
 from labpipe.records.result import TestResult
@@ -101,6 +103,48 @@ def test_a_result_that_cannot_be_read_is_left_out(results: Path) -> None:
     assert [len(group.samples) for group in campaign.groups] == [2, 1]
     assert list(campaign.left_out) == [str(bad)]
     assert "expected a result file, found a file that is not HDF5" in campaign.left_out[str(bad)]
+
+
+def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
+    files = find_results([results])
+    campaign = results / "c"
+    assert [file.relative_to(campaign).as_posix() for file in files][3] == "T-2/result.h5"
+    said = {"because": "slipped <b>twice</b>", "by": "A. Tester", "when": "2026-03-10"}
+    runs = [json.loads((file.parent / "summary.json").read_text("utf-8"))["run"] for file in files]
+    decide = [
+        Decision("T-2", runs[3], "reject", **said),
+        Decision("T-1", "another key", "reject", **said),
+        Decision("H-1", runs[0], "reject", **said),
+        Decision("H-1", runs[0], "accept", **said),
+    ]
+    add_decisions(campaign, "c", decide)
+    reported = report_tests([results])
+    assert [[each.test for each in group.samples] for group in reported.campaign.groups] == [
+        ["H-1", "H-2"], ["T-1"],
+    ]  # fmt: skip
+    assert reported.campaign.rejected == {
+        str(files[3]): "slipped <b>twice</b> (A. Tester, 2026-03-10)"
+    }
+    assert reported.campaign.left_out == {}
+    page = (reported.folder / "report.html").read_text("utf-8")
+    assert "1 test was rejected." in page
+    assert "Tests that were rejected" in page
+    assert "lipped &lt;b&gt;twice&lt;/b&gt; (A. Tester, 2026-03-10)" in page
+    assert "<b>twice" not in page
+
+
+def test_a_report_without_readable_decisions_is_refused(results: Path) -> None:
+    (results / "c" / "decisions.json").write_text("{", "utf-8")
+    with pytest.raises(StoreError, match=r"decisions\.json, line 1, column 2: expected decisions"):
+        report_tests([results])
+    (results / "c" / "decisions.json").unlink()
+    files = find_results([results])
+    runs = [json.loads((file.parent / "summary.json").read_text("utf-8"))["run"] for file in files]
+    for file, run in zip(files, runs, strict=True):
+        decision = Decision(file.parent.name, run, "reject", "all slipped", "A. Tester")
+        add_decisions(results / "c", "c", [decision])
+    with pytest.raises(UsageError, match=r"H-1.*: rejected: all slipped"):
+        report_tests([results])
 
 
 def test_no_result_can_be_read(results: Path) -> None:
