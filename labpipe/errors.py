@@ -76,7 +76,8 @@ CODES = MappingProxyType(
         "process_died": "the process of the test ended: a crash, a kill, the memory used up",
         "time_limit": "the test took longer than the limit",
         "fault_of_labpipe": "labpipe itself has a fault: report it with the exports",
-        "worker_died": "the worker of a cluster that did the test died, each time",
+        "no_cluster": "there is no cluster, or its scheduler is gone; no failure of the test",
+        "worker_died": "two workers of a cluster were lost with the test",
         "worker_without_data": "no worker of the cluster sees the files that are seen here",
     }
 )

@@ -1,49 +1,20 @@
-"""Where the tests of a campaign are processed, and what became of each."""
+"""Where the tests of a campaign are processed: on this machine, or on a cluster."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from contextlib import closing
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import TypeAlias
 
-from labpipe.campaign.workers import Died, Raised, as_they_end, why
-from labpipe.process.attempts import Refused, Task, attempt, refuse
-from labpipe.records.result import Status
+from labpipe.campaign.machine import default_jobs
+from labpipe.campaign.outcomes import Outcome, outcome_of, settled
+from labpipe.campaign.workers import as_they_end
+from labpipe.errors import UsageError, complaint
+from labpipe.process.attempts import Task
 
-__all__ = ["Executor", "Outcome", "Task", "local"]
+__all__ = ["Executor", "Outcome", "Task", "dask", "executor_of", "local"]
 
-State: TypeAlias = Literal["ok", "doubtful", "failed"]
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one test; small, so that a million of them can be handed on.
-
-    Parameters
-    ----------
-    sheet : as in its task
-    folder : of its results; None where it is not known
-    state : ``failed`` exactly when there are no new results; ``doubtful`` when a result is doubtful
-        or failed
-    code : of the failure, or of the first reason of the first result that is not ok; else empty
-    reason : the same in words
-    run : key of the results; of a test that failed as far as it could be computed, else empty
-    seconds : that it took, by the clock
-    """
-
-    sheet: Path
-    folder: Path | None
-    state: State
-    code: str = ""
-    reason: str = ""
-    run: str = ""
-    seconds: float = 0.0
-
-
-Executor: TypeAlias = Callable[[Iterable[Task]], Iterator[Outcome]]
+Executor: TypeAlias = Callable[[Iterable[Task]], Generator[Outcome, None, None]]
 """Takes tasks one by one as it can begin them; gives outcomes in the order in which they end."""
 
 
@@ -60,7 +31,7 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
     The executor.
     """
 
-    def executor(tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
         with closing(as_they_end(outcome_of, tasks, jobs=jobs, limit=limit)) as ended:
             for task, outcome in ended:
                 yield settled(task, outcome)
@@ -68,47 +39,51 @@ def local(jobs: int, *, limit: float | None = None) -> Executor:
     return executor
 
 
-def outcome_of(task: Task) -> Outcome:
-    """Process one test, whatever becomes of it.
+def dask(address: str, *, limit: float | None = None) -> Executor:
+    """Process tests on the workers of a dask.distributed cluster.
 
     Parameters
     ----------
-    task : the test
+    address : of its scheduler, ``HOST:PORT``
+    limit : s, after which a test is given up; None for no limit
+
+    Returns
+    -------
+    The executor. It connects when there is something to do, and raises `UsageError` where there is
+    no scheduler, no worker, or none with this labpipe; `ProcessingError` where the scheduler goes
+    away before all is done.
     """
-    start = time.perf_counter()
-    done = attempt(task)
-    seconds = time.perf_counter() - start
-    if isinstance(done, Refused):
-        return _failed(done, seconds)
-    doubted = next((each for each in done.result.results if each.status is not Status.OK), None)
-    if doubted is None:
-        return Outcome(task.sheet, done.folder, "ok", run=done.result.run, seconds=seconds)
-    first, run = doubted.reasons[0], done.result.run
-    reason = f"{doubted.name}: {first.message}"
-    return Outcome(task.sheet, done.folder, "doubtful", first.code, reason, run, seconds)
+
+    def executor(tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
+        from labpipe.campaign.cluster import dealt  # distributed is an extra, and takes its time
+
+        yield from dealt(tasks, address, limit=limit)
+
+    return executor
 
 
-def settled(task: Task, ended: Outcome | Died | Raised) -> Outcome:
-    """Make an outcome of what came from the process of a test.
+_CLUSTER = "dask://"
+
+
+def executor_of(text: str, *, jobs: int | None = None, limit: float | None = None) -> Executor:
+    """Give the executor that a command line names.
 
     Parameters
     ----------
-    task : the test
-    ended : what came
+    text : ``local`` or ``dask://HOST:PORT``
+    jobs : how many at a time on this machine; None for `default_jobs`
+    limit : s, after which a test is given up; None for no limit
 
     Raises
     ------
-    Exception
-        What cannot be: that the process could not hand over what it had.
+    UsageError
+        If it names none.
     """
-    if isinstance(ended, Raised):
-        raise ended.error
-    if isinstance(ended, Died):
-        return _failed(refuse(task, *why(task.sheet, ended), is_read=False))
-    return ended
-
-
-def _failed(refused: Refused, seconds: float = 0.0) -> Outcome:
-    return Outcome(
-        refused.test, refused.folder, "failed", refused.code, refused.reason, refused.run, seconds
-    )
+    if text == "local":
+        return local(jobs or default_jobs(), limit=limit)
+    host, _, port = text.removeprefix(_CLUSTER).rpartition(":")
+    if text.startswith(_CLUSTER) and host and port.isdecimal():
+        return dask(f"{host}:{port}", limit=limit)
+    expected, remedy = f"local, or {_CLUSTER}HOST:PORT", "`dask scheduler` prints its address."
+    message = complaint("--executor", "", expected=expected, found=repr(text), remedy=remedy)
+    raise UsageError(message)

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TypeVar, cast
 
-from labpipe.campaign.executors import Outcome, outcome_of, settled
+from labpipe.campaign.outcomes import Outcome, outcome_of, settled
 from labpipe.campaign.workers import Crew, Died, Raised, why
 from labpipe.errors import ProcessingError
 from labpipe.process.attempts import Task

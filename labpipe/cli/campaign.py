@@ -11,9 +11,8 @@ from typing import Any
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
 from labpipe.campaign.decisions import Decision, not_applied
-from labpipe.campaign.executors import Executor, local
+from labpipe.campaign.executors import executor_of
 from labpipe.campaign.file_accounts import account_for
-from labpipe.campaign.machine import default_jobs
 from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, opened_campaign
 from labpipe.campaign.running import Drawing, Ran, clear_failures, decide, rebuild, run_campaign
@@ -32,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
 def _run(
     options: argparse.Namespace, campaign: CampaignFolders, again: list[str] | None = None
 ) -> int:
-    executor = _executor(options)
+    executor = executor_of(options.executor, jobs=options.jobs, limit=60.0 * options.limit)
     with counting("test") as (begin, told):
         ran = run_campaign(
             campaign,
@@ -46,16 +45,6 @@ def _run(
     _tell(ran.overview)
     print(_after_run(campaign, ran))
     return _status_of(ran.overview)
-
-
-def _executor(options: argparse.Namespace) -> Executor:
-    """What processes the tests."""
-    if options.executor != "local":
-        raise UsageError(
-            complaint("--executor", "", expected="local", found=repr(options.executor),
-                      remedy="Leave it out to process on this machine.")
-        )  # fmt: skip
-    return local(options.jobs or default_jobs(), limit=60.0 * options.limit)
 
 
 def _status(options: argparse.Namespace, campaign: CampaignFolders) -> int:

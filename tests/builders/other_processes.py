@@ -1,45 +1,72 @@
-"""Functions that misbehave in the process of a worker, and not in that of the tests."""
+"""Tests and functions that end the processes of workers, and not that of pytest."""
 
 from __future__ import annotations
 
+import ctypes
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
-
-class There:
-    """A function that a process makes from its text when it takes it out of a pickle."""
-
-    def __init__(self, text: str) -> None:
-        self.text = text
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return eval, (self.text,)
-
-    def __call__(self, *_: object, **__: object) -> Any:
-        """Not here."""
-        raise AssertionError
+from labpipe.process.attempts import Task
 
 
-ENDS = {
-    "kill": "__import__('os').kill(__import__('os').getpid(), 9)",
-    "abort": "__import__('os').abort()",
-    "segfault": "__import__('ctypes').string_at(0)",
-    "exit": "__import__('sys').exit(3)",
-    "hang": "__import__('time').sleep(600)",
+def _segfault() -> None:
+    ctypes.string_at(0)
+
+
+def _kill() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _kill_worker() -> None:
+    """Kill the worker of a cluster whose child this process is."""
+    os.kill(os.getppid(), signal.SIGKILL)
+    time.sleep(60.0)
+
+
+def _kill_machine() -> None:
+    """Kill the worker and what would start it again."""
+    os.killpg(os.getpgid(os.getppid()), signal.SIGKILL)
+    time.sleep(60.0)
+
+
+ENDS: dict[str, Callable[[], Any]] = {
+    "kill": _kill,
+    "abort": os.abort,
+    "segfault": _segfault,
+    "exit": lambda: sys.exit(3),
+    "hang": lambda: time.sleep(600.0),
+    "kill the worker": _kill_worker,
+    "kill the machine": _kill_machine,
 }
-"""Ways in which a process does not come to the end of its call."""
+"""Ways in which a process does not come to the end of its test, by the first line of a file
+``end`` beside the test sheet; where the second line is ``once``, it happens once."""
 
 
-def spoiled(function: str, ends: dict[str, str]) -> There:
-    """A function of labpipe that takes a task first, but ends its process at some tests.
+class Spoiled(Task):
+    """A test that does not come to its end in the process that processes it."""
 
-    Parameters
-    ----------
-    function : such as ``labpipe.campaign.executors.outcome_of``
-    ends : of `ENDS`, by the folder of the sheet
-    """
-    module, _, name = function.rpartition(".")
-    usual = f"__import__('importlib').import_module('{module}').{name}(task)"
-    cases = "".join(
-        f"{ENDS[end]} if task.sheet.parent.name == '{folder}' else " for folder, end in ends.items()
-    )
-    return There(f"lambda task: {cases}{usual}")
+    __slots__ = ()
+
+    def __getattribute__(self, name: str) -> Any:
+        """End where `attempt` asks for a field, and not where a task is handed on."""
+        if name == "figures" and sys._getframe(1).f_code.co_name == "attempt":
+            _end_as_said(self.sheet.parent / "end")
+        return super().__getattribute__(name)
+
+
+def _end_as_said(file: Path) -> None:
+    if file.exists():
+        end, _, times = file.read_text("utf-8").partition("\n")
+        if times == "once":
+            file.unlink()
+        ENDS[end]()
+
+
+def spoil(sheet: Path, end: str, *, once: bool = False) -> None:
+    """Say how a test is to end."""
+    (sheet.parent / "end").write_text(f"{end}\nonce" if once else end, "utf-8")

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.campaign.executors import Outcome, Task, local
-from tests.builders.other_processes import spoiled
+from labpipe.campaign.executors import Outcome, Task, executor_of, local
+from labpipe.errors import UsageError
+from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
 
@@ -24,7 +25,7 @@ def labs(tmp_path: Path) -> list[TensileLab]:
 
 
 def outcomes_of(labs: list[TensileLab], *, jobs: int, limit: float | None = None) -> list[Outcome]:
-    tasks = [Task(lab.sheet, lab.processed, figures=False, run="0a") for lab in labs]
+    tasks = [Spoiled(lab.sheet, lab.processed, figures=False, run="0a") for lab in labs]
     found = {each.sheet: each for each in local(jobs, limit=limit)(tasks)}
     return [found[lab.sheet] for lab in labs]
 
@@ -52,11 +53,9 @@ def test_each_test_has_an_outcome(labs: list[TensileLab]) -> None:
         ("exit", "with exit code 3"),
     ],
 )
-def test_a_crash_costs_that_test(
-    labs: list[TensileLab], monkeypatch: pytest.MonkeyPatch, end: str, how: str
-) -> None:
-    usual = "labpipe.campaign.executors.outcome_of"
-    monkeypatch.setattr(usual, spoiled(usual, {"P-1": end, "P-3": end}))
+def test_a_crash_costs_that_test(labs: list[TensileLab], end: str, how: str) -> None:
+    spoil(labs[0].sheet, end)
+    spoil(labs[2].sheet, end)
     found = outcomes_of(labs, jobs=2)
     assert [each.state == "failed" for each in found] == [True, False, True, False]
     assert (found[0].code, found[0].run) == ("process_died", "0a")
@@ -66,15 +65,12 @@ def test_a_crash_costs_that_test(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals are another matter on Windows")
-def test_a_test_that_takes_too_long_is_given_up(
-    labs: list[TensileLab], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    usual = "labpipe.campaign.executors.outcome_of"
-    monkeypatch.setattr(usual, spoiled(usual, {"P-2": "hang"}))
-    found = outcomes_of(labs[1:], jobs=2, limit=20.0)
+def test_a_test_that_takes_too_long_is_given_up(labs: list[TensileLab]) -> None:
+    spoil(labs[1].sheet, "hang")
+    found = outcomes_of(labs[1:], jobs=2, limit=10.0)
     assert [each.state == "failed" for each in found] == [True, False, False]
     assert found[0].code == "time_limit"
-    assert "expected an end within 0.333333 minutes, found none" in found[0].reason
+    assert "expected an end within 0.166667 minutes, found none" in found[0].reason
 
 
 def test_tasks_are_taken_as_processes_become_free(labs: list[TensileLab]) -> None:
@@ -89,6 +85,19 @@ def test_tasks_are_taken_as_processes_become_free(labs: list[TensileLab]) -> Non
     assert not taken
     next(outcomes)
     assert taken == ["P-1", "P-2"]
-    outcomes.close()  # type: ignore[attr-defined]  # a generator
+    outcomes.close()
     assert taken == ["P-1", "P-2"]
     assert labs[1].result.is_file()  # what was begun is brought to its end
+
+
+@pytest.mark.parametrize("text", ["dask", "dask://", "dask://host", "dask://:8786", "slurm", ""])
+def test_no_executor_of_that_name(text: str) -> None:
+    said = rf"--executor: expected local, or dask://HOST:PORT, found '{text}'. `dask scheduler`"
+    with pytest.raises(UsageError, match=said):
+        executor_of(text)
+
+
+def test_executors_by_name(labs: list[TensileLab]) -> None:
+    (done,) = executor_of("local")([Task(labs[0].sheet, labs[0].processed, figures=False)])
+    assert done.state != "failed"
+    assert not list(executor_of("dask://nowhere:1")([]))  # it does not connect for nothing

@@ -14,7 +14,7 @@ from labpipe.errors import ProcessingError, UsageError
 from labpipe.process.attempts import Refused
 from labpipe.process.run import Processed
 from labpipe.virtual_lab.sheet_texts import write_wire_sheet
-from tests.builders.other_processes import spoiled
+from tests.builders.other_processes import Spoiled, spoil
 from tests.builders.pulls import broken, pull
 from tests.builders.tensile_tests import TensileLab, write_pull
 
@@ -105,8 +105,8 @@ def test_a_test_and_its_own_result(tests: list[Path]) -> None:
 def test_a_process_that_is_killed_costs_one_test(
     tests: list[Path], monkeypatch: pytest.MonkeyPatch, jobs: int
 ) -> None:
-    killed = spoiled("labpipe.process.attempts.attempt", {"P-1": "kill"})
-    monkeypatch.setattr("labpipe.campaign.runs.attempt", killed)
+    monkeypatch.setattr("labpipe.campaign.runs.Task", Spoiled)
+    spoil(tests[0], "kill")
     first, second, third = process_tests(tests, figures=lambda _: False, jobs=jobs)
     assert isinstance(first, Refused)
     assert (first.code, first.reason) == (

@@ -1,0 +1,71 @@
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from labpipe import __version__
+from labpipe.campaign import batches
+from labpipe.campaign.batches import Batch, Unseen, do_here, versions
+from labpipe.campaign.outcomes import Outcome
+from labpipe.campaign.workers import Crew
+from labpipe.process.attempts import Task
+from tests.builders.small_pulls import small_pulls
+
+
+@pytest.fixture
+def batch(tmp_path: Path) -> Batch:
+    """Three tests by relative paths, of which the second is not there."""
+    labs = small_pulls(tmp_path, 3)
+    sheets = [lab.sheet.relative_to(tmp_path) for lab in labs]
+    labs[1].sheet.unlink()
+    tasks = [Task(sheet, Path("out", sheet.parent.name), figures=False) for sheet in sheets]
+    return Batch(("run", "1"), tuple(tasks), tmp_path, None)
+
+
+def test_tests_of_a_batch_in_their_order(batch: Batch) -> None:
+    first, second, third = do_here(batch)
+    assert isinstance(first, Outcome)
+    assert isinstance(third, Outcome)
+    assert second == Unseen()
+    assert [first.sheet, third.sheet] == [batch.tasks[0].sheet, batch.tasks[2].sheet]
+    assert (batch.home / "out" / "S-0002" / "result.h5").is_file()
+
+
+def test_a_folder_that_is_not_there(batch: Batch) -> None:
+    assert do_here(replace(batch, home=batch.home / "none")) == [Unseen()] * 3
+
+
+def test_the_process_is_kept_for_a_while(batch: Batch, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(batches, "_IDLE", 1.0)
+    made: list[Crew[tuple[Path, Task], Outcome]] = []
+
+    class Counted(Crew[tuple[Path, Task], Outcome]):
+        def __init__(self, *more: object, **others: object) -> None:
+            super().__init__(*more, **others)  # type: ignore[arg-type]
+            made.append(self)
+
+    monkeypatch.setattr(batches, "Crew", Counted)
+
+    def in_a_thread_of_a_worker() -> None:
+        do_here(batch)
+        do_here(batch)
+        assert len(made) == 1
+        time.sleep(3.0)  # it is ended meanwhile
+        do_here(batch)
+
+    thread = threading.Thread(target=in_a_thread_of_a_worker)
+    thread.start()
+    thread.join()
+    assert len(made) == 2
+    until = time.monotonic() + 20.0
+    while any(worker.process for crew in made for worker in crew._workers):
+        assert time.monotonic() < until
+        time.sleep(0.1)
+
+
+def test_versions() -> None:
+    assert versions()[0] == __version__

@@ -1,0 +1,211 @@
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from labpipe.campaign import batches, cluster
+from labpipe.campaign.executors import Outcome, Task, dask, local
+from labpipe.errors import ProcessingError, UsageError
+from tests.builders.clusters import Cluster, start_cluster
+from tests.builders.other_processes import Spoiled, spoil
+from tests.builders.small_pulls import small_pulls
+from tests.builders.tensile_tests import TensileLab
+
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="processes are killed by signals")
+
+
+@pytest.fixture(scope="module")
+def machines(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """Three workers; tests of this module may lose one."""
+    found = start_cluster(tmp_path_factory.mktemp("cluster"), workers=3)
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def alone(tmp_path: Path) -> Iterator[Cluster]:
+    """A scheduler without a worker."""
+    (tmp_path / "cluster").mkdir()
+    found = start_cluster(tmp_path / "cluster", workers=0)
+    yield found
+    found.close()
+
+
+def tasks_of(labs: list[TensileLab], out: Path) -> list[Task]:
+    return [Spoiled(lab.sheet, out / lab.name, figures=False, run="0a") for lab in labs]
+
+
+def by_name(outcomes: Iterator[Outcome]) -> dict[str, Outcome]:
+    return {each.sheet.parent.name: each for each in outcomes}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    files = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
+
+
+def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
+    machines: Cluster, tmp_path: Path
+) -> None:
+    labs = small_pulls(tmp_path, 12)
+    tasks = tasks_of(labs, tmp_path / "local")
+    drawn = Task(labs[0].sheet, tmp_path / "local" / "drawn", png=True)
+    here = by_name(local(2)([*tasks, drawn]))
+    spoil(labs[5].sheet, "kill the machine", once=True)
+    tasks = tasks_of(labs, tmp_path / "dask")
+    drawn = Task(labs[0].sheet, tmp_path / "dask" / "drawn", png=True)
+    there = by_name(dask(machines.address)([*tasks, drawn]))
+    assert not (labs[5].raw / "end").exists()  # one did go down
+    assert sum(process.poll() is None for process in machines.workers) == 2
+    assert there.keys() == here.keys()
+    for name, outcome in there.items():
+        said = here[name]
+        assert (outcome.state, outcome.code, outcome.run) == (said.state, said.code, said.run)
+    files = contents(tmp_path / "local")
+    assert len(files) > 2 * 12 + 4  # with figures, as SVG and PNG
+    assert contents(tmp_path / "dask") == files
+
+
+def test_a_test_that_kills_its_worker_twice_fails_alone(machines: Cluster, tmp_path: Path) -> None:
+    labs = small_pulls(tmp_path, 6)
+    spoil(labs[2].sheet, "kill the worker")
+    spoil(labs[4].sheet, "abort")
+    found = by_name(dask(machines.address)(tasks_of(labs, tmp_path / "out")))
+    failed = {name: each.code for name, each in found.items() if each.state == "failed"}
+    assert failed == {"S-0002": "worker_died", "S-0004": "process_died"}
+    assert len(found) == 6
+    assert found["S-0002"].reason == (
+        f"{labs[2].sheet}: expected a worker that comes to the end of this test, found that 2 were"
+        " lost with it. Look at their logs and their memory, or process it on this machine."
+    )
+    said = json.loads((tmp_path / "out" / "S-0002" / "failure.json").read_text("utf-8"))
+    assert (said["code"], said["run"]) == ("worker_died", "0a")
+    assert "ended by the signal SIGABRT" in found["S-0004"].reason
+
+
+def test_what_cannot_be_processed_fails_as_on_one_machine(
+    machines: Cluster, tmp_path: Path
+) -> None:
+    labs = small_pulls(tmp_path, 3)
+    labs[1].export.unlink()
+    labs[2].sheet.unlink()
+    found = by_name(dask(machines.address)(tasks_of(labs, tmp_path / "out")))
+    assert {name: each.code for name, each in found.items() if each.state == "failed"} == {
+        "S-0001": "missing_export",
+        "S-0002": "bad_sheet",
+    }
+
+
+def test_a_hanging_test_is_given_up(machines: Cluster, tmp_path: Path) -> None:
+    labs = small_pulls(tmp_path, 2)
+    spoil(labs[1].sheet, "hang")
+    found = by_name(dask(machines.address, limit=10.0)(tasks_of(labs, tmp_path / "out")))
+    assert found["S-0000"].state != "failed"
+    assert found["S-0001"].code == "time_limit"
+
+
+def test_relative_paths_mean_the_folder_here(
+    machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lab = small_pulls(tmp_path, 1)[0]
+    monkeypatch.chdir(lab.home)
+    task = Task(lab.sheet.relative_to(lab.home), Path("out"), figures=False)
+    (found,) = dask(machines.address)([task])
+    assert (found.sheet, found.folder) == (task.sheet, Path("out"))
+    assert (lab.home / "out" / "result.h5").is_file()
+
+
+def test_workers_with_another_labpipe(
+    machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT", 2.0)
+    monkeypatch.setattr(batches, "__version__", "9.9")  # of labpipe here
+    said = r"expected workers with labpipe 9\.9, found workers with another one, \('.*', \d+\)\. "
+    with pytest.raises(UsageError, match=said) as raised:
+        list(dask(machines.address)(tasks_of(small_pulls(tmp_path, 1), tmp_path / "out")))
+    assert raised.value.code == "no_cluster"
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
+    """Tests by paths that only a process with this working folder sees."""
+    labs = small_pulls(tmp_path / "data", 6)
+    monkeypatch.chdir(tmp_path / "data")
+    return labs
+
+
+def own_tasks(labs: list[TensileLab]) -> list[Task]:
+    here = Path("/proc/self/cwd")
+    sheets = [here / lab.sheet.relative_to(lab.home) for lab in labs]
+    return [Task(sheet, here / "out" / sheet.parent.name, figures=False) for sheet in sheets]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
+def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]) -> None:
+    alone.add_worker()
+    alone.add_worker(folder=own[0].home)
+    hidden = own_tasks(own)
+    (own[0].raw.parent / "S-0005").rename(own[0].home.parent / "elsewhere")
+    (own[0].raw.parent / "S-0005").symlink_to("/proc/self/root/none")
+    found = by_name(dask(alone.address)(hidden))
+    states = {name: each.code for name, each in found.items() if each.state == "failed"}
+    assert states == {"S-0005": "bad_sheet"}
+    assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
+def test_no_worker_sees_the_tests(alone: Cluster, own: list[TensileLab]) -> None:
+    alone.add_worker()
+    said = r"S-0000/test.yaml: expected a worker that sees the files that are seen here, found none"
+    with pytest.raises(UsageError, match=said) as raised:
+        list(dask(alone.address)(own_tasks(own)))
+    assert raised.value.code == "no_cluster"
+    assert not (own[0].home / "out").exists()
+
+
+def test_no_scheduler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT", 1.0)
+    said = (
+        "--executor: expected a dask scheduler at 127.0.0.1:1, found none that answers. Start one"
+        " with `dask scheduler`, and look at its address and at firewalls."
+    )
+    with pytest.raises(UsageError) as raised:
+        list(dask("127.0.0.1:1")(tasks_of(small_pulls(tmp_path, 1), tmp_path / "out")))
+    assert (str(raised.value), raised.value.code) == (said, "no_cluster")
+
+
+def test_no_worker(alone: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT", 2.0)
+    said = (
+        r"--executor: expected workers with labpipe .*, found none\. Start some with `dask worker"
+    )
+    with pytest.raises(UsageError, match=said):
+        list(dask(alone.address)(tasks_of(small_pulls(tmp_path, 1), tmp_path / "out")))
+
+
+def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
+    alone.add_worker()
+    labs = small_pulls(tmp_path, 12)
+    spoil(labs[11].sheet, "hang")
+    outcomes = dask(alone.address)(tasks_of(labs, tmp_path / "out"))
+    assert next(iter(outcomes)).state != "failed"
+    alone.scheduler.kill()
+    start = time.monotonic()
+    said = r"--executor: expected the scheduler at .* until all is done, found that it, or every"
+    with pytest.raises(ProcessingError, match=said) as raised:
+        list(outcomes)
+    assert raised.value.code == "no_cluster"
+    assert time.monotonic() - start < 40.0
+
+
+def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    said = r"--executor: expected the package distributed, found none\. Install labpipe with it"
+    with pytest.raises(UsageError, match=said):
+        list(dask("127.0.0.1:1")([Task(tmp_path)]))
