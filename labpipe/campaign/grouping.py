@@ -23,6 +23,7 @@ from labpipe.statistics.group_fields import (
 )
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, parted
 from labpipe.statistics.groups import compare_groups
+from labpipe.statistics.two_groups import judged
 
 _SECTIONS = ("align", "steps", "curve", "branches", "results")
 """What makes numbers of a recording; the rest of a protocol speaks of the sample and its files."""
@@ -343,6 +344,11 @@ _ORDER = ("wire", "number", "composition", "arrangement", "taping", "tape", "con
 """Questions in the order of a report; any others follow."""
 
 
+QUESTIONS = "answers to questions"
+TYPES = "differences of types"
+OTHERS = "other main numbers"
+
+
 @dataclass(frozen=True, slots=True)
 class Differences:
     """Differences that a report shows.
@@ -378,7 +384,10 @@ def find_differences(
     Returns
     -------
     First the pairs that differ in one field, question by question. In those the group that has
-    less of it is the first: none before half-lap, 7 before 12.
+    less of it is the first: none before half-lap, 7 before 12. They alone are judged, in three
+    families: `QUESTIONS`, the first main number in pairs that differ in a field of the sheets;
+    `TYPES`, the same in pairs of types; `OTHERS`, the other main numbers in all these pairs. What
+    is left out by `alone` does not count.
     """
     pairs = [
         found
@@ -388,12 +397,26 @@ def find_differences(
     ]
     shown = [pair for pair in pairs if not alone or list(pair[0].fields) == [alone]]
     flat = [each for pair in sorted(shown, key=_question_first) for each in pair]
-    return Differences(tuple(flat), len(pairs) - len(shown))
+    return Differences(tuple(_judged(flat)), len(pairs) - len(shown))
+
+
+def _judged(differences: Sequence[Difference]) -> Iterator[Difference]:
+    """Differences in their order, those that were asked for with verdicts."""
+    families: dict[str, list[Difference]] = {}
+    for each in differences:
+        families.setdefault(each.family, []).append(each)
+    found = {
+        family: iter(judged(family, own) if family else own) for family, own in families.items()
+    }
+    for each in differences:
+        yield next(found[each.family])
 
 
 def _question_first(pair: Sequence[Difference]) -> tuple[int, str]:
     question = pair[0].question
     if not question:
+        return len(_ORDER) + 2, ""
+    if question == TYPE:
         return len(_ORDER) + 1, ""
     return (_ORDER.index(question), "") if question in _ORDER else (len(_ORDER), question)
 
@@ -411,8 +434,26 @@ def _compared(
         one, other = other, one
         fields = {name: (after, before) for name, (before, after) in fields.items()}
     unlike = unlike_words(settings_by_test((*one.samples, *other.samples), settings))
-    compared = compare_groups(one, other, names=said.main, margin=said.margin)
-    return [replace(each, caveats=(*each.caveats, *unlike), fields=fields) for each in compared]
+    names = said.main or tuple(each.name for each in one.numbers[:1])
+    compared = compare_groups(one, other, names=names, margin=said.margin)
+    return [
+        replace(
+            each,
+            caveats=(*each.caveats, *unlike),
+            fields=fields,
+            family=_family(list(fields), is_first=each is compared[0]),
+        )
+        for each in compared
+    ]
+
+
+def _family(fields: Sequence[str], *, is_first: bool) -> str:
+    """Which comparisons one is judged with; none where the groups differ in several fields."""
+    if len(fields) != 1:
+        return ""
+    if not is_first:
+        return OTHERS
+    return TYPES if fields[0] == TYPE else QUESTIONS
 
 
 def _is_backwards(fields: Mapping[str, tuple[str, str]]) -> bool:

@@ -43,6 +43,7 @@ from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
 from labpipe.statistics.mean_curves import block_means
+from labpipe.statistics.outliers import with_outliers
 from labpipe.store.read import read_outcome
 from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.bundle_bounds import find_places
@@ -229,7 +230,7 @@ def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
         noted = [note.where for note in group.notes if note.code == PROTOCOLS_DIFFER]
         unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
-    return groups
+    return with_outliers(groups)
 
 
 def sample_of(result: TestResult, source: str) -> Sample:
@@ -307,6 +308,7 @@ def _group(
         limits=PoolingLimits(min_p=settings.min_p, max_spool_share=settings.max_spool_share),
         scaled=settings.scaled,
         signed=kinds.signed,
+        set_by_rig=kinds.set_by_rig,
     )
     numbers = {number.name: number for number in group.numbers}
     first = [numbers.pop(name) for name in settings.main if name in numbers]

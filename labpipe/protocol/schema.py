@@ -278,7 +278,10 @@ class Report(Block):
 class Groups(Block):
     """How `labpipe report` puts the samples of one type together."""
 
-    main: tuple[Text, ...] = Field((), description="Names of the results that are shown first")
+    main: tuple[Text, ...] = Field(
+        (),
+        description="Results that are shown first; the first of them answers how groups differ",
+    )
     scaled: bool = Field(False, description="Also draw force / peak force of each sample")
     min_p: Share = Field(0.05, description="Spools that differ with a smaller p are never pooled")
     max_spool_share: Share = Field(

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import log
+from enum import StrEnum
+from math import expm1, hypot, log
 
-from labpipe.records.arrays import ArrayRecord, Vector
+import numpy as np
+
+from labpipe.records.arrays import ArrayRecord, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
 from labpipe.records.quality import QualityNote, Reason
 from labpipe.records.result import Contribution, Result, Specimen, apart_from
@@ -184,8 +187,8 @@ class Band(ArrayRecord):
     lower_all, upper_all : shape (n,), simultaneous band: holds the whole mean curve
     n : number of curves averaged
     over : ``samples`` or ``spool means``
-    reason : why there is no curve (then all are empty), no band (then all four are NaN) or no
-        simultaneous band (then `lower_all` and `upper_all` are NaN: ``two_curves``); else None
+    reason : why there is no curve (then all are empty), no band (then all four are NaN), or the
+        pointwise interval at three displacements alone (NaN elsewhere: ``few_curves``); else None
     """
 
     displacement: Vector
@@ -197,6 +200,20 @@ class Band(ArrayRecord):
     n: int
     over: str
     reason: Reason | None = None
+
+    @property
+    def has_area(self) -> bool:
+        """Tell whether there is a band to draw, and not intervals at some displacements alone."""
+        return bool(np.isfinite(self.lower).sum() > _MOST_MARKS)
+
+    @property
+    def marks(self) -> Ints:
+        """Places of the intervals that are drawn one by one; empty where there is a band."""
+        known = np.flatnonzero(np.isfinite(self.lower))
+        return known if not self.has_area else known[:0]
+
+
+_MOST_MARKS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +227,7 @@ class GroupNumber:
     values : by test, the results that entered
     left_out : by test, why it did not enter: a failed result, or none of that name
     outliers : marked, not removed
+    is_set_by_rig : whether it says how the rig was driven; then no value of it is an outlier
     """
 
     name: str
@@ -218,6 +236,51 @@ class GroupNumber:
     values: Mapping[str, Result]
     left_out: Mapping[str, tuple[Reason, ...]]
     outliers: tuple[Outlier, ...] = ()
+    is_set_by_rig: bool = False
+
+
+class Verdict(StrEnum):
+    """What a comparison comes to."""
+
+    DIFFERENT = "different"
+    EQUIVALENT = "equivalent"
+    CANNOT_TELL = "cannot tell"
+    NOT_ASKED = "not asked"
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """What two means differ by, on the scale on which they are compared.
+
+    Parameters
+    ----------
+    between : second less first; on a log scale the logarithm of second over first
+    errors : standard errors of the two means, by scatter; on a log scale over the means
+    counts : values behind each of the means
+    shared : standard uncertainty of what tests of a rig share, as far as it does not cancel
+    margin : that does not matter, on this scale; None where it is not stated
+    is_log : of numbers that cannot be negative
+    """
+
+    between: float
+    errors: tuple[float, float]
+    counts: tuple[int, int]
+    shared: float = 0.0
+    margin: float | None = None
+    is_log: bool = False
+
+    @property
+    def error(self) -> float:
+        """Standard error of the difference, by scatter."""
+        return hypot(*self.errors)
+
+    @property
+    def degrees(self) -> float:
+        """Degrees of freedom after Satterthwaite (Welch, Biometrika 34 (1947) 28)."""
+        squares = [error**2 for error in self.errors]
+        free = [count - 1 for count in self.counts]
+        spread = sum(square**2 / own for square, own in zip(squares, free, strict=True))
+        return sum(squares) ** 2 / spread if spread > 0.0 else float(sum(free))
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,10 +291,19 @@ class Difference:
     ----------
     name, unit : of the result
     first, second : names of the groups
-    difference : second minus first; interval None when it is not available
+    difference : second minus first with its own 95 % interval (Welch), which is not corrected;
+        interval None when it is not available
     margin : in `unit`, difference that does not matter in practice; None where it is not stated
+    contrast : what is judged; None without scatter to judge by
+    p : p-value of no difference; NaN without `contrast`
     p_equivalent : p-value of the two one-sided tests; NaN without a margin
-    verdict : in words
+    family : which comparisons it is judged together with; empty where nobody asked
+    tests : comparisons in the family
+    interval : of the difference in `unit`, or of the share on a log scale (0.38 for +38 %), at the
+        level that the correction leaves to it: 95 % or more. It leaves zero out exactly where the
+        verdict may be different
+    verdict : of the family as a whole at most 5 % are wrong
+    why : the verdict in numbers, a clause
     caveats : what speaks against the comparison, a clause each
     fields : what of the specimens differs between the groups: word of the first and of the second,
         by field
@@ -243,24 +315,34 @@ class Difference:
     second: str
     difference: MeanInterval
     margin: float | None
-    p_equivalent: float
-    verdict: str
+    contrast: Contrast | None = None
+    p: float = float("nan")
+    p_equivalent: float = float("nan")
+    family: str = ""
+    tests: int = 0
+    interval: Interval | None = None
+    verdict: Verdict = Verdict.NOT_ASKED
+    why: str = ""
     caveats: tuple[str, ...] = ()
     fields: Mapping[str, tuple[str, str]] = field(default_factory=dict)
 
     @property
+    def share(self) -> float | None:
+        """Second over first less 1, of numbers that cannot be negative."""
+        is_log = self.contrast is not None and self.contrast.is_log
+        return expm1(self.contrast.between) if self.contrast is not None and is_log else None
+
+    @property
     def words(self) -> str:
-        """The verdict with its caveats."""
-        return "; ".join((self.verdict, *self.caveats))
+        """The verdict with its reason and caveats."""
+        said = f"{self.verdict}: {self.why}" if self.why else str(self.verdict)
+        return "; ".join((said, *self.caveats))
 
     @property
     def question(self) -> str:
-        """The one field that the groups differ in; empty for several, none, or the type alone.
-
-        Specimens of two types are two things; that they differ is no answer to a question.
-        """
+        """The one field that the groups differ in; empty for several or none."""
         (only,) = self.fields if len(self.fields) == 1 else ("",)
-        return "" if only == "type" else only
+        return only
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -375,11 +375,14 @@ def _curve_caption(group: Group, band: Band, *, is_scaled: bool = False) -> str:
         "Thin: the first loading of each sample, up to its failure where it failed. Faint:"
         " unloading and later cycles, where there are any."
     )
-    if band.n < 2 or not np.isfinite(band.lower).any():
+    mean = f" Thick: the mean of {band.n} {band.over}, drawn only where all of them have data."
+    if len(band.marks):
+        cut = _cut_words(group, band, is_scaled=is_scaled)
+        return f"{words}{mean} Vertical: 95 % intervals of the mean at three displacements.{cut}"
+    if not band.has_area:
         return f"{words} There is no band; the figure says why."
     return (
-        f"{words} Thick: the mean of {band.n} {band.over}, drawn only where all of them have data."
-        " Grey area: holds the mean at any one displacement with 95 %."
+        f"{words}{mean} Grey area: holds the mean at any one displacement with 95 %."
         + _whole_words(group, band, is_scaled=is_scaled)
         + _cut_words(group, band, is_scaled=is_scaled)
     )
@@ -407,7 +410,8 @@ def _whole_words(group: Group, band: Band, *, is_scaled: bool) -> str:
 def _cut_words(group: Group, band: Band, *, is_scaled: bool) -> str:
     low, high = seen(group, band, is_scaled=is_scaled)
     is_cut = np.nanmin(band.lower) < low or np.nanmax(band.upper) > high
-    return " The grey area is wider than the panel and is cut by its edge." if is_cut else ""
+    what = "The grey area is" if band.has_area else "Intervals are"
+    return f" {what} wider than the panel and cut by its edge." if is_cut else ""
 
 
 def _curve_alt(group: Group) -> str:

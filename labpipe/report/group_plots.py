@@ -123,6 +123,10 @@ _ALL: dict[str, Any] = {
 _FAINT = 0.28
 _PEAK = "peak_force.1"
 _BAND_POINTS = 80
+MARK: dict[str, Any] = {
+    "linewidth": 1.0, "marker": "_", "markersize": 6, "markeredgewidth": 1.0, "zorder": 4
+}  # fmt: skip
+"""Look of an interval at one displacement."""
 _ROOM = 0.5
 """Height left for a band above and below the curves, as a share of theirs."""
 _ROOM_FOR_ALL, _MARGIN = 0.25, 0.04
@@ -191,7 +195,8 @@ def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) 
     Parameters
     ----------
     group : gives the display units
-    band : without bands only its mean is drawn, without a mean nothing
+    band : of few curves its intervals are drawn where it has them; without bands only its mean,
+        without a mean nothing
     axes : to draw on
     is_scaled : its forces are shares of the peak force
     """
@@ -200,16 +205,37 @@ def plot_band(group: Group, band: Band, axes: Axes, *, is_scaled: bool = False) 
     kept = np.unique(
         np.linspace(0, len(band.displacement) - 1, _BAND_POINTS).round().astype(np.int64)
     )
-    x = band.displacement[kept] * group_scale(group, "displacement").factor
+    across = group_scale(group, "displacement").factor
+    x = band.displacement[kept] * across
     up = 1.0 if is_scaled else group_scale(group, "force").factor
     axes.plot(x, band.mean[kept] * up, **_MEAN)
-    if _is_known(band.lower):
+    plot_marks(band, axes, across, up, color="black")
+    if band.has_area:
         axes.fill_between(x, band.lower[kept] * up, band.upper[kept] * up, **_POINTWISE)
         for edge in (band.lower_all, band.upper_all):
             if _is_known(edge):
                 axes.plot(x, edge[kept] * up, **_ALL)
+    if _is_known(band.lower):
         low, high = seen(group, band, is_scaled=is_scaled)
         axes.set_ylim(low * up, high * up)
+
+
+def plot_marks(
+    band: Band, axes: Axes, across: float, up: float, *, color: str, shift: float = 0.0
+) -> None:
+    """Draw the intervals of the mean of few curves, where it has them.
+
+    Parameters
+    ----------
+    band : with or without intervals
+    axes : to draw on
+    across, up : from SI to the units of the axes
+    color : of the lines
+    shift : m, to the right, so that groups do not lie upon each other
+    """
+    for at in band.marks:
+        x = across * (band.displacement[at] + shift)
+        axes.plot([x, x], [up * band.lower[at], up * band.upper[at]], color=color, **MARK)
 
 
 def seen(group: Group, band: Band, *, is_scaled: bool = False) -> tuple[float, float]:
@@ -277,7 +303,7 @@ def _reason(band: Band) -> str:
     if not band.reason:
         return ""
     why = sentence(band.reason.message)
-    if _is_known(band.lower):
+    if band.reason.code in {"few_curves", "two_curves"}:
         return why
     return f"No {'band' if len(band.displacement) else 'mean curve'}: {why}"
 
@@ -289,8 +315,10 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
     ]
     if band.n >= 2 and len(band.displacement):
         keys.append(line_key(f"mean of {band.n} {band.over}", **_MEAN))
-        if _is_known(band.lower):
+        if band.has_area:
             keys.append(area_key("95 % band, point by point", **_POINTWISE))
+        elif len(band.marks):
+            keys.append(line_key("95 % interval of the mean", color="black", **MARK))
         if _is_known(band.lower_all):
             keys.append(line_key("95 % band, whole curve", **_ALL))
     faint = "" if is_scaled else _faint_words(group)

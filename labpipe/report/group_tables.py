@@ -67,7 +67,62 @@ class Table:
     notes: tuple[str, ...] = ()
 
 
-def key_numbers(group: Group) -> Table:
+_KEY_NUMBERS = 3
+"""Numbers of a group that stand at the top of a page."""
+
+
+def key_number_tables(campaign: Campaign) -> list[Table]:
+    """Make a table for each protocol: a row per group, its first numbers with their intervals.
+
+    Parameters
+    ----------
+    campaign : in its groups, what the protocol calls main comes first
+    """
+    protocols = dict.fromkeys(group.protocol for group in campaign.groups if group.numbers)
+    return [
+        _key_numbers(each, [group for group in campaign.groups if group.protocol == each])
+        for each in protocols
+    ]
+
+
+def _key_numbers(protocol: str, groups: Sequence[Group]) -> Table:
+    every = [each for group in groups for each in group.numbers if _is_key(each)]
+    shown = list(dict.fromkeys(each.name for each in every))[:_KEY_NUMBERS]
+    heads = [_key_heading(name, groups) for name in shown]
+    rows = tuple(
+        (_group_cell(group), *(_key_cell(group, name) for name in shown)) for group in groups
+    )
+    return Table(f"Key numbers ({protocol})", ("Group", *heads), rows)
+
+
+def _is_key(number: GroupNumber) -> bool:
+    """Of the specimen, and of the first cycle where there are several."""
+    return not number.is_set_by_rig and number.name.partition(".")[2] in {"", "1"}
+
+
+def _key_heading(name: str, groups: Sequence[Group]) -> str:
+    group, number = next(
+        (group, each) for group in groups for each in group.numbers if each.name == name
+    )
+    return heading(name, shown_in(name, number.unit, display_of(group)).unit)
+
+
+def _group_cell(group: Group) -> Cell:
+    return Cell(group.name, f"n = {len(group.samples)}")
+
+
+def _key_cell(group: Group, name: str) -> Cell:
+    number = next((each for each in group.numbers if each.name == name), None)
+    if number is None or number.mean is None:
+        return Cell(DASH)
+    factor = shown_in(name, number.unit, display_of(group)).factor
+    chosen = number.mean.chosen
+    written = write_mean(chosen, factor, number.mean.spool_means.values())
+    fewer = "" if chosen.n == len(group.samples) else f"over {_over(number)}"
+    return Cell(written.value, "; ".join(filter(None, (written.interval, fewer))))
+
+
+def means_of(group: Group) -> Table:
     """Make the table of means: interval, what was averaged, standard deviation."""
     rows = tuple(_mean_row(group, each) for each in group.numbers)
     heads = ("Number", "Mean", "95 % interval", "Mean over", "Standard deviation")
@@ -114,7 +169,7 @@ def _mean_row(group: Group, number: GroupNumber) -> tuple[Cell, ...]:
         head,
         Cell(written.value),
         Cell(written.interval or DASH),
-        Cell(_over(number), _missing(number)),
+        Cell(_over(number), "; ".join(filter(None, (_missing(number), _set_words(number))))),
         Cell(deviation.value),
     )
 
@@ -124,6 +179,10 @@ def _over(number: GroupNumber) -> str:
     if mean is None:
         return DASH
     return count_of(mean.chosen.n, "sample" if mean.is_pooled else "spool mean")
+
+
+def _set_words(number: GroupNumber) -> str:
+    return "set by the rig: no outliers are looked for" if number.is_set_by_rig else ""
 
 
 def _missing(number: GroupNumber) -> str:

@@ -16,7 +16,8 @@ from labpipe.report.group_figures import save_drawings, stems
 from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import (
     concern_tables,
-    key_numbers,
+    key_number_tables,
+    means_of,
     method_tables,
     sample_tables,
     slip_table,
@@ -25,8 +26,8 @@ from labpipe.report.group_tables import (
 )
 from labpipe.report.question_figures import figures_of_families
 from labpipe.report.questions import (
+    answer_table,
     answering_pairs,
-    difference_table,
     field_words,
     question_table,
     remarks_on_pairs,
@@ -97,7 +98,8 @@ def render_page(
         concerns=concern_tables(campaign),
         concern_count=len(find_concerns(campaign)),
         groups=groups,
-        differences=difference_table(campaign),
+        answers=answer_table(campaign),
+        key_numbers=key_number_tables(campaign),
         questions=_questions(campaign, between.questions),
         remarks_on_pairs=remarks_on_pairs(campaign),
         has_bundles=has_bundles(campaign),
@@ -149,7 +151,7 @@ def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str,
         "protocol": group.protocol,
         "is_empty": not group.samples,
         "why_empty": sentences([group.band.reason]) or "The group has no sample.",
-        "means": key_numbers(group),
+        "means": means_of(group),
         "spools": spool_means(group),
         "samples": sample_tables(group),
         "slips": slip_table(group),

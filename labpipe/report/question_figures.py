@@ -25,7 +25,7 @@ from labpipe.report.figure_page import (
     style_colours,
 )
 from labpipe.report.group_figures import stems
-from labpipe.report.group_plots import group_scale
+from labpipe.report.group_plots import MARK, group_scale, plot_marks
 from labpipe.report.questions import Family, context_words, equal_words, families, field_words
 from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import display_of, heading, in_words, shortened, shown_in
@@ -41,6 +41,8 @@ _HEIGHT = 66.0
 _POINTS, _UNSEEN = 40, 0.003
 """Points of a curve at the most, and the share of its height by which it may be off, so that a
 page of eighteen groups is below 2 MB."""
+_SHIFT = 0.008
+"""How far apart intervals of two groups at one displacement are drawn, as a share of it all."""
 _ROOM = 0.4
 """Height left for bands above and below the mean curves, as a share of theirs."""
 _BAND_LOOK: dict[str, Any] = {"alpha": 0.16, "linewidth": 0, "zorder": 1}
@@ -78,8 +80,7 @@ def caption(family: Family) -> str:
     above = f"{field_words(family.field)}: {', '.join(family.words)}; "
     words = (
         f"{above}{equal_words(family.groups, family.field)}. (a) Mean force on first loading, only"
-        " where all samples of a group have data; pale: holds the mean at any one displacement"
-        " with 95 %."
+        f" where all samples of a group have data{_interval_words(family)}."
     )
     if _is_scaled(family):
         words += " (b) The same for force / peak force of each sample."
@@ -104,6 +105,15 @@ def caption(family: Family) -> str:
             *([f"No mean curve: {', '.join(lacking)}."] if lacking else []),
             *(["Protocol: " + first.protocol + "."]),
         ]
+    )
+
+
+def _interval_words(family: Family) -> str:
+    bands = [group.band for group in family.groups]
+    words = "; pale: holds the mean at any one displacement with 95 %"
+    marks = "; vertical: 95 % intervals of means over fewer than six curves, side by side"
+    return words * any(each.has_area for each in bands) + marks * any(
+        len(each.marks) for each in bands
     )
 
 
@@ -181,10 +191,13 @@ def plot_bands(family: Family, axes: Axes, *, is_scaled: bool = False) -> None:
     if not drawn:
         say(axes, "No group has a mean curve.")
         return
+    places = [at - 0.5 * (len(drawn) - 1) for at in range(len(drawn))]
     for look, band in drawn:
         x, kept = across.factor * band.displacement, _drawn(band, band.mean)
         axes.plot(x[kept], up * band.mean[kept], color=look.colour, linestyle=look.dash, zorder=3)
-        if np.isfinite(band.lower).any():
+        shift = _SHIFT * band.displacement[-1] * places.pop(0)
+        plot_marks(band, axes, across.factor, up, color=look.colour, shift=shift)
+        if band.has_area:
             kept = np.union1d(_drawn(band, band.lower), _drawn(band, band.upper))
             edges = (up * band.lower[kept], up * band.upper[kept])
             axes.fill_between(x[kept], *edges, color=look.colour, **_BAND_LOOK)
@@ -273,6 +286,8 @@ def _keys(family: Family) -> list[Artist]:
         )
         for look, word, group in zip(_looks(family), family.words, family.groups, strict=True)
     ]
-    if any(np.isfinite(group.band.lower).any() for group in family.groups):
+    if any(len(group.band.marks) for group in family.groups):
+        keys.append(line_key("95 % interval of the mean", color=GREY, **MARK))
+    if any(group.band.has_area for group in family.groups):
         keys.append(area_key("95 % band, point by point", color=GREY, **_BAND_LOOK))
     return keys

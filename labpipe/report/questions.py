@@ -7,17 +7,27 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from math import nan
 
+from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
 from labpipe.report.concerns import sentences
 from labpipe.report.group_tables import DASH, Cell, Table
-from labpipe.report.wording import display_of, heading, shown_in, write_number
-from labpipe.statistics.group_fields import BORE, in_order, varying_fields
+from labpipe.report.wording import (
+    Written,
+    display_of,
+    heading,
+    shown_in,
+    unit_words,
+    write_number,
+)
+from labpipe.statistics.group_fields import BORE, TYPE, in_order, varying_fields
 
 MOST_TOGETHER = 6
 """Groups that are compared in one figure: more curves could not be told apart."""
-FEW_ROWS = 10
-"""Rows of pairs that differ in several fields, up to which the page shows them."""
+MOST_TYPES = 12
+"""Pairs of types that the answers at the top of a page name one by one."""
+_MOST_SHARE = 10.0
+"""End of an interval beyond which it says nothing of interest: +1000 %."""
 
 _OF_BUNDLES = (
     "type", "spool", "composition", "wire", "number", "arrangement", "tape", "taping", "conduit",
@@ -69,24 +79,15 @@ def answering_pairs(campaign: Campaign) -> list[Pair]:
     """List the pairs of groups that differ in one field alone, in the order of the differences."""
     groups = {group.name: group for group in campaign.groups}
     pairs = groupby(
-        (each for each in campaign.differences if each.question),
+        (each for each in campaign.differences if each.family),
         key=lambda each: (each.first, each.second),
     )
     return [Pair(groups[one], groups[two], tuple(each)) for (one, two), each in pairs]
 
 
-def several_fields(campaign: Campaign) -> list[Difference]:
-    """List the differences of bundles and the like that differ in several fields at once."""
-    return [each for each in campaign.differences if len(each.fields) > 1 and not _is_plain(each)]
-
-
-def plain(campaign: Campaign) -> list[Difference]:
-    """List the differences of specimens of two types, and of groups that no sheet tells apart."""
-    return [each for each in campaign.differences if _is_plain(each)]
-
-
-def _is_plain(difference: Difference) -> bool:
-    return not difference.fields or "type" in difference.fields
+def not_asked(campaign: Campaign) -> list[Difference]:
+    """List the differences of groups that differ in several fields at once, or in none."""
+    return [each for each in campaign.differences if not each.family]
 
 
 def families(campaign: Campaign) -> list[Family]:
@@ -222,7 +223,7 @@ def _in_conduit(alike: Mapping[str, str]) -> str:
     return "" if word == NONE else word
 
 
-_HEADS = ("Number", "Difference", "95 % interval", "Does not matter below", "In words")
+_HEADS = ("Number", "Difference", "95 % interval, corrected", "Does not matter below", "In words")
 
 
 def question_table(pair: Pair) -> Table:
@@ -234,15 +235,12 @@ def question_table(pair: Pair) -> Table:
 
     Returns
     -------
-    A row per number, with the difference as a share of the first mean below it. What is said
-    against the comparison of every number, stands once, below the table.
+    A row per number, with the difference in its unit below a percentage. What is said against the
+    comparison of every number, stands once, below the table.
     """
     caveats = [each.caveats for each in pair.differences]
     shared = [each for each in caveats[0] if all(each in own for own in caveats)]
-    rows = [
-        _row(_without(each, shared), display_of(pair.first), _share_of(each, pair.first))
-        for each in pair.differences
-    ]
+    rows = [_row(_without(each, shared), display_of(pair.first)) for each in pair.differences]
     notes = [f"Every number: {'; '.join(shared)}."] if shared else []
     return Table(question_words(pair), _HEADS, tuple(rows), tuple(notes))
 
@@ -252,47 +250,94 @@ def _without(difference: Difference, caveats: Sequence[str]) -> Difference:
     return replace(difference, caveats=kept)
 
 
-def _share_of(difference: Difference, first: Group) -> str:
-    """A difference in percent of the mean that it is counted from."""
-    number = next((each for each in first.numbers if each.name == difference.name), None)
-    mean = number.mean.chosen.mean if number is not None and number.mean is not None else nan
-    found = difference.difference
-    if not abs(mean) > 0.0:
-        return ""
-    return f"{write_number(100.0 * found.mean / abs(mean), None, digits=2).value} %"
-
-
-def difference_table(campaign: Campaign) -> Table | None:
-    """Make the table of differences between types, and of few that differ in several fields.
+def answer_table(campaign: Campaign) -> Table | None:
+    """Make the table of answers for the top of a page: a row per question.
 
     Parameters
     ----------
-    campaign : its groups give the display units
+    campaign : its differences in the first main number of pairs that differ in one field alone
 
     Returns
     -------
-    None where there are no such differences; where those in several fields are many, without them.
+    None where there is no such pair. Pairs of types that are more than `MOST_TYPES` are counted.
     """
-    displays = {group.name: display_of(group) for group in campaign.groups}
-    several = several_fields(campaign)
-    shown = [*plain(campaign), *(several if len(several) <= FEW_ROWS else [])]
-    rows = [_row(each, displays.get(each.first, {}), between(each)) for each in shown]
-    title = "Differences between groups" if not several else _title(shown, several)
-    return Table(title, _HEADS, tuple(rows)) if rows else None
+    pairs = answering_pairs(campaign)
+    of_types = [pair for pair in pairs if pair.field == TYPE]
+    shown = [pair for pair in pairs if pair.field != TYPE or len(of_types) <= MOST_TYPES]
+    if not pairs:
+        return None
+    hidden = len(pairs) - len(shown)
+    notes = [] if not hidden else [f"{hidden} pairs of types stand in 'Differences' alone."]
+    heads = ("Question", "Answer", "Difference, 95 % interval", "n")
+    rows = tuple(_answer_row(pair) for pair in shown)
+    notes.append(
+        "Intervals and verdicts are corrected for the number of questions: in 5 % of reports at the"
+        " most any of those called different is not."
+    )
+    return Table("Answers", heads, rows, tuple(notes))
 
 
-def _title(shown: Sequence[Difference], several: Sequence[Difference]) -> str:
-    if len(shown) == len(several):
-        return "Groups that differ in several fields at once"
-    return "Differences between other groups"
+def _answer_row(pair: Pair) -> tuple[Cell, ...]:
+    asked = pair.differences[0]
+    before, after = asked.fields[pair.field]
+    alike = context_words((pair.first, pair.second), pair.field)
+    written = _written(asked, display_of(pair.first))
+    return (
+        Cell(f"{field_words(pair.field)}: {after} against {before}", alike),
+        Cell(str(asked.verdict).upper(), asked.why),
+        Cell(
+            f"{heading(asked.name, '1')} {written.value}",
+            written.interval or sentences([asked.difference.reason]),
+        ),
+        Cell(" v ".join(str(_count(each, asked.name)) for each in (pair.second, pair.first))),
+    )
 
 
-def between(difference: Difference) -> str:
-    """Name the groups of a difference, and the fields where they are several."""
-    words = f"{difference.second} minus {difference.first}"
-    if len(difference.fields) < 2 or "type" in difference.fields:
-        return words
-    return f"{words}: {fields_in_words(difference)}"
+def _count(group: Group, name: str) -> int:
+    """How many values are behind the mean of a number."""
+    mean = next((each.mean for each in group.numbers if each.name == name), None)
+    return 0 if mean is None else mean.chosen.n
+
+
+def _written(difference: Difference, display: Mapping[str, str]) -> Written:
+    """A difference and its corrected interval: in percent, or in its unit."""
+    is_beyond = False
+    if difference.share is None:
+        shown = shown_in(difference.name, difference.unit, display)
+        found = difference.difference
+        given = write_number(found.mean, difference.interval, shown.factor, apart=found.apart)
+        unit = f" {unit_words(shown.unit)}".rstrip()
+    else:
+        ends = difference.interval
+        if ends is not None and ends.upper > _MOST_SHARE:
+            ends = Interval(min(ends.lower, _MOST_SHARE), _MOST_SHARE, ends.level)
+            is_beyond = True
+        given, unit = write_number(difference.share, ends, 100.0), " %"
+    lower, upper = (f"{_signed(end)}{unit}" if end else "" for end in (given.lower, given.upper))
+    upper = f"more than {upper}" if is_beyond else upper
+    return Written(f"{_signed(given.value)}{unit}", lower, upper)
+
+
+def _signed(number: str) -> str:
+    """Write a plus where a difference is up."""
+    return number if number.startswith(("-", "\u2013", "0")) else f"+{number}"
+
+
+def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]:
+    shown = shown_in(difference.name, difference.unit, display)
+    found = difference.difference
+    written = _written(difference, display)
+    in_unit = "" if difference.share is None else write_number(found.mean, None, shown.factor).value
+    none = sentences([found.reason]) or DASH
+    margin = nan if difference.margin is None else difference.margin
+    matters = write_number(margin, None, shown.factor, digits=3).value
+    return (
+        Cell(heading(difference.name, shown.unit)),
+        Cell(written.value, in_unit),
+        Cell(written.interval or none),
+        Cell(matters),
+        Cell(difference.words),
+    )
 
 
 def fields_in_words(difference: Difference) -> str:
@@ -300,22 +345,6 @@ def fields_in_words(difference: Difference) -> str:
     return "; ".join(
         f"{name.replace('_', ' ')}: {after} against {before}"
         for name, (before, after) in difference.fields.items()
-    )
-
-
-def _row(difference: Difference, display: Mapping[str, str], below: str) -> tuple[Cell, ...]:
-    shown = shown_in(difference.name, difference.unit, display)
-    found = difference.difference
-    written = write_number(found.mean, found.interval, shown.factor, apart=found.apart)
-    none = sentences([found.reason]) or DASH
-    margin = nan if difference.margin is None else difference.margin
-    matters = write_number(margin, None, shown.factor, digits=3).value
-    return (
-        Cell(heading(difference.name, shown.unit), below),
-        Cell(written.value),
-        Cell(written.interval or none),
-        Cell(matters),
-        Cell(difference.words),
     )
 
 
@@ -330,11 +359,11 @@ def remarks_on_pairs(campaign: Campaign) -> list[str]:
             f"Only pairs of groups that differ in {name} alone are shown (--compare"
             f" {campaign.compared}); {_pairs(campaign.pairs_not_shown)} left out."
         )
-    several = several_fields(campaign)
-    if len(several) > FEW_ROWS:
+    several = not_asked(campaign)
+    if several:
         count = len({(each.first, each.second) for each in several})
         said.append(
-            f"{_pairs(count)} not shown, as the groups differ in several fields at once, which"
+            f"{_pairs(count)} not judged, as the groups differ in several fields at once, which"
             " answers no question: see the sheet 'comparisons' of tables.xlsx."
         )
     return said

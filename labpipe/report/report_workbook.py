@@ -263,6 +263,10 @@ _ABOUT = (
     "Mean over: samples, or spool means where samples of one spool are too much alike.",
     "Curves: lower and upper hold the mean at one displacement, lower_all and upper_all the whole"
     " mean curve. Only displacements at which every sample has data.",
+    "Comparisons: 'lower' and 'upper' are Welch's 95 % interval of one difference alone, p-values"
+    " are those of one alone, too; 'corrected' ends are of the share (0.38 for +38 %), or without"
+    " one of the difference, at the level that Holm's correction for the family leaves. Without a"
+    " family nobody asked.",
     "Outliers are marked in 'needs a look'; none was removed. A status 'doubtful' is in the means,"
     " 'failed' is not.",
 )
@@ -436,10 +440,11 @@ def yes(value: bool) -> str:
 def _comparisons(campaign: Campaign) -> _Table:
     heads = (
         "number", "result", "first", "second", "unit", "second minus first", "lower", "upper",
-        "does not matter below", "equivalent, p", "verdict", "reason",
+        "does not matter below", "different, p", "equivalent, p", "family", "in family",
+        "share", "corrected lower", "corrected upper", "level", "verdict", "reason",
     )  # fmt: skip
     displays = {group.name: display_of(group) for group in campaign.groups}
-    has_fields = any(each.fields and "type" not in each.fields for each in campaign.differences)
+    has_fields = any(each.fields for each in campaign.differences)
     rows: list[Row] = []
     for each in campaign.differences:
         scale = shown_in(each.name, each.unit, displays.get(each.first, {}))
@@ -447,7 +452,11 @@ def _comparisons(campaign: Campaign) -> _Table:
         margin = None if each.margin is None else scale.factor * each.margin
         names = (in_words(each.name), each.name, each.first, each.second, scale.unit)
         ends = _ends(found.interval, scale.factor)
-        about = (margin, each.p_equivalent, each.words, str(found.reason or ""))
+        chances = (each.p, each.p_equivalent, each.family, each.tests or None)
+        factor = scale.factor if each.share is None else 1.0
+        level = None if each.interval is None else each.interval.level
+        corrected = (each.share, *_ends(each.interval, factor), level)
+        about = (margin, *chances, *corrected, each.words, str(found.reason or ""))
         fields = (each.question, fields_in_words(each)) if has_fields else ()
         rows.append((*names, scale.factor * found.mean, *ends, *about, *fields))
     return (*heads, *(("question", "differ in") if has_fields else ())), rows

@@ -108,10 +108,11 @@ def differing_fields(
 
     Returns
     -------
-    Both words by field. What follows from another field is left out: of bundles, the type, and the
-    composition where wire or number differ; the tape where one of the two has none; the bore and
-    the section of a conduit where the conduits differ; the arrangement where a bundle has wires of
-    one kind only. Dimensions differ by more than 1 %.
+    Both words by field. What follows from another field is left out: of bundles, the type; the
+    section of other specimens where the type differs; the composition where wire or number differ;
+    the tape where one of the two has none; the bore and the section of a conduit where the conduits
+    differ; the arrangement where a bundle has wires of one kind only. Dimensions differ by more
+    than 1 %.
     """
     varying = {*varying_fields(first), *varying_fields(second)}
     if "composition" in varying:
@@ -146,6 +147,8 @@ def _dependent(
     dependent: set[str] = set()
     if all(_has_bundles(each) for each in (first, second)):
         dependent.add(TYPE)
+    elif TYPE in found:
+        dependent |= set(OF_SECTION)
     if {"wire", "number"} & found.keys():
         dependent.add("composition")
     if NONE in words.get("taping", ()):

@@ -10,7 +10,6 @@ import numpy as np
 from labpipe.records.group import GroupNumber, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Status
-from labpipe.statistics.outliers import too_few_for_outliers
 
 _MIXES = "a mean over them mixes what this changes with scatter"
 _IN_COMPOSITION = ("wire", "number")
@@ -155,6 +154,22 @@ def number_notes(numbers: Sequence[GroupNumber]) -> list[QualityNote]:
 
 def _doubted(number: GroupNumber) -> list[str]:
     return [key for key, each in number.values.items() if each.status is Status.DOUBTFUL]
+
+
+def too_few_for_outliers(spools: Sequence[str]) -> str:
+    """Say why no sample can be marked; empty where one can.
+
+    Parameters
+    ----------
+    spools : spool of each sample that has a value
+    """
+    counted, needed = len(spools), len(set(spools)) + 2
+    if counted >= needed:
+        return ""
+    return (
+        f"too_few_samples: {counted} samples of {len(set(spools))} spools, "
+        f"outliers are found from {needed} on"
+    )
 
 
 def _too_few(number: GroupNumber) -> str:

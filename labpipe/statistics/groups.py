@@ -23,7 +23,6 @@ from labpipe.statistics.group_notes import (
 from labpipe.statistics.log_scale import can_be_on_a_log_scale, on_log_scale
 from labpipe.statistics.mean_curves import loading_band, scaled_band
 from labpipe.statistics.means import USUAL, PoolingLimits, nested_mean
-from labpipe.statistics.outliers import mark_outliers
 from labpipe.statistics.shared_causes import with_shared
 from labpipe.statistics.two_groups import compare
 
@@ -38,6 +37,7 @@ def build_group(
     limits: PoolingLimits = USUAL,
     scaled: bool = False,
     signed: Container[str] = (),
+    set_by_rig: Container[str] = (),
 ) -> Group:
     """Put the samples of one type together.
 
@@ -50,6 +50,7 @@ def build_group(
     scaled : whether to average force / peak force as well
     signed : stems of results that can be negative, such as ``slack``; intervals of the means of all
         others are on a log scale
+    set_by_rig : stems of results that say how the rig was driven
 
     Returns
     -------
@@ -74,6 +75,9 @@ def build_group(
     share, share_notes = scaled_band(ordered, limits) if scaled else (None, [])
     found = [*method_notes(made_otherwise, ordered), *sample_notes(ordered), *number_notes(numbers)]
     every = (*found, *notes, *share_notes)
+    numbers = tuple(
+        replace(each, is_set_by_rig=each.name.partition(".")[0] in set_by_rig) for each in numbers
+    )
     return Group(name, protocol, ordered, numbers, band, share, every, shared_fields(ordered))
 
 
@@ -134,7 +138,6 @@ def group_number(
         mean=_nested(by_spool, limits, is_signed=is_signed) if by_spool else None,
         values=values,
         left_out={key: reasons for key, reasons in left_out.items() if reasons},
-        outliers=mark_outliers({key: _value(each) for key, each in values.items()}, spools),
     )
 
 
@@ -167,7 +170,7 @@ def _nested(
 def compare_groups(
     first: Group, second: Group, *, names: Sequence[str] = (), margin: float | None = None
 ) -> tuple[Difference, ...]:
-    """How two groups differ in the results that both have.
+    """How two groups differ in the results that both have, before it is judged.
 
     Parameters
     ----------
@@ -178,9 +181,8 @@ def compare_groups(
 
     Returns
     -------
-    One per result that has a mean in both groups and one unit, in the order of `names`. The margin
-    in the unit of the result is taken as known, though the mean behind it was measured. A caveat
-    says so where the numbers of the two were not made alike.
+    One per result that has a mean in both groups and one unit, in the order of `names`, without a
+    verdict (`judged`). A caveat says so where the numbers of the two were not made alike.
     """
     one = {number.name: number for number in first.numbers}
     two = {number.name: number for number in second.numbers}
@@ -194,7 +196,5 @@ def _difference(
 ) -> Difference | None:
     if one.mean is None or two.mean is None or one.unit != two.unit:
         return None
-    size = abs(one.mean.chosen.mean)
-    room = None if margin is None or size == 0 else margin * size
-    found = compare(one.name, one.unit, (first, one.mean), (second, two.mean), room)
+    found = compare(one.name, one.unit, (first, one.mean), (second, two.mean), margin)
     return replace(found, caveats=(*found.caveats, *apart(one, two)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import optimize, special
@@ -17,6 +17,10 @@ from labpipe.statistics.means import LEVEL, USUAL, PoolingLimits, nested_mean, t
 _POINTS = 500
 """Points of a curve before it is averaged with others, each the mean of its samples: noise that is
 faster says nothing about the sample and makes the band of the whole curve wide."""
+FEW = 6
+"""Curves from which on a band is drawn: over fewer, c of the band of the whole curve is 4 to 60."""
+_SHOWN = (0.25, 0.5, 1.0)
+"""Places of a mean over few curves that have an interval, as shares of its displacements."""
 POINTS = 201
 """Displacements of a mean curve: 0.25 mm apart over 50 mm."""
 
@@ -37,9 +41,9 @@ def loading_band(
 
     Returns
     -------
-    The band and notes. Over spool means unless the mean forces over the common range say that
-    spools may be pooled: one decision for the whole curve, since the width of a band that decides
-    at every displacement would jump.
+    The band and notes, of few curves without a band (`without_band`). Over spool means unless the
+    mean forces over the common range say that spools may be pooled: one decision for the whole
+    curve, since the width of a band that decides at every displacement would jump.
     """
     drawn = [
         (key, sample)
@@ -63,8 +67,48 @@ def loading_band(
         by = "Mean curve, by the mean force of each sample over the common range."
         notes.append(group_note("curve_pooling", f"{by} {decision.decision}"))
     if decision.is_pooled:
-        return mean_band(shared), notes
-    return mean_band(_spool_curves(shared, spools), over="spool means"), notes
+        return without_band(mean_band(shared)), notes
+    band = mean_band(_spool_curves(shared, spools), over="spool means")
+    return without_band(band), notes
+
+
+def without_band(band: Band) -> Band:
+    """Take the bands from a mean over few curves.
+
+    Parameters
+    ----------
+    band : of any number of curves
+
+    Returns
+    -------
+    Over `FEW` curves and more, as it is. Over three to five (``few_curves``) the pointwise interval
+    stays at a quarter, at half and at the end of the displacements, and is NaN elsewhere: an area
+    of intervals looks like a band that holds the curve, and one that does hides the curves. Over
+    two (``two_curves``) there is none: with a t of 12.7 it would say nothing but that.
+    """
+    if not 2 <= band.n < FEW or not len(band.displacement):
+        return band
+    nothing = np.full(len(band.displacement), np.nan)
+    lower, upper = nothing.copy(), nothing.copy()
+    code, why = "two_curves", f"two {band.over} are too few for any band; the samples are shown"
+    if band.n > 2:
+        at = [round(share * (len(nothing) - 1)) for share in _SHOWN]
+        lower[at], upper[at] = band.lower[at], band.upper[at]
+        code, why = (
+            "few_curves",
+            (
+                f"{band.n} {band.over} are too few for a band, which needs {FEW}; the mean has its"
+                " interval at three displacements"
+            ),
+        )
+    return replace(
+        band,
+        lower=lower,
+        upper=upper,
+        lower_all=nothing,
+        upper_all=nothing,
+        reason=Reason(code, why),
+    )
 
 
 def _curve_decision(

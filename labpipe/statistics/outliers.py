@@ -1,16 +1,18 @@
-"""Outliers: marked by a named test, never removed."""
+"""Outliers: marked by a named test, rarely by chance in a whole report, and never removed."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from labpipe.records.arrays import Floats
-from labpipe.records.group import Outlier
+from labpipe.records.group import Group, GroupNumber, Outlier
+from labpipe.statistics.families import holm
+from labpipe.statistics.group_notes import sample_keys
 
 GRUBBS = "Grubbs' test"
 GRUBBS_WITHIN = "Grubbs' test within spools"
@@ -26,27 +28,76 @@ _METHODS = {
 }
 
 
-def mark_outliers(
-    values: Mapping[str, float],
-    spools: Mapping[str, str],
-    *,
-    level: float = 0.05,
-    most: int | None = None,
-) -> tuple[Outlier, ...]:
-    """Mark values that lie further from the mean of their spool than chance explains.
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """The furthest value of those left, its p-value, and the values that lie as far out."""
+
+    where: int
+    p: float
+    twins: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Suspects:
+    """Values of one number that may be outliers, before the other numbers of a report are known.
+
+    Parameters
+    ----------
+    names, values : of the samples
+    steps : the furthest value, then that of the rest, and so on; empty where there is no test
+    method : name of the test
+    """
+
+    names: Sequence[str] = ()
+    values: Sequence[float] = ()
+    steps: Sequence[_Step] = ()
+    method: str = ""
+
+    @property
+    def p(self) -> float:
+        """p-value of the surest of them; NaN where there is no test."""
+        return min((step.p for step in self.steps), default=float("nan"))
+
+    def below(self, level: float) -> tuple[Outlier, ...]:
+        """Mark those whose p-value is below a level, furthest first.
+
+        Parameters
+        ----------
+        level : chance of marking anything in this number where there is no outlier
+        """
+        # A value is as sure as the surest step that it had to be set aside for.
+        chances = [min(step.p for step in self.steps[at:]) for at in range(len(self.steps))]
+        pairs = zip(self.steps, chances, strict=True)
+        marked = [(step, chance) for step, chance in pairs if chance < level]
+        alone = {step.where for step, _ in marked}
+        return tuple(
+            Outlier(
+                self.names[where],
+                self.values[where],
+                self.method + _unless_told(others, self.names),
+                chance,
+            )
+            for step, chance in marked
+            for where, others in _shared(step, alone)
+        )
+
+
+def find_suspects(
+    values: Mapping[str, float], spools: Mapping[str, str], *, most: int | None = None
+) -> Suspects:
+    """Test whether values lie further from the mean of their spool than chance explains.
 
     Parameters
     ----------
     values : by sample; NaN are passed over
     spools : spool of each sample
-    level : chance of marking anything where there is no outlier
     most : how many may be marked; a tenth of the samples, and at least one, if None
 
     Returns
     -------
-    Furthest first. Empty where `too_few_for_outliers` says why nothing can be marked. Values that
-    lie equally far out are all marked and the method says so: the two samples of a spool always
-    are, since each lies as far from their mean as the other.
+    None where `too_few_for_outliers` says why there is no test. Values that lie equally far
+    out are all named and the method says so: the two samples of a spool always are, since each lies
+    as far from their mean as the other.
 
     Notes
     -----
@@ -61,17 +112,51 @@ def mark_outliers(
     number = np.array([values[name] for name in names])
     spool = np.unique([spools[name] for name in names], return_inverse=True)[1]
     allowed = max(1, len(names) // 10) if most is None else most
-    steps = _steps(number, spool, allowed)
-    # A value is as sure as the surest step that it had to be set aside for.
-    chances = [min(step.p for step in steps[at:]) for at in range(len(steps))]
     method = _METHODS[allowed > 1, len(set(spool.tolist())) > 1]
-    marked = [pair for pair in zip(steps, chances, strict=True) if pair[1] < level]
-    alone = {step.where for step, _ in marked}
-    return tuple(
-        Outlier(names[where], float(number[where]), method + _unless_told(others, names), chance)
-        for step, chance in marked
-        for where, others in _shared(step, alone)
-    )
+    return Suspects(names, number.tolist(), _steps(number, spool, allowed), method)
+
+
+def with_outliers(groups: Sequence[Group], level: float = 0.05) -> list[Group]:
+    """Mark outliers among all numbers of a report.
+
+    Parameters
+    ----------
+    groups : of the report; outliers that they have are replaced. Numbers that the rig sets are not
+        tested
+    level : chance of marking anything in the whole report where there is no outlier
+
+    Returns
+    -------
+    The groups with outliers in their numbers. The smallest p-values of all numbers are one family,
+    corrected by `holm`: numbers of one test hang together, which Holm's procedure allows. The steps
+    of the ESD test count as one test each, since it marks more often than its level says (1.14
+    times at 5 % and 20 samples, two steps).
+    """
+    suspects = [[_suspects(group, each) for each in group.numbers] for group in groups]
+    chances = [len(each.steps) * each.p for own in suspects for each in own]
+    corrected = iter(holm(chances, level))
+    return [
+        replace(
+            group,
+            numbers=tuple(
+                replace(
+                    number,
+                    outliers=each.below(level / next(corrected).divisor / max(1, len(each.steps))),
+                )
+                for number, each in zip(group.numbers, own, strict=True)
+            ),
+        )
+        for group, own in zip(groups, suspects, strict=True)
+    ]
+
+
+def _suspects(group: Group, number: GroupNumber) -> Suspects:
+    if number.is_set_by_rig:
+        return Suspects()
+    keys = sample_keys(group.samples)
+    spools = dict(zip(keys, (each.specimen.spool for each in group.samples), strict=True))
+    values = {key: each.value for key, each in number.values.items() if each.value is not None}
+    return find_suspects(values, spools)
 
 
 def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
@@ -83,31 +168,6 @@ def _shared(step: _Step, alone: set[int]) -> list[tuple[int, list[int]]]:
 def _unless_told(others: Sequence[int], names: Sequence[str]) -> str:
     told = " and ".join(names[other] for other in others)
     return f", which cannot tell it from {told}" if told else ""
-
-
-def too_few_for_outliers(spools: Sequence[str]) -> str:
-    """Say why no sample can be marked; empty where one can.
-
-    Parameters
-    ----------
-    spools : spool of each sample that has a value
-    """
-    counted, needed = len(spools), len(set(spools)) + 2
-    if counted >= needed:
-        return ""
-    return (
-        f"too_few_samples: {counted} samples of {len(set(spools))} spools, "
-        f"outliers are found from {needed} on"
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Step:
-    """The furthest value of those left, its p-value, and the values that lie as far out."""
-
-    where: int
-    p: float
-    twins: tuple[int, ...]
 
 
 def _steps(values: Floats, spool: NDArray[np.intp], most: int) -> list[_Step]:

@@ -1,19 +1,25 @@
-"""Comparison of two groups: their difference, and whether it matters."""
+"""Comparison of two groups: their difference, whether it is real, and whether it matters."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import replace
+from math import expm1, hypot, log, log1p, sqrt
 
 import numpy as np
 from scipy import optimize, special
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Difference, MeanInterval, NestedMean
+from labpipe.records.group import Contrast, Difference, MeanInterval, NestedMean, Verdict
+from labpipe.records.result import Contribution
+from labpipe.statistics.families import Corrected, holm
 from labpipe.statistics.means import LEVEL, t_quantile
 from labpipe.statistics.shared_causes import difference_of, standard_uncertainty, widened_by
 
 _FARTHEST = 8.0
 """Standard deviations beyond which a chance, 1e-15, counts as none."""
+_LARGEST = 20.0
+"""Logarithm of a ratio beyond which no end of an interval says anything; keeps it finite."""
 
 
 def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterval:
@@ -40,44 +46,93 @@ def difference_of_means(first: MeanInterval, second: MeanInterval) -> MeanInterv
     reason = first.reason or second.reason
     if reason:
         return MeanInterval(found, None, np.nan, n, reason, common=common)
-    half, middle = _welch(first, second).half, second.middle - first.middle
+    middle = second.middle - first.middle
+    plain = Contrast(middle, (_error(first), _error(second)), (first.n, second.n))
+    half = half_of(plain)
     interval = widened_by(Interval(middle - half, middle + half), common)
     estimate = None if middle == found else middle
     return MeanInterval(found, interval, np.nan, n, estimate=estimate, common=common)
 
 
-@dataclass(frozen=True, slots=True)
-class _Welch:
-    """Standard error of a difference, and its degrees of freedom."""
-
-    error: float
-    degrees: float
-
-    @property
-    def half(self) -> float:
-        """Half the width of the 95 % interval; zero where nothing scatters."""
-        return t_quantile(self.degrees) * self.error if self.error > 0 else 0.0
-
-
-def _welch(first: MeanInterval, second: MeanInterval) -> _Welch:
-    one, two = first.deviation**2 / first.n, second.deviation**2 / second.n
-    spread = one**2 / (first.n - 1) + two**2 / (second.n - 1)
-    degrees = (one + two) ** 2 / spread if spread > 0 else float(first.n + second.n - 2)
-    return _Welch(float(np.sqrt(one + two)), degrees)
-
-
-def equivalence_p(first: MeanInterval, second: MeanInterval, margin: float) -> float:
-    """p-value of the two one-sided tests that two means differ by less than a margin.
+def contrast_of(
+    first: MeanInterval, second: MeanInterval, margin: float | None = None
+) -> Contrast | None:
+    """Put the difference of two means on the scale on which it is judged.
 
     Parameters
     ----------
-    first, second : as in `difference_of_means`
-    margin : above 0, in the unit of the means
+    first, second : over independent values; their deviations need not be equal
+    margin : difference that does not matter, as a share of the first mean
+
+    Returns
+    -------
+    On a log scale where both intervals are: standard errors and what a rig shares are those of the
+    means over the means, and the margin m lies between 1 / (1 + m) and 1 + m. A gain that is off by
+    1 % then cancels wholly. None where a mean has no interval.
+    """
+    if first.interval is None or second.interval is None:
+        return None
+    is_log = first.is_log and second.is_log
+    one, two = (first.middle, second.middle) if is_log else (1.0, 1.0)
+    common = [_over(each.common, size) for each, size in ((first, one), (second, two))]
+    room = None
+    if margin is not None:
+        room = log1p(margin) if is_log else margin * abs(first.mean)
+    return Contrast(
+        between=log(two / one) if is_log else second.middle - first.middle,
+        errors=(_error(first) / one, _error(second) / two),
+        counts=(first.n, second.n),
+        shared=standard_uncertainty(difference_of(*common)),
+        margin=room or None,
+        is_log=is_log,
+    )
+
+
+def _error(mean: MeanInterval) -> float:
+    return mean.deviation / sqrt(mean.n)
+
+
+def _over(common: Sequence[Contribution], size: float) -> tuple[Contribution, ...]:
+    return tuple(replace(each, change=each.change / size) for each in common)
+
+
+def half_of(contrast: Contrast, outside: float = 1.0 - LEVEL) -> float:
+    """Half the width of the interval of a difference.
+
+    Parameters
+    ----------
+    contrast : of two means
+    outside : chance of a difference outside, half of it on each side
+
+    Returns
+    -------
+    Scatter and what a rig shares in quadrature, as in the interval of a mean.
+    """
+    scatter = t_quantile(contrast.degrees, outside) * contrast.error if contrast.error else 0.0
+    return hypot(scatter, float(special.ndtri(1.0 - 0.5 * outside)) * contrast.shared)
+
+
+def difference_p(contrast: Contrast) -> float:
+    """p-value that there is no difference: the level at which its interval ends at zero.
+
+    Parameters
+    ----------
+    contrast : of two means
+    """
+    return min(1.0, 2.0 * _tail(abs(contrast.between), contrast))
+
+
+def equivalence_p(contrast: Contrast) -> float:
+    """p-value of the two one-sided tests that two means differ by less than the margin.
+
+    Parameters
+    ----------
+    contrast : of two means
 
     Returns
     -------
     The larger of the two p-values; below 0.05 the groups are equivalent, which is when the 90 %
-    interval of the difference lies within the margin. NaN where there is no interval.
+    interval of the difference lies within the margin. NaN without a margin.
 
     Notes
     -----
@@ -85,24 +140,22 @@ def equivalence_p(first: MeanInterval, second: MeanInterval, margin: float) -> f
     freedom. What all tests share is added as in the interval: p is where the quantiles of scatter
     and of common causes reach the margin in quadrature.
     """
-    if first.reason or second.reason:
+    if contrast.margin is None:
         return float("nan")
-    spread = _welch(first, second)
-    shared = standard_uncertainty(difference_of(first.common, second.common))
-    room = margin - abs(second.middle - first.middle)
-    p = _tail(abs(room), spread, shared)
+    room = contrast.margin - abs(contrast.between)
+    p = _tail(abs(room), contrast)
     return p if room > 0 else 1.0 - p
 
 
-def _tail(room: float, spread: _Welch, shared: float) -> float:
+def _tail(room: float, contrast: Contrast) -> float:
     """Chance that scatter and a normal doubt together go beyond some room on one side."""
+    degrees, error, shared = contrast.degrees, contrast.error, contrast.shared
     if shared == 0.0:
-        return float(special.stdtr(spread.degrees, -room / spread.error)) if spread.error else 0.0
+        return float(special.stdtr(degrees, -room / error)) if error else 0.0 if room else 0.5
 
     def beyond(sigmas: float) -> float:
-        quantile = special.stdtrit(spread.degrees, float(special.ndtr(-sigmas)))
-        of_scatter = quantile * spread.error
-        return float(np.hypot(of_scatter, sigmas * shared)) - room
+        quantile = special.stdtrit(degrees, float(special.ndtr(-sigmas)))
+        return float(np.hypot(quantile * error, sigmas * shared)) - room
 
     if beyond(_FARTHEST) <= 0.0:
         return 0.0
@@ -116,52 +169,135 @@ def compare(
     second: tuple[str, NestedMean],
     margin: float | None = None,
 ) -> Difference:
-    """How two groups differ in one result.
+    """How two groups differ in one result, before it is judged.
 
     Parameters
     ----------
     name, unit : of the result
     first, second : name of the group and its mean; the chosen means are compared, over spool means
         where spools were not pooled
-    margin : difference that does not matter in practice, above 0, in `unit`
+    margin : difference that does not matter in practice, as a share of the first mean
 
     Returns
     -------
-    The verdict is ``different`` when the 95 % interval of the difference leaves zero out,
-    ``equivalent`` when the two one-sided tests find it within the margin at 5 %, both when the
-    difference is real and small, and ``cannot tell`` when neither.
+    With p-values of its own and no verdict: `judged` gives verdicts to a family of them.
     """
     one, two = first[1].chosen, second[1].chosen
-    found = difference_of_means(one, two)
-    p = float("nan") if margin is None else equivalence_p(one, two, margin)
-    verdict = _verdict(found, margin, p, share=_relative(margin, one.mean))
-    caveats = (*_caveats([first, second]), *_shared(found))
-    return Difference(name, unit, first[0], second[0], found, margin, p, verdict, caveats)
-
-
-def _relative(margin: float | None, mean: float) -> str:
-    """A margin in words: as a share of the first mean, which needs no unit."""
-    if margin is None or mean == 0 or np.isnan(mean):
-        return "the margin"
-    return f"the margin ({100 * margin / abs(mean):.3g} % of the first mean)"
-
-
-def _verdict(found: MeanInterval, margin: float | None, p: float, *, share: str) -> str:
-    if found.interval is None:
-        why = found.reason.message if found.reason else "there is no interval"
-        return f"cannot tell: {why}"
-    differs = not found.interval.lower <= 0.0 <= found.interval.upper
-    if p < 1.0 - LEVEL:
-        real = "different, but " if differs else ""
-        return f"{real}equivalent within {share}: p = {p:.2g} in the two one-sided tests"
-    if differs:
-        return "different: the 95 % interval of the difference leaves zero out"
-    said = (
-        "no margin is stated"
-        if margin is None
-        else f"and it is not shown to lie within {share}: p = {p:.2g} in the two one-sided tests"
+    found, contrast = difference_of_means(one, two), contrast_of(one, two, margin)
+    nothing = float("nan")
+    return Difference(
+        name=name,
+        unit=unit,
+        first=first[0],
+        second=second[0],
+        difference=found,
+        margin=None if margin is None or one.mean == 0.0 else margin * abs(one.mean),
+        contrast=contrast,
+        p=nothing if contrast is None else difference_p(contrast),
+        p_equivalent=nothing if contrast is None else equivalence_p(contrast),
+        caveats=(*_caveats([first, second]), *_shared(found)),
     )
-    return f"cannot tell: the 95 % interval of the difference holds zero, {said}"
+
+
+def judged(family: str, differences: Sequence[Difference]) -> list[Difference]:
+    """Judge comparisons that were asked for together.
+
+    Parameters
+    ----------
+    family : their name
+    differences : as `compare` gives them
+
+    Returns
+    -------
+    In the same order. Any *different* of the family is wrong in 5 % of reports at the most, and so
+    is any *equivalent*: both are corrected for their number by `holm`. The verdict is
+
+    - ``different`` when zero lies outside of the corrected interval;
+    - ``equivalent`` when the two one-sided tests find the difference within the margin, whether it
+      is real or not;
+    - ``cannot tell`` when neither.
+    """
+    apart = holm([each.p for each in differences])
+    alike = holm([each.p_equivalent for each in differences])
+    return [
+        _judged(family, each, *corrected)
+        for each, *corrected in zip(differences, apart, alike, strict=True)
+    ]
+
+
+def _judged(family: str, found: Difference, apart: Corrected, alike: Corrected) -> Difference:
+    """Give a comparison its verdict."""
+    contrast = found.contrast
+    if contrast is None:
+        reason = found.difference.reason
+        why = reason.message if reason else "there is no interval"
+        return replace(found, family=family, verdict=Verdict.CANNOT_TELL, why=why)
+    outside = (1.0 - LEVEL) / apart.divisor
+    half = half_of(contrast, outside)
+    ends = Interval(contrast.between - half, contrast.between + half, 1.0 - outside)
+    if contrast.is_log:
+        ends = Interval(expm1(ends.lower), expm1(min(ends.upper, _LARGEST)), ends.level)
+    is_different, is_alike = apart.p < 1.0 - LEVEL, alike.p < 1.0 - LEVEL
+    verdict = Verdict.DIFFERENT if is_different else Verdict.CANNOT_TELL
+    why = f"p = {_shortly(apart.p)}{_corrected(apart.tests)}"
+    if is_alike:
+        verdict, p = Verdict.EQUIVALENT, _shortly(alike.p)
+        real = "a real difference, but " if is_different else ""
+        why = f"{real}within {_relative(found)}: p = {p}{_corrected(alike.tests)}"
+    elif not is_different:
+        why = "the interval holds zero, and no margin is stated"
+        if contrast.margin is not None:
+            beyond = f"not shown to be within {_relative(found)}"
+            why = f"the interval holds zero, {beyond}{_needed(contrast, outside)}"
+    return replace(found, family=family, tests=apart.tests, interval=ends, verdict=verdict, why=why)
+
+
+def _corrected(tests: int) -> str:
+    return f", corrected for {tests} comparisons" if tests > 1 else ""
+
+
+def _shortly(p: float) -> str:
+    return "0.0001 or less" if p < 1e-4 else f"{p:.2g}"
+
+
+def _relative(found: Difference) -> str:
+    """The margin in words: as a share of the first mean, which needs no unit."""
+    contrast = found.contrast
+    if contrast is None or contrast.margin is None:
+        return "the margin"
+    return f"{100 * expm1(contrast.margin):.3g} %" if contrast.is_log else "the margin"
+
+
+def _needed(contrast: Contrast, outside: float) -> str:
+    n = samples_needed(contrast, outside)
+    return f"; with this scatter n = {n} in each group would tell" if n else ""
+
+
+MOST_SAMPLES = 50
+"""Samples of each group beyond which nobody is told to test more."""
+
+
+def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:
+    """Find how many values in each group are enough to tell different from equivalent.
+
+    Parameters
+    ----------
+    contrast : with a margin; its scatter is taken as known
+    outside : chance of a difference outside of the interval
+
+    Returns
+    -------
+    Least number at which the interval is no wider than the margin: it then leaves zero out, or lies
+    within the margin. None beyond `MOST_SAMPLES`, without a margin, or without scatter.
+    """
+    if contrast.margin is None or not contrast.error:
+        return None
+    scatter = [e * sqrt(n) for e, n in zip(contrast.errors, contrast.counts, strict=True)]
+    for n in range(max(contrast.counts) + 1, MOST_SAMPLES + 1):
+        more = replace(contrast, errors=(scatter[0] / sqrt(n), scatter[1] / sqrt(n)), counts=(n, n))
+        if half_of(more, outside) <= 0.5 * contrast.margin:
+            return n
+    return None
 
 
 def _shared(found: MeanInterval) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ Everything in them is made up; means and intervals are right for the values, ban
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -16,6 +17,7 @@ from labpipe.records.curve import FittedLine, Interval, Slip, SlipDecision
 from labpipe.records.group import (
     Band,
     Campaign,
+    Contrast,
     Decision,
     Difference,
     Group,
@@ -25,6 +27,7 @@ from labpipe.records.group import (
     Outlier,
     Sample,
     SampleCurve,
+    Verdict,
 )
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Specimen, Status
@@ -248,20 +251,28 @@ def build_campaign() -> Campaign:
     return Campaign(
         "Synthetic campaign",
         (first, lone, empty),
-        (build_difference(),),
+        (replace(build_difference(), family="", fields={}),),
         {"processed/synthetic/tt-x/result.h5": "result.h5: expected an HDF5 file, found a text."},
         "0.0",
     )
 
 
 def build_difference() -> Difference:
+    """A stiffness that is 28 % lower, with the interval of the share."""
     return Difference(
-        "stiffness_first",
-        "N/m",
-        "twist-tube-10",
-        "twist-tube-7",
-        MeanInterval(-1423.4, Interval(-1602.0, -1244.8), 120.0, 7),
-        500.0,
-        0.98,
-        "They differ by more than the margin of 10 %.",
+        name="stiffness_first",
+        unit="N/m",
+        first="twist-tube-10",
+        second="twist-tube-7",
+        difference=MeanInterval(-1423.4, Interval(-1602.0, -1244.8), 120.0, 7),
+        margin=500.0,
+        contrast=Contrast(math.log(0.72), (0.02, 0.02), (6, 3), margin=math.log(1.1), is_log=True),
+        p=0.001,
+        p_equivalent=0.98,
+        family="differences of types",
+        tests=1,
+        interval=Interval(-0.31, -0.25),
+        verdict=Verdict.DIFFERENT,
+        why="p = 0.001",
+        fields={"type": ("twist-tube-10", "twist-tube-7")},
     )

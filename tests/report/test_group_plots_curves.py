@@ -8,9 +8,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from labpipe.records.quality import Reason
 from labpipe.report.figure_page import style
 from labpipe.report.group_plots import draw_curves, draw_scaled, plot_band, plot_samples, seen
+from labpipe.statistics.mean_curves import without_band
 from tests.builders.campaigns import build_group, build_sample, six_samples, troubled_samples
 
 
@@ -104,16 +104,29 @@ def test_a_band_far_wider_than_the_curves_is_cut_by_the_axis() -> None:
     assert axes.get_ylim()[0] > -group.band.mean.max()
 
 
-def test_a_pointwise_band_alone_says_why_there_is_no_other() -> None:
+def test_few_curves_have_intervals_at_three_displacements_and_no_band() -> None:
     group = build_group("A", six_samples())
-    nothing = np.full(len(group.band.mean), np.nan)
-    band = replace(
-        group.band, lower_all=nothing, upper_all=nothing, reason=Reason("two", "no whole band.")
-    )
-    page = draw_curves(replace(group, band=band))
-    assert page.texts[1].get_text() == "No whole band."
-    assert "95 % band, whole curve" not in labels(page)
-    assert "95 % band, point by point" in labels(page)
+    few = without_band(replace(group.band, n=3))
+    page = draw_curves(replace(group, band=few))
+    said = page.texts[1].get_text().replace("\n", " ")
+    assert said.startswith("3 samples are too few for a band, which needs 6;")
+    assert "95 % interval of the mean" in labels(page)
+    assert not [each for each in labels(page) if "band" in each]
+    axes = page.axes[0]
+    assert not axes.collections
+    marks = [line for line in axes.lines if len(np.asarray(line.get_xdata())) == 2]
+    assert len(marks) == 3
+    for line, at in zip(marks, few.marks, strict=True):
+        ends = np.asarray(line.get_ydata(), float)
+        np.testing.assert_allclose(ends, [group.band.lower[at], group.band.upper[at]])
+
+
+def test_two_curves_are_shown_without_an_interval() -> None:
+    group = build_group("A", six_samples())
+    page = draw_curves(replace(group, band=without_band(replace(group.band, n=2))))
+    said = page.texts[1].get_text()
+    assert said == "Two samples are too few for any band; the samples are shown."
+    assert not [each for each in labels(page) if "95 %" in each]
 
 
 def test_the_axis_follows_curves_and_pointwise_band() -> None:

@@ -7,7 +7,7 @@ from labpipe.records.quality import Reason
 from labpipe.report.group_tables import (
     Cell,
     Table,
-    key_numbers,
+    means_of,
     sample_tables,
     slip_table,
     spool_means,
@@ -25,7 +25,7 @@ def row(table: Table, head: str) -> tuple[Cell, ...]:
 
 
 def test_means_say_what_was_averaged() -> None:
-    table = key_numbers(build_group("A", troubled_samples()))
+    table = means_of(build_group("A", troubled_samples()))
     first = row(table, "Stiffness, first region (N/mm)")
     assert first[0].small == "stiffness_first"
     assert first[3] == Cell("2 spool means", "without tt-s2b")
@@ -34,7 +34,7 @@ def test_means_say_what_was_averaged() -> None:
 
 
 def test_reasons_without_interval_stand_once() -> None:
-    table = key_numbers(build_group("A", [build_sample("s1", "a")]))
+    table = means_of(build_group("A", [build_sample("s1", "a")]))
     assert len(table.notes) == 1
     assert table.notes[0].startswith("No interval: One value has no spread to make an interval of.")
     assert all(cells[2].text == "\u2013" and cells[4].text == "\u2013" for cells in table.rows)
@@ -42,7 +42,7 @@ def test_reasons_without_interval_stand_once() -> None:
 
 def test_a_number_that_no_sample_has() -> None:
     group = build_group("A", [troubled_samples()[4]])
-    assert [cell.text for cell in key_numbers(group).rows[0][1:]] == [
+    assert [cell.text for cell in means_of(group).rows[0][1:]] == [
         "\u2013", "\u2013", "no sample has it", "\u2013",
     ]  # fmt: skip
     assert spool_means(group).rows == ()
@@ -91,7 +91,7 @@ def test_tests_that_are_not_in_a_mean_are_named_beside_it() -> None:
     first = group.numbers[1]
     left_out = {group.samples[0].test: (Reason("made_otherwise", "over 1 mm to 9 mm"),)}
     numbers = (group.numbers[0], replace(first, left_out=left_out), *group.numbers[2:])
-    table = key_numbers(replace(group, numbers=numbers))
+    table = means_of(replace(group, numbers=numbers))
     without = row(table, "Stiffness, first region (N/mm)")[3].small
     assert without == f"without {group.samples[0].test}"
     assert row(table, "Stiffness, second region (N/mm)")[3].small == ""
@@ -131,8 +131,8 @@ def test_what_decisions_share_stands_below_the_table() -> None:
 
 
 def test_wide_intervals_over_two_spools_are_explained_once() -> None:
-    (note,) = key_numbers(build_group("A", six_samples())).notes
+    (note,) = means_of(build_group("A", six_samples())).notes
     assert "one degree of freedom, where Student's t is 12.7" in note
     assert "a third spool brings t down to 4.3" in note
     one_spool = build_group("A", six_samples()[:3])
-    assert not key_numbers(one_spool).notes
+    assert not means_of(one_spool).notes

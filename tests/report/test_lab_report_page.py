@@ -115,7 +115,7 @@ def test_questions_stand_before_all_other_differences() -> None:
     page = render_page(campaign, names, figures, FiguresBetween({"taping": [FIGURE]}, []))
     wanted = [
         "<h2>Between slipping and sticking</h2>", "labpipe report ... --wire SHEET",
-        "<h2>Differences between groups</h2>", "all else being equal", "18 pairs are not shown",
+        "<h2>Differences between groups</h2>", "all else being equal", "18 pairs are not judged",
         "<h3>Wire</h3>", "Wire: B2 against B1, all else equal", "<h3>Number</h3>",
         "<h3>Taping</h3>", "<figure>", "Taping: half-lap against none, all else equal",
         "<h3>Conduit</h3>", "<h2>How the numbers were made</h2>",
@@ -147,7 +147,7 @@ def test_places_of_bundles_stand_on_the_page() -> None:
 
 def test_groups_without_a_bundle_have_none_of_this(page: str) -> None:
     assert "slipping and sticking" not in page
-    assert "all else" not in page
+    assert "all else equal" not in page
     assert page.count("<h3>") == page.count("<h3>Samples") + page.count("<h3>Figures") + page.count(
         "<h3>Remarks"
     )

@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from labpipe.report.figure_page import style
 from labpipe.report.question_figures import (
@@ -46,24 +48,44 @@ def test_the_curves_are_the_means_with_their_bands() -> None:
     with style():
         axes = Figure().subplots()
         plot_bands(TAPING, axes)
-        assert len(axes.lines) == len(axes.collections) == 3
-        for line, group in zip(axes.lines, TAPING.groups, strict=True):
+        assert not axes.collections
+        means = mean_lines(axes)
+        assert len(means) == 3
+        for line, group in zip(means, TAPING.groups, strict=True):
             x, y = (np.asarray(each, float) for each in (line.get_xdata(), line.get_ydata()))
             np.testing.assert_allclose(
                 y, np.interp(x, 1e3 * group.band.displacement, group.band.mean)
             )
-        assert len({line.get_color() for line in axes.lines}) == 3
-        assert [line.is_dashed() for line in axes.lines] == [False, True, True]
+        assert len({line.get_color() for line in means}) == 3
+        assert [line.is_dashed() for line in means] == [False, True, True]
+        assert len(axes.lines) == 3 + 3 * 3
         assert axes.get_ylabel() == "Force (N)"
+
+
+def mean_lines(axes: Axes) -> list[Line2D]:
+    """Intervals at one displacement have two points."""
+    return [line for line in axes.lines if len(np.asarray(line.get_xdata())) > 2]
+
+
+def test_means_of_six_curves_have_a_band_and_of_three_intervals_side_by_side() -> None:
+    six = [bundle_sample(bundle_of("7 B1"), at) for at in range(6)]
+    (family,) = families(bundle_campaign([*six, *three_of(bundle_of("7 B2"))]))
+    with style():
+        axes = Figure().subplots()
+        plot_bands(family, axes)
+    assert len(axes.collections) == 1
+    marks = [line for line in axes.lines if len(np.asarray(line.get_xdata())) == 2]
+    assert len(marks) == 3
+    assert "pale: holds" in caption(family)
+    assert "vertical: 95 % intervals" in caption(family)
 
 
 def test_force_over_peak_force() -> None:
     with style():
         axes = Figure().subplots()
         plot_bands(TAPING, axes, is_scaled=True)
-        assert [float(np.asarray(line.get_ydata()).max()) for line in axes.lines] == pytest.approx(
-            [1.0] * 3
-        )
+        tops = [float(np.asarray(line.get_ydata()).max()) for line in mean_lines(axes)]
+        assert tops == pytest.approx([1.0] * 3)
         assert axes.get_ylabel() == "Force / peak force"
 
 
@@ -116,7 +138,7 @@ def test_the_caption_says_what_is_not_there() -> None:
     assert "One sample, no band: B1. No mean curve: B3." in words
     with style():
         axes = draw_family(family).axes[0]
-        assert (len(axes.lines), len(axes.collections)) == (2, 1)
+        assert (len(mean_lines(axes)), len(axes.collections)) == (2, 0)
         nothing = tuple(replace(group, band=family.groups[2].band) for group in family.groups)
         empty = draw_family(Family("wire", nothing)).axes[0]
         assert empty.texts[0].get_text() == "No group has a mean curve."

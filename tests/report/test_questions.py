@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 from labpipe.report.questions import (
     MOST_TOGETHER,
     answering_pairs,
@@ -7,9 +9,8 @@ from labpipe.report.questions import (
     equal_words,
     families,
     field_words,
-    plain,
+    not_asked,
     question_words,
-    several_fields,
 )
 from tests.builders.bundle_campaigns import (
     bundle_campaign,
@@ -98,9 +99,20 @@ def test_labels_and_mixes_in_words() -> None:
     assert field_words("conduit_bore") == "Conduit bore"
 
 
-def test_tubes_have_no_questions() -> None:
-    campaign = build_campaign()
+def test_types_are_a_question_too() -> None:
+    tubes = [bundle_sample(None, at) for at in (1, 2, 3)]
+    hoses = [
+        replace(each, specimen=replace(each.specimen, type="hose"), source=f"{each.source}-hose")
+        for each in tubes
+    ]
+    (pair,) = answering_pairs(bundle_campaign([*tubes, *hoses]))
+    assert question_words(pair) == "Type: tube against hose, all else equal (length 114.3 mm)"
+    assert len(not_asked(build_campaign())) == 1
+
+
+def test_what_differs_in_several_fields_is_not_asked() -> None:
+    samples = [*three_of(bundle_of("7 B1")), *three_of(bundle_of("12 B2", tape="PET"))]
+    campaign = bundle_campaign(samples)
     assert not answering_pairs(campaign)
     assert not families(campaign)
-    assert not several_fields(campaign)
-    assert len(plain(campaign)) == 1
+    assert len(not_asked(campaign)) == 2

@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.records.group import Verdict
 from labpipe.records.quality import Reason, worded
 from labpipe.records.result import Status
 from labpipe.statistics.groups import compare_groups
+from labpipe.statistics.outliers import with_outliers
+from labpipe.statistics.two_groups import judged
 from tests.builders.sloped_samples import built, make, said, samples, stiffness
 
 
@@ -71,7 +74,8 @@ def test_no_sample_has_the_number() -> None:
 def test_outliers_stay_in_the_mean() -> None:
     slopes = (50.0, 50.5, 49.5, 50.2, 49.9, 80.0)
     group = built([make("s1", at, slope) for at, slope in enumerate(slopes)])
-    (found,) = group.numbers[0].outliers
+    (number, *_) = with_outliers([group])[0].numbers
+    (found,) = number.outliers
     assert (found.sample, found.value) == ("s1-5", 80.0)
     assert group.numbers[0].mean is not None
     assert group.numbers[0].mean.chosen.n == 6
@@ -83,7 +87,8 @@ def test_groups_are_compared_in_what_both_have() -> None:
     assert [each.name for each in found] == ["stiffness"]
     assert found[0].difference.mean == pytest.approx(47.12 - 57.44)
     assert found[0].margin == pytest.approx(5.744)
-    assert found[0].verdict.startswith("different: ")
+    assert found[0].verdict is Verdict.NOT_ASKED
+    assert judged("one", found)[0].verdict is Verdict.DIFFERENT
     every = compare_groups(first, second)
     assert [each.name for each in every] == ["stiffness", "peak_force.1"]
     assert every[0].margin is None

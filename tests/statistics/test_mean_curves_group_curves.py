@@ -62,3 +62,38 @@ def test_scaled_band_without_a_peak_force() -> None:
     assert said(group)["no_peak_force"] == (
         "not in the mean of force / peak force, without a peak force: s1-2"
     )
+
+
+def test_three_curves_have_intervals_at_three_displacements() -> None:
+    """A quarter, half, all of 20 mm; over three t is 4.303."""
+    group = built(samples()[:3])
+    band = group.band
+    assert band.n == 3
+    assert not band.has_area
+    assert (1e3 * band.displacement[band.marks]).tolist() == pytest.approx([5.0, 10.0, 20.0])
+    force = np.array([each.loading[0].force for each in group.samples])
+    at = [int(np.argmin(abs(group.samples[0].loading[0].displacement - x))) for x in (0.01,)]
+    half = 4.302653 * force[:, at].std(axis=0, ddof=1) / np.sqrt(3)
+    middle = band.marks[1]
+    assert 0.5 * (band.upper - band.lower)[middle] == pytest.approx(float(half[0]), rel=0.05)
+    assert np.isnan(band.lower_all).all()
+    assert str(band.reason) == (
+        "few_curves: 3 samples are too few for a band, which needs 6; the mean has its interval at"
+        " three displacements"
+    )
+
+
+def test_two_curves_have_a_mean_and_a_sentence() -> None:
+    band = built(samples()[:2]).band
+    assert len(band.mean) == len(band.displacement)
+    assert np.isnan(band.lower).all()
+    assert not len(band.marks)
+    assert str(band.reason).startswith("two_curves: two samples are too few for any band;")
+
+
+def test_six_curves_have_their_bands() -> None:
+    band = built([make("s1", at, 50.0 + at) for at in range(6)]).band
+    assert band.reason is None
+    assert band.has_area
+    assert not len(band.marks)
+    assert np.isfinite(band.upper_all).all()

@@ -2,11 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binomtest
 
-from labpipe.statistics.outliers import mark_outliers, too_few_for_outliers
+from labpipe.records.group import Group, Outlier, Sample
+from labpipe.records.result import Result
+from labpipe.statistics.group_notes import too_few_for_outliers
+from labpipe.statistics.groups import build_group
+from labpipe.statistics.outliers import find_suspects, with_outliers
+from tests.builders.bundle_campaigns import bundle_sample
+
+
+def mark_outliers(
+    values: Mapping[str, float], spools: Mapping[str, str], *, level: float = 0.05
+) -> tuple[Outlier, ...]:
+    """Of one number alone."""
+    return find_suspects(values, spools).below(level)
 
 
 def one_spool(values: list[float]) -> tuple[dict[str, float], dict[str, str]]:
@@ -89,4 +104,63 @@ def test_false_marks_are_as_rare_as_said(counts: tuple[int, ...]) -> None:
             mark_outliers(dict(zip(names, rng.normal(size=len(names)), strict=True)), spools)
         )
     # Bonferroni's bound: at most 5 %.
+    assert binomtest(marked, runs, 0.05, alternative="greater").pvalue > 0.01, marked
+
+
+BASE = bundle_sample(None, 1)
+
+
+def group_of(name: str, numbers: Mapping[str, list[float]]) -> Group:
+    """A group of one spool whose tests have these numbers."""
+    count = len(next(iter(numbers.values())))
+    samples: list[Sample] = []
+    for at in range(count):
+        results = tuple(Result(each, own[at], "N", method="m") for each, own in numbers.items())
+        samples.append(replace(BASE, test=f"{name}-{at}", results=results, loading=()))
+    return build_group(name, "p", samples)
+
+
+def marks(groups: list[Group]) -> list[tuple[str, str]]:
+    return [
+        (number.name, each.sample)
+        for group in groups
+        for number in group.numbers
+        for each in number.outliers
+    ]
+
+
+def test_a_report_of_many_numbers_marks_what_is_sure_among_all() -> None:
+    """p of 1, 1.1, 0.9, 1.05, 1.7 is 0.02: below 5 % alone, and not among ten numbers."""
+    odd, plain = [1.0, 1.1, 0.9, 1.05, 1.7], [1.0, 1.4, 0.7, 1.2, 0.9]
+    (suspect,) = find_suspects(*one_spool(odd)).below(0.05)
+    assert 0.01 < suspect.p < 0.04
+    alone = with_outliers([group_of("A", {"k": odd})])
+    assert marks(alone) == [("k", "A-4")]
+    more = {"k": odd, **{f"n{at}": plain for at in range(9)}}
+    assert not marks(with_outliers([group_of("A", more)]))
+    surer = {**more, "k": [1.0, 1.1, 0.9, 1.05, 9.0]}
+    found = with_outliers([group_of("A", surer)])
+    assert marks(found) == [("k", "A-4")]
+
+
+def test_what_the_rig_sets_is_not_tested() -> None:
+    group = group_of("A", {"k": [1.0, 1.1, 0.9, 1.05, 9.0]})
+    is_set = [replace(each, is_set_by_rig=True) for each in group.numbers]
+    assert not marks(with_outliers([replace(group, numbers=tuple(is_set))]))
+    assert marks(with_outliers([group]))
+
+
+@pytest.mark.parametrize(("groups", "numbers", "count"), [(10, 8, 3), (3, 12, 20)])
+def test_campaigns_of_normal_data_with_any_mark(groups: int, numbers: int, count: int) -> None:
+    """At most 5 % of campaigns have a mark; numbers of a test hang together."""
+    rng, runs, marked = np.random.default_rng(11), 300, 0
+    for _ in range(runs):
+        campaign = []
+        for group in range(groups):
+            own = rng.normal(size=count)
+            several = {
+                f"n{at}": (10.0 + own + rng.normal(size=count)).tolist() for at in range(numbers)
+            }
+            campaign.append(group_of(str(group), several))
+        marked += bool(marks(with_outliers(campaign)))
     assert binomtest(marked, runs, 0.05, alternative="greater").pvalue > 0.01, marked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from math import hypot
 
 import numpy as np
@@ -13,7 +14,12 @@ from labpipe.records.group import MeanInterval, NestedMean
 from labpipe.records.result import Contribution, Result
 from labpipe.statistics.means import mean_interval, nested_mean
 from labpipe.statistics.shared_causes import difference_of, widened_by, with_shared
-from labpipe.statistics.two_groups import difference_of_means, equivalence_p
+from labpipe.statistics.two_groups import (
+    contrast_of,
+    difference_of_means,
+    difference_p,
+    equivalence_p,
+)
 
 T_1, NORMAL = 12.7062047362, 1.9599639845
 """97.5 % quantiles of Student's t with one degree of freedom and of the normal distribution."""
@@ -124,12 +130,15 @@ def test_the_difference_is_that_of_the_estimates() -> None:
 def test_equivalence_where_the_interval_ends(change: float) -> None:
     """At p = 5 % the margin is the end of the 90 % interval; it grows with what is shared."""
     one, two = group(100.0, 0.0), group(101.0, change)
+    contrast = contrast_of(one, two)
+    assert contrast is not None
     degrees, error = 2.0, np.sqrt(2.0)
     half = hypot(2.9199855804 * error, 1.6448536270 * change)  # 95 % quantiles, t with 2 degrees
-    assert equivalence_p(one, two, 1.0 + half) == pytest.approx(0.05)
-    assert equivalence_p(one, two, 1.0 - half) == pytest.approx(0.95)
-    assert equivalence_p(one, two, 1e9) < 1e-6
-    assert degrees == one.n + two.n - 2
+    for margin, p in [(1.0 + half, 0.05), (1.0 - half, 0.95)]:
+        assert equivalence_p(replace(contrast, margin=margin)) == pytest.approx(p)
+    assert equivalence_p(replace(contrast, margin=1e9)) < 1e-6
+    assert contrast.degrees == degrees
+    assert difference_p(replace(contrast, between=half)) == pytest.approx(0.1)
 
 
 def test_an_interval_without_common_causes_stays() -> None:

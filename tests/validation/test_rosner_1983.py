@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from labpipe.statistics.outliers import mark_outliers
+from labpipe.statistics.outliers import find_suspects
 
 VALUES = """
 -0.25 0.68 0.94 1.15 1.20 1.26 1.26 1.34 1.38 1.43 1.49 1.49 1.55 1.56 1.58 1.65 1.69 1.70 1.76
@@ -19,7 +19,7 @@ VALUES = """
 def test_three_are_marked() -> None:
     values = dict(enumerate(np.array(VALUES.split(), dtype=np.float64)))
     named = {str(name): float(value) for name, value in values.items()}
-    found = mark_outliers(named, dict.fromkeys(named, "one"), most=10)
+    found = find_suspects(named, dict.fromkeys(named, "one"), most=10).below(0.05)
     assert [each.value for each in found] == [6.01, 5.42, 5.34]
     assert {each.method for each in found} == {"generalised ESD test"}
 
@@ -27,6 +27,6 @@ def test_three_are_marked() -> None:
 def test_one_alone_is_not() -> None:
     # 3.118 where 3.158 is needed: the other two make the scatter large.
     values = {str(at): float(value) for at, value in enumerate(VALUES.split())}
-    (found,) = mark_outliers(values, dict.fromkeys(values, "one"), most=1, level=0.1)
+    (found,) = find_suspects(values, dict.fromkeys(values, "one"), most=1).below(0.1)
     assert found.value == 6.01
     assert 0.05 < found.p < 0.1

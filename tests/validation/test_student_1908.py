@@ -9,7 +9,7 @@ from __future__ import annotations
 import pytest
 
 from labpipe.statistics.means import mean_interval
-from labpipe.statistics.two_groups import difference_of_means, equivalence_p
+from labpipe.statistics.two_groups import contrast_of, difference_of_means, equivalence_p
 
 FIRST = mean_interval([0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0])
 SECOND = mean_interval([1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4])
@@ -24,4 +24,6 @@ def test_difference() -> None:
 
 
 def test_equivalence() -> None:
-    assert equivalence_p(FIRST, SECOND, 0.5) == pytest.approx(0.89, abs=0.005)
+    contrast = contrast_of(FIRST, SECOND, 0.5 / FIRST.mean)
+    assert contrast is not None
+    assert equivalence_p(contrast) == pytest.approx(0.89, abs=0.005)
