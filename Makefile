@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo golden test test-slow coverage coverage-status coverage-page check bench reference clean
+.PHONY: demo notebooks golden test test-slow coverage coverage-status coverage-page check bench reference clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -11,6 +11,9 @@ BIN := .venv/bin
 
 demo: .venv/.ready  ## synthetic campaigns in real vendor formats, processed, with figures to look at
 	$(BIN)/labpipe demo
+
+notebooks: .venv/.ready  ## run the notebooks of the documentation and keep their output
+	$(BIN)/python -m tests.notebooks
 
 golden: .venv/.ready  ## numbers of the demo and of real exports against those kept (PROCESSED=processed/demo: made just now)
 	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED))

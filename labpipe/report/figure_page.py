@@ -206,7 +206,7 @@ def finish_layout(page: Figure) -> None:
     page.set_layout_engine("none")
 
 
-_NOTEBOOK_DPI = 150
+_NOTEBOOK_DPI = 120
 
 
 def with_own_fonts(page: Figure) -> Figure:
@@ -229,6 +229,7 @@ def with_own_fonts(page: Figure) -> Figure:
     fonts = [font for font in wanted if font in installed]
     for text in page.findobj(Text):
         text.set_fontfamily(fonts)
+    page.set_dpi(_NOTEBOOK_DPI)
     vars(page)["_repr_png_"] = partial(_as_png, page)
     return page
 
@@ -236,7 +237,7 @@ def with_own_fonts(page: Figure) -> Figure:
 def _as_png(page: Figure) -> bytes:
     image = BytesIO()
     with style():
-        page.savefig(image, format="png", dpi=_NOTEBOOK_DPI)
+        page.savefig(image, format="png", dpi="figure")
     return image.getvalue()
 
 

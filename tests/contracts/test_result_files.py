@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -160,3 +161,30 @@ def test_octave_loads_a_test_that_came_to_nothing(result: TestResult, tmp_path: 
     command += ['d = load("result.h5"); printf("%d", size(d.results.table.value))']
     ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (ran.stdout, "unknown" in ran.stderr) == ("10", False)
+
+
+def snippets(repository: Path, language: str) -> list[str]:
+    page = repository / "docs" / "how-to" / "open-in-matlab-octave-python.md"
+    found = re.findall(rf"^```{language}\n(.*?)^```$", page.read_text("utf-8"), re.M | re.S)
+    assert found
+    return found
+
+
+def test_the_python_of_the_page_runs(path: Path, repository: Path) -> None:
+    for code in snippets(repository, "python"):
+        command = [sys.executable, "-W", "error", "-c", f"{code}\nprint('done')"]
+        ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=path.parent)
+        assert (ran.stderr, ran.stdout[-5:]) == ("", "done\n")
+
+
+@needs_octave
+def test_the_octave_of_the_page_runs(path: Path, repository: Path) -> None:
+    """But for its plot, which needs a screen."""
+    (code,) = snippets(repository, "octave")
+    table, _, _ = code.partition("plot(")
+    command = [OCTAVE or "", "--quiet", "--no-init-file", "--eval", table]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=path.parent)
+    assert ran.stdout.splitlines()[0].split() == [
+        *("peak_force.1", "0.62", "N", "95", "%:", "0.59", "to", "0.61")
+    ]
+    assert "NaN" in ran.stdout.splitlines()[2]

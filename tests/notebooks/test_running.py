@@ -1,0 +1,80 @@
+"""The notebooks of the documentation run, and what they keep is what they say."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.notebooks.running import FOLDER
+
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+MOST_BYTES = 400_000
+RUN = """
+import json, sys
+from pathlib import Path
+from tests.notebooks.running import executed
+print(json.dumps(executed(Path(sys.argv[1]))))
+"""
+
+
+def read(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def kinds(notebook: Any) -> list[list[list[str]]]:
+    """What kinds of output each cell has; no numbers, which may differ from machine to machine."""
+    return [
+        [sorted(each.get("data", [each.get("name", "error")])) for each in cell.get("outputs", [])]
+        for cell in notebook["cells"]
+    ]
+
+
+def tables(notebook: Any) -> list[list[str]]:
+    """Words of the tables: headings and names of rows."""
+    pages = [
+        "".join(each["data"]["text/html"])
+        for cell in notebook["cells"]
+        for each in cell.get("outputs", [])
+        if "text/html" in each.get("data", {})
+    ]
+    return [re.findall(r"<th>(\D[^<]*)</th>", page) for page in pages]
+
+
+def test_there_are_notebooks() -> None:
+    assert NOTEBOOKS
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_runs_and_says_what_it_keeps(path: Path, repository: Path) -> None:
+    """In a process of its own: what a kernel warns of is no fault of labpipe."""
+    command = [sys.executable, "-W", "ignore", "-c", RUN, str(path)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, cwd=repository)
+    assert ran.returncode == 0, ran.stderr
+    made, kept = json.loads(ran.stdout), read(path)
+    assert kinds(made) == kinds(kept), "python -m tests.notebooks keeps what they say now"
+    assert tables(made) == tables(kept), "python -m tests.notebooks keeps what they say now"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_a_notebook_is_small_and_names_no_place(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    assert len(text) < MOST_BYTES
+    assert "/tmp/" not in text
+    assert "execution" not in {key for cell in read(path)["cells"] for key in cell["metadata"]}
+    assert not [cell for cell in read(path)["cells"] if cell.get("execution_count", 1) is None]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_links_of_a_notebook_lead_somewhere(path: Path) -> None:
+    words = "\n".join(
+        "".join(cell["source"]) for cell in read(path)["cells"] if cell["cell_type"] == "markdown"
+    )
+    links = re.findall(r"\]\(([^)#]+)", words)
+    assert links
+    assert [link for link in links if not (path.parent / link).exists()] == []
