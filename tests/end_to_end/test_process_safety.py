@@ -6,7 +6,6 @@ Earlier results are as they were then, all of them, and raw files are never touc
 from __future__ import annotations
 
 import errno
-import json
 import os
 import re
 import signal
@@ -16,9 +15,9 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.store.read import read_result
 from labpipe.store.replace import locked
 from tests.builders import bad_input
+from tests.builders.run_keys import runs
 from tests.builders.small_tests import Lab, Run, state
 
 
@@ -143,18 +142,6 @@ def killed_after(moves: int, *arguments: object) -> None:
     command = [sys.executable, "-c", KILLED, str(moves + 1), *map(str, arguments)]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert done.returncode == 9, done.stderr
-
-
-def runs(folder: Path) -> set[str]:
-    """Keys of the run that the files of a test show."""
-    found = {json.loads((folder / "summary.json").read_text("utf-8"))["run"]}
-    found.add(read_result(folder / "result.h5").run)
-    for figure in (folder / "figures").iterdir():
-        content = figure.read_bytes()
-        key = rb"<dc:identifier>(\w{64})</dc" if figure.suffix == ".svg" else rb"run\x00(\w{64})"
-        found |= {each.decode() for each in re.findall(key, content)}
-        assert re.search(key, content), figure
-    return found
 
 
 def test_all_files_of_a_test_have_the_key_of_its_run(lab: Lab, run: Run) -> None:
