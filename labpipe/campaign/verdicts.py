@@ -184,7 +184,15 @@ def verdict(
     codes = [reason["code"] for each in results for reason in _reasons(each)]
     codes += [note["code"] for note in summary.get("quality", []) if note["severity"] != "info"]
     what = actions_for(codes, outside=bool(outside))
-    return [head, f"  {'; '.join(each.text for each in numbers) or 'no numbers'}", f"  {what}"]
+    return [head, f"  {_line(numbers)}", f"  {what}"]
+
+
+def _line(numbers: Sequence[_Number]) -> str:
+    """The numbers, and what they are compared with; once, where that is the same for all."""
+    behind = list(dict.fromkeys(each.against for each in numbers))
+    if len(behind) == 1:
+        return f"{'; '.join(each.text for each in numbers)}; {behind[0]}"
+    return "; ".join(f"{each.text}, {each.against}" for each in numbers) or "no numbers"
 
 
 def refused(name: str, code: str, reason: str) -> list[str]:
@@ -233,9 +241,12 @@ def actions() -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class _Number:
+    """A number as it is shown, what it is compared with, and whether it is outside of that."""
+
     name: str
     text: str
-    is_outside: bool
+    against: str
+    is_outside: bool = False
 
 
 def _first(results: Sequence[Mapping[str, Any]], shown: Shown) -> list[Mapping[str, Any]]:
@@ -256,17 +267,19 @@ def _number(each: Mapping[str, Any], group: Group, folder: Path, shown: Shown) -
     text = f"{each['name']} {scale.factor * value:.4g} {scale.unit}".rstrip()
     n = len(others)
     if n == 0:
-        return _Number(each["name"], f"{text} (the first of its group)", False)
+        return _Number(each["name"], text, "the first of its group")
     if n < ENOUGH:
         low, high = sorted(scale.factor * np.array([others.min(), others.max()]))
         so_far = f"{low:.4g}" if n == 1 else f"{low:.4g} to {high:.4g}"
-        return _Number(each["name"], f"{text} (so far {so_far}, n = {n}: too few to judge)", False)
+        against = f"n = {n} so far, too few to judge"
+        return _Number(each["name"], f"{text} (so far {so_far})", against)
     reach = t_quantile(n - 1, _OUTSIDE / SHOWN) * float(np.std(others, ddof=1)) * sqrt(1 + 1 / n)
     centre = float(others.mean())
     low, high = (scale.factor * (centre + side * reach) for side in (-1.0, 1.0))
     is_outside = abs(value - centre) > reach
     place = "OUTSIDE" if is_outside else "within"
-    return _Number(each["name"], f"{text} ({place} {low:.4g} to {high:.4g}, n = {n})", is_outside)
+    shown_as = f"{text} ({place} {low:.4g} to {high:.4g})"
+    return _Number(each["name"], shown_as, f"n = {n} so far", is_outside)
 
 
 def _of(results: Iterable[Mapping[str, Any]], state: str) -> list[str]:

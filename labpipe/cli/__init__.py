@@ -239,6 +239,7 @@ _CAMPAIGN = {
     "replay": "clear failures and process their tests again",
     "decide": "accept or reject a test",
     "rebuild": "make the catalog anew from the files of the tests",
+    "watch": "wait for exports, and judge each test seconds after its recording ends",
 }
 
 
@@ -289,12 +290,18 @@ def _campaign_decide(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--by", required=True, metavar="WHO", help="who decides")
 
 
+def _campaign_watch(parser: argparse.ArgumentParser) -> None:
+    drawn = "numbers only; else figures are drawn once the verdict is said"
+    parser.add_argument("--no-figures", action="store_true", help=drawn)
+
+
 _CAMPAIGN_ARGUMENTS = {
     "run": _campaign_run,
     "status": _campaign_status,
     "query": _campaign_query,
     "replay": _campaign_replay,
     "decide": _campaign_decide,
+    "watch": _campaign_watch,
 }
 
 

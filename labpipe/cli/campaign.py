@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from datetime import datetime
 from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
@@ -113,6 +114,18 @@ def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:
     return _status_of(overview)
 
 
+def _watch(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    from labpipe.campaign.watched_campaign import watch
+
+    watch(campaign, figures=not options.no_figures, say=_say_now)
+    return 0
+
+
+def _say_now(text: str) -> None:
+    """Print a message of a watch with the time, also where the output goes to a file."""
+    print(f"{datetime.now():%H:%M:%S}  {text}", flush=True)
+
+
 _ACTIONS: dict[str, Any] = {
     "run": _run,
     "status": _status,
@@ -120,6 +133,7 @@ _ACTIONS: dict[str, Any] = {
     "replay": _replay,
     "decide": _decide,
     "rebuild": _rebuild,
+    "watch": _watch,
 }
 
 

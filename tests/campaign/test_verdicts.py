@@ -63,7 +63,7 @@ def lines(tmp_path: Path, said: Summary, before: Sequence[Summary] = ()) -> list
 def test_a_test_that_went_well(tmp_path: Path) -> None:
     assert lines(tmp_path, summary()) == [
         "T: WELL, 3 ok",
-        "  peak_force.1 1000 mN (the first of its group); energy.1 2 J (the first of its group)",
+        "  peak_force.1 1000 mN; energy.1 2 J; the first of its group",
         "  nothing to look at: the specimen can come off",
     ]
 
@@ -72,7 +72,7 @@ def test_doubtful_and_failed_numbers_are_named_with_what_to_do(tmp_path: Path) -
     said = summary(status="doubtful", codes=["zero_not_at_rest", "slip_in_window"])
     assert lines(tmp_path, said) == [
         "T: LOOK, 1 ok, 2 doubtful (peak_force.1, peak_force.2)",
-        "  peak_force.1 1000 mN (the first of its group); energy.1 2 J (the first of its group)",
+        "  peak_force.1 1000 mN; energy.1 2 J; the first of its group",
         "  while it is mounted: let the machine stand for 5 s before it moves: the zero was not"
         " taken at rest; tighten the grips: the specimen slipped",
     ]
@@ -86,7 +86,10 @@ def test_few_tests_give_a_range_and_no_judgement(tmp_path: Path) -> None:
     before = [summary(peak) for peak in (1.0, 1.1, 0.9)]
     head, numbers, _ = lines(tmp_path, summary(5.0), before)
     assert head == "T: WELL, 3 ok"
-    assert "peak_force.1 5000 mN (so far 900 to 1100, n = 3: too few to judge)" in numbers
+    assert numbers == (
+        "  peak_force.1 5000 mN (so far 900 to 1100); energy.1 2 J (so far 2 to 2);"
+        " n = 3 so far, too few to judge"
+    )
 
 
 def test_a_number_outside_the_spread_so_far(tmp_path: Path) -> None:
@@ -94,9 +97,19 @@ def test_a_number_outside_the_spread_so_far(tmp_path: Path) -> None:
     head, numbers, last = lines(tmp_path, summary(1.2), before)
     assert head == "T: LOOK, 3 ok, outside the group: peak_force.1"
     # 1 +- t(6 degrees, 1 - 0.05 / 6) * 0.0216 * sqrt(1 + 1 / 7), with t = 3.2875
-    assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076, n = 7)" in numbers
+    assert "peak_force.1 1200 mN (OUTSIDE 924.1 to 1076); " in numbers
+    assert numbers.endswith("; n = 7 so far")
     assert last.startswith("  while it is mounted: compare the set-up with that of the other tests")
-    assert "(within 924.1 to 1076, n = 7)" in lines(tmp_path, summary(1.07), before)[1]
+    assert "(within 924.1 to 1076)" in lines(tmp_path, summary(1.07), before)[1]
+
+
+def test_numbers_with_groups_of_unlike_size_say_so_each(tmp_path: Path) -> None:
+    before = [summary(), summary(status="doubtful", codes=["gap"])]
+    numbers = lines(tmp_path, summary(), before)[1]
+    assert numbers == (
+        "  peak_force.1 1000 mN (so far 1000), n = 1 so far, too few to judge;"
+        " energy.1 2 J (so far 2 to 2), n = 2 so far, too few to judge"
+    )
 
 
 def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -> None:

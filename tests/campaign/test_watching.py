@@ -123,14 +123,14 @@ def test_a_test_is_paired_processed_and_judged_once(
     assert said[0] == "A2-085-1: wrote A2-085-1/test.yaml"
     assert said[-3:] == [
         "A2-085-1: WELL, 1 ok",
-        "  peak_force.1 1 N (the first of its group)",
+        "  peak_force.1 1 N; the first of its group",
         "  nothing to look at: the specimen can come off",
     ]
     assert bench.drawn == ["A2-085-1"]
     assert bench.go(20) == ""
     assert bench.campaign.asked == ["A2-085-1"]
     put(bench, "A2-085-2", exports)
-    assert "(so far 1, n = 1: too few to judge)" in bench.go(3)
+    assert "(so far 1); n = 1 so far, too few to judge" in bench.go(3)
 
 
 def test_a_growing_file_is_waited_for(bench: Bench, exports: dict[str, bytes]) -> None:

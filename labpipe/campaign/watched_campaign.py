@@ -1,0 +1,112 @@
+"""A campaign with its catalog as a watch sees it, and the watch itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from functools import partial
+from pathlib import Path
+
+from labpipe.campaign.campaign_folders import CampaignFolders
+from labpipe.campaign.catalog import PENDING, REJECTED, STALE
+from labpipe.campaign.executors import Executor, Outcome
+from labpipe.campaign.pairing import Candidate, Written, pair_test
+from labpipe.campaign.running import look, run_campaign
+from labpipe.campaign.standing_worker import StandingWorker
+from labpipe.campaign.watching import Watcher
+from labpipe.errors import ProcessingError, complaint
+from labpipe.process.fitting_protocols import all_protocols
+from labpipe.protocol.campaign_plan import CampaignPlan
+
+
+class WatchedCampaign:
+    """What a watch asks of a campaign, by its catalog; see `labpipe.campaign.watching.Campaign`.
+
+    Parameters
+    ----------
+    folders : of the campaign
+    executor : processes the tests
+    """
+
+    def __init__(self, folders: CampaignFolders, executor: Executor) -> None:
+        self._folders, self._executor = folders, executor
+        self._overview = look(folders)
+
+    @property
+    def raw(self) -> Path:
+        """Folder of the exports."""
+        return self._folders.raw
+
+    def todo(self, sheets: Iterable[Path]) -> list[Path]:
+        """Of some test sheets, those whose results are not there or are of other exports."""
+        rows = self._overview.rows
+        known = {sheet: rows.get(self._label(sheet)) for sheet in sheets}
+        due = {PENDING, STALE}
+        return [sheet for sheet, row in known.items() if row is None or row.state in due]
+
+    def process(self, sheet: Path, told: Callable[[Outcome], None]) -> None:
+        """Process a test, unless its results are there; remember and tell what became of it.
+
+        Raises
+        ------
+        LabpipeError
+            If another labpipe is at work on it, or the catalog cannot be written.
+        """
+        label = self._label(sheet)
+        ran = run_campaign(
+            self._folders, self._executor, only=[label], told=lambda _, outcome: told(outcome)
+        )
+        self._overview = ran.overview
+        if label in ran.elsewhere:
+            expected, found = "a test that nobody else processes", "another labpipe at work on it"
+            remedy = "It is tried again."
+            message = complaint(label, "", expected=expected, found=found, remedy=remedy)
+            raise ProcessingError(message, code="in_use")
+
+    def results(self) -> tuple[list[Path], list[Path]]:
+        """Folders of results of all tests, and of those that a person has rejected."""
+        rows = self._overview.rows
+        every = {folder: self._folders.processed / folder for folder in rows}
+        rejected = [every[folder] for folder, row in rows.items() if row.state == REJECTED]
+        return list(every.values()), rejected
+
+    def _label(self, sheet: Path) -> str:
+        return sheet.parent.relative_to(self._folders.raw).as_posix()
+
+
+def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]) -> None:
+    """Watch a campaign until it is interrupted.
+
+    Parameters
+    ----------
+    folders : of the campaign
+    figures : whether figures are drawn, after the verdict on a test
+    say : is given each message
+
+    Raises
+    ------
+    LabpipeError
+        If the campaign YAML is wrong, or the catalog cannot be used.
+    """
+    worker = StandingWorker()
+    worker.warm()
+    try:
+        campaign = WatchedCampaign(folders, worker.executor)
+        pair = partial(_pair_in, worker)
+        draw = worker.draw if figures else (lambda _: None)
+        watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
+        say(f"watching {folders.raw}; Ctrl-C ends it")
+        all_protocols()  # with units and grammar, so that the first verdict need not wait for them
+        while True:
+            if not watcher.look():
+                time.sleep(watcher.plan.look_every)
+    finally:
+        worker.leave()
+
+
+def _pair_in(
+    worker: StandingWorker, candidate: Candidate, plan: CampaignPlan, waited: float
+) -> Written:
+    """Pair a test in the process that may die of a damaged export."""
+    work = partial(pair_test, candidate, plan, waited=waited)
+    return worker.call(work, about=candidate.folder)
