@@ -209,8 +209,15 @@ def _seen_data(seen: SeenTest) -> dict[str, object]:
     keys = [*_SPECIMEN, *(key for key in seen.open if key in DIMENSIONS)]
     blocks = {key: dict(block) for key, block in seen.blocks.items() if block}
     shared = blocks.pop("specimen", {})
-    data["specimen"] = {key: specimen.get(key) for key in keys} | shared | specimen
+    labels = {**_block(shared, "labels"), **_block(specimen, "labels")}
+    filled: dict[str, object] = {key: specimen.get(key) for key in keys} | shared | specimen
+    data["specimen"] = filled | ({"labels": labels} if labels else {})
     return data | blocks
+
+
+def _block(data: Mapping[str, object], key: str) -> dict[str, object]:
+    found = data.get(key)
+    return dict(found) if isinstance(found, Mapping) else {}
 
 
 def _refuse_existing(path: Path, *, overwrite: bool) -> None:

@@ -225,6 +225,19 @@ def test_a_sheet_by_hand_waits_for_the_exports_that_it_names(lab: Lab) -> None:
     assert (written.sheet, written.missing) == (None, ("take.csv",))
 
 
+def test_labels_of_names_stand_beside_those_of_the_plan(campaign: Path) -> None:
+    plan = campaign / "campaign.yaml"
+    plan.write_text(
+        BY_NAME.replace("{type}", "{labels.oven}").replace(
+            "spool: A2-s1", "spool: A2-s1, type: A2"
+        ),
+        encoding="utf-8",
+    )
+    written = pair_test(only(campaign), plan_of(campaign))
+    assert written.sheet is not None
+    assert load_test_sheet(written.sheet).specimen.labels == {"cured": "24 h", "oven": "A2"}
+
+
 def test_what_names_say_wrongly_is_refused(campaign: Path) -> None:
     plan = campaign / "campaign.yaml"
     plan.write_text(BY_NAME.replace("{type}", "{labels.Type}"), encoding="utf-8")
