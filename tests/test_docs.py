@@ -14,7 +14,13 @@ import pytest
 
 from labpipe.cli import main
 from labpipe.errors import CODES
-from labpipe.protocol.load import load_calibration_plan, load_test_sheet, parse_protocol, resolve
+from labpipe.protocol.load import (
+    load_calibration_plan,
+    load_campaign_plan,
+    load_test_sheet,
+    parse_protocol,
+    resolve,
+)
 from labpipe.protocol.outline import RESULTS
 from labpipe.protocol.reference import kinds_of_notes
 from labpipe.readers import READERS
@@ -163,6 +169,11 @@ def test_no_place_of_one_machine_is_named(path: Path) -> None:
 @pytest.mark.parametrize("path", PAGES, ids=name_of)
 def test_protocols_and_test_sheets_in_pages_are_valid(path: Path, tmp_path: Path) -> None:
     for text in fenced(path.read_text(encoding="utf-8"), "yaml"):
+        if re.search(r"^pair:", text, flags=re.MULTILINE):
+            campaign = tmp_path / "campaign.yaml"
+            campaign.write_text(text if "version:" in text else f"version: 1\n{text}", "utf-8")
+            assert load_campaign_plan(campaign).pair.by in text
+            continue
         if re.search(r"^version:", text, flags=re.MULTILINE):
             assert parse_protocol(text, name_of(path)).results
             continue

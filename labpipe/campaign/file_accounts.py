@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from labpipe.campaign.catalog import FAILED, PENDING, RUNNING, STALE
+from labpipe.campaign.pairing import list_candidates, plan_of
 from labpipe.campaign.refreshing import Keeper, Overview
+from labpipe.errors import LabpipeError
+from labpipe.protocol.campaign_plan import PLAN_NAME
 
 USED, WAITING, UNKNOWN = "used", "waiting", "unknown"
 
@@ -29,6 +32,25 @@ def account_for(keeper: Keeper, overview: Overview) -> dict[str, list[str]]:
         became = FAILED if state == FAILED else became
         for name in keeper.files_of(folder, sheet):
             owner[f"{folder}/{name}" if folder else name] = became
+    owner |= {file: became for file, became in _by_plan(keeper).items() if file not in owner}
     for file in overview.raw.files:
         found[owner.get(file, UNKNOWN)].append(file)
     return {became: sorted(files) for became, files in found.items()}
+
+
+def _by_plan(keeper: Keeper) -> dict[str, str]:
+    """The campaign YAML, and exports that it pairs: used where their test has a sheet."""
+    raw = keeper.campaign.raw
+    if not (raw / PLAN_NAME).is_file():
+        return {}
+    found = {PLAN_NAME: USED}
+    try:
+        listed = list_candidates(raw, plan_of(raw))
+    except (LabpipeError, OSError):  # `labpipe check` says what is wrong with it
+        return found
+    for candidate in listed.candidates:
+        if candidate.by_role or not candidate.sheet.exists():
+            became = USED if candidate.sheet.exists() else WAITING
+            files = [path for path in candidate.files.values() if path.is_relative_to(raw)]
+            found |= {path.relative_to(raw).as_posix(): became for path in files}
+    return found

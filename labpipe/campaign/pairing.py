@@ -128,7 +128,7 @@ def list_candidates(folder: Path, plan: CampaignPlan) -> Listed:
 
 def _by_folder(folder: Path, pair: ByFolder) -> Listed:
     candidates, strangers = list[Candidate](), dict[Path, str]()
-    for place in _folders(folder):
+    for place in _test_folders(folder):
         files = {name: place / name for name in _names(place) if _may_be_export(name)}
         for name in [each for each in files if has_control_characters(each)]:
             strangers[files.pop(name)] = "its name has control characters; rename it"
@@ -140,6 +140,15 @@ def _by_folder(folder: Path, pair: ByFolder) -> Listed:
     loose = [folder / name for name in _names(folder) if _may_be_export(name)]
     strangers |= dict.fromkeys(loose, "it is in no folder of a test")
     return Listed(tuple(candidates), strangers)
+
+
+def _test_folders(folder: Path) -> Iterator[Path]:
+    """Folders below one that hold files, but none below those."""
+    for place in _folders(folder):
+        if _names(place):
+            yield place
+        else:
+            yield from _test_folders(place)
 
 
 def _folder_values(place: Path, pair: ByFolder) -> dict[str, str] | None:

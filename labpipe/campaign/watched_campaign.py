@@ -95,7 +95,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         pair = partial(_pair_in, worker)
         draw = worker.draw if figures else (lambda _: None)
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
-        say(f"watching {folders.raw}; Ctrl-C ends it")
+        say(f"watching {folders.name}; Ctrl-C ends it")
         all_protocols()  # with units and grammar, so that the first verdict need not wait for them
         while True:
             if not watcher.look():

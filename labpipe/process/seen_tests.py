@@ -415,7 +415,8 @@ def safe_name(name: str) -> str:
 
 
 def _as_written(fact: Fact) -> str:
-    is_plain = fact.written in ("", fact.value) or fact.where.startswith((FOLDER, "the name of"))
+    is_named = fact.where.startswith((FOLDER, "the name of"))
+    is_plain = fact.written.startswith(fact.value) or not fact.written or is_named
     return "" if is_plain else f" ({fact.written!r})"
 
 

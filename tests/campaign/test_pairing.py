@@ -177,6 +177,17 @@ def refuses(sheet: Path) -> bool:
     return True
 
 
+def test_folders_in_folders(lab: Lab) -> None:
+    folder = lab.raw.parent
+    (folder / "monday").mkdir()
+    lab.raw.rename(folder / "monday" / "T1")
+    (folder / "monday" / "T1" / "figures").mkdir()
+    (folder / "monday" / "T1" / "figures" / "x.svg").write_text("x", encoding="utf-8")
+    assert [each.folder for each in list_candidates(folder, plan_of(folder)).candidates] == [
+        folder / "monday" / "T1"
+    ]
+
+
 def test_folders_by_their_pattern(lab: Lab) -> None:
     folder = lab.raw.parent
     lab.sheet.unlink()
