@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable
 from dataclasses import replace
 from functools import partial
 from importlib import import_module
@@ -86,7 +86,7 @@ class StandingWorker:
         """
         self._begin(partial(draw_figures, folder))
 
-    def executor(self, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def executor(self, tasks: Iterable[Task]) -> Generator[Outcome, None, None]:
         """Process tests, numbers only; see `labpipe.campaign.executors.Executor`."""
         for task in tasks:
             yield settled(task, self._ended(partial(outcome_of, replace(task, figures=False))))

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign
-from labpipe.campaign.executors import local
+from labpipe.campaign.executors import Outcome, local
 from labpipe.campaign.running import look
 from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.errors import ProcessingError
@@ -181,7 +181,7 @@ def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
         with pytest.raises(ProcessingError, match=r"another labpipe at work on it"):
             watched.process(lab.sheet, lambda _: None)
         keeper.catalog.release("T1")
-    outcomes = []
+    outcomes: list[Outcome] = []
     watched.process(lab.sheet, outcomes.append)
     assert [each.state for each in outcomes] == ["ok"]
     assert watched.todo([lab.sheet]) == []
