@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from labpipe.markers.rings import find_sections
-from labpipe.markers.three_point_axis import fit_bent_axis, fit_span
+from labpipe.markers.three_point_axis import _linearised, fit_bent_axis, fit_span
 from labpipe.records.arrays import Floats
 from tests.builders.three_point import RADIUS, SPAN, STROKE, BendingRecord, curvature_at, tracks
 
@@ -99,3 +99,11 @@ def test_too_few_sections() -> None:
     sections = find_sections(made.positions[:, :10], rest=rest, apart=0.004)
     with pytest.raises(ValueError, match="5 sections with markers: expected at least 6"):
         fit_span(sections, span=SPAN, radius=RADIUS, facing="side", bent_most=~rest)
+
+
+def test_beyond_its_grid_an_axis_goes_on_straight() -> None:
+    """A sine of 0.6 is a slope of 0.75 everywhere."""
+    grid = np.linspace(-1.0, 1.0, 11)
+    x = np.array([[-1.1, -1.0, 0.0, 0.55, 1.0, 1.2]])
+    _, y = _linearised(np.array([[0.6, 0.2]]), np.ones((11, 1)), grid, x)
+    assert y == pytest.approx(0.2 + 0.75 * x)

@@ -114,3 +114,12 @@ def test_no_stop() -> None:
     assert fit_stop(time, 1e-3 * time, near=(19.9, 20.1), window=15.0) is None
     assert fit_stop(time, np.zeros_like(time), near=(19.9, 20.1), window=15.0) is None
     assert fit_stop(time[:8], 1e-3 * time[:8], near=(0.05, 0.1), window=1.0) is None
+
+
+@pytest.mark.parametrize(("near", "is_enough"), [(0.035, False), (0.045, True)])
+def test_five_samples_before_a_corner_are_enough_for_two_parabolas(
+    near: float, *, is_enough: bool
+) -> None:
+    time = np.arange(0.0, 2.0, 0.01)
+    found = fit_corner(time, -np.abs(time - 0.03), near=near, window=1.0, degree=2)
+    assert (found is not None) is is_enough

@@ -10,6 +10,7 @@ import pytest
 from labpipe.records.group import SampleCurve
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.statistics.mean_curves import _gaps
 from tests.builders.sloped_samples import built, make, said, samples, stiffness
 
 
@@ -97,3 +98,9 @@ def test_six_curves_have_their_bands() -> None:
     assert band.has_area
     assert not len(band.marks)
     assert np.isfinite(band.upper_all).all()
+
+
+def test_one_missing_point_of_a_grid_is_a_gap() -> None:
+    grid = 1e-3 * np.array([0.0, 1.0, 2.0, 4.0, 5.0, 8.0])
+    assert _gaps(grid) == ["2 mm to 4 mm", "5 mm to 8 mm"]
+    assert _gaps(grid[:3]) == _gaps(grid[:1]) == []

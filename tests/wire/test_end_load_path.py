@@ -7,6 +7,7 @@ import pytest
 
 from labpipe.law.plays import LinearLaw, PlayLaw
 from labpipe.wire.bending_law import play_law
+from labpipe.wire.end_load import deflection_at
 from labpipe.wire.end_load_path import end_load_path
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
 from tests.builders.stranded_wires import contacts_of, wire
@@ -71,3 +72,11 @@ def test_numbers_that_are_not_finite_are_refused(number: float) -> None:
 def test_lengths_are_positive(length: float) -> None:
     with pytest.raises(ValueError, match=rf"^length={length}: allowed are finite numbers > 0$"):
         end_load_path(LinearLaw(3e-3), length, np.array([0.01]))
+
+
+def test_clamp_moments_are_those_of_the_deflections() -> None:
+    """The far ones, which are settled station by station, too."""
+    law, deflections = LinearLaw(2e-3), np.linspace(0.0, 0.85 * LENGTH, 18)[1:]
+    path = end_load_path(law, LENGTH, deflections)
+    found = [deflection_at(law, LENGTH, float(each)) for each in path.clamp_moment]
+    assert found == pytest.approx(deflections, rel=1e-6)
