@@ -142,7 +142,7 @@ def _when(branches: list[Branch], reads: tuple[float, float]) -> Stretch | None:
     ends = []
     for at, number in ((reads[0], int(reads[0])), (reads[1], math.ceil(reads[1]) - 1)):
         part = branches[min(number, len(branches) - 1)]
-        share = min(at - number, 1.0) if number < len(branches) else 1.0
+        share = at - number if number < len(branches) else 1.0
         ends.append(part.start_time + share * (part.stop_time - part.start_time))
     return ends[0], ends[1]
 

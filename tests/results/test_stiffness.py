@@ -7,6 +7,9 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.result import Status
+from labpipe.records.signals import Signals
+from labpipe.results.evidence import Evidence
+from labpipe.results.stiffness import Hardening, LoadingStiffness
 from tests.builders.pulls import (
     BREAK,
     LINE,
@@ -183,3 +186,13 @@ def test_no_force_at_all() -> None:
     found = results["stiffness_per_peak_force"]
     assert found.value is None
     assert found.why.startswith("no_peak_force: a peak of ")
+
+
+def test_stretches_are_named_in_millimetres() -> None:
+    assert LoadingStiffness(over=0.005).method == (
+        "line over 5 mm from where the force takes up, time as instrument"
+    )
+    found = Hardening(over=0.005).compute(Evidence(Signals()))
+    assert [each.method for each in found.numbers] == [
+        "slope over 5 mm from the take-up / that of cycle 1, scale cancelled"
+    ]
