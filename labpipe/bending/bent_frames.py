@@ -336,6 +336,7 @@ class BendingErrors:
     offset : m, of the clamped end and of the pull point along the specimen
     other_tension_at_rest : N, a tension at rest as likely as the one assumed; None where there is
         none
+    centre : m, of the markers' centres across the specimen
     """
 
     force_noise: float
@@ -343,6 +344,7 @@ class BendingErrors:
     force_scale: float
     offset: float
     other_tension_at_rest: float | None = None
+    centre: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -149,6 +149,8 @@ class _Shared:
         if errors.offset > 0.0:
             yield change(self.longer_at_the_clamp(errors.offset))
             yield change(self.longer_at_the_tip(errors.offset))
+        if errors.centre > 0.0:
+            yield change(self.farther_off(errors.centre))
 
     def movement(self, loaded: Loaded) -> Floats:
         """How far the law moves the markers."""
@@ -190,6 +192,24 @@ class _Shared:
         force = self.test.pull.force(self.frames.means.force, tip.x[:, 0])
         extra = more * (force[:, 1:] * np.cos(tip.angle) - force[:, :1] * np.sin(tip.angle))
         return replace(self.loaded, moment=self.loaded.moment + extra)
+
+    def farther_off(self, more: float) -> Loaded:
+        """With markers whose centres are farther from the axis: it lies lower under them."""
+        test, rest, places = self.test, self.test.standing, self.loaded.line.arc_length
+        layout = replace(test.layout, centre_offset=test.layout.centre_offset + more)
+        along = curves_at(rest.coefficients, layout.length, np.zeros(1)).angle[0, 0]
+        lift = more * np.array([-np.sin(along), np.cos(along), 0.0])
+        curves, still = (
+            layout.fit(markers + lift).coefficients
+            for markers in (self.frames.means.markers, rest.markers[None])
+        )
+        return replace(
+            self.loaded,
+            moment=test.moments(curves, self.frames.means.force, places),
+            moment_at_rest=test.moments(still, np.zeros(1), places)[0],
+            angle_at_rest=curves_at(still, layout.length, places).angle[0],
+            centre_offset=layout.centre_offset,
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -413,6 +433,8 @@ def _moment_errors(
     lever = now.x[:, -1:] - now.x
     push = np.hypot(errors.force_zero, errors.force_noise / np.sqrt(means.per_mean))
     noise = test.standing.noise * frames.tip_gain / np.sqrt(means.per_mean)
-    place = np.hypot(errors.offset, noise) * means.force
+    # Markers farther off the axis have it turn about the tip's angle: the lever is shorter.
+    centre = errors.centre * np.sin(now.angle[:, -1])
+    place = np.hypot(np.hypot(errors.offset, centre), noise) * means.force
     squares = (push * lever) ** 2 + (errors.force_scale * moment) ** 2 + place[:, None] ** 2
     return np.asarray(np.sqrt(squares), dtype=np.float64)

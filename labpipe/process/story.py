@@ -223,6 +223,7 @@ def _evidence(
         has_markers=words is not None,
         centre_offset=0.0 if words is None else words.centre_offset,
         offset_uncertainty=0.0 if words is None else words.offset_uncertainty,
+        centre_uncertainty=0.0 if words is None else words.centre_uncertainty,
         free_tip=any(isinstance(x, FitShape) and x.tip == "free" for x in protocol.steps),
     )
     return Evidence(

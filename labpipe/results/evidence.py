@@ -75,7 +75,7 @@ class Setup:
         keys of the protocol; what is not there is taken as exact
     string : that loads the specimen; None where there is none
     has_markers : whether the specimen carries markers
-    centre_offset, offset_uncertainty : m, of the markers
+    centre_offset, offset_uncertainty, centre_uncertainty : m, of the markers
     free_tip : whether the shape may bend up to its tip
     """
 
@@ -87,6 +87,7 @@ class Setup:
     has_markers: bool = False
     centre_offset: float = 0.0
     offset_uncertainty: float = 0.0
+    centre_uncertainty: float = 0.0
     free_tip: bool = False
 
 

@@ -387,6 +387,7 @@ def measured(test: Evidence) -> tuple[Bending | Failure, list[Finding]]:
             force_scale=test.force.relative_error,
             offset=test.setup.offset_uncertainty,
             other_tension_at_rest=other,
+            centre=test.setup.centre_uncertainty,
         ),
     )
     try:

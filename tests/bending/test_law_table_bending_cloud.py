@@ -53,6 +53,10 @@ def test_errors_of_moments_add_up() -> None:
     assert zero.moment_error[0, 0] == pytest.approx(0.085e-3, rel=0.01)
     place = bending_cloud(replace(TEST, errors=replace(errors, force_scale=0.0, offset=1e-4)))
     assert place.moment_error[-1] == pytest.approx(1e-4 * place.force[-1])
+    centre = bending_cloud(replace(TEST, errors=replace(errors, force_scale=0.0, centre=1e-4)))
+    lean = float(np.sin(SHAPES[-1].angle[-1]))  # an axis that lies lower moves the tip by so much
+    assert lean > 0.5
+    assert centre.moment_error[-1] == pytest.approx(1e-4 * lean * centre.force[-1], rel=0.02)
 
 
 def test_a_shape_without_spare_markers_has_no_second_opinion() -> None:

@@ -81,6 +81,25 @@ def test_a_wrong_place_of_an_end_is_within_its_interval(end: str) -> None:
     assert off.max() > 0.005 * true.max()
 
 
+def test_a_centre_offset_changes_the_law_by_what_is_stated_for_it() -> None:
+    """The law found anew with markers a little farther off, against the interval's own part."""
+    more, test = 1e-4, bending_test(SHAPES)
+    farther = replace(test.shape, positions=test.shape.positions + np.array([0.0, more, 0.0]))
+    again = replace(test, shape=farther, centre_offset=test.centre_offset + more)
+    stated = replace(test, errors=BendingErrors(0.0, 0.0, 0.0, 0.0, centre=more))
+    bare, moved, wide = (measure_bending(each).law for each in (test, again, stated))
+    assert bare is not None
+    assert moved is not None
+    assert wide is not None
+    at = np.array([2.0, 5.0, 10.0, 15.0])
+    half, none = (
+        np.interp(at, law.curvature, law.moment_upper - law.moment) / 1.96 for law in (wide, bare)
+    )
+    before, after = (np.interp(at, law.curvature, law.moment) for law in (bare, moved))
+    assert np.abs(after - before) == pytest.approx(np.sqrt(half**2 - none**2), rel=0.1)
+    assert (np.abs(after - before) > 5e-4 * before).all()
+
+
 def _moved(end: str, more: float) -> BendingTest:
     test = bending_test(SHAPES)
     shape = test.shape
