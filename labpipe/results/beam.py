@@ -121,7 +121,7 @@ class Plateau(Kind):
             end = tangents.slope_at_end(*reversed(_loading(trace))) + trace.beyond * steeper
             return (np.asarray(end / slope.numbers(trace)[0], dtype=np.float64),)
 
-        return Reading(numbers, len(tangents.last))
+        return Reading(numbers, len(tangents.last), is_cut=slope.is_cut)
 
     def _one_step_on(self, trace: Trace, tangents: Tangents) -> float:
         """What the slope at the end would be more if the loading went on for a sampling step, N/m.

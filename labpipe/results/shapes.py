@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import sqrt
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
@@ -12,9 +13,9 @@ from labpipe.bending.law_table import law_points
 from labpipe.fits.loops import secant_stiffness
 from labpipe.records.arrays import Flags, Floats
 from labpipe.records.causes import SCALE_OF_FORCE
-from labpipe.records.curve import Bending, Branch, Curve, MeasuredLaw
+from labpipe.records.curve import Bending, Branch, Curve, Interval, MeasuredLaw
 from labpipe.records.declarations import CURVE, Curvature, Needs, Output, Snake
-from labpipe.records.estimates import Estimate, Failure, widened
+from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason, worth_knowing
 from labpipe.results.cycles import rectangle
 from labpipe.results.evidence import Evidence, SpanBend
@@ -29,15 +30,16 @@ from labpipe.results.kinds import (
 )
 from labpipe.results.stiffness import Window
 from labpipe.signal.turning_points import noise_level
-from labpipe.uncertainty.linear_fits import fit_linear
-from labpipe.uncertainty.noise import long_run_variance
+from labpipe.uncertainty.drawn_noise import noise_of
+from labpipe.uncertainty.replicates import COUNT, smooth_curve, stream
 
 _SPAN = "mid_span"
 """Signal of what cameras see of mid-span, and what rests on them alone."""
-_AT_TURN = 2.0
-"""s on each side of the turn that a value there is read from."""
-_BESIDE, _LEAST = 8.0, 5
-"""s on each side beyond that, which speak of the noise; frames that each side needs."""
+_AT_TURN, _LEAST = 2.0, 5
+"""s on each side of the turn that a value there is read from; frames that each side needs."""
+_PARTS, _AT_ONCE = 40, 50
+"""Intervals of the smooth curve through what cameras see of a branch; records drawn at once."""
+_LOW, _HIGH = 0.025, 0.975
 
 
 _MISFIT = (3.0, 2e-5)
@@ -206,9 +208,9 @@ class MidSpan(Window):
         parts = _at_hand(test)
         if isinstance(parts, Failure):
             return self.not_available(parts, *methods)
-        bend, _, branch, time = parts
+        bend, frames = parts[0], _Frames.of(test, parts)
         found, other = (
-            (self._stiffness(parts, each), _at_turn(each, bend.rest, branch, time))
+            (self._stiffness(parts, each), _at_turn(each, frames, "mid-span curvature"))
             for each in (bend.shape.bent.mid_span, bend.shape.fewer_terms)
         )
         errors = [_shape_errors(bend, *each) for each in zip(found, other, strict=True)]
@@ -249,31 +251,74 @@ def _shape_errors(bend: SpanBend, found: Outcome, other: Outcome) -> Errors:
     return {**rectangle(found, other), "side of the markers": side}
 
 
-def _at_turn(values: Floats, rest: Flags, branch: Branch, time: Floats) -> Outcome:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frames:
+    """When cameras saw a test: all that they see is judged by it.
+
+    time : shape (frames,), s, on the clock of the curve; rest : shape (frames,), before the
+    loading; cuts : first frames of the branches, and behind the last one; seed : of draws
+    """
+
+    time: Floats
+    rest: Flags
+    loading: Branch
+    cuts: tuple[int, ...]
+    seed: bytes
+
+    @classmethod
+    def of(cls, test: Evidence, parts: _Parts) -> _Frames:
+        bend, curve, branch, time = parts
+        ends = [*(each.start_time for each in curve.branches), curve.branches[-1].stop_time]
+        cuts = tuple(int(each) for each in np.searchsorted(time, ends))
+        return cls(time, bend.rest, branch, cuts, test.seed)
+
+    def drawn(self, values: Floats, weights: Floats, name: str) -> Floats:
+        """What a sum over the values is off by in noise like theirs, shape (replicates,)."""
+        smooth = smooth_curve(self.time, values, self.cuts, _PARTS)
+        moving = [slice(low, high) for low, high in pairwise(self.cuts)]
+        rests = [slice(0, self.cuts[0]), slice(self.cuts[-1], None)]
+        noise = noise_of(
+            [values[each] for each in moving],
+            [smooth[each] for each in moving],
+            [values[each] for each in rests],
+        )
+        chance = stream(self.seed, name)
+        some = [
+            noise.draw(len(values), _AT_ONCE, chance) @ weights for _ in range(COUNT // _AT_ONCE)
+        ]
+        return np.concatenate(some).astype(np.float64)
+
+
+def _at_turn(values: Floats, frames: _Frames, name: str) -> Outcome:
     """What a quantity is at the end of loading, less what it is at rest."""
-    still = values[rest & np.isfinite(values)]
-    if len(still) < 8:
-        return Failure("no_rest", f"{len(still)} frames before the loading show it, 8 are needed")
+    still = frames.rest & np.isfinite(values)
+    if still.sum() < 8:
+        found = int(still.sum())
+        return Failure("no_rest", f"{found} frames before the loading show it, 8 are needed")
+    branch = frames.loading
     window = min(_AT_TURN, 0.4 * (branch.stop_time - branch.start_time))
-    found = _height_of_turn(time - branch.stop_time, values - still.mean(), window)
-    if isinstance(found, Failure):
-        return found
-    zero = float(np.sqrt(long_run_variance(still, parameters=1) / len(still)))
-    return widened(found, zero)
+    weights = _of_turn(frames.time - branch.stop_time, values, window)
+    if isinstance(weights, Failure):
+        return weights
+    count = int((weights != 0.0).sum())
+    weights = weights - still / still.sum()
+    value = float(weights @ np.nan_to_num(values))
+    off = frames.drawn(values, weights, name)
+    low, high = np.quantile(off, (_LOW, _HIGH)).tolist()
+    return Estimate(value, float(off.std()), count, Interval(value - high, value - low))
 
 
-def _height_of_turn(time: Floats, values: Floats, window: float) -> Outcome:
-    """Where two parabolas meet at time zero; few frames know little of their noise, hence t."""
-    known = np.isfinite(values)
-    near = known & (np.abs(time) <= window)
-    t, y = time[near], values[near]
+def _of_turn(time: Floats, values: Floats, window: float) -> Floats | Failure:
+    """Weights of the frames in the value at which two parabolas meet at time zero."""
+    near = np.isfinite(values) & (np.abs(time) <= window)
+    t = time[near]
     if min((t <= 0.0).sum(), (t > 0.0).sum()) < _LEAST:
         return Failure("too_few_samples", f"{len(t)} frames within {window:.3g} s of the turn")
     ahead, behind = np.maximum(t, 0.0), np.minimum(t, 0.0)
     design = np.column_stack([np.ones_like(t), ahead, ahead**2, behind, behind**2])
-    stretches = [(time > low) & (time <= low + _BESIDE) for low in (-window - _BESIDE, window)]
-    beside = [values[each] for each in stretches if each.sum() >= 8 and known[each].all()]
-    return fit_linear(design, y, beside=beside).estimate(0)
+    weights = np.zeros(len(time))
+    weights[near] = np.linalg.pinv(design)[0]
+    return weights
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,7 +338,7 @@ class Twist(Kind):
         parts = _at_hand(test)
         if isinstance(parts, Failure):
             return self.not_available(parts, method)
-        bend, _, branch, time = parts
+        bend = parts[0]
         shape = bend.shape
         able = np.flatnonzero(shape.lever > 0.0)
         if not len(able):
@@ -305,10 +350,11 @@ class Twist(Kind):
         x = np.nanmean(shape.centres[bend.rest][..., 0], axis=0)
         section = int(able[np.argmin(np.abs(x[able]))])
         said = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
-        turned = _at_turn(shape.twist[:, section], bend.rest, branch, time)
+        frames = _Frames.of(test, parts)
+        turned = _at_turn(shape.twist[:, section], frames, "twist")
         if isinstance(turned, Estimate) and turned.value < 0.0:
             # which way it turns is only a matter of which end of the conduit is called the first
-            turned = _at_turn(-shape.twist[:, section], bend.rest, branch, time)
+            turned = _at_turn(-shape.twist[:, section], frames, "twist")
         number = self.number(turned, method, during=test.while_loading())
         note = worth_knowing("twist_section", "markers", said)
         return Computed((number,), findings=(note,))

@@ -295,7 +295,7 @@ def _secant(trace: Trace, low: float, high: float) -> Reading | Failure:
     def numbers(trace: Trace) -> tuple[Floats]:
         return (found.of(trace.displacement[..., branch], trace.force[..., branch]),)
 
-    return Reading(numbers, found.n)
+    return Reading(numbers, found.n, is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -382,7 +382,7 @@ class LineStiffness(Window):
         def numbers(trace: Trace) -> tuple[Floats]:
             return (slope_of_line(trace.displacement[..., part], trace.force[..., part]),)
 
-        return Reading(numbers, len(chosen))
+        return Reading(numbers, len(chosen), is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -541,7 +541,7 @@ class ComplianceResult(Kind):
             x, y = (each[..., stretch][..., window] for each in (trace.force, trace.displacement))
             return (slope_of_line(x, y),)
 
-        return Reading(numbers, len(d[window]))
+        return Reading(numbers, len(d[window]), is_cut=True)
 
 
 KINDS = (

@@ -13,7 +13,7 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import SLACK
 from labpipe.records.estimates import Failure
 from labpipe.results.likely_curves import displaced, loading_of
-from labpipe.uncertainty.intervals import measure
+from labpipe.uncertainty.intervals import Decided, measure
 from labpipe.uncertainty.readings import Decide, Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
 
@@ -44,7 +44,7 @@ def slack_of(trace: Trace, *, start_share: float, stop_share: float) -> Reading 
         d, f = (each[..., stretch][..., region] for each in (trace.displacement, trace.force))
         return (zero_of_line(d, f),)
 
-    return Reading(numbers, len(trace.force[stretch][region]))
+    return Reading(numbers, len(trace.force[stretch][region]), is_cut=True)
 
 
 def counted_from_taut(replicates: Replicates, slack: Decide, off: float) -> Replicates:
@@ -78,13 +78,9 @@ def _with_slack(given: Input, smooth: Trace, slack: Decide) -> Input:
     base = slack(smooth)
     if isinstance(base, Failure):
         return given
-    ends = []
-    for x in (-1.0, 1.0):
-        trace = given.moved(smooth, x)
-        found = slack(trace)
-        reading = base if isinstance(found, Failure) else found
-        ends.append(float(reading.numbers(trace)[0]) - float(base.numbers(smooth)[0]))
-    return replace(given, moved=partial(_moved, given=given, less=-ends[0], more=ends[1]))
+    decided = Decided.of(slack, smooth, base)
+    less, more = (float(decided.changed(given, x)[0]) for x in (-1.0, 1.0))
+    return replace(given, moved=partial(_moved, given=given, less=-less, more=more))
 
 
 def _moved(trace: Trace, x: float, *, given: Input, less: float, more: float) -> Trace:

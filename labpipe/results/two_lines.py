@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -125,7 +125,7 @@ class _TwoLines(Window):
         found = self.decide(trace)
         if isinstance(found, Failure):
             return found
-        return Reading(lambda trace: (found.numbers(trace)[number],), found.n)
+        return replace(found, numbers=lambda trace: (found.numbers(trace)[number],))
 
     def _places(self, trace: Trace) -> tuple[slice, Hinges] | Failure:
         """Samples of the stretch, and the places there."""

@@ -7,7 +7,7 @@ known: each replicate draws the process, too, by the chance that the record give
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import compress
@@ -31,6 +31,9 @@ _WAVES = 48
 """Half waves of a piece that the noise is judged by: with 128 hum is taken for memory."""
 _CUBIC = 6
 """Columns of the polynomial that is taken out of a piece: degree five."""
+_EDGE, _RELAXES = 10, 3
+"""Of a rest: one part in so many next to the motion is cut off, where it may have begun or not yet
+have ended; columns of the polynomial taken out behind the motion, where a specimen relaxes."""
 _PER_COLUMN = 8
 """Samples of a piece for each of them, at least."""
 _CLIFF = 4.0
@@ -207,7 +210,8 @@ def noise_of(
         are closed up, less the smooth curve
     smooth : of each branch, shape (n,), the smooth curve through it
     rests : each shape (n,), stretches in which nothing moves: there waves as long as they are seen,
-        and nowhere else; short ones, and ones with NaN, are left out
+        and nowhere else; short ones, and ones with NaN, are left out. The first lies before the
+        motion, all others behind it, where a force relaxes: a parabola is no noise there
 
     Returns
     -------
@@ -251,7 +255,6 @@ def noise_of(
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
     processes = _processes(longest, sum(len(each) for each in branches))
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
-    still = [each for each in rests if len(each) >= width and np.ptp(each) > 0.0]  # not of NaN
     for _ in range(_ROUNDS):
         likelihood, squares, freedom = _likelihood(spectra, waves, columns)
         best = np.argmax(likelihood + np.log(processes.prior))
@@ -261,7 +264,8 @@ def noise_of(
         if not odd.any():
             break
         waves, kept = waves[~odd], kept - int(odd.sum())
-    likelihood, squares, freedom = _with_rests(processes, still, (likelihood, squares, freedom))
+    seen = likelihood, squares, freedom
+    likelihood, squares, freedom = _with_rests(processes, rests, width, seen)
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
     angles, fast = _own_power(branches, smooth)
@@ -278,25 +282,40 @@ def noise_of(
 
 
 def _with_rests(
-    processes: _Processes, rests: list[Floats], seen: tuple[Floats, Floats, int]
+    processes: _Processes,
+    rests: Sequence[Floats],
+    least_of_rest: int,
+    seen: tuple[Floats, Floats, int],
 ) -> tuple[Floats, Floats, int]:
-    """Likelihood, sums of squares and degrees of freedom with those of rests, less their level.
+    """Likelihood, sums of squares and degrees of freedom with those of rests.
 
     Without rests nothing is seen of waves as long as the record, and flicker noise is left out.
     """
     likelihood, squares, freedom = seen
-    if not rests:
+    still = list(_still(rests, least_of_rest))
+    if not still:
         return np.where(processes.steep > 0.0, -np.inf, likelihood), squares, freedom
     least = np.finfo(np.float64).tiny
     logs = likelihood + 0.5 * freedom * np.log(np.maximum(squares, least))
-    for each in rests:
-        terms = min(_WAVES, len(each))
-        power = fft.dct(each - each.mean(), norm="ortho")[1:terms] ** 2
-        spectra = processes.spectra(np.pi * np.arange(1, terms) / len(each))
-        logs = logs - 0.5 * np.log(spectra).sum(axis=1)
-        squares = squares + (power / spectra).sum(axis=1)
-        freedom += terms - 1
+    for rest, basis in still:
+        terms = min(_WAVES, len(rest))
+        waves = fft.dct(rest - basis @ (basis.T @ rest), norm="ortho")[None, :terms]
+        columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
+        spectra = processes.spectra(np.pi * np.arange(terms) / len(rest))
+        one, more, free = _likelihood(spectra, waves, columns)
+        logs = logs + one + 0.5 * free * np.log(np.maximum(more, least))
+        squares, freedom = squares + more, freedom + free
     return logs - 0.5 * freedom * np.log(np.maximum(squares, least)), squares, freedom
+
+
+def _still(rests: Sequence[Floats], least: int) -> Iterator[tuple[Floats, Floats]]:
+    """Middles of rests that are long enough, each with what moves there but for noise."""
+    for number, rest in enumerate(rests):
+        if len(rest) < least or not np.ptp(rest) > 0.0:  # nor of NaN
+            continue
+        edge = len(rest) // _EDGE
+        middle = rest[edge:] if number else rest[: len(rest) - edge]
+        yield middle, _polynomials(len(middle), _RELAXES if number else 1)
 
 
 def _spread(values: Floats) -> float:
@@ -318,9 +337,9 @@ def _silence(longest: int) -> Noise:
     return Noise(np.ones(1), np.zeros(1), 1, max(longest, 1), 0, 1.0, none, none)
 
 
-def _polynomials(width: int) -> Floats:
+def _polynomials(width: int, most: int = _CUBIC) -> Floats:
     """Orthonormal polynomials over a piece, shape (width, columns)."""
-    columns = int(np.clip(width // _PER_COLUMN, 2, _CUBIC))
+    columns = int(np.clip(width // _PER_COLUMN, min(2, most), most))
     at = np.linspace(-1.0, 1.0, width)
     return np.linalg.qr(np.polynomial.legendre.legvander(at, columns - 1))[0]
 

@@ -24,7 +24,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
-from labpipe.uncertainty.readings import Decide, Reading
+from labpipe.uncertainty.readings import Decide, Reading, Trace
 from labpipe.uncertainty.replicates import Input, Replicates
 
 _LOW, _HIGH = 0.025, 0.975
@@ -40,6 +40,9 @@ _DUST = 1e-9
 _TOLD = 100
 """Samples of the shortest record that tells slow noise from none: of a shorter one every number
 would be doubtful, or none."""
+_FINE, _FINEST = 16_000, 16
+"""Samples of a curve that windows are decided anew on, about, and steps of a sample at most: ends
+of windows that jump from sample to sample make what an input changes too large or too small."""
 _KEPT = 0.6
 """Share of the pieces of a record that its noise is to be judged by."""
 
@@ -110,18 +113,20 @@ def measure(
     plain = _on_smooth(replicates, decide, found)
     if isinstance(plain, Failure):
         return plain
-    base = _numbers(plain, replicates)
+    smooth = Decided.of(decide, replicates.smooth, plain)
+    base = _of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(each)) for each in replicates.traces()]
-    noise = off = np.concatenate(drawn, axis=1) - base[:, None]
+    noise = np.concatenate(drawn, axis=1) - base[:, None]
+    off = noise - smooth.between_samples()[:, None]
     parts, doubts = list[tuple[str, Floats]](), list[tuple[str, Reason]]()
     for given in replicates.inputs:
-        low, high = (_moved(decide, plain, replicates, given, x) for x in (-1.0, 1.0))
+        low, high = (smooth.changed(given, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
-            low, high = _mirrored(low, base, high)
+            low, high = _mirrored(low, high)
             message = f"there is none with {given.cause} one standard uncertainty off"
             doubts.append(("", Reason("not_repeatable", message)))
         z = replicates.draws(given)
-        off = off + np.where(z > 0.0, np.outer(base - low, z), np.outer(high - base, z))
+        off = off + np.where(z > 0.0, np.outer(-low, z), np.outer(high, z))
         parts.append((given.cause, 0.5 * (high - low) * given.deviation))
     lost = float(np.isnan(off).any(axis=0).mean())
     if lost >= _NONE:
@@ -182,24 +187,69 @@ def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:
             yield name, Reason("uneven_noise", message)
 
 
-def _numbers(reading: Reading, replicates: Replicates) -> Floats:
-    return np.array([float(each) for each in reading.numbers(replicates.smooth)])
+@dataclass(frozen=True, slots=True, eq=False)
+class Decided:
+    """Numbers of a curve without noise, and what is known of it between its samples.
+
+    Windows end at samples. A curve of a few hundred samples has numbers that jump as an input moves
+    a sample across the end of its window, and numbers that are off by what lies between the last
+    sample and that end. On finer samples of the same curve neither is seen.
+
+    Parameters
+    ----------
+    decide : from where the numbers are read
+    trace, reading : the curve, and what is decided on it
+    fine, fine_reading : the same of the curve with samples in between
+    """
+
+    decide: Decide
+    trace: Trace
+    reading: Reading
+    fine: Trace
+    fine_reading: Reading
+
+    @classmethod
+    def of(cls, decide: Decide, trace: Trace, reading: Reading) -> Decided:
+        """Decide anew on finer samples where these alone cut its windows, and there is a number."""
+        times = int(np.clip(_FINE // len(trace.time), 1, _FINEST)) if reading.is_cut else 1
+        fine = trace.finer(times)
+        found = decide(fine)
+        if isinstance(found, Failure):
+            return cls(decide, trace, reading, trace, reading)
+        return cls(decide, trace, reading, fine, found)
+
+    def between_samples(self) -> Floats:
+        """What the numbers would be more of if samples lay without end."""
+        return _of(self.fine_reading, self.fine) - _of(self.reading, self.trace)
+
+    def changed(self, given: Input, by: float) -> Floats:
+        """What an input changes the numbers by.
+
+        Parameters
+        ----------
+        given : the input
+        by : standard uncertainties that it is higher by
+
+        Returns
+        -------
+        Of each number; where the input moves the curve, windows are decided anew.
+        """
+        moved = given.moved(self.trace, by)
+        if not given.moves_curve:
+            return _of(self.reading, moved) - _of(self.reading, self.trace)
+        moved = moved.finer((len(self.fine.time) - 1) // max(len(self.trace.time) - 1, 1))
+        found = self.decide(moved)
+        reading = self.fine_reading if isinstance(found, Failure) else found
+        return _of(reading, moved) - _of(self.fine_reading, self.fine)
 
 
-def _moved(
-    decide: Decide, plain: Reading, replicates: Replicates, given: Input, by: float
-) -> Floats:
-    """Numbers with an input so many standard uncertainties higher, its windows decided anew."""
-    trace = given.moved(replicates.smooth, by)
-    found = decide(trace) if given.moves_curve else plain
-    reading = plain if isinstance(found, Failure) else found
+def _of(reading: Reading, trace: Trace) -> Floats:
     return np.array([float(each) for each in reading.numbers(trace)])
 
 
-def _mirrored(low: Floats, base: Floats, high: Floats) -> tuple[Floats, Floats]:
-    """Numbers on both sides, the other side mirrored where one has none."""
-    below = np.where(np.isnan(low), 2.0 * base - high, low)
-    return below, np.where(np.isnan(high), 2.0 * base - low, high)
+def _mirrored(low: Floats, high: Floats) -> tuple[Floats, Floats]:
+    """Changes on both sides, the other side mirrored where one has none."""
+    return np.where(np.isnan(low), -high, low), np.where(np.isnan(high), -low, high)
 
 
 def _budget(noise: float, parts: list[tuple[str, Floats]], row: int) -> tuple[Contribution, ...]:

@@ -8,8 +8,10 @@ are, all at once.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
+
+import numpy as np
 
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Branch
@@ -39,6 +41,35 @@ class Trace:
     sizes: Mapping[str, float] = field(default_factory=dict)
     beyond: float = 0.0
 
+    def finer(self, times: int) -> Trace:
+        """The same curve, with straight lines from sample to sample divided into so many steps.
+
+        Parameters
+        ----------
+        times : steps, from 1 on
+        """
+        if times == 1:
+            return self
+        count = len(self.time)
+        at = np.arange((count - 1) * times + 1) / times
+        along = np.arange(count)
+        time, displacement, force = (
+            np.interp(at, along, each) for each in (self.time, self.displacement, self.force)
+        )
+        branches = tuple(
+            replace(each, start=times * each.start, stop=max(times * (each.stop - 1) + 1, 0))
+            for each in self.branches
+        )
+        failed = None if self.failed_at is None else times * self.failed_at
+        return replace(
+            self,
+            time=time,
+            displacement=displacement,
+            force=force,
+            branches=branches,
+            failed_at=failed,
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
@@ -51,11 +82,14 @@ class Reading:
     n : samples that the numbers rest on
     in_noise : the same of curves with noise, where that moves the samples that are read; None
         where they are the same
+    is_cut : whether its windows end at samples, and nothing else of it is counted in samples: finer
+        samples of the same curve say then what it would be without them
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
     n: int
     in_noise: Callable[[Trace], tuple[Floats, ...]] | None = None
+    is_cut: bool = False
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
@@ -94,6 +128,6 @@ def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
         def drawn(trace: Trace) -> tuple[Floats]:
             return (how(trace, *(each.drawn(trace)[0] for each in readings)),)
 
-        return Reading(numbers, readings[0].n, drawn)
+        return Reading(numbers, readings[0].n, drawn, all(each.is_cut for each in readings))
 
     return decide

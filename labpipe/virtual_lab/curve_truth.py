@@ -175,7 +175,14 @@ def evaluate_loading(displacement: Floats, force: Floats) -> LoadingTruth:
 def line_slope(displacement: Floats, force: Floats, start: float, stop: float) -> float:
     """Slope of the least-squares line between two displacements, N/m, evenly weighted."""
     grid = np.linspace(start, stop, _POINTS)
-    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1)[0])
+    return float(np.polyfit(grid, np.interp(grid, displacement, force), 1, w=_roots())[0])
+
+
+def _roots() -> Floats:
+    """Roots of the weights of a grid that stands for all between its ends, by trapezoids."""
+    roots = np.ones(_POINTS)
+    roots[[0, -1]] = np.sqrt(0.5)
+    return roots
 
 
 def find_kink(displacement: Floats, force: Floats, start: float, stop: float) -> KinkTruth:
@@ -205,9 +212,9 @@ def find_kink(displacement: Floats, force: Floats, start: float, stop: float) ->
 
 def _two_lines(grid: Floats, wanted: Floats, at: float) -> tuple[Floats, float]:
     """Level, slope and change of slope of the closest pair of lines, and its sum of squares."""
-    basis = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - at, 0.0)])
-    found = np.linalg.lstsq(basis, wanted, rcond=None)[0]
-    return found, float(np.sum((basis @ found - wanted) ** 2))
+    basis, roots = np.column_stack([np.ones_like(grid), grid, np.maximum(grid - at, 0.0)]), _roots()
+    found = np.linalg.lstsq(roots[:, None] * basis, roots * wanted, rcond=None)[0]
+    return found, float(np.sum((roots * (basis @ found - wanted)) ** 2))
 
 
 def _tangents(displacement: Floats, force: Floats) -> tuple[Floats, Floats]:

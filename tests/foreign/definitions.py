@@ -52,7 +52,7 @@ def two_segments(d: Array, f: Array, start: float, end: float) -> tuple[float, f
     """First slope, second slope, break point and the force there, over a window."""
     inside = (d >= start) & (d <= end)
     x, y = d[inside], f[inside]
-    keep = np.linspace(0, len(x) - 1, 400).astype(int)
+    keep = np.linspace(0, len(x) - 1, min(len(x), 4000)).astype(int)
     x, y = x[keep], y[keep]
 
     def fit(place: float) -> tuple[float, Array]:

@@ -362,6 +362,19 @@ def test_rests_tell_white_noise() -> None:
     assert wander(rows, at_rest=True) == pytest.approx(0.1, rel=0.5)
 
 
+def test_a_force_that_relaxes_behind_the_motion_is_no_noise() -> None:
+    """By a tenth of the noise's range and ten times it; and a motion that began a little early."""
+    rows = RNG(12).normal(size=(4, 3000))
+    plain, later = wander(rows, at_rest=True), np.arange(200)
+    for size in (0.5, 20.0):
+        relaxing = rows.copy()
+        relaxing[:, RESTS[1]] += size * np.exp(-later / 80.0)
+        assert wander(relaxing, at_rest=True) < 1.5 * plain
+    early = rows.copy()
+    early[:, 185:200] += 0.5 * np.arange(15.0)
+    assert wander(early, at_rest=True) < 1.2 * plain
+
+
 def test_a_rest_with_gaps_is_left_out() -> None:
     row = RNG(13).normal(size=3000)
     gaps = np.where(np.arange(200) == 50, np.nan, row[:200])

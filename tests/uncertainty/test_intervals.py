@@ -387,6 +387,30 @@ def test_windows_are_decided_anew_where_the_curve_moves() -> None:
         assert budget(found[0]) == pytest.approx({GRIP: 0.5 * by} if moves else {})
 
 
+@pytest.mark.parametrize("is_cut", [True, False])
+def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None:
+    """Mean force up to 4.5 of 2 N a sample: 4 N by samples, 4.5 N by the line through them.
+
+    A displacement that is off by 0.3 samples moves no sample across the end of the window.
+    """
+
+    def below(trace: Trace) -> Reading:
+        chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
+        return Reading(lambda each: (each.force[..., chosen].mean(axis=-1),), 5, is_cut=is_cut)
+
+    trace = trace_of(2.0 * np.arange(20.0), np.arange(20.0))
+    off = Input(
+        ZERO_OF_DISPLACEMENT,
+        lambda each, x: replace(each, displacement=each.displacement + 0.3 * x),
+    )
+    found = measure(replicates_of(trace, off), below)
+    assert isinstance(found, tuple)
+    assert found[0].value == 4.0
+    assert found[0].estimate == pytest.approx(4.5 if is_cut else 4.0, abs=0.04)
+    expected = {ZERO_OF_DISPLACEMENT: -0.3} if is_cut else {}
+    assert budget(found[0]) == pytest.approx(expected, abs=0.04)
+
+
 def test_values_from_more_samples() -> None:
     """The plain number is given; the doubt is that of the curve."""
     record = FORCE + RNG(0).normal(size=200)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Failure
@@ -24,6 +27,31 @@ def reach(trace: Trace) -> Reading:
 
 def shared(trace: Trace, force: Floats, way: Floats) -> Floats:
     return force / way * trace.sizes["length"]
+
+
+def test_a_finer_curve_is_the_same_curve() -> None:
+    way = np.array([0.0, np.nan, 2.0, 4.0])
+    trace = replace(trace_of(np.array([1.0, 2.0, 6.0, 0.0]), way), failed_at=2)
+    first, second = trace.branches[0], trace.branches[0]
+    both = replace(first, start=0, stop=3), replace(second, start=2, stop=4)
+    finer = replace(trace, branches=both).finer(2)
+    assert finer.force.tolist() == [1.0, 1.5, 2.0, 4.0, 6.0, 3.0, 0.0]
+    assert finer.time == pytest.approx(0.005 * np.arange(7))
+    assert np.isnan(finer.displacement[1:4]).all()
+    assert finer.displacement[[0, 4, 5, 6]].tolist() == [0.0, 2.0, 3.0, 4.0]
+    assert [(each.start, each.stop) for each in finer.branches] == [(0, 5), (4, 7)]
+    assert finer.failed_at == 4
+    assert trace.finer(1) is trace
+
+
+def test_a_number_of_parts_is_cut_if_all_of_them_are() -> None:
+    def cut(trace: Trace) -> Reading:
+        return replace(reach(trace), is_cut=True)
+
+    for other, expected in ((cut, True), (reach, False)):
+        found = combined(shared, cut, other)(TRACE)
+        assert isinstance(found, Reading)
+        assert found.is_cut == expected
 
 
 def test_a_number_is_made_of_the_first_of_each_part() -> None:
