@@ -28,7 +28,12 @@ from labpipe.results.kinds import (
     blocked_or,
     force_scale,
 )
+from labpipe.uncertainty.noise import fast_noise
 from labpipe.uncertainty.readings import Reading, Trace
+
+_CLEAR, _LEAST = 6.0, 8
+"""Standard deviations of noise by which one sample lies surely below the one before; samples that
+tell the noise."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,31 +67,45 @@ class FailureResult(Kind):
 
 
 def _at_failure(test: Evidence, trace: Trace) -> Reading | Failure:
-    """Decide on displacement and force at the failure; it lies up to a step behind its sample."""
+    """Decide on displacement and force at the failure; it lies up to a step behind its sample.
+
+    Where that sample has already lost force, the specimen failed in the step before it: the force
+    was that of the sample before, or up to a step more.
+    """
     sample = trace.failed_at
     if sample is None:
         return blocked_or(test, NO_LOADING)
     step, rise = _next_step(trace, sample)
-    rise += _lost_before(test)
+    fall, is_clear = _lost_before(test)
+    ahead, lost = (rise, fall) if is_clear else (rise + fall, 0.0)
 
     def numbers(trace: Trace) -> tuple[Floats, Floats]:
         place = trace.displacement[..., sample] + trace.beyond * step
-        return place, trace.force[..., sample] + trace.beyond * rise
+        return place, trace.force[..., sample] + trace.beyond * ahead
 
-    return Reading(numbers, 1)
+    def in_noise(trace: Trace) -> tuple[Floats, Floats]:
+        place, force = numbers(trace)
+        return place, force - lost
+
+    return Reading(numbers, 1, in_noise)
 
 
-def _lost_before(test: Evidence) -> float:
+def _lost_before(test: Evidence) -> tuple[float, bool]:
     """Force that the measured curve lost in the step before the failure, N.
 
-    A loss of several samples may have begun there.
+    With whether it is more than noise: a loss of several samples surely began there.
     """
     failure, curve = test.failure, test.known_curve
     if not isinstance(failure, FailurePoint) or failure.sample == 0:
-        return 0.0
+        return 0.0, False
     sense = sense_of(curve, curve.force)
     fall = sense * float(curve.force[failure.sample - 1] - curve.force[failure.sample])
-    return sense * max(fall, 0.0) if np.isfinite(fall) else 0.0
+    if not fall > 0.0:
+        return 0.0, False
+    before = curve.force[: failure.sample]
+    before = before[~np.isnan(before)]
+    is_clear = len(before) >= _LEAST and fall > _CLEAR * float(fast_noise(before))
+    return sense * fall, bool(is_clear)
 
 
 def _next_step(trace: Trace, sample: int) -> tuple[float, float]:

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats
+from labpipe.records.curve import Branch
 from labpipe.uncertainty.drawn_noise import LEAST, Noise, noise_of
 from labpipe.uncertainty.readings import Trace
 
@@ -30,6 +31,9 @@ _PARTS, _PARTS_OF_CYCLE = 12, 40
 a tensile curve follows slow noise."""
 _PER_PART = 8
 """Samples of an interval at least."""
+_PARTS_AT_REST, _PER_PART_AT_REST = 4, 50
+"""The same of pieces in which nothing moves: what follows the noise of a plateau is as high as the
+largest of its samples, and the interval of a peak lies too high."""
 _DEGREE = 3
 _APART = 2.5
 """Steps of the steeper side of a cut that two pieces are apart at most where they meet."""
@@ -145,7 +149,13 @@ def stream(seed: bytes, name: str) -> np.random.Generator:
 
 
 def smooth_curve(
-    time: Floats, values: Floats, cuts: Sequence[int], parts: int, broken: int | None = None
+    time: Floats,
+    values: Floats,
+    cuts: Sequence[int],
+    parts: int,
+    *,
+    broken: int | None = None,
+    branches: Sequence[Branch] | None = None,
 ) -> Floats:
     """Smooth curve through a record, piece by piece: least-squares cubic splines of even intervals.
 
@@ -155,6 +165,7 @@ def smooth_curve(
     cuts : numbers of the samples at which a new piece begins: turns, slips, the failure
     parts : intervals of each piece at most
     broken : the cut at which the curve may jump; at all others the pieces meet
+    branches : in which something moves; None where it does all the time
 
     Returns
     -------
@@ -170,7 +181,9 @@ def smooth_curve(
             found[low:high][known] = _line(t, y)
             continue
         x = (t - t[0]) / (t[-1] - t[0])
-        count = int(np.clip(len(y) // _PER_PART, 1, parts))
+        rests = branches is not None and not any(x.start <= low < x.stop for x in branches)
+        each, most = (_PER_PART_AT_REST, _PARTS_AT_REST) if rests else (_PER_PART, parts)
+        count = int(np.clip(len(y) // each, 1, most))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
         spline = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)
         found[low:high][known] = spline(x)
@@ -246,7 +259,7 @@ def replicated(
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     for name, act in zip(("displacement", "force"), filters, strict=True):
         values: Floats = getattr(unfiltered, name)
-        curve = smooth_curve(time, values, cuts, parts, failed)
+        curve = smooth_curve(time, values, cuts, parts, broken=failed, branches=unfiltered.branches)
         noise = _noise(values, curve, unfiltered, cuts)
         made = curve[None] if noise.is_none else _with_noise(curve, noise, stream(seed, name))
         drawn.append(np.broadcast_to(act(made), (COUNT, len(time))))

@@ -263,3 +263,20 @@ def test_small_noise_on_large_numbers() -> None:
         off = found.force - found.smooth.force
         assert np.std(off) == pytest.approx(spread, rel=0.1)
         assert len(np.unique(off[:, 500])) > 390
+
+
+def test_a_plateau_is_not_as_high_as_its_noise() -> None:
+    """Up, 200 samples at the top, down, in white noise of 1: the top follows it no further."""
+    turns, time = [400, 600], np.arange(1000.0)
+    true = 5.0 * np.interp(time, [0.0, 400.0, 600.0, 999.0], [0.0, 400.0, 400.0, 1.0])
+    branches = (
+        Branch(0, 400, 1, Direction.LOADING, 0.0, 400.0),
+        Branch(600, 1000, 1, Direction.UNLOADING, 600.0, 999.0),
+    )
+    off = []
+    for seed in range(20):
+        noisy = true + np.random.default_rng(seed).normal(size=1000)
+        found = smooth_curve(time, noisy, turns, 40, branches=branches)
+        off.append((found - true)[405:595])
+    assert np.std(off) < 0.25
+    assert np.mean(np.max(off, axis=1)) < 0.5
