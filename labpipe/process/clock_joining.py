@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from math import sqrt
 from typing import assert_never
@@ -36,6 +37,7 @@ from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag, rough_pe
 from labpipe.signal.corners import Corner
 from labpipe.signal.reversals import Reversal
 from labpipe.signal.turning_points import Stroke, sharpest_turn
+from labpipe.uncertainty.wandering_zeros import wanders
 
 _TRIM = 1.0
 """s at both ends of a cycle that are left out of a comparison of cycles."""
@@ -172,18 +174,23 @@ def _repeat(
         hysteresis=False,
     )
     begin, top, end = (fit.to_force_seconds(at) for at in (start, turn, stop))
-    pulled = fit_lag(
+    lag_of = partial(
+        fit_lag,
         force.time,
-        force.values,
         start=begin,
         turn=top,
         stop=end,
         guess=guess * (1.0 + fit.drift),
         hysteresis=True,
     )
+    pulled = lag_of(force.values)
     if isinstance(moved, Failure) or isinstance(pulled, Failure):
         return None
-    return Repeat(moved.value, pulled.value, float(np.hypot(moved.error, pulled.error)))
+    error = float(np.hypot(moved.error, pulled.error))
+    by = force.zero_drift * float(np.nanmax(np.abs(force.values)))
+    lags = [lag_of(force.values + wave) for wave in wanders(force.time - force.time[0], by)]
+    steps = [each.value - pulled.value for each in lags if not isinstance(each, Failure)]
+    return Repeat(moved.value, pulled.value, error, wander=float(np.linalg.norm(steps)))
 
 
 def _relaxes(force: Signal, turns: list[Turn], fit: ClockFit) -> bool:

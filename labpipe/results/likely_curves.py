@@ -30,6 +30,7 @@ from labpipe.records.signals import Act, Signal
 from labpipe.results.evidence import Evidence
 from labpipe.uncertainty.readings import Trace
 from labpipe.uncertainty.replicates import Input, Law, Replicates, replicated, smooth_curve
+from labpipe.uncertainty.wandering_zeros import wanders
 
 _MOST = 20_000
 """Samples of a replicate, or a few more; those of a longer curve are taken in blocks."""
@@ -37,8 +38,6 @@ _PARTS = 40
 """Intervals of the spline that tells the noise of single samples from the curve."""
 _STANDS, _LEVELS = 0.5, 10
 """Share of the samples that stand where a converter is too coarse, and times that they do."""
-_MODES = 3
-"""Of a zero that wanders: they hold 93 % of the variance of a random walk."""
 _PULSE = np.eye(1, 101, 50)[0]
 """A single sample, to see what a filter does to it."""
 
@@ -301,19 +300,9 @@ def _coarse_step(values: Floats) -> float:
 
 
 def _wanders(test: Evidence, time: Floats) -> Iterator[Input]:
-    """How the zero of the force wanders from where it was taken: a random walk by its first modes.
-
-    Those of a Wiener process on [0, 1] are sqrt(2) sin((k - 1/2) pi t) / ((k - 1/2) pi), each times
-    a standard normal draw (Karhunen-Loeve; M. Loeve, Probability Theory II, 4th ed., 1978).
-    They are scaled so that the variance at the end is that of the protocol.
-    """
-    force = test.known_curve.force
-    by = test.raw_force.zero_drift * float(np.nanmax(np.abs(force)))
-    away = np.abs(time - _zeroed_at(test))
-    places = np.pi * (np.arange(_MODES) + 0.5)
-    scale = by / float(np.sqrt(np.sum(places**-2.0)))
-    for number, place in enumerate(places if by else (), start=1):
-        wave = scale * np.sin(place * away / away.max()) / place
+    """How the zero of the force wanders from where it was taken."""
+    by = test.raw_force.zero_drift * float(np.nanmax(np.abs(test.known_curve.force)))
+    for number, wave in enumerate(wanders(np.abs(time - _zeroed_at(test)), by), start=1):
         drifted = partial(_drifted, by=wave, compliance=test.compliance)
         yield Input(DRIFT_OF_ZERO, drifted, stream=f"{DRIFT_OF_ZERO} {number}")
 

@@ -110,11 +110,14 @@ class Repeat:
     ----------
     motion, force : s, the same lag on the marker clock and on the force clock
     error : s, standard error of their difference
+    wander : s, what a zero of the force that wanders may add to its lag; in intervals alone, as it
+        weighs no event
     """
 
     motion: float
     force: float
     error: float
+    wander: float = 0.0
 
 
 def fit_clocks(
@@ -161,6 +164,9 @@ def fit_clocks(
     solution = covariance @ weighted.T @ (seen * weights)
     misfit = seen - design @ solution
     covariance = covariance * _excess(misfit * weights, freedom=len(seen) - design.shape[1])
+    if repeat is not None:
+        moved = np.linalg.lstsq(weighted, np.eye(len(seen))[-1] * weights, rcond=None)[0]
+        covariance = covariance + repeat.wander**2 * np.outer(moved, moved)
     drift = 0.0 if is_single else float(solution[1])
     to_zero = np.array([1.0, -centre])[: len(solution)]
     offset = float(to_zero @ solution)

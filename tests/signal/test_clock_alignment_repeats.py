@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.records.estimates import Estimate, Failure
-from labpipe.signal.clock_alignment import fit_lag
+from labpipe.signal.clock_alignment import Repeat, fit_clocks, fit_lag
 
 LAG, START, TURN, STOP = 100.0, 1.0, 50.0, 99.0
 
@@ -95,3 +97,19 @@ def test_nothing_to_compare() -> None:
 def test_a_cycle_that_ends_before_it_begins() -> None:
     found = fit_lag(TIME, cycle(TIME), start=5.0, turn=4.5, stop=4.0, guess=LAG, hysteresis=False)
     assert found == Failure("too_few_samples", "0 bins in the cycle, 50 are needed")
+
+
+def test_what_a_wandering_zero_does_to_the_lag_is_in_intervals_alone() -> None:
+    """Of events that say nothing on the drift: the wander over the lag, and the offset with it."""
+    events = np.array([10.0, 20.0]), np.array([11.0, 21.0]), np.full(2, 10.0)
+    sure = Repeat(100.0, 100.02, 1e-4)
+    still, moved = (
+        fit_clocks(*events, method="by hand", repeat=each)
+        for each in (sure, replace(sure, wander=0.05))
+    )
+    assert (moved.drift, moved.offset) == (still.drift, still.offset)
+    more = [
+        np.sqrt(getattr(moved, x).standard_error ** 2 - getattr(still, x).standard_error ** 2)
+        for x in ("drift_interval", "offset_interval")
+    ]
+    assert more == pytest.approx([0.05 / 100.0, 15.0 * 0.05 / 100.0], rel=1e-3)
