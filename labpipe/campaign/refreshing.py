@@ -174,7 +174,7 @@ class Keeper:
         """
         raw, outcomes = list_raw(self.campaign), list_processed(self.campaign)
         rows, seen = self.catalog.rows(), self.catalog.seen()
-        self._read_decisions()
+        self.read_decisions()
         changed: dict[str, Entry] = {}
         for folder in sorted(raw.sheets.keys() | outcomes.keys()):
             entry = self._renewed(
@@ -239,7 +239,8 @@ class Keeper:
             return (SHEET_NAME,)
         return (SHEET_NAME, *(name for names in files.values() for name in names))
 
-    def _read_decisions(self) -> None:
+    def read_decisions(self) -> None:
+        """Read the decisions of the campaign, which count in what is renewed from then on."""
         campaign = self.campaign
         self._decisions = read_decisions(campaign.processed, campaign.name)
         self._in_force = by_test_and_run(self._decisions.decisions)
@@ -306,7 +307,7 @@ class Keeper:
         if carried is None or self.catalog.in_memory:
             return None
         add_decisions(self.campaign.processed, self.campaign.name, [carried])
-        self._read_decisions()
+        self.read_decisions()
         return self._rejection(folder, outcome.run)
 
     def _is_made_of_the_same(self, row: TestRow, outcome: Outcome) -> bool:

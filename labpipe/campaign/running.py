@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Generator
+from collections.abc import Callable, Collection, Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -92,6 +92,42 @@ def run_campaign(
         return run.all(executor, only, again, begin)
 
 
+def run_some(
+    campaign: CampaignFolders,
+    executor: Executor,
+    folders: Collection[str],
+    *,
+    told: Callable[[str, Outcome], None] = lambda *_: None,
+) -> dict[str, TestRow | None]:
+    """Process some tests if they are new or changed, without a look at all the others.
+
+    Parameters
+    ----------
+    campaign : its folders
+    executor : processes the tests
+    folders : of the tests, below the campaign
+    told : is given each test that was processed and what became of it
+
+    Returns
+    -------
+    Row of each test; None for one that another labpipe is at work on.
+
+    Raises
+    ------
+    LabpipeError
+        As `run_campaign`.
+    """
+    with opened_campaign(campaign) as keeper:
+        if keeper.catalog.in_memory:
+            raise _cannot_write(campaign)
+        keeper.catalog.release_dead()
+        keeper.read_decisions()
+        run = _Run(keeper, Drawing(), follow_links=False, told=told)
+        elsewhere = run.some(executor, list(folders))
+        rows = {folder: keeper.renew(folder) for folder in folders}
+    return {folder: None if folder in elsewhere else row for folder, row in rows.items()}
+
+
 class _Run:
     """A run at work: it claims tests as an executor takes them, and settles them as they end."""
 
@@ -128,6 +164,16 @@ class _Run:
             and (row.state in {PENDING, STALE} or folder in again)
         ]
         begin(len(due))
+        self.some(executor, due, again)
+        if due:
+            overview = keeper.refresh()
+        self._ran.overview = overview
+        return self._ran
+
+    def some(
+        self, executor: Executor, due: list[str], again: Collection[str] = ()
+    ) -> Sequence[str]:
+        """Process some tests; gives those that another labpipe is at work on."""
         try:
             self._process(executor, due, again)
             for _ in range(_TRIES):
@@ -138,12 +184,9 @@ class _Run:
                 self._process(executor, left, again)
         finally:
             for folder in self._at_work.values():
-                keeper.catalog.release(folder)
+                self._keeper.catalog.release(folder)
         self._ran.elsewhere += self._in_use
-        if due:
-            overview = keeper.refresh()
-        self._ran.overview = overview
-        return self._ran
+        return self._ran.elsewhere
 
     def _process(self, executor: Executor, due: list[str], again: Collection[str]) -> None:
         with closing(self._tasks(due, again)) as tasks:

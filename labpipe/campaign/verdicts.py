@@ -55,7 +55,7 @@ class GroupsSoFar:
 
     def __init__(self) -> None:
         self._groups: dict[str, Group] = {}
-        self._seen: dict[Path, tuple[tuple[int, int], str]] = {}
+        self._seen: dict[Path, tuple[str, str]] = {}
 
     def group_of(self, summary: Mapping[str, Any]) -> Group:
         """Find the tests that are like another.
@@ -66,40 +66,33 @@ class GroupsSoFar:
         """
         return self._groups.setdefault(_key(summary), Group())
 
-    def read(self, folders: Iterable[Path], *, rejected: Iterable[Path] = ()) -> None:
-        """Read what is new or changed.
+    def read(self, results: Mapping[Path, str]) -> None:
+        """Read what is new or changed, and forget what is not there any more.
 
         Parameters
         ----------
-        folders : of the results of all tests
-        rejected : those that a person has rejected; they count no more
+        results : key of the results of each test that counts, by their folder
         """
-        out = set(rejected)
-        for folder in folders:
-            self._read(folder, is_out=folder in out)
+        for folder in self._seen.keys() - results.keys():
+            self._forget(folder)
+        for folder, run in results.items():
+            if run and self._seen.get(folder, ("", ""))[0] != run:
+                self._forget(folder)
+                self._read(folder, run)
 
-    def _read(self, folder: Path, *, is_out: bool) -> None:
-        path = folder / "summary.json"
-        try:
-            about = path.stat()
-        except OSError:
-            return
-        mark = (about.st_mtime_ns, about.st_size) if not is_out else (0, 0)
-        if self._seen.get(folder, ((-1, -1), ""))[0] == mark:
-            return
-        self._forget(folder)
+    def _read(self, folder: Path, run: str) -> None:
         summary = read_summary(folder)
         if summary is None:
             return
         key = _key(summary)
-        self._seen[folder] = (mark, key)
+        self._seen[folder] = (run, key)
         group = self._groups.setdefault(key, Group())
-        for each in [] if is_out else summary.get("results", []):
+        for each in summary["results"]:
             if each.get("status") == "ok" and isinstance(each.get("value"), float | int):
                 group.values.setdefault(each["name"], {})[folder] = float(each["value"])
 
     def _forget(self, folder: Path) -> None:
-        _, key = self._seen.pop(folder, ((0, 0), ""))
+        _, key = self._seen.pop(folder, ("", ""))
         for values in self._groups.get(key, Group()).values.values():
             values.pop(folder, None)
 

@@ -11,7 +11,7 @@ from labpipe.campaign.campaign_folders import CampaignFolders
 from labpipe.campaign.catalog import PENDING, REJECTED, STALE
 from labpipe.campaign.executors import Executor, Outcome
 from labpipe.campaign.pairing import Candidate, Written, pair_test
-from labpipe.campaign.running import look, run_campaign
+from labpipe.campaign.running import look, run_some
 from labpipe.campaign.standing_worker import StandingWorker
 from labpipe.campaign.watching import Watcher
 from labpipe.errors import ProcessingError, complaint
@@ -30,7 +30,7 @@ class WatchedCampaign:
 
     def __init__(self, folders: CampaignFolders, executor: Executor) -> None:
         self._folders, self._executor = folders, executor
-        self._overview = look(folders)
+        self._rows = look(folders).rows
 
     @property
     def raw(self) -> Path:
@@ -39,8 +39,7 @@ class WatchedCampaign:
 
     def todo(self, sheets: Iterable[Path]) -> list[Path]:
         """Of some test sheets, those whose results are not there or are of other exports."""
-        rows = self._overview.rows
-        known = {sheet: rows.get(self._label(sheet)) for sheet in sheets}
+        known = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
         due = {PENDING, STALE}
         return [sheet for sheet, row in known.items() if row is None or row.state in due]
 
@@ -53,22 +52,21 @@ class WatchedCampaign:
             If another labpipe is at work on it, or the catalog cannot be written.
         """
         label = self._label(sheet)
-        ran = run_campaign(
-            self._folders, self._executor, only=[label], told=lambda _, outcome: told(outcome)
+        rows = run_some(
+            self._folders, self._executor, [label], told=lambda _, outcome: told(outcome)
         )
-        self._overview = ran.overview
-        if label in ran.elsewhere:
+        row = rows[label]
+        if row is None:
             expected, found = "a test that nobody else processes", "another labpipe at work on it"
             remedy = "It is tried again."
             message = complaint(label, "", expected=expected, found=found, remedy=remedy)
             raise ProcessingError(message, code="in_use")
+        self._rows = {**self._rows, label: row}
 
-    def results(self) -> tuple[list[Path], list[Path]]:
-        """Folders of results of all tests, and of those that a person has rejected."""
-        rows = self._overview.rows
-        every = {folder: self._folders.processed / folder for folder in rows}
-        rejected = [every[folder] for folder, row in rows.items() if row.state == REJECTED]
-        return list(every.values()), rejected
+    def results(self) -> dict[Path, str]:
+        """Key of the results of each test that has some and was not rejected, by their folder."""
+        kept = {folder: row for folder, row in self._rows.items() if row.state != REJECTED}
+        return {self._folders.processed / folder: row.run for folder, row in kept.items()}
 
     def _label(self, sheet: Path) -> str:
         return sheet.parent.relative_to(self._folders.raw).as_posix()
@@ -96,6 +94,7 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         draw = worker.draw if figures else (lambda _: None)
         watcher = Watcher(campaign, pair=pair, draw=draw, say=say)
         say(f"watching {folders.name}; Ctrl-C ends it")
+        watcher.prepare()
         all_protocols()  # with units and grammar, so that the first verdict need not wait for them
         while True:
             if not watcher.look():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
@@ -38,8 +38,8 @@ class Campaign(Protocol):
     def process(self, sheet: Path, told: Callable[[Outcome], None]) -> None:
         """Process a test, unless its results are there; remember and tell what became of it."""
 
-    def results(self) -> tuple[list[Path], list[Path]]:
-        """Folders of results of all tests, and of those that a person has rejected."""
+    def results(self) -> Mapping[Path, str]:
+        """Key of the results of each test that counts, by their folder; none that is rejected."""
 
 
 @dataclass(slots=True)
@@ -108,6 +108,10 @@ class Watcher:
         self._tests: dict[Path, _Test] = {}
         self._groups = GroupsSoFar()
         self._is_gone = self._has_begun = False
+
+    def prepare(self) -> None:
+        """Read the numbers of the tests so far, so that the first verdict need not wait for it."""
+        self._groups.read(self._campaign.results())
 
     def look(self) -> bool:
         """Look once, and deal with the newest test that is ready.
@@ -253,8 +257,7 @@ class Watcher:
             self._voice.say("\n".join(lines))
 
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
-        folders, rejected = self._campaign.results()
-        self._groups.read(folders, rejected=rejected)
+        self._groups.read(self._campaign.results())
         summary = None if outcome.folder is None else read_summary(outcome.folder)
         if outcome.state == "failed":
             _refuse_vanished(candidate)

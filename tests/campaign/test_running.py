@@ -14,7 +14,7 @@ import pytest
 from labpipe.campaign.catalog import DOUBTFUL, FAILED, OK, PENDING, STALE
 from labpipe.campaign.claims import own_claim
 from labpipe.campaign.refreshing import opened_campaign
-from labpipe.campaign.running import clear_failures, look, rebuild
+from labpipe.campaign.running import clear_failures, look, rebuild, run_some
 from labpipe.errors import StoreError, UsageError
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
@@ -333,3 +333,23 @@ def test_killed_now_and_then(kept: KeptCampaign, repository: Path) -> None:
 @pytest.mark.slow
 def test_killed_at_fifty_moments(kept: KeptCampaign, repository: Path) -> None:
     kill_again_and_again(kept, [0.02 * (n % 25) for n in range(50)], repository)
+
+
+def test_some_tests_alone(kept: KeptCampaign) -> None:
+    told: list[str] = []
+    ran = run_some(kept.folders, kept.stand_in, ["T2"], told=lambda folder, _: told.append(folder))
+    assert told == kept.stand_in.processed == ["T2"]
+    assert {folder: row.state for folder, row in ran.items() if row} == {"T2": DOUBTFUL}
+    assert states(kept) == {"T1": PENDING, "T2": DOUBTFUL, "T3": PENDING}
+
+    assert run_some(kept.folders, kept.stand_in, ["T2"]) == ran
+    assert kept.stand_in.processed == ["T2"]  # not again
+
+
+def test_a_failure_is_tried_again_once_the_export_is_another(kept: KeptCampaign) -> None:
+    run_some(kept.folders, kept.stand_in, ["T3"])
+    export = kept.raw / "T3" / "frame.csv"
+    export.write_text(export.read_text("utf-8").replace("fail unreadable_export", "62.5"), "utf-8")
+    (row,) = run_some(kept.folders, kept.stand_in, ["T3"]).values()
+    assert row is not None
+    assert row.state == OK

@@ -56,7 +56,7 @@ def put(folder: Path, said: Summary) -> Path:
 
 def lines(tmp_path: Path, said: Summary, before: Sequence[Summary] = ()) -> list[str]:
     groups = GroupsSoFar()
-    groups.read([put(tmp_path / f"T{i}", each) for i, each in enumerate(before)])
+    groups.read({put(tmp_path / f"T{i}", each): "run" for i, each in enumerate(before)})
     return verdict("T", tmp_path / "T", said, groups.group_of(said), MM)
 
 
@@ -117,15 +117,18 @@ def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -
     folders = [put(tmp_path / f"T{i}", summary(i)) for i in range(3)]
     put(tmp_path / "L", summary(9.0, length=0.1))
     put(tmp_path / "D", summary(9.0, status="doubtful", codes=["gap"]))
-    groups.read([*folders, tmp_path / "L", tmp_path / "D", tmp_path / "none"])
+    others = dict.fromkeys([tmp_path / "L", tmp_path / "D", tmp_path / "none"], "1")
+    groups.read(dict.fromkeys(folders, "1") | others)
 
     group = groups.group_of(summary())
     assert sorted(group.of("peak_force.1", but=folders[1])) == [0.0, 2.0]
 
     put(folders[0], summary(7.0))  # processed again
-    groups.read(folders, rejected=[folders[2]])
+    groups.read(dict.fromkeys(folders, "1"))
+    assert sorted(group.of("peak_force.1", but=folders[1])) == [0.0, 2.0]
+    groups.read({folders[0]: "2", folders[1]: "1"})  # the third is rejected
     assert sorted(group.of("peak_force.1", but=folders[1])) == [7.0]
-    groups.read(folders)
+    groups.read({folders[0]: "2", folders[1]: "1", folders[2]: "1"})
     assert sorted(group.of("peak_force.1", but=folders[1])) == [2.0, 7.0]
 
 
@@ -133,7 +136,7 @@ def test_a_group_is_of_alike_specimens_without_the_test_itself(tmp_path: Path) -
 def test_a_summary_that_cannot_be_read_is_none(tmp_path: Path, text: str) -> None:
     (tmp_path / "summary.json").write_text(text, encoding="utf-8")
     assert read_summary(tmp_path) is None
-    GroupsSoFar().read([tmp_path])
+    GroupsSoFar().read({tmp_path: "1"})
 
 
 def test_a_refused_test() -> None:

@@ -57,9 +57,9 @@ class Campaign:
         self.done.append(name)
         told(Outcome(sheet, folder, "ok"))
 
-    def results(self) -> tuple[list[Path], list[Path]]:
+    def results(self) -> dict[Path, str]:
         folder = self.home / "processed" / "c"
-        return (sorted(folder.iterdir()) if folder.is_dir() else []), []
+        return {each: each.name for each in folder.iterdir()} if folder.is_dir() else {}
 
 
 @dataclass
