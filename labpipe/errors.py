@@ -79,6 +79,8 @@ CODES = MappingProxyType(
         "no_cluster": "there is no cluster, or its scheduler is gone; no failure of the test",
         "worker_died": "two workers of a cluster were lost with the test",
         "worker_without_data": "no worker of the cluster sees the files that are seen here",
+        "newer_result": "the results are of a newer labpipe; they are left alone until cleared",
+        "unknown": "failure.json cannot be read",
     }
 )
 """Why a test failed, in one word each; words stay what they are from version to version."""

@@ -54,10 +54,16 @@ def find_campaign(folder: Path) -> CampaignFolders:
     for above in (there, *there.parents):
         if above.name in {RAW, PROCESSED}:
             name = there.relative_to(above)
-            raw, processed = (above.parent / each / name for each in (RAW, PROCESSED))
+            raw, processed = (_as_typed(above.parent / each / name) for each in (RAW, PROCESSED))
             return CampaignFolders(name.as_posix(), raw, processed)
     found = "one that lies below neither"
     raise _no_campaign(folder, "a folder below 'raw' or 'processed'", found)
+
+
+def _as_typed(path: Path) -> Path:
+    """A path as seen from the working folder, if it lies below: messages are kept in files."""
+    here = Path.cwd().resolve()
+    return path.relative_to(here) if path.is_relative_to(here) else path
 
 
 def _no_campaign(folder: Path, expected: str, found: str) -> UsageError:
@@ -132,7 +138,7 @@ def list_processed(campaign: CampaignFolders) -> dict[str, OutcomeFiles]:
     One for each folder that holds any file of an outcome.
     """
     found = {}
-    for label, place, files, hidden in _walk(campaign.processed, []):
+    for label, place, files, hidden in _walk(campaign.processed, [], skipped=FIGURES):
         is_mended = bool(hidden & {*STAGES}) and _mended(Path(place))
         there = os.listdir(place) if is_mended else files  # noqa: PTH208  as the walk gives them
         if {*_OUTCOME} & {*there}:
@@ -174,8 +180,10 @@ def _marks(place: str, files: list[str]) -> str:
     return " ".join(said)
 
 
-def _walk(top: Path, refused: list[str]) -> Iterator[tuple[str, str, list[str], set[str]]]:
-    """Folders below one, without hidden ones, links and figures: files, and what is hidden."""
+def _walk(
+    top: Path, refused: list[str], *, skipped: str = ""
+) -> Iterator[tuple[str, str, list[str], set[str]]]:
+    """Folders below one, without hidden ones and links: files, and what is hidden."""
     left = [("", str(top))]
     while left:
         label, place = left.pop()
@@ -196,7 +204,7 @@ def _walk(top: Path, refused: list[str]) -> Iterator[tuple[str, str, list[str], 
         left += [
             (f"{label}/{name}" if label else name, f"{place}/{name}")
             for name in sorted(folders, reverse=True)
-            if name != FIGURES
+            if name != skipped
         ]
 
 

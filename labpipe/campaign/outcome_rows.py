@@ -43,7 +43,7 @@ class ResultRow:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class StoredOutcome:
     """What the files of a test say of it.
 
     Parameters
@@ -93,7 +93,7 @@ def plain(said: object) -> str:
     return str(said).encode("utf-8", "backslashreplace").decode()
 
 
-def read_outcome_files(files: OutcomeFiles | None) -> Outcome:
+def read_outcome_files(files: OutcomeFiles | None) -> StoredOutcome:
     """Read what became of a test.
 
     Parameters
@@ -106,16 +106,16 @@ def read_outcome_files(files: OutcomeFiles | None) -> Outcome:
     out: a process was killed between the results and taking it away.
     """
     if files is None:
-        return Outcome()
-    done = _summary(files.folder / SUMMARY_FILE) if files.has_results else Outcome()
+        return StoredOutcome()
+    done = _summary(files.folder / SUMMARY_FILE) if files.has_results else StoredOutcome()
     if not files.has_results and f"{SUMMARY_FILE}:" in files.marks:
-        done = Outcome(unreadable=f"{RESULT_FILE} is gone")
+        done = StoredOutcome(unreadable=f"{RESULT_FILE} is gone")
     if not files.has_failure:
         return done
     return _failed(done, _object(files.folder / FAILURE_FILE) or {})
 
 
-def _failed(done: Outcome, said: Mapping[str, Any]) -> Outcome:
+def _failed(done: StoredOutcome, said: Mapping[str, Any]) -> StoredOutcome:
     run = plain(said.get("run") or "")
     if run and run == done.run:
         return done
@@ -140,10 +140,10 @@ def _failed(done: Outcome, said: Mapping[str, Any]) -> Outcome:
         return failed
 
 
-def _summary(path: Path) -> Outcome:
+def _summary(path: Path) -> StoredOutcome:
     said = _object(path)
     if said is None:
-        return Outcome(unreadable=f"{SUMMARY_FILE} cannot be read")
+        return StoredOutcome(unreadable=f"{SUMMARY_FILE} cannot be read")
     if isinstance(said.get("schema"), int) and said["schema"] > SUMMARY_SCHEMA:
         reason = complaint(
             path,
@@ -152,18 +152,18 @@ def _summary(path: Path) -> Outcome:
             found=str(said["schema"]),
             remedy="A newer labpipe made it: use that one.",
         )
-        return Outcome(has_failed=True, code=NEWER_RESULT, reason=reason)
+        return StoredOutcome(has_failed=True, code=NEWER_RESULT, reason=reason)
     try:
         return _outcome(said)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
-        return Outcome(unreadable=f"{SUMMARY_FILE} lacks something ({error})")
+        return StoredOutcome(unreadable=f"{SUMMARY_FILE} lacks something ({error})")
 
 
-def _outcome(said: Mapping[str, Any]) -> Outcome:
+def _outcome(said: Mapping[str, Any]) -> StoredOutcome:
     made_of = said.get("made_of") or {}
     results = tuple(_row(entry) for entry in said["results"])
     doubted = next((each for each in results if each.status != "ok"), None)
-    return Outcome(
+    return StoredOutcome(
         test=plain(said["test"]),
         protocol=plain(said["protocol"]),
         date=plain(said.get("date") or ""),

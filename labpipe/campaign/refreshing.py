@@ -44,7 +44,7 @@ from labpipe.campaign.decisions import (
     carried_over,
     read_decisions,
 )
-from labpipe.campaign.outcome_rows import NEWER_RESULT, Outcome, plain, read_outcome_files
+from labpipe.campaign.outcome_rows import NEWER_RESULT, StoredOutcome, plain, read_outcome_files
 from labpipe.errors import LabpipeError, StoreError, complaint
 from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
@@ -295,7 +295,9 @@ class Keeper:
         decision = self._in_force.get((folder, run))
         return decision if decision is not None and decision.decision == REJECT else None
 
-    def _decision_on(self, folder: str, outcome: Outcome, row: TestRow | None) -> Decision | None:
+    def _decision_on(
+        self, folder: str, outcome: StoredOutcome, row: TestRow | None
+    ) -> Decision | None:
         """The rejection of a test; carried over where only the way of processing changed."""
         if (folder, outcome.attempt) in self._in_force or row is None or outcome.has_failed:
             return self._rejection(folder, outcome.attempt)
@@ -310,7 +312,7 @@ class Keeper:
         self.read_decisions()
         return self._rejection(folder, outcome.run)
 
-    def _is_made_of_the_same(self, row: TestRow, outcome: Outcome) -> bool:
+    def _is_made_of_the_same(self, row: TestRow, outcome: StoredOutcome) -> bool:
         """Whether exports, sheet and protocol of a test are those of its row."""
         texts = (outcome.sheet, outcome.protocol_text)
         same = all(texts) and texts == (row.sheet, row.resolved) and not row.failed_run
@@ -318,7 +320,7 @@ class Keeper:
 
 
 def _row(
-    folder: str, outcome: Outcome, content: Content | None, rejection: Decision | None
+    folder: str, outcome: StoredOutcome, content: Content | None, rejection: Decision | None
 ) -> TestRow:
     """The row of a test."""
     about = dict(content.about) if content is not None else {}
@@ -350,7 +352,7 @@ def _row(
 
 
 def _state(
-    outcome: Outcome, content: Content | None, rejection: Decision | None
+    outcome: StoredOutcome, content: Content | None, rejection: Decision | None
 ) -> tuple[str, str]:
     """State of a test, and why."""
     if outcome.code == NEWER_RESULT:

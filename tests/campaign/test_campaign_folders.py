@@ -17,7 +17,7 @@ from labpipe.errors import UsageError
 
 @pytest.fixture
 def campaign(tmp_path: Path) -> CampaignFolders:
-    for name in ("T1", "more/T2", ".hidden/T3"):
+    for name in ("T1", "more/T2", "figures", ".hidden/T3"):
         folder = tmp_path / "raw" / "C" / name
         folder.mkdir(parents=True)
         (folder / "test.yaml").write_text("", "utf-8")
@@ -35,6 +35,17 @@ def test_both_folders_by_either(campaign: CampaignFolders) -> None:
     assert (deeper.name, deeper.processed) == ("C/more", campaign.processed / "more")
 
 
+def test_paths_are_those_that_a_person_would_type(
+    campaign: CampaignFolders, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(campaign.raw.parents[1])
+    found = find_campaign(Path("raw/../raw/C"))
+    assert (found.raw, found.processed) == (Path("raw/C"), Path("processed/C"))
+    monkeypatch.chdir(campaign.raw)
+    assert find_campaign(Path()).raw == Path()
+    assert list_raw(find_campaign(Path())).sheets["T1"] == Path("T1/test.yaml")
+
+
 def test_folders_that_are_no_campaign(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("", "utf-8")
     for place, found in (("nowhere", "nothing of that name"), ("file", "a file")):
@@ -47,10 +58,12 @@ def test_folders_that_are_no_campaign(tmp_path: Path) -> None:
 def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) -> None:
     (campaign.raw / "linked").symlink_to(campaign.raw / "T1")
     found = list_raw(campaign)
-    assert found.sheets == {name: campaign.raw / name / "test.yaml" for name in ("T1", "more/T2")}
+    assert found.sheets == {
+        name: campaign.raw / name / "test.yaml" for name in ("T1", "figures", "more/T2")
+    }
     assert sorted(found.files) == [
-        "T1/force.mat", "T1/test.yaml", "linked", "more/T2/force.mat", "more/T2/test.yaml",
-        "notes.txt",
+        "T1/force.mat", "T1/test.yaml", "figures/force.mat", "figures/test.yaml", "linked",
+        "more/T2/force.mat", "more/T2/test.yaml", "notes.txt",
     ]  # fmt: skip
     assert found.refused == []
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign, look_at_outcome
-from labpipe.campaign.outcome_rows import Outcome, plain, read_outcome_files
+from labpipe.campaign.outcome_rows import StoredOutcome, plain, read_outcome_files
 from labpipe.process.run import process_test
 from labpipe.store.failure_file import FailedTest, write_failure
 from tests.builders.kept_campaigns import KeptCampaign
@@ -22,11 +22,11 @@ def kept(tmp_path: Path) -> KeptCampaign:
     return kept
 
 
-def outcome(kept: KeptCampaign) -> Outcome:
+def outcome(kept: KeptCampaign) -> StoredOutcome:
     return read_outcome_files(look_at_outcome(kept.folders, "T1"))
 
 
-def changed(kept: KeptCampaign, **values: Any) -> Outcome:
+def changed(kept: KeptCampaign, **values: Any) -> StoredOutcome:
     path = kept.processed / "T1" / "summary.json"
     path.write_text(json.dumps(json.loads(path.read_text("utf-8")) | values), "utf-8")
     return outcome(kept)
@@ -46,7 +46,7 @@ def test_of_a_real_test(lab: Lab) -> None:
 
 
 def test_of_nothing() -> None:
-    assert read_outcome_files(None) == Outcome()
+    assert read_outcome_files(None) == StoredOutcome()
 
 
 def test_a_failure_beside_earlier_results(kept: KeptCampaign) -> None:
