@@ -278,7 +278,7 @@ def _campaign_query(parser: argparse.ArgumentParser) -> None:
 
 
 def _campaign_replay(parser: argparse.ArgumentParser) -> None:
-    what = "clear failures of this code, such as killed (default: all)"
+    what = "clear failures of this code, such as process_died (default: all)"
     parser.add_argument("--failed", nargs="?", const="", required=True, metavar="CODE", help=what)
     _campaign_run(parser)
 
