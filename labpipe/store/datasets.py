@@ -18,13 +18,13 @@ from typing import Any
 
 import h5py
 import numpy as np
-from h5py import h5ds, h5s
+from h5py import h5d, h5ds, h5s
 from isal import isal_zlib
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
 from labpipe.store import layout
-from labpipe.store.hdf5_objects import LEVEL, make_dataset, set_text, set_texts
+from labpipe.store.hdf5_objects import LEVEL, get_text, make_dataset, set_text, set_texts
 from labpipe.store.layout import Field, Table
 from labpipe.store.replace import is_cut_off
 
@@ -344,7 +344,7 @@ def _elsewhere(path: object, place: str, found: str) -> StoreError:
 
 def text(group: Any, name: str) -> str:
     """Read an attribute that is one string."""
-    return _word(group.attrs[name])
+    return _word(get_text(group, name))
 
 
 def texts(group: Any, name: str) -> tuple[str, ...]:
@@ -400,31 +400,37 @@ def arrays(group: Any, kinds: Mapping[str, Field]) -> dict[str, NDArray[Any]]:
 def array(group: Any, name: str, kind: Field) -> NDArray[Any]:
     """Read a dataset whose unit, axes and number type are those of the layout."""
     dataset = group[name]
-    _check(dataset, "axes", ", ".join(kind.axes), dataset.attrs.get("axes", "none"))
-    if kind.unit is not None:
-        _check(dataset, "unit", kind.unit, dataset.attrs.get("unit", "none"))
+    for label, expected in (("axes", ", ".join(kind.axes)), ("unit", kind.unit)):
+        if expected is not None:
+            _check(dataset, label, expected, _label(dataset, label))
     if kind.dtype not in {"table", "text"}:
         _check(dataset, "number type", kind.dtype, str(dataset.dtype))
     _check_storage(dataset)
     values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
     if values.size:
-        dataset.read_direct(values)
+        dataset.id.read(h5s.ALL, h5s.ALL, values)
     return values
+
+
+def _label(dataset: Any, name: str) -> str:
+    return str(get_text(dataset, name)) if name in dataset.attrs else "none"
 
 
 def _check_storage(dataset: Any) -> None:
     """Refuse a dataset that is not here, or not all of it, before memory is taken for it."""
-    file, name = dataset.file.filename, dataset.name
-    if dataset.is_virtual or dataset.external:
-        raise _elsewhere(file, name, "samples that are kept in another file")
-    if dataset.chunks is None:
+    kept = dataset.id.get_create_plist()
+    if kept.get_layout() == h5d.VIRTUAL or kept.get_external_count():
+        found = "samples that are kept in another file"
+        raise _elsewhere(dataset.file.filename, dataset.name, found)
+    shape, chunks = dataset.shape, dataset.chunks
+    if chunks is None:
         has_all = dataset.id.get_storage_size() >= dataset.nbytes
     else:
-        sizes = zip(dataset.shape, dataset.chunks, strict=True)
+        sizes = zip(shape, chunks, strict=True)
         has_all = dataset.id.get_num_chunks() >= prod(ceil(all_ / one) for all_, one in sizes)
     if not has_all:
-        found = "a part of them"
-        raise _fault(file, name, f"the {dataset.size} numbers that it claims", found, _AGAIN)
+        claimed = f"the {dataset.size} numbers that it claims"
+        raise _fault(dataset.file.filename, dataset.name, claimed, "a part of them", _AGAIN)
 
 
 def _check(dataset: Any, what: str, expected: str, found: str) -> None:

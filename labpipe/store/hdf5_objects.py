@@ -20,6 +20,7 @@ LEVEL: Final = 3
 _STRING: Final = h5py.string_dtype()
 _TEXT: Final = h5t.py_create(_STRING, logical=True)
 _SCALAR: Final = h5s.create(h5s.SCALAR)
+_IN_MEMORY: Final = h5t.py_create(_STRING)
 
 
 def make_dataset(group: Any, name: str, values: NDArray[Any], chunk: tuple[int, ...]) -> Any:
@@ -82,6 +83,35 @@ def set_text(owner: Any, name: str, text: str) -> None:
     """
     made = h5a.create(owner.id, name.encode(), _TEXT, _SCALAR)
     made.write(np.array(text, dtype=_STRING))
+
+
+def get_text(owner: Any, name: str) -> Any:
+    """Read an attribute that should be a text.
+
+    Parameters
+    ----------
+    owner : open group or dataset
+    name : of the attribute
+
+    Returns
+    -------
+    The text; what h5py makes of it if it is none.
+
+    Raises
+    ------
+    KeyError
+        If there is no such attribute.
+    UnicodeDecodeError
+        If it is not UTF-8.
+    """
+    found = h5a.open(owner.id, name.encode())
+    kind = found.get_type()
+    is_text = isinstance(kind, h5t.TypeStringID) and kind.is_variable_str() and found.shape == ()
+    if not is_text:
+        return owner.attrs[name]
+    text = np.array("", dtype=_STRING)
+    found.read(text, mtype=_IN_MEMORY)
+    return bytes(text[()]).decode()
 
 
 def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:

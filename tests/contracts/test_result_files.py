@@ -78,6 +78,8 @@ for name in groups:
         found.load()
         print(name, *sorted(f"{axis}={size}" for axis, size in found.sizes.items()))
         assert sorted(found.coords) == sorted(found.sizes), name
+with xarray.open_datatree(path, engine=engine) as tree:
+    assert len(list(tree.subtree)) == len(groups) + 1
 """
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from labpipe.store.hdf5_objects import (
     LEVEL,
+    get_text,
     make_dataset,
     open_dataset,
     set_number,
@@ -49,6 +50,23 @@ def test_texts_end_in_a_zero_and_are_declared_ascii(tmp_path: Path) -> None:
         kind = made.id.get_type()
         assert (kind.get_strpad(), kind.get_cset()) == (h5py.h5t.STR_NULLTERM, h5py.h5t.CSET_ASCII)
         assert [text.decode() for text in made[()]] == ["µ", "abc"]
+
+
+def test_texts_are_read_as_h5py_reads_them(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as root:
+        root.attrs["text"] = "Größe"
+        root.attrs["nothing"] = ""
+        root.attrs["number"] = 3
+        root.attrs["texts"] = ["a", "b"]
+        root.attrs["fixed"] = np.bytes_(b"abc")
+        root.attrs.create("bad", np.array(b"A2\xff", dtype=h5py.string_dtype()))
+        assert [get_text(root, name) for name in ("text", "nothing")] == ["Größe", ""]
+        assert (get_text(root, "number"), get_text(root, "fixed")) == (3, b"abc")
+        assert list(get_text(root, "texts")) == ["a", "b"]
+        with pytest.raises(UnicodeDecodeError):
+            get_text(root, "bad")
+        with pytest.raises(KeyError):
+            get_text(root, "none")
 
 
 def test_attributes_come_back(tmp_path: Path) -> None:

@@ -94,7 +94,7 @@ def test_files_are_replaced_together(earlier: Path) -> None:
 
 def write_and_leave(path: Path, way_out: type[BaseException]) -> None:
     path.write_text("new")
-    raise way_out
+    raise way_out("stopped")
 
 
 @pytest.mark.parametrize("way_out", [KeyboardInterrupt, StoreError, OSError])
