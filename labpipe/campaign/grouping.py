@@ -21,7 +21,7 @@ from labpipe.statistics.group_fields import (
     in_order,
     known_fields,
 )
-from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, parted
+from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, parted, rarer
 from labpipe.statistics.groups import compare_groups
 from labpipe.statistics.two_groups import judged
 
@@ -33,6 +33,8 @@ _MOST_KEYS = 3
 """Settings that a verdict names one by one."""
 
 Settings = Mapping[str, str]
+Unlike = Mapping[str, list[str]]
+"""Tests by the value that a setting has in them."""
 
 
 def settings_of(protocol: Protocol) -> Settings:
@@ -88,16 +90,22 @@ def setting_notes(settings: Mapping[str, Settings], noted: Sequence[str] = ()) -
     One note ``protocols_differ`` per setting, at its key; of a block of the protocol in which more
     than `_MOST_KEYS` settings differ, as where a test lacks an optional export, one for the block.
     """
-    blocks: dict[str, dict[str, str]] = {}
-    for key, said in differing(settings).items():
+    blocks: dict[str, dict[str, Unlike]] = {}
+    for key, tests in differing(settings).items():
         if not _is_noted(key, noted):
-            blocks.setdefault(key.partition(".")[0], {})[key] = said
+            blocks.setdefault(key.partition(".")[0], {})[key] = tests
     notes = []
     for block, own in blocks.items():
-        shown = own if len(own) <= _MOST_KEYS else {block: _of_block(own)}
+        named = {key: parted(tests) for key, tests in own.items()}
+        shown = named if len(own) <= _MOST_KEYS else {block: _of_block(named)}
+        those = tuple(dict.fromkeys(test for tests in own.values() for test in rarer(tests)))
         notes += [
             QualityNote(
-                PROTOCOLS_DIFFER, Severity.WARNING, key, f"set otherwise from test to test: {said}"
+                PROTOCOLS_DIFFER,
+                Severity.WARNING,
+                key,
+                f"set otherwise from test to test: {said}",
+                tests=those,
             )
             for key, said in shown.items()
         ]
@@ -110,7 +118,7 @@ def _of_block(own: Mapping[str, str]) -> str:
     return f"{len(own)} settings, the first {key}: {said}"
 
 
-def differing(settings: Mapping[str, Settings]) -> dict[str, str]:
+def differing(settings: Mapping[str, Settings]) -> dict[str, Unlike]:
     """Find the settings that are not the same in all tests.
 
     Parameters
@@ -119,18 +127,18 @@ def differing(settings: Mapping[str, Settings]) -> dict[str, str]:
 
     Returns
     -------
-    By key, which value in which tests, in words. Where a list lacks an item in some test, the list
-    is named and not all that the item says.
+    By key, the tests by value. Where a list lacks an item in some test, the list is named and not
+    all that the item says.
     """
     keys = dict.fromkeys(key for own in settings.values() for key in own)
-    found: dict[str, str] = {}
+    found: dict[str, Unlike] = {}
     for key in keys:
         tests: dict[str, list[str]] = {}
         for test, own in settings.items():
             tests.setdefault(own.get(key, _ABSENT), []).append(test)
         is_told = _ABSENT in tests and any(key.startswith(f"{known}.") for known in found)
         if len(tests) > 1 and not is_told:
-            found[key] = parted(tests)
+            found[key] = tests
     return found
 
 

@@ -58,6 +58,7 @@ class QualityNote:
     message : one sentence with the numbers and their units
     stretches : s, the stretches of the recording that it speaks of; none where it speaks of all.
         For those who draw conclusions while a test is processed; not stored.
+    tests : the tests of a group that it speaks of; none where it speaks of all; not stored
     """
 
     code: str
@@ -65,6 +66,7 @@ class QualityNote:
     where: str
     message: str
     stretches: tuple[tuple[float, float], ...] = field(default=(), compare=False)
+    tests: tuple[str, ...] = field(default=(), compare=False)
 
 
 @dataclass(frozen=True, slots=True)

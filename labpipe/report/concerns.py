@@ -37,6 +37,7 @@ class Kind(StrEnum):
     SLIP = "Slips in the grips"
     WARNING = "Warnings"
     NO_INTERVAL = "Numbers without an interval"
+    NOTE = "Notes of which nothing follows"
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,8 @@ class Concern:
     what : numbers or place, in words
     reason : sentences with the numbers
     code : stable codes of the reasons, empty where they have none
+    numbers : names of the results that it touches; none where it touches all or nobody knows
+    tests : tests of a group that it speaks of, where `test` is no single one
     """
 
     kind: Kind
@@ -58,6 +61,8 @@ class Concern:
     what: str
     reason: str
     code: str = ""
+    numbers: tuple[str, ...] = ()
+    tests: tuple[str, ...] = ()
 
 
 def find_concerns(campaign: Campaign) -> tuple[Concern, ...]:
@@ -128,7 +133,9 @@ def _of_group(group: Group) -> Iterator[Concern]:
         for slip in sample.slips:
             words = slip_words(slip, group)
             yield Concern(Kind.SLIP, group.name, sample.test, words, decision_words(slip.decision))
-        yield from _of_notes(group.name, sample.test, sample.quality)
+        codes = {reason.code for result in sample.results for reason in result.reasons}
+        notes = tuple(note for note in sample.quality if note.code not in codes)
+        yield from _of_notes(group.name, sample.test, notes)
     for number in group.numbers:
         yield from _of_number(group, number)
     if not group.samples and not group.notes:
@@ -146,7 +153,8 @@ def _of_results(group: str, sample: Sample) -> Iterator[Concern]:
             together.setdefault((kind, result.reasons), []).append(result)
     for (kind, reasons), results in together.items():
         what = "; ".join(in_words(result.name) for result in results)
-        yield Concern(kind, group, sample.test, what, sentences(reasons), codes_of(reasons))
+        names = tuple(result.name for result in results)
+        yield Concern(kind, group, sample.test, what, sentences(reasons), codes_of(reasons), names)
 
 
 def _kind(result: Result) -> Kind | None:
@@ -167,22 +175,39 @@ def _of_number(group: Group, number: GroupNumber) -> Iterator[Concern]:
     name = in_words(number.name)
     for test, why in number.left_out.items():
         if test not in failed:  # those stand under their own heading
-            yield Concern(Kind.LEFT_OUT, group.name, test, name, sentences(why), codes_of(why))
+            said = sentences(why), codes_of(why), (number.name,)
+            yield Concern(Kind.LEFT_OUT, group.name, test, name, *said)
     shown = shown_in(number.name, number.unit, display_of(group))
     for outlier in number.outliers:
         value = write_number(outlier.value, None, shown.factor).value
         reason = f"{value} {unit_words(shown.unit)}".strip() + (
             f" stands apart from the other samples by {outlier.method} (p = {outlier.p:.2g})."
         )
-        yield Concern(Kind.OUTLIER, group.name, outlier.sample, name, reason)
+        numbers = (number.name,)
+        yield Concern(Kind.OUTLIER, group.name, outlier.sample, name, reason, numbers=numbers)
+
+
+_SAID_BY_NUMBERS = "doubtful_in_mean"
+"""Note of a group that repeats what its doubtful numbers say."""
 
 
 def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator[Concern]:
-    together: dict[tuple[str, str], list[str]] = {}
+    """Warnings of a group, and notes of a test that no number of it gives as a reason."""
+    together: dict[tuple[str, str], list[QualityNote]] = {}
     for note in notes:
-        if note.severity is not Severity.INFO and note.code not in _IN_LEDGER:
-            together.setdefault((note.code, note.message), []).append(note.where)
-    for (code, message), places in together.items():
-        kind = Kind.UNLIKE if code == PROTOCOLS_DIFFER else Kind.WARNING
-        what = "; ".join(with_names_in_words(place) for place in places)
-        yield Concern(kind, group, test, what, sentence(message), code)
+        is_said = note.code in _IN_LEDGER or note.code == _SAID_BY_NUMBERS
+        if note.severity is not Severity.INFO and not is_said:
+            together.setdefault((note.code, note.message), []).append(note)
+    for (code, message), own in together.items():
+        is_note = test and own[0].severity is not Severity.ERROR
+        what = "; ".join(with_names_in_words(each.where) for each in own)
+        kind = Kind.NOTE if is_note else Kind.WARNING
+        yield Concern(
+            Kind.UNLIKE if code == PROTOCOLS_DIFFER else kind,
+            group,
+            test,
+            what,
+            sentence(message),
+            code,
+            tests=tuple(dict.fromkeys(each for note in own for each in note.tests)),
+        )

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from labpipe.records.group import Campaign, Decision, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.report.causes import Cause, find_notes
 from labpipe.report.concerns import (
     Concern,
     Kind,
     decision_words,
-    find_concerns,
     sentence,
     sentences,
 )
@@ -314,21 +314,82 @@ def slip_table(group: Group) -> Table | None:
 _NO_METHOD = "No sample has this number."
 
 
-def concern_tables(campaign: Campaign) -> list[Table]:
-    """Make a table for each kind of concern that there is, worst first."""
-    concerns = find_concerns(campaign)
-    tables = []
-    for kind in Kind:
-        own = [each for each in concerns if each.kind is kind]
-        if own:
-            rows = tuple(_concern_row(each) for each in own)
-            tables.append(Table(f"{kind} ({len(own)})", ("Test", "What", "Why"), rows))
-    return tables
+_HEADINGS = {
+    Kind.UNREADABLE: "Not read",
+    Kind.UNLIKE: "Not alike",
+    Kind.FAILED: "Failed",
+    Kind.DOUBTFUL: "Doubtful",
+    Kind.LEFT_OUT: "Left out",
+    Kind.OUTLIER: "Outlier",
+    Kind.SLIP: "Slips",
+    Kind.WARNING: "Warning",
+    Kind.NO_INTERVAL: "No interval",
+    Kind.NOTE: "Note",
+}
+"""One word or two for the line of a cause."""
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A cause on the page: one line, and what folds out of it.
+
+    Parameters
+    ----------
+    head : kind of the cause
+    said : its reason, a sentence
+    whom : which test or group, or how many
+    effect : on the number that it moves most; empty where that is not known
+    details : a row for each that shares the cause
+    """
+
+    head: str
+    said: str
+    whom: str
+    effect: str
+    details: Table
+
+
+def cause_lines(causes: Sequence[Cause]) -> list[Line]:
+    """Make a line for each cause.
+
+    Parameters
+    ----------
+    causes : ranked
+    """
+    return [
+        Line(
+            _HEADINGS[each.kind],
+            each.sentence,
+            each.whom,
+            "" if each.effect is None else each.effect.words,
+            Table(
+                f"{each.kind} ({len(each.concerns)})",
+                ("Test", "What", "Why"),
+                tuple(_concern_row(one) for one in each.concerns),
+            ),
+        )
+        for each in causes
+    ]
+
+
+def note_table(campaign: Campaign) -> Table | None:
+    """Make the table of notes of which nothing follows, a row for each kind; None without any."""
+    rows = tuple(
+        (
+            Cell(each.code),
+            Cell(str(len(each.concerns))),
+            Cell(each.whom),
+            Cell(each.concerns[0].reason),
+        )
+        for each in find_notes(campaign)
+    )
+    heads = ("Note", "How many", "Where", "The first")
+    return Table("Notes of which nothing follows", heads, rows) if rows else None
 
 
 def _concern_row(concern: Concern) -> tuple[Cell, ...]:
-    test = Cell(concern.test or "the whole group", concern.group)
-    return test, Cell(concern.what or DASH), Cell(concern.reason, concern.code)
+    whom = concern.test or ", ".join(concern.tests) or "the whole group"
+    return Cell(whom, concern.group), Cell(concern.what or DASH), Cell(concern.reason, concern.code)
 
 
 def method_tables(campaign: Campaign) -> list[Table]:

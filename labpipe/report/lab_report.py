@@ -11,14 +11,16 @@ from typing import TYPE_CHECKING, Any
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
-from labpipe.report.concerns import find_concerns, sentences
+from labpipe.report.causes import find_causes
+from labpipe.report.concerns import sentences
 from labpipe.report.group_figures import save_drawings, stems
 from labpipe.report.group_plots import count_words
 from labpipe.report.group_tables import (
-    concern_tables,
+    cause_lines,
     key_number_tables,
     means_of,
     method_tables,
+    note_table,
     sample_tables,
     slip_table,
     spool_means,
@@ -95,8 +97,8 @@ def render_page(
     return environment.get_template(_TEMPLATE).render(
         campaign=campaign,
         summary=_summary(campaign),
-        concerns=concern_tables(campaign),
-        concern_count=len(find_concerns(campaign)),
+        causes=cause_lines(find_causes(campaign)),
+        notes=note_table(campaign),
         groups=groups,
         answers=answer_table(campaign),
         key_numbers=key_number_tables(campaign),

@@ -17,7 +17,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Band, BundlePlace, Campaign, Group, GroupNumber
 from labpipe.records.quality import worded
 from labpipe.report.bundle_figures import place_scales
-from labpipe.report.concerns import find_concerns
+from labpipe.report.causes import find_causes, find_notes
 from labpipe.report.group_plots import group_scale
 from labpipe.report.questions import fields_in_words
 from labpipe.report.wording import Scale, display_of, in_words, printable, shown_in
@@ -325,10 +325,28 @@ def _about(campaign: Campaign) -> Iterator[str]:
 
 
 def _concerns(campaign: Campaign) -> _Table:
-    heads = ("kind", "group", "test", "what", "reason", "code")
+    heads = (
+        "rank",
+        "kind",
+        "group",
+        "test",
+        "what",
+        "reason",
+        "code",
+        "largest effect of the cause",
+    )
+    causes = [
+        *enumerate(find_causes(campaign), start=1),
+        *((None, each) for each in find_notes(campaign)),
+    ]
     rows: list[Row] = [
-        (str(each.kind), each.group, each.test, each.what, each.reason, each.code)
-        for each in find_concerns(campaign)
+        (
+            *(rank, str(each.kind), each.group, each.test or ", ".join(each.tests)),
+            *(each.what, each.reason, each.code),
+            "" if cause.effect is None else cause.effect.words,
+        )
+        for rank, cause in causes
+        for each in cause.concerns
     ]
     return heads, rows
 

@@ -271,6 +271,7 @@ def method_notes(
             name,
             f"not in the mean, as it was made otherwise: {', '.join(tests)}"
             f" ({next(iter(tests.values())).message})",
+            tests=tuple(tests),
         )
         for name, tests in made_otherwise.items()
     ]
@@ -280,8 +281,21 @@ def method_notes(
             decisions.setdefault(decision, []).append(sample.test)
     if len(decisions) > 1:
         message = f"the mean mixes curves whose slips were treated otherwise: {parted(decisions)}"
-        notes.append(QualityNote(PROTOCOLS_DIFFER, Severity.WARNING, "slips", message))
+        tests = rarer(decisions)
+        notes.append(QualityNote(PROTOCOLS_DIFFER, Severity.WARNING, "slips", message, tests=tests))
     return notes
+
+
+def rarer(tests: Mapping[str, Sequence[str]]) -> tuple[str, ...]:
+    """List the tests of which less is said than of the others, as in `parted`.
+
+    Examples
+    --------
+    >>> rarer({"2 mm": ["a", "b"], "1 mm": ["f"]})
+    ('f',)
+    """
+    *others, _ = sorted(tests.values(), key=len)
+    return tuple(dict.fromkeys(test for own in others for test in own))
 
 
 def parted(tests: Mapping[str, Sequence[str]]) -> str:

@@ -1,23 +1,45 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
+from labpipe.records.group import Campaign
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.report.causes import find_causes
 from labpipe.report.group_tables import (
-    concern_tables,
+    cause_lines,
     method_tables,
+    note_table,
     table_of_tests,
 )
-from tests.builders.campaigns import build_campaign
+from tests.builders.campaigns import build_campaign, build_group, build_sample
 
 
-def test_concerns_are_counted_in_their_captions() -> None:
-    tables = concern_tables(build_campaign())
-    assert [table.caption for table in tables] == [
-        "Tests that could not be read (1)",
-        "Failed: numbers that could not be computed (1)",
-        "Doubtful: numbers to be checked (1)",
-        "Marked as outliers (they stay in every mean) (1)",
-        "Slips in the grips (1)",
-        "Warnings (2)",
+def test_a_line_for_each_cause_with_all_that_share_it() -> None:
+    lines = cause_lines(find_causes(build_campaign()))
+    assert {line.head: line.details.caption for line in lines} == {
+        "Not read": "Tests that could not be read (1)",
+        "Failed": "Failed: numbers that could not be computed (1)",
+        "Doubtful": "Doubtful: numbers to be checked (1)",
+        "Outlier": "Marked as outliers (they stay in every mean) (1)",
+        "Slips": "Slips in the grips (1)",
+        "Warning": "Warnings (1)",
+    }
+    assert lines[0].head == "Not read"
+    assert lines[0].effect == "the test is missing from all numbers"
+    assert all(line.said and line.whom for line in lines)
+
+
+def test_notes_of_which_nothing_follows_are_one_table() -> None:
+    note = QualityNote("gap_left", Severity.WARNING, "Marker5", "no position, 30 frames")
+    samples = [replace(build_sample("s1", name), quality=(note,)) for name in "abc"]
+    campaign = Campaign("Synthetic", (build_group("A", samples),))
+    assert not cause_lines(find_causes(campaign))
+    table = note_table(campaign)
+    assert table is not None
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["gap_left", "3", "3 tests of A", "No position, 30 frames."]
     ]
+    assert note_table(Campaign("Synthetic", ())) is None
 
 
 def test_methods_and_tests() -> None:
