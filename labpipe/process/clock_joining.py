@@ -247,8 +247,14 @@ def _event_error(motion: Corner, force: Reversal, count: int) -> float:
     return float(np.hypot(np.hypot(motion.time_error, force.corner.time_error), common))
 
 
+_BY_CHANCE = 2.0
+"""Times the error of a turning point that clocks may disagree by before it is no chance: what a
+noisy turn leaves open is in the offset's interval, and in those of all that rests on it."""
+
+
 def _judged(fit: ClockFit, align: AlignTurningPoints) -> Iterator[Finding]:
-    if fit.residual > align.max_residual:
+    chance = _BY_CHANCE * float(np.sqrt(np.mean(fit.event_errors**2)))
+    if fit.residual > max(align.max_residual, chance):
         message = (
             f"the clocks agree to {1e3 * fit.residual:.3g} ms rms at the turning points, "
             f"the protocol allows {1e3 * align.max_residual:.3g} ms"
