@@ -49,6 +49,7 @@ def main() -> int:
             known = {key: by for key, by in known.items() if by and not options.afresh}
         chosen = [each for each in drawn if options.only in each.key and token(each) not in known]
         try_for(options.seconds, chosen, options.demo)
+        forget_others(drawn)
     counted = Counted.of(drawn, tried(), explained())
     print(counted)
     if options.publish:
@@ -100,6 +101,12 @@ def tried() -> dict[str, str]:
         return {}
     lines = map(json.loads, TRIED.read_text(encoding="utf-8").splitlines())
     return {line["mutant"]: line["by"] for line in lines}
+
+
+def forget_others(drawn: Sequence[Mutant]) -> None:
+    """Forget what was tried of functions that are gone or have changed."""
+    names, known = {token(each) for each in drawn}, tried()
+    write({name: by for name, by in known.items() if name in names})
 
 
 def write(known: Mapping[str, str]) -> None:
