@@ -62,3 +62,25 @@ def test_order_is_from_the_middle_outwards_then_by_angle() -> None:
 def test_no_wire() -> None:
     with pytest.raises(ValueError, match=r"number=0: allowed are whole numbers >= 1"):
         sites(0)
+
+
+@pytest.mark.parametrize(
+    ("number", "middle"),
+    [
+        (22, (0.5, 0.0)),
+        (23, (0.5, 0.0)),
+        (38, (0.5, 0.0)),
+        (43, (0.5, 3.0**-0.5 / 2.0)),
+        (45, (0.5, 3.0**-0.5 / 2.0)),
+    ],
+    ids=["22 around two", "23 around two", "38 around two", "43 around three", "45 around three"],
+)
+def test_a_heap_is_no_wider_than_the_lattice_around(
+    number: int, middle: tuple[float, float]
+) -> None:
+    """The points of a lattice of triangles nearest to the middle of two or three of them."""
+    along, up = np.mgrid[-9:10, -9:10].reshape(2, -1)
+    points = np.column_stack([along + 0.5 * up, 0.75**0.5 * up]) - middle
+    nearest = points[np.argsort(np.hypot(*points.T).round(9), kind="stable")[:number]]
+    ones = np.ones(number)
+    assert holding_circle(sites(number), ones)[1] <= holding_circle(nearest, ones)[1] + 1e-6
