@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from labpipe.fits.grip_slips import add_back, find_slips, samples_before
+from labpipe.fits.grip_slips import _fineness, add_back, find_slips, samples_before
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
@@ -137,3 +137,11 @@ def test_slips_of_a_force_of_millinewtons() -> None:
     (large,), (small,) = found(force), found(1e-3 * force, min_drop=0.2e-3)
     assert (small.start, small.stop) == (large.start, large.stop)
     assert small.drop == pytest.approx(1e-3 * large.drop)
+
+
+@pytest.mark.parametrize(("travel", "longest"), [(0.02, 0.4e-3), (0.04, 0.8e-3), (0.2, 1e-3)])
+def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
+    travel: float, longest: float
+) -> None:
+    d = np.linspace(0.0, travel, 20_001)
+    assert _fineness(d, None) == _fineness(d, longest) != _fineness(d, 1.4 * longest)

@@ -10,7 +10,15 @@ import pytest
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, PointFlag, Series, Shape
 from labpipe.records.quality import Severity
 from labpipe.records.result import Specimen, TestResult
-from labpipe.results.moment_curvature import SLACK, AtRest, at_rest, held, notes_of, stated
+from labpipe.results.moment_curvature import (
+    SLACK,
+    AtRest,
+    _while_slack,
+    at_rest,
+    held,
+    notes_of,
+    stated,
+)
 
 WEIGHT, COUNT, REST, DEEP = 0.0265, 600, 100, 0.05
 TIME = np.arange(COUNT) / 10.0
@@ -299,3 +307,20 @@ def test_it_can_be_stated() -> None:
     assert found.why == (
         "the string was slack at rest and carried nothing: so rig.string.at_rest states it"
     )
+
+
+@pytest.mark.parametrize(("share", "is_slack"), [(0.0, True), (0.2, True), (0.4, False)])
+def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
+    share: float, *, is_slack: bool
+) -> None:
+    travel = np.concatenate([np.linspace(0.0, 0.01, 1000), np.linspace(0.01, 0.0, 1000)])
+    time, force = np.arange(2000) / 50.0, np.full(2000, -0.01)
+    branches = (
+        Branch(0, 1000, 1, Direction.LOADING, time[0], time[999]),
+        Branch(1000, 2000, 1, Direction.UNLOADING, time[1000], time[-1]),
+    )
+    number = np.repeat([0, 1], 1000)
+    one = Curve(time, share * travel, force, number, np.ones(2000, int), branches)
+    found = _while_slack(travel, one, branches[0])
+    assert bool(len(found)) is is_slack
+    assert found == pytest.approx(np.full(len(found), -0.01))

@@ -7,6 +7,7 @@ import pytest
 
 from labpipe.law.plays import LinearLaw, PlayLaw
 from labpipe.wire.bending_law import play_law
+from labpipe.wire.cantilever import bend_to_deflection, straight
 from labpipe.wire.end_load import deflection_at
 from labpipe.wire.end_load_path import end_load_path
 from tests.builders.cantilevers import LENGTH, WIRE, by_stations
@@ -74,8 +75,20 @@ def test_lengths_are_positive(length: float) -> None:
         end_load_path(LinearLaw(3e-3), length, np.array([0.01]))
 
 
+def test_clamp_moments_are_those_of_the_stations_also_where_the_tip_unloads() -> None:
+    section = wire("C4")
+    law = play_law(section, contacts_of(section), largest_curvature=95.0)
+    deflections = np.linspace(0.0, 0.8 * LENGTH, 41)[1:]
+    state, expected = straight(law, 64), []
+    for deflection in deflections.tolist():
+        shape = bend_to_deflection(law, state, LENGTH, deflection)
+        state = shape.state
+        expected.append(shape.moment[0])
+    found = end_load_path(law, LENGTH, deflections).clamp_moment
+    assert found == pytest.approx(expected, rel=1e-4)
+
+
 def test_clamp_moments_are_those_of_the_deflections() -> None:
-    """The far ones, which are settled station by station, too."""
     law, deflections = LinearLaw(2e-3), np.linspace(0.0, 0.85 * LENGTH, 18)[1:]
     path = end_load_path(law, LENGTH, deflections)
     found = [deflection_at(law, LENGTH, float(each)) for each in path.clamp_moment]
