@@ -196,3 +196,10 @@ def test_nested_groups_compare_spool_means() -> None:
     said = compare("k", "1/m", ("one", nested_mean(first)), ("two", nested_mean(first)))
     assert said.difference.n == 4
     assert "one spool" not in said.words
+
+
+@pytest.mark.parametrize(("sigmas", "chance"), [(5.0, 2.0 * stats.norm.sf(5.0)), (9.0, 0.0)])
+def test_beyond_eight_standard_errors_there_is_no_chance(sigmas: float, chance: float) -> None:
+    """Of a doubt of 1000 that dwarfs the scatter."""
+    contrast = Contrast(1000.0 * sigmas, errors=(1.0, 1.0), counts=(8, 8), shared=1000.0)
+    assert difference_p(contrast) == pytest.approx(chance, rel=0.01, abs=0.0)
