@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -108,13 +108,16 @@ def plan_of(folder: Path) -> CampaignPlan:
     return load_campaign_plan(path) if path.exists() else CampaignPlan(version=1)
 
 
-def list_candidates(folder: Path, plan: CampaignPlan) -> Listed:
+def list_candidates(
+    folder: Path, plan: CampaignPlan, *, rests: Callable[[Path], bool] = lambda _: False
+) -> Listed:
     """List the tests of a campaign by its rules, without opening a file.
 
     Parameters
     ----------
     folder : of the campaign's exports
     plan : its rules
+    rests : whether the test of a folder is left out this time
 
     Raises
     ------
@@ -122,13 +125,15 @@ def list_candidates(folder: Path, plan: CampaignPlan) -> Listed:
         If a folder cannot be listed, as when a network drive is gone.
     """
     if isinstance(plan.pair, ByName):
-        return _by_name(folder, plan.pair)
-    return _by_folder(folder, plan.pair)
+        listed = _by_name(folder, plan.pair)
+        kept = tuple(each for each in listed.candidates if not rests(each.folder))
+        return Listed(kept, listed.strangers)
+    return _by_folder(folder, plan.pair, rests)
 
 
-def _by_folder(folder: Path, pair: ByFolder) -> Listed:
+def _by_folder(folder: Path, pair: ByFolder, rests: Callable[[Path], bool]) -> Listed:
     candidates, strangers = list[Candidate](), dict[Path, str]()
-    for place in _test_folders(folder):
+    for place in _test_folders(folder, rests):
         files = {name: place / name for name in _names(place) if _may_be_export(name)}
         for name in [each for each in files if has_control_characters(each)]:
             strangers[files.pop(name)] = "its name has control characters; rename it"
@@ -142,13 +147,15 @@ def _by_folder(folder: Path, pair: ByFolder) -> Listed:
     return Listed(tuple(candidates), strangers)
 
 
-def _test_folders(folder: Path) -> Iterator[Path]:
+def _test_folders(folder: Path, rests: Callable[[Path], bool]) -> Iterator[Path]:
     """Folders below one that hold files, but none below those."""
     for place in _folders(folder):
+        if rests(place):
+            continue
         if _names(place):
             yield place
         else:
-            yield from _test_folders(place)
+            yield from _test_folders(place, rests)
 
 
 def _folder_values(place: Path, pair: ByFolder) -> dict[str, str] | None:

@@ -97,8 +97,9 @@ def watch(folders: CampaignFolders, *, figures: bool, say: Callable[[str], None]
         watcher.prepare()
         all_protocols()  # with units and grammar, so that the first verdict need not wait for them
         while True:
-            if not watcher.look():
-                time.sleep(watcher.plan.look_every)
+            began = time.monotonic()
+            if not watcher.look():  # of a drive that is slow, not more than a third of the time
+                time.sleep(max(watcher.plan.look_every, 2.0 * (time.monotonic() - began)))
     finally:
         worker.leave()
 

@@ -19,6 +19,9 @@ from labpipe.protocol.campaign_plan import PLAN_NAME, CampaignPlan
 
 LONG = 3600.0
 """s, after which a file that still grows or is still locked is said once more."""
+_TURNS = 40
+"""Looks until a test that was dealt with a while ago is looked at again: ten thousand tests are too
+many for a look each quarter of a second, above all on a network drive."""
 _AGAIN = 5.0
 """s, between two tries to read exports that could not be read."""
 
@@ -49,12 +52,14 @@ class _Test:
     Parameters
     ----------
     done, tried : size and time of its files when it was dealt with, and when that was last tried
+    settled : when it was dealt with
     waits : what was last said that it waits for
     next_try : when it is dealt with again, by the clock, if nothing changes
     """
 
     done: Marks = ()
     tried: Marks = ()
+    settled: float = 0.0
     waits: str = ""
     next_try: float = 0.0
 
@@ -107,6 +112,7 @@ class Watcher:
         self._voice = _Voice(say)
         self._tests: dict[Path, _Test] = {}
         self._groups = GroupsSoFar()
+        self._turn = 0
         self._is_gone = self._has_begun = False
 
     def prepare(self) -> None:
@@ -120,10 +126,11 @@ class Watcher:
         -------
         Whether more tests are ready: then there is no reason to pause.
         """
+        self._turn += 1
         try:
             self._campaign.raw.stat()
             self._read_plan()
-            listed = list_candidates(self._campaign.raw, self.plan)
+            listed = list_candidates(self._campaign.raw, self.plan, rests=self._rests)
             ready = self._ready(listed)
             if ready:
                 self._deal_with(ready[0])
@@ -134,6 +141,13 @@ class Watcher:
             self._is_gone = False
             self._voice.say(f"{self._campaign.raw}: is there again")
         return len(ready) > 1
+
+    def _rests(self, folder: Path) -> bool:
+        """Whether a test was dealt with a while ago and it is not its turn."""
+        test = self._tests.get(folder)
+        if test is None or not test.done or self._clock() - test.settled < self.plan.patience:
+            return False
+        return (hash(folder) - self._turn) % _TURNS != 0
 
     def _say_gone(self, error: OSError) -> None:
         if not self._is_gone:
@@ -165,17 +179,19 @@ class Watcher:
             self._voice.say(f"{error}\n  the last {PLAN_NAME} that was right still counts")
             return
         self._files.still_for = self.plan.still_for
-        self._tests = {folder: _Test(each.done) for folder, each in self._tests.items()}
+        self._tests = {
+            folder: _Test(each.done, settled=each.settled) for folder, each in self._tests.items()
+        }
         self._voice.say(f"{PLAN_NAME} was read again")
 
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
         """Leave out the tests that were processed before the watch began."""
-        sheets = [each.sheet for each in ready if each.sheet.exists()]
+        sheets = {each.sheet for each in ready if each.sheet.exists()}
         todo = set(self._campaign.todo(sheets))
         left = []
         for each in ready:
             if each.sheet in sheets and each.sheet not in todo:
-                self._tests[each.folder] = _Test(self._marks(each))
+                self._tests[each.folder] = _Test(self._marks(each), settled=-self.plan.patience)
             else:
                 left.append(each)
         return left
@@ -188,8 +204,11 @@ class Watcher:
             self._say_waiting(candidate, path, state)
         waits = [path for path, state in states.items() if state in ("growing", "locked")]
         if waits or any(states[path] == "gone" for path in candidate.files.values()):
+            test.settled = self._clock()
             return False
         marks = self._marks(candidate)
+        if marks != test.done:
+            test.settled = self._clock()
         return marks != test.done and (marks != test.tried or self._clock() >= test.next_try)
 
     def _say_waiting(self, candidate: Candidate, path: Path, state: str) -> None:
@@ -217,7 +236,7 @@ class Watcher:
         self._say_sheet(candidate, written)
         self._files.look(candidate.sheet)
         if written.open or self._is_processed(candidate):
-            test.done, test.waits = self._marks(candidate), ""
+            test.done, test.settled, test.waits = self._marks(candidate), self._clock(), ""
 
     def _is_processed(self, candidate: Candidate) -> bool:
         """Have a test processed; False where it is to be tried again."""

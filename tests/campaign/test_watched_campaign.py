@@ -147,9 +147,11 @@ def delay_of(processes: list[int]) -> float:
 def test_a_verdict_within_five_seconds(tmp_path: Path, begun: list[Watch]) -> None:
     """Full size: 330 s of 10 kHz and 50 frames per second, 72 MB in growing pieces.
 
-    The time that processes of others kept ours from running is taken off, so that a busy machine
-    does not change what is measured.
+    The time that processes of others kept ours from running is taken off. On a machine with much
+    else to do, processors also work more slowly, and nothing is measured.
     """
+    if os.getloadavg()[0] > (os.cpu_count() or 1):
+        pytest.skip("the machine is busy: what is measured would be that of others")
     simulate_test(CantileverScenario(), tmp_path / "exports", 1)
     campaign = tmp_path / "raw" / "c"
     campaign.mkdir(parents=True)

@@ -12,6 +12,7 @@ import pytest
 
 from labpipe.campaign.executors import Outcome
 from labpipe.campaign.pairing import pair_test
+from labpipe.campaign.standing_files import StandingFiles
 from labpipe.campaign.watching import Watcher
 from labpipe.errors import ProtocolError, StoreError
 from tests.builders.small_tests import Lab
@@ -325,6 +326,28 @@ def test_the_newest_test_comes_first(bench: Bench, exports: dict[str, bytes]) ->
     while bench.watcher.look():
         pass
     assert bench.campaign.asked == ["A2-085-2", "A2-085-3", "A2-085-1"]
+
+
+def test_tests_of_long_ago_are_looked_at_now_and_then(
+    bench: Bench, exports: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(5):
+        put(bench, f"A2-085-{number}", exports)
+    bench.go(120)
+    looks: list[Path] = []
+    look = StandingFiles.look
+
+    def counted(files: StandingFiles, path: Path) -> str:
+        looks.append(path)
+        return look(files, path)
+
+    monkeypatch.setattr(StandingFiles, "look", counted)
+    assert bench.go(40 * 0.5) == ""
+    assert len(looks) == 5 * 3  # each file once in 40 looks
+    sheet = bench.campaign.raw / "A2-085-3" / "test.yaml"
+    sheet.write_text(sheet.read_text("utf-8") + "# later\n", "utf-8")
+    bench.go(40 * 0.5 + 2.0)
+    assert bench.campaign.asked[5:] == ["A2-085-3"]
 
 
 def test_a_test_that_is_taken_away_is_forgotten(bench: Bench, exports: dict[str, bytes]) -> None:
