@@ -13,7 +13,7 @@ from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_file import open_catalog
 from labpipe.campaign.executors import Outcome, Task
 from labpipe.campaign.running import Ran, run_campaign
-from labpipe.protocol.load import dump_protocol, load_test_sheet, resolve
+from labpipe.protocol.load import dump_protocol, known_protocols, load_test_sheet, resolve
 
 SHEET = """\
 test: {name}
@@ -63,9 +63,20 @@ def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
     return Outcome(task.sheet, goal, "doubtful" if doubts else "ok", run=task.run)
 
 
+_RESOLVED: dict[tuple[str, str], str] = {}
+
+
+def _resolved(name: str, text: str, task: Task) -> str:
+    """The resolved protocol: the sheets of these campaigns all change the same in it."""
+    if (name, text) not in _RESOLVED:
+        protocol = resolve(load_test_sheet(task.sheet), task.sheet)
+        _RESOLVED[name, text] = dump_protocol(protocol)
+    return _RESOLVED[name, text]
+
+
 def summary_of(task: Task, peak: float, *, doubts: bool = False) -> dict[str, object]:
     sheet = load_test_sheet(task.sheet)
-    protocol = dump_protocol(resolve(sheet, task.sheet))
+    protocol = _resolved(sheet.protocol, known_protocols()[sheet.protocol].read_text("utf-8"), task)
     export = (task.sheet.parent / "frame.csv").read_bytes()
     texts = {"sheet": task.sheet.read_text(encoding="utf-8"), "protocol": protocol}
     reasons = [{"code": "noisy", "message": "much noise"}] if doubts else []

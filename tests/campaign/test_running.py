@@ -353,3 +353,42 @@ def test_a_failure_is_tried_again_once_the_export_is_another(kept: KeptCampaign)
     (row,) = run_some(kept.folders, kept.stand_in, ["T3"]).values()
     assert row is not None
     assert row.state == OK
+
+
+SECOND_RUN = """
+import resource, sys
+from labpipe.cli import main
+status = main(["campaign", "run", sys.argv[1]])
+used = resource.getrusage(resource.RUSAGE_SELF)
+print("cpu", used.ru_utime + used.ru_stime)
+sys.exit(status)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform == "win32", reason="the time of the processor is asked of POSIX")
+def test_ten_thousand_tests_that_are_done_take_three_seconds(
+    tmp_path: Path, repository: Path
+) -> None:
+    """Of the processor, from start to end of the process; and again when all are touched."""
+    kept = KeptCampaign(tmp_path)
+    for number in range(10_000):
+        kept.add(f"T{number:05d}", f"{60 + number % 7}.{number:05d} {'x' * 300}")
+    kept.run()
+    assert len(kept.stand_in.processed) == 10_000
+    environment = {**os.environ, "PYTHONPATH": str(repository), "OPENBLAS_NUM_THREADS": "1"}
+    command = [sys.executable, "-c", SECOND_RUN, str(kept.raw)]
+
+    def again() -> float:
+        done = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True, cwd=repository
+        )
+        assert "processed 0 of 10000" in done.stdout
+        return float(done.stdout.rpartition("cpu ")[2])
+
+    again()  # hashes of files that were young when they were taken
+    assert again() < 3.0
+    for file in kept.raw.rglob("*.*"):
+        os.utime(file)
+    again()
+    assert again() < 3.0
