@@ -45,7 +45,7 @@ def find_campaign(folder: Path) -> CampaignFolders:
     Raises
     ------
     UsageError
-        If it is not there, or lies below neither.
+        If it is not there, lies below neither, or is the folder of a test.
     """
     if not folder.is_dir():
         found = "a file" if folder.exists() else "nothing of that name"
@@ -55,6 +55,8 @@ def find_campaign(folder: Path) -> CampaignFolders:
         if above.name in {RAW, PROCESSED}:
             name = there.relative_to(above)
             raw, processed = (_as_typed(above.parent / each / name) for each in (RAW, PROCESSED))
+            if (raw / SHEET_NAME).is_file():
+                raise _no_campaign(folder, "the folder of a campaign", "that of a single test")
             return CampaignFolders(name.as_posix(), raw, processed)
     found = "one that lies below neither"
     raise _no_campaign(folder, "a folder below 'raw' or 'processed'", found)
@@ -97,8 +99,14 @@ def list_raw(campaign: CampaignFolders) -> RawFolder:
     found = RawFolder()
     for label, place, files, _ in _walk(campaign.raw, found.refused):
         found.files += [f"{label}/{name}" if label else name for name in files]
-        if SHEET_NAME in files:
-            found.sheets[label] = Path(place, SHEET_NAME)
+        if SHEET_NAME not in files:
+            continue
+        sheet = Path(place, SHEET_NAME)
+        if sheet.is_file():
+            found.sheets[label] = sheet
+        else:
+            odd, remedy = "a pipe, or a link to nowhere", "Put the test sheet there."
+            found.refused.append(complaint(sheet, "", expected="a file", found=odd, remedy=remedy))
     return found
 
 

@@ -53,6 +53,10 @@ def test_folders_that_are_no_campaign(tmp_path: Path) -> None:
             find_campaign(tmp_path / place)
     with pytest.raises(UsageError, match="a folder below 'raw' or 'processed', found one that"):
         find_campaign(tmp_path)
+    (tmp_path / "raw" / "T1").mkdir(parents=True)
+    (tmp_path / "raw" / "T1" / "test.yaml").write_text("", "utf-8")
+    with pytest.raises(UsageError, match=r"a campaign, found that of a single test\. Put the"):
+        find_campaign(tmp_path / "raw" / "T1")
 
 
 def test_tests_and_files_but_hidden_ones_and_links(campaign: CampaignFolders) -> None:
@@ -76,6 +80,17 @@ def test_a_name_of_other_bytes_is_said(campaign: CampaignFolders) -> None:
     assert found.refused[0].endswith(
         "\\udcff: expected a name in UTF-8, found other bytes. Rename it; it was left out."
     )
+
+
+def test_a_test_sheet_that_is_no_file_is_said(campaign: CampaignFolders) -> None:
+    sheet = campaign.raw / "T1" / "test.yaml"
+    sheet.unlink()
+    sheet.symlink_to("nowhere")
+    found = list_raw(campaign)
+    assert "T1" not in found.sheets
+    assert found.refused == [
+        f"{sheet}: expected a file, found a pipe, or a link to nowhere. Put the test sheet there."
+    ]
 
 
 def test_a_campaign_whose_exports_are_gone(tmp_path: Path) -> None:

@@ -308,6 +308,20 @@ def killed_after(kept: KeptCampaign, seconds: float, tree: Path) -> None:
     process.stdout.close()
 
 
+def test_two_processes_at_a_time_share_the_tests(kept: KeptCampaign, repository: Path) -> None:
+    for number in range(20):
+        kept.add(f"K{number:02d}")
+    program = KILLED.format(tree=str(repository), home=str(kept.home))
+    program += "print(*kept.stand_in.processed)\n"
+    both = [
+        subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+        for _ in range(2)
+    ]
+    processed = [each.communicate()[0].split()[1:] for each in both]
+    assert [each.returncode for each in both] == [0, 0]
+    assert sorted(processed[0] + processed[1]) == sorted(look(kept.folders).rows)
+
+
 def kill_again_and_again(kept: KeptCampaign, times: list[float], tree: Path) -> None:
     for number in range(20):
         kept.add(f"K{number:02d}", f"{60 + number / 10}")
