@@ -218,7 +218,7 @@ class _Dealer:
     def _taken(self, dealt: _Dealt) -> Iterator[Outcome]:
         future, hand = dealt.future, dealt.hand
         if future.status == "error":
-            return self._after_death(hand, 1)
+            return self._after_error(hand, future.exception())
         with self._lost():
             worker, ended = future.result()
         if isinstance(ended, Lost):
@@ -244,6 +244,19 @@ class _Dealer:
         if unseen:
             by = hand.unseen_by | {worker}
             self._again.append(replace(hand, tasks=tuple(unseen), unseen_by=by))
+
+    def _after_error(self, hand: _Hand, error: BaseException) -> Iterator[Outcome]:
+        """Deal again what lost its workers; end where the cluster cannot do a batch at all."""
+        from distributed import KilledWorker
+
+        if isinstance(error, KilledWorker):
+            return self._after_death(hand, 1)
+        self._is_lost = True
+        expected = "a scheduler and workers that can do tests"
+        found = f"that one cannot ({type(error).__name__}: {_first_line(error)})"
+        remedy = "Install the same labpipe on all machines, that of the scheduler too."
+        message = complaint("--executor", "", expected=expected, found=found, remedy=remedy)
+        raise ProcessingError(message, code="no_cluster") from error
 
     def _after_death(self, hand: _Hand, times: int) -> Iterator[Outcome]:
         """Deal tests that lost a worker again, each alone; refuse the one that loses another."""
@@ -298,6 +311,10 @@ class _Dealer:
                 remedy="Start it again; the next run does what is left.",
             )
             raise ProcessingError(message, code="no_cluster") from error
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).splitlines() or [""])[0]
 
 
 def _is_seen(outcome: Outcome, until: float) -> bool:

@@ -6,8 +6,10 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
+from distributed import Client
 
 from labpipe.campaign import batches, cluster
 from labpipe.campaign.executors import Outcome, Task, dask, local
@@ -45,6 +47,12 @@ def by_name(outcomes: Iterator[Outcome]) -> dict[str, Outcome]:
     return {each.sheet.parent.name: each for each in outcomes}
 
 
+def _kept(dask_scheduler: Any) -> tuple[int, list[object]]:
+    """What a scheduler keeps of runs that are over: tasks, and counts of each run."""
+    counts = dask_scheduler.task_metadata["labpipe"]
+    return len(dask_scheduler.tasks), list(counts.values())
+
+
 def contents(folder: Path) -> dict[str, bytes]:
     files = (path for path in sorted(folder.rglob("*")) if path.is_file())
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in files}
@@ -67,6 +75,8 @@ def test_the_same_files_as_on_one_machine_though_one_of_three_goes_down(
     for name, outcome in there.items():
         said = here[name]
         assert (outcome.state, outcome.code, outcome.run) == (said.state, said.code, said.run)
+    with Client(f"tcp://{machines.address}", set_as_default=False) as client:
+        assert client.run_on_scheduler(_kept) == (0, [{}])
     files = contents(tmp_path / "local")
     assert len(files) > 2 * 12 + 4  # with figures, as SVG and PNG
     assert contents(tmp_path / "dask") == files
@@ -202,6 +212,21 @@ def test_a_scheduler_that_goes_away(alone: Cluster, tmp_path: Path) -> None:
         list(outcomes)
     assert raised.value.code == "no_cluster"
     assert time.monotonic() - start < 40.0
+
+
+class Odd(Task):
+    """A task that no other process can take out of its pickle."""
+
+    __slots__ = ()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return int, ("x",)
+
+
+def test_a_cluster_that_cannot_do_tests(machines: Cluster, tmp_path: Path) -> None:
+    said = r"expected a scheduler and workers that can do tests, found that one cannot \(.*Error: "
+    with pytest.raises(ProcessingError, match=said):
+        list(dask(machines.address)([Odd(tmp_path / "test.yaml")]))
 
 
 def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
