@@ -50,6 +50,7 @@ from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.replace import locked
 
+_WITHOUT_SHEET = "without test.yaml"
 PATIENCE = 30.0
 """s: how long to wait until another process has made the catalog, or written its decisions."""
 
@@ -268,10 +269,15 @@ class Keeper:
         """What the catalog is to keep of a test; None where it has it."""
         marks = files.marks if files is not None else ""
         known = parse_content(seen.content) if seen is not None else None
-        content = known if sheet is None or not marks else self._keys.content_of(sheet, known)
-        kept = Seen("" if content is None else content.as_text(), marks)
-        now = content if sheet is not None and marks else None
-        if row is not None and seen is not None and seen.marks == marks and self._fits(row, now):
+        now = self._keys.content_of(sheet, known) if sheet is not None and marks else None
+        content = known if now is None else now
+        kept = Seen(
+            "" if content is None else content.as_text(),
+            marks if sheet is not None else f"{marks} {_WITHOUT_SHEET}",
+        )
+        is_same = now is None or (known is not None and known.key == now.key)
+        looks_same = seen is not None and seen.marks == kept.marks
+        if row is not None and looks_same and is_same and self._fits(row, now):
             return None if content == known else Entry(row, kept)
         outcome = read_outcome_files(files)
         decision = self._decision_on(folder, outcome, row)

@@ -8,7 +8,7 @@ import pytest
 from labpipe.campaign import outcome_rows
 from labpipe.campaign.catalog import OK, PENDING, RUNNING
 from labpipe.campaign.refreshing import opened_campaign
-from labpipe.campaign.running import look
+from labpipe.campaign.running import clear_failures, look, rebuild
 from tests.builders.kept_campaigns import KeptCampaign, content_of
 
 
@@ -105,3 +105,34 @@ def test_rows_come_from_files_alone(kept: KeptCampaign, monkeypatch: pytest.Monk
         file.unlink()
     look(kept.folders)
     assert content_of(kept) == before
+
+
+def test_rows_are_those_of_a_rebuild_whatever_came_before(kept: KeptCampaign) -> None:
+    """What changed more than once, went away, or came back."""
+
+    def as_rebuilt() -> bool:
+        look(kept.folders)
+        before = content_of(kept)
+        rebuild(kept.folders)
+        return content_of(kept) == before
+
+    kept.add("T3", "fail disk_full")
+    kept.run()
+    export, sheet = kept.raw / "T1" / "frame.csv", kept.raw / "T1" / "test.yaml"
+    export.write_text("63", "utf-8")
+    look(kept.folders)
+    sheet.write_text(f"{sheet.read_text('utf-8')}operator: somebody\n", "utf-8")
+    assert as_rebuilt()
+    assert look(kept.folders).rows["T1"].why == "export changed (frame.csv), sheet changed"
+    aside = [(kept.raw / name, kept.home / f"aside-{name}") for name in ("T1", "T2", "T3")]
+    for there, away in aside:
+        there.rename(away)
+    assert as_rebuilt()
+    assert look(kept.folders).rows["T3"].type == ""
+    for there, away in aside:
+        away.rename(there)
+    assert as_rebuilt()
+    clear_failures(kept.folders)
+    assert as_rebuilt()
+    (kept.processed / "T2" / "summary.json").write_text("{", "utf-8")
+    assert as_rebuilt()
