@@ -20,7 +20,7 @@ from labpipe.report.wording import (
     unit_words,
     write_number,
 )
-from labpipe.statistics.group_fields import BORE, TYPE, in_order, varying_fields
+from labpipe.statistics.group_fields import BORE, OF_SECTION, TYPE, in_order, varying_fields
 
 MOST_TOGETHER = 6
 """Groups that are compared in one figure: more curves could not be told apart."""
@@ -183,7 +183,10 @@ def _said(group: Group) -> set[str]:
 
 
 def context_words(groups: Sequence[Group], field: str) -> str:
-    """List what groups have alike, such as ``19 B2, half-lap PVC, corrugated-tube``."""
+    """List what groups have alike, such as ``19 B2, half-lap PVC, corrugated-tube``.
+
+    Sizes of the section are left out: they come with the type, or with the conduit.
+    """
     first = groups[0].fields
     alike = {
         name: word
@@ -193,7 +196,7 @@ def context_words(groups: Sequence[Group], field: str) -> str:
     own = [
         f"{name.replace('_', ' ')} {word}"
         for name, word in alike.items()
-        if name not in _OF_BUNDLES
+        if name not in _OF_BUNDLES and name not in OF_SECTION
     ]
     if "composition" not in _said(groups[0]):
         return ", ".join(filter(None, [alike.get("type", ""), *own]))
