@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from labpipe.fits.grip_slips import _fineness, add_back, find_slips, samples_before
+from labpipe.fits.grip_slips import _fineness, _stands_alone, add_back, find_slips, samples_before
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import Interval, Slip, SlipDecision
 from labpipe.records.estimates import Failure
@@ -145,3 +145,14 @@ def test_a_slip_is_at_most_a_fiftieth_of_the_travel_and_a_millimetre_long(
 ) -> None:
     d = np.linspace(0.0, travel, 20_001)
     assert _fineness(d, None) == _fineness(d, longest) != _fineness(d, 1.4 * longest)
+
+
+@pytest.mark.parametrize(("deviations", "stands"), [(4.5, False), (7.5, True)])
+def test_a_sample_six_deviations_of_the_steps_off_stands_alone(
+    deviations: float, *, stands: bool
+) -> None:
+    force = np.random.default_rng(5).normal(0.0, 1.0, 400)
+    steps = np.diff(force)
+    force[200] = deviations * 1.4826 * float(np.median(np.abs(steps - np.median(steps))))
+    force[[198, 199, 201, 202]] = 0.0
+    assert bool(_stands_alone(force)[200]) is stands

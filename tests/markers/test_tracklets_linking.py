@@ -69,6 +69,15 @@ def test_least_total_distance_decides_between_competitors() -> None:
     assert found.ambiguous == ()
 
 
+def test_a_link_is_worth_making_up_to_the_longest_jump() -> None:
+    """Both come back 3.8 mm on, the first 3.2 mm short of where the second was."""
+    positions = np.zeros((60, 2, 3))
+    positions[:, 1, 0] = 0.007
+    positions[20:25] = np.nan
+    positions[25:, :, 0] += 0.0038
+    assert links(positions).successor.tolist() == [2, 3, -1, -1]
+
+
 def test_of_two_images_equally_near_neither_is_taken() -> None:
     positions = np.full((60, 3, 3), np.nan)
     positions[:20, 0] = 0.0
