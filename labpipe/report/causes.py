@@ -43,7 +43,7 @@ class Cause:
     Parameters
     ----------
     kind : what is wrong
-    code : stable; empty where there is none
+    code : of the first; empty where there is none
     concerns : all that share the cause, at least one
     effect : None where it is not known
     """
@@ -74,6 +74,11 @@ class Cause:
     @property
     def sentence(self) -> str:
         """The reason; of several the first one, and how many more there are."""
+        if self.kind is Kind.UNLIKE:
+            places = dict.fromkeys(
+                place for each in self.concerns for place in each.what.split("; ")
+            )
+            return f"Processed otherwise than the other tests of their group: {', '.join(places)}."
         reasons = list(dict.fromkeys(each.reason for each in self.concerns))
         more = f" And {len(reasons) - 1} more." if len(reasons) > 1 else ""
         return f"{reasons[0]}{more}"
@@ -115,12 +120,18 @@ def find_notes(campaign: Campaign) -> list[Cause]:
 
 
 def _together(concerns: Iterable[Concern]) -> list[list[Concern]]:
-    """Concerns of one kind and code; without a code, slips together and all else alone."""
-    found: dict[tuple[str, ...], list[Concern]] = {}
-    for at, each in enumerate(concerns):
-        alone = "" if each.code or each.kind is Kind.SLIP else str(at)
-        found.setdefault((each.kind, each.code, alone), []).append(each)
-    return list(found.values())
+    """Concerns of one kind that share a code; without a code, slips together and all else alone."""
+    found: list[tuple[Kind, set[str], list[Concern]]] = []
+    for each in concerns:
+        codes = {Kind.SLIP} if each.kind is Kind.SLIP else set(filter(None, each.code.split(", ")))
+        for kind, known, own in found:
+            if kind is each.kind and codes & known:
+                known |= codes
+                own.append(each)
+                break
+        else:
+            found.append((each.kind, set(codes), [each]))
+    return [own for _, _, own in found]
 
 
 def _effect(concerns: Sequence[Concern], groups: dict[str, Group]) -> Effect | None:
@@ -194,9 +205,10 @@ def _moved(group: Group, number: GroupNumber, tests: set[str]) -> Effect | None:
         return Effect(_ALL, f"all values of {name}")
     before, half = mean.chosen.mean, mean.chosen.half
     moved = float(np.mean([np.mean(own) for own in kept.values()])) - before
+    without = f"without {'it' if len(touched) == 1 else 'them'}, {name} would be"
     share = f"{100.0 * abs(moved / before):.2g} %" if before else "otherwise"
     way = "higher" if moved > 0.0 else "lower"
     size = abs(moved) / half if half > 0.0 else 0.0
     if isnan(half) or isnan(size):
-        return Effect(0.0, f"without, {name} is {share} {way}")
-    return Effect(size, f"without, {name} is {share} {way}, {size:.2g} of half its interval")
+        return Effect(0.0, f"{without} {share} {way}")
+    return Effect(size, f"{without} {share} {way}, {size:.2g} of half its interval")

@@ -197,8 +197,9 @@ def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator
     for note in notes:
         is_said = note.code in _IN_LEDGER or note.code == _SAID_BY_NUMBERS
         if note.severity is not Severity.INFO and not is_said:
-            together.setdefault((note.code, note.message), []).append(note)
-    for (code, message), own in together.items():
+            message = "" if note.code == PROTOCOLS_DIFFER else note.message  # one entry for a group
+            together.setdefault((note.code, message), []).append(note)
+    for (code, _), own in together.items():
         is_note = test and own[0].severity is not Severity.ERROR
         what = "; ".join(with_names_in_words(each.where) for each in own)
         kind = Kind.NOTE if is_note else Kind.WARNING
@@ -207,7 +208,7 @@ def _of_notes(group: str, test: str, notes: tuple[QualityNote, ...]) -> Iterator
             group,
             test,
             what,
-            sentence(message),
+            " ".join(dict.fromkeys(sentence(note.message) for note in own)),
             code,
             tests=tuple(dict.fromkeys(each for note in own for each in note.tests)),
         )

@@ -8,7 +8,7 @@ from itertools import groupby
 from math import nan
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Campaign, Difference, Group
+from labpipe.records.group import Campaign, Difference, Group, Verdict
 from labpipe.records.harness_bundle import NONE
 from labpipe.report.concerns import sentences
 from labpipe.report.group_tables import DASH, Cell, Table
@@ -273,6 +273,11 @@ def answer_table(campaign: Campaign) -> Table | None:
     notes = [] if not hidden else [f"{hidden} pairs of types stand in 'Differences' alone."]
     heads = ("Question", "Answer", "Difference, 95 % interval", "n")
     rows = tuple(_answer_row(pair) for pair in shown)
+    if any(each.verdict is Verdict.EQUIVALENT for pair in shown for each in pair.differences[:1]):
+        notes.append(
+            "Equivalence rests on two one-sided tests, which look at a narrower interval (of one"
+            " question alone 90 %): the one shown may reach a little beyond the margin."
+        )
     notes.append(
         "Intervals and verdicts are corrected for the number of questions: in 5 % of reports at the"
         " most any of those called different is not."

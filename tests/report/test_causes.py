@@ -54,7 +54,7 @@ def test_a_mean_without_the_doubtful_test() -> None:
     assert cause.effect is not None
     assert cause.effect.size == pytest.approx(1.5 / half, rel=1e-5)
     assert cause.effect.words == (
-        "without, Stiffness of A is 12 % lower, 0.23 of half its interval"
+        "without it, Stiffness of A would be 12 % lower, 0.23 of half its interval"
     )
     assert (cause.kind, cause.code, cause.whom) == (Kind.DOUBTFUL, "drift", "c (A)")
     assert cause.sentence == "The zero drifts."
@@ -67,6 +67,16 @@ def test_one_cause_in_many_tests_is_one_line() -> None:
     assert cause.whom == "3 tests in 2 groups"
     assert len(cause.concerns) == 3
     assert find_causes(campaign(first))[0].whom == "2 tests of A"
+
+
+def test_reasons_that_share_a_code_are_one_cause() -> None:
+    own = group({"a": 10, "b": 11, "c": 12}, doubtful=["a", "b"])
+    both = (Reason("switch", "two labels"), *DRIFT)
+    samples = list(own.samples)
+    other = replace(samples[0].results[0], reasons=both)
+    samples[0] = replace(samples[0], results=(other,))
+    (cause,) = find_causes(campaign(replace(own, samples=tuple(samples))))
+    assert [each.code for each in cause.concerns] == ["switch, drift", "drift"]
 
 
 def test_a_number_that_rests_on_doubtful_values_alone() -> None:
@@ -110,8 +120,9 @@ def test_tests_that_a_note_of_the_group_names_are_left_out_for_its_effect() -> N
     note = QualityNote("protocols_differ", Severity.WARNING, "align", message, tests=("c",))
     (cause,) = find_causes(campaign(group({"a": 10, "b": 11, "c": 15}, notes=(note,))))
     assert cause.effect is not None
-    assert cause.effect.words.startswith("without, Stiffness of A is 12 % lower")
+    assert cause.effect.words.startswith("without it, Stiffness of A would be 12 % lower")
     assert cause.whom == "c (A)"
+    assert cause.sentence == "Processed otherwise than the other tests of their group: align."
 
 
 def test_what_the_rig_sets_has_no_effect() -> None:

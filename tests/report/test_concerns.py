@@ -97,16 +97,19 @@ def test_reasons() -> None:
 
 def test_tests_that_were_not_processed_alike_come_before_all_numbers() -> None:
     notes = [
+        QualityNote("protocols_differ", Severity.WARNING, "align", "another method"),
+    ]
+    notes += [
         QualityNote("protocols_differ", Severity.WARNING, where, "line to 8 mm (a) and 9 mm (b)")
         for where in ("stiffness_first", "stiffness_first_per_peak_force", "curve.failure.from")
     ]
     group = replace(build_group("A", troubled_samples()), notes=tuple(notes))
     first = find_concerns(Campaign("Synthetic", (group,)))[0]
     assert first.kind is Kind.UNLIKE
-    assert first.what == (
-        "Stiffness, first region; Stiffness, first region, per peak force; curve.failure.from"
-    )
-    assert (first.reason, first.code) == ("Line to 8 mm (a) and 9 mm (b).", "protocols_differ")
+    stiffness = "Stiffness, first region"
+    assert first.what == f"align; {stiffness}; {stiffness}, per peak force; curve.failure.from"
+    assert first.reason == "Another method. Line to 8 mm (a) and 9 mm (b)."
+    assert first.code == "protocols_differ"
 
 
 def test_names_of_results_in_a_sentence_are_words() -> None:
