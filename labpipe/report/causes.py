@@ -126,7 +126,7 @@ def _together(concerns: Iterable[Concern]) -> list[list[Concern]]:
         codes = {Kind.SLIP} if each.kind is Kind.SLIP else set(filter(None, each.code.split(", ")))
         for kind, known, own in found:
             if kind is each.kind and codes & known:
-                known |= codes
+                known.update(codes)
                 own.append(each)
                 break
         else:
