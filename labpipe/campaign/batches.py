@@ -21,6 +21,9 @@ from labpipe.campaign.workers import Crew, Died, Raised
 from labpipe.process.attempts import Task
 from labpipe.process.run import PROCESSING_VERSION
 
+Versions: TypeAlias = tuple[str, int]
+"""Of labpipe, and of its way of processing."""
+
 
 @dataclass(frozen=True, slots=True)
 class Batch:
@@ -32,12 +35,14 @@ class Batch:
     tasks : the tests
     home : working folder of whoever asks; relative paths of tasks mean that one
     limit : s, after which a test is given up; None for no limit
+    versions : of whoever asks
     """
 
     counter: tuple[str, str]
     tasks: tuple[Task, ...]
     home: Path
     limit: float | None
+    versions: Versions
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +69,12 @@ _IDLE = 60.0
 """s without a batch, after which the process for tests is ended."""
 
 
-def versions() -> tuple[str, int]:
+def versions() -> Versions:
     """Tell which labpipe a worker has."""
     return __version__, PROCESSING_VERSION
 
 
-def do_batch(batch: Batch) -> tuple[str, Lost | list[Ended]]:
+def do_batch(batch: Batch) -> tuple[str, Versions | Lost | list[Ended]]:
     """Do the tests of a batch, on a worker.
 
     Parameters
@@ -79,11 +84,13 @@ def do_batch(batch: Batch) -> tuple[str, Lost | list[Ended]]:
     Returns
     -------
     address : of the worker
-    ended : what came of each test, in their order
+    ended : what came of each test, in their order; the versions of this labpipe if they are others
     """
     from distributed import get_client, get_worker
 
     address = str(get_worker().address)
+    if batch.versions != versions():
+        return address, versions()
     client, counter = get_client(), [METADATA, *batch.counter]
     times = int(client.get_metadata(counter, 0))
     client.set_metadata(counter, times + 1)

@@ -170,7 +170,7 @@ class _Dealer:
         self._crew.gather()
         while True:
             yield from self._deal()
-            if not self._out:
+            if self._crew.fit and not self._out:
                 return
             with suppress(queue.Empty):
                 dealt = self._out.pop(self._ended.get(timeout=_LOOK), None)
@@ -190,12 +190,12 @@ class _Dealer:
 
     def _deal(self) -> Iterator[Outcome]:
         """Keep twice as many hands out as workers have threads; some may be refused."""
-        while len(self._out) < max(2 * self._crew.threads, 1):
+        while len(self._out) < 2 * self._crew.threads:
             hand = self._again.popleft() if self._again else self._next()
             if hand is None:
                 return
             able = self._crew.fit - hand.unseen_by
-            if self._crew.fit and not able:
+            if not able:
                 yield from self._without_data(hand)
                 continue
             self._submit(hand, able if hand.unseen_by or self._crew.unfit else frozenset())
@@ -207,7 +207,7 @@ class _Dealer:
 
     def _submit(self, hand: _Hand, workers: frozenset[str]) -> None:
         key = f"labpipe-{self._run}-{next(self._numbers)}"
-        batch = Batch((self._run, key), hand.tasks, self._home, self._limit)
+        batch = Batch((self._run, key), hand.tasks, self._home, self._limit, versions())
         with self._lost():
             future = self._client.submit(
                 do_batch, batch, key=key, pure=False, workers=sorted(workers) or None
@@ -221,6 +221,10 @@ class _Dealer:
             return self._after_error(hand, future.exception())
         with self._lost():
             worker, ended = future.result()
+        if isinstance(ended, tuple):  # of a worker that came just now
+            self._crew.judge(worker, ended)
+            self._again.append(hand)
+            return iter(())
         if isinstance(ended, Lost):
             return self._after_death(hand, ended.times)
         return self._settled(hand, worker, ended)
@@ -377,19 +381,26 @@ class _Crew:
             new = sorted(self._threads.keys() - self._known)
             if new:
                 said = self._client.run(versions, workers=new, on_error="return")
-                self._judge(said)
+                for worker, version in said.items():
+                    self.judge(worker, version)
             self._looked = time.monotonic()
-            if self._threads or not self._there:
+            if self.fit or not self._there:
                 self._there = self._looked
             elif self._looked > self._there + _NOBODY:
                 raise TimeoutError
 
-    def _judge(self, said: Mapping[str, object]) -> None:
-        for worker, version in said.items():
-            if isinstance(version, OSError):  # it went away meanwhile: asked again if it is back
-                continue
-            self._known.add(worker)
-            if isinstance(version, BaseException):
-                self.unfit[worker] = "workers without it"
-            elif version != versions():
-                self.unfit[worker] = f"workers with another one, {version}"
+    def judge(self, worker: str, said: object) -> None:
+        """Take note of what a worker says of its `versions`, or why it cannot.
+
+        Parameters
+        ----------
+        worker : its address
+        said : what it says
+        """
+        if isinstance(said, OSError):  # it went away meanwhile: asked again if it is back
+            return
+        self._known.add(worker)
+        if isinstance(said, BaseException):
+            self.unfit[worker] = "workers without it"
+        elif said != versions():
+            self.unfit[worker] = f"workers with another one, {said}"

@@ -23,7 +23,7 @@ def batch(tmp_path: Path) -> Batch:
     sheets = [lab.sheet.relative_to(tmp_path) for lab in labs]
     labs[1].sheet.unlink()
     tasks = [Task(sheet, Path("out", sheet.parent.name), figures=False) for sheet in sheets]
-    return Batch(("run", "1"), tuple(tasks), tmp_path, None)
+    return Batch(("run", "1"), tuple(tasks), tmp_path, None, versions())
 
 
 def test_tests_of_a_batch_in_their_order(batch: Batch) -> None:

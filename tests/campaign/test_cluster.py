@@ -142,6 +142,26 @@ def test_workers_with_another_labpipe(
     assert raised.value.code == "no_cluster"
 
 
+def test_a_worker_with_another_labpipe_that_comes_in_mid_run(
+    machines: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its first answer is as if it had been asked too early."""
+    judge, asked = cluster._Crew.judge, list[str]()
+
+    def late(crew: cluster._Crew, worker: str, said: object) -> None:
+        asked.append(worker)
+        judge(crew, worker, batches.versions() if len(asked) <= 1 else said)
+
+    monkeypatch.setattr(cluster._Crew, "judge", late)
+    monkeypatch.setattr(cluster, "_CONNECT", 2.0)
+    monkeypatch.setattr(cluster, "_NOBODY", 1.0)
+    monkeypatch.setattr(cluster, "_LOOK", 0.5)
+    monkeypatch.setattr(batches, "__version__", "9.9")
+    with pytest.raises(ProcessingError, match="or every worker, is gone"):
+        list(dask(machines.address)(tasks_of(small_pulls(tmp_path, 3), tmp_path / "out")))
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.fixture
 def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[TensileLab]:
     """Tests by paths that only a process with this working folder sees."""
