@@ -2,14 +2,17 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from labpipe.campaign.workers import Died, in_processes
+from labpipe.campaign.workers import Crew, Died, in_processes
 
 
 def test_outcomes_come_in_the_order_of_the_calls() -> None:
@@ -55,3 +58,68 @@ def test_calls_that_were_begun_are_waited_for() -> None:
     start = time.monotonic()
     found.close()
     assert time.monotonic() - start < 4.0  # nine of them, two at a time, take longer
+
+
+def test_a_call_that_takes_too_long_costs_itself_alone() -> None:
+    calls: list[Callable[[], Any]] = [partial(time.sleep, 60.0), partial(int, "2")]
+    start = time.monotonic()
+    late, second = in_processes(calls, jobs=2, limit=1.0)
+    assert isinstance(late, Died)
+    assert late.limit == 1.0
+    assert second == 2
+    assert time.monotonic() - start < 30.0
+
+
+def test_what_is_printed_and_read_there_is_no_message_of_ours() -> None:
+    calls: list[Callable[[], Any]] = [
+        partial(print, "x" * 100_000),
+        partial(os.system, "echo y"),
+        partial(os.read, 0, 5),
+        partial(int, "4"),
+    ]
+    assert list(in_processes(calls, jobs=1)) == [None, 0, b"", 4]
+
+
+def test_a_process_that_dies_between_two_calls_costs_none() -> None:
+    crew: Crew[str, int] = Crew(int, jobs=1)
+    try:
+        assert list(crew.as_they_end(["1"])) == [("1", 1)]
+        (worker,) = crew._workers
+        assert worker.process is not None
+        worker.process.kill()
+        worker.process.wait()
+        assert list(crew.as_they_end(["2", "3"])) == [("2", 2), ("3", 3)]
+    finally:
+        crew.leave()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where Linux chooses whom it kills")
+def test_where_memory_is_short_a_test_goes_and_not_the_run() -> None:
+    file = Path("/proc/self/oom_score_adj")
+    assert list(in_processes([file.read_text], jobs=1)) == ["500\n"]
+    assert int(file.read_text()) < 500
+
+
+ORPHANS = """
+import os, time
+from functools import partial
+from pathlib import Path
+from labpipe.campaign.workers import as_they_end
+ended = as_they_end(eval, ["__import__('os').getpid()", "__import__('time').sleep(60)"], jobs=1)
+print(next(ended)[1], flush=True)
+time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="where Linux tells of processes")
+def test_processes_go_with_the_one_that_started_them() -> None:
+    command = [sys.executable, "-c", ORPHANS]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = Path("/proc", process.stdout.readline().strip())
+        assert child.exists()
+        process.kill()
+    until = time.monotonic() + 20.0
+    while child.exists():
+        assert time.monotonic() < until
+        time.sleep(0.05)
