@@ -13,6 +13,7 @@ from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog_file import open_catalog
 from labpipe.campaign.executors import Outcome, Task
 from labpipe.campaign.running import Ran, run_campaign
+from labpipe.errors import LabpipeError
 from labpipe.protocol.load import dump_protocol, known_protocols, load_test_sheet, resolve
 
 SHEET = """\
@@ -49,6 +50,12 @@ def outcome_of(task: Task, goal: Path, shift: float) -> Outcome:
     goal.mkdir(parents=True, exist_ok=True)
     export = task.sheet.parent / "frame.csv"
     words = export.read_text(encoding="utf-8").split() if export.is_file() else ["fail", "missing"]
+    try:
+        load_test_sheet(task.sheet)
+    except LabpipeError as error:
+        words = ["fail", error.code]
+    if words[0] != "fail" and load_test_sheet(task.sheet).protocol not in known_protocols():
+        words = ["fail", "bad_sheet"]
     if words[0] == "fail":
         said = {"code": words[1], "reason": f"a {words[1]} of an export", "run": task.run}
         if words[1] != "in_use":
