@@ -9,7 +9,7 @@ import pytest
 from labpipe.campaign.reporting import Reported
 from labpipe.cli.process import table
 from labpipe.cli.report import report_table
-from labpipe.cli.terminal import progress, reading
+from labpipe.cli.terminal import counting, progress, reading
 from labpipe.process.run import Processed
 from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, GroupNumber
@@ -113,6 +113,24 @@ def of_group(*numbers: GroupNumber) -> list[str]:
     group = replace(build_group("tube", six_samples()), numbers=numbers)
     campaign = Campaign("Synthetic", (group,))
     return report_table(Reported(Path("r"), campaign, (Path("r/report.html"),))).splitlines()
+
+
+def test_what_ended_is_counted_in_a_pipe(capsys: pytest.CaptureFixture[str]) -> None:
+    with counting("test") as (begin, say):
+        begin(2)
+        say("B: ok")
+        say("A: failed")
+    assert capsys.readouterr().err == "1/2 B: ok\n2/2 A: failed\n"
+
+
+def test_what_ended_moves_a_bar_on_a_terminal(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with counting("test") as (begin, say):
+        begin(2)
+        say("B: ok")
+    assert "\n1/2" not in capsys.readouterr().err
 
 
 def test_means_in_the_display_unit() -> None:
