@@ -15,6 +15,7 @@ def run(options: argparse.Namespace) -> int:
         print(finding.message, file=sys.stderr)
     faults = len(checked.findings)
     verdict = f"{faults} fault{'' if faults == 1 else 's'}" if faults else "no faults found"
-    plans = f", {len(checked.plans)} plans" if checked.plans else ""
+    count = len(checked.plans)
+    plans = f", {count} plan{'' if count == 1 else 's'}" if count else ""
     print(f"{len(checked.protocols)} protocols, {len(checked.tests)} tests{plans}: {verdict}")
     return 2 if faults else 0
