@@ -97,6 +97,7 @@ def run_some(
     executor: Executor,
     folders: Collection[str],
     *,
+    again: Collection[str] = (),
     told: Callable[[str, Outcome], None] = lambda *_: None,
 ) -> dict[str, TestRow | None]:
     """Process some tests if they are new or changed, without a look at all the others.
@@ -106,6 +107,7 @@ def run_some(
     campaign : its folders
     executor : processes the tests
     folders : of the tests, below the campaign
+    again : those to process even if nothing changed
     told : is given each test that was processed and what became of it
 
     Returns
@@ -123,7 +125,7 @@ def run_some(
         keeper.catalog.release_dead()
         keeper.read_decisions()
         run = _Run(keeper, Drawing(), follow_links=False, told=told)
-        elsewhere = run.some(executor, list(folders))
+        elsewhere = run.some(executor, list(folders), again)
         rows = {folder: keeper.renew(folder) for folder in folders}
     return {folder: None if folder in elsewhere else row for folder, row in rows.items()}
 

@@ -43,8 +43,17 @@ class WatchedCampaign:
         due = {PENDING, STALE}
         return [sheet for sheet, row in known.items() if row is None or row.state in due]
 
-    def process(self, sheet: Path, told: Callable[[Outcome], None]) -> None:
-        """Process a test, unless its results are there; remember and tell what became of it.
+    def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
+        """Process a test, and remember what became of it.
+
+        Parameters
+        ----------
+        sheet : of the test
+        again : whether to process it even if nothing changed since it last was
+
+        Returns
+        -------
+        None where nothing changed.
 
         Raises
         ------
@@ -52,8 +61,13 @@ class WatchedCampaign:
             If another labpipe is at work on it, or the catalog cannot be written.
         """
         label = self._label(sheet)
+        outcomes: list[Outcome] = []
         rows = run_some(
-            self._folders, self._executor, [label], told=lambda _, outcome: told(outcome)
+            self._folders,
+            self._executor,
+            [label],
+            again=[label] if again else (),
+            told=lambda _, outcome: outcomes.append(outcome),
         )
         row = rows[label]
         if row is None:
@@ -62,6 +76,7 @@ class WatchedCampaign:
             message = complaint(label, "", expected=expected, found=found, remedy=remedy)
             raise ProcessingError(message, code="in_use")
         self._rows = {**self._rows, label: row}
+        return outcomes[0] if outcomes else None
 
     def results(self) -> dict[Path, str]:
         """Key of the results of each test that has some and was not rejected, by their folder."""

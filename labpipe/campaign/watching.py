@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -38,8 +37,8 @@ class Campaign(Protocol):
     def todo(self, sheets: Iterable[Path]) -> list[Path]:
         """Of some test sheets, those whose results are not there or are of other exports."""
 
-    def process(self, sheet: Path, told: Callable[[Outcome], None]) -> None:
-        """Process a test, unless its results are there; remember and tell what became of it."""
+    def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
+        """Process a test and remember what became of it; None where nothing changed."""
 
     def results(self) -> Mapping[Path, str]:
         """Key of the results of each test that counts, by their folder; none that is rejected."""
@@ -55,6 +54,7 @@ class _Test:
     settled : when it was dealt with
     waits : what was last said that it waits for
     next_try : when it is dealt with again, by the clock, if nothing changes
+    again : whether it failed because its files were gone, and is to be processed all the same
     """
 
     done: Marks = ()
@@ -62,6 +62,7 @@ class _Test:
     settled: float = 0.0
     waits: str = ""
     next_try: float = 0.0
+    again: bool = False
 
 
 @dataclass(slots=True)
@@ -240,12 +241,19 @@ class Watcher:
 
     def _is_processed(self, candidate: Candidate) -> bool:
         """Have a test processed; False where it is to be tried again."""
-        told = partial(self._say_verdict, candidate)
+        test = self._tests[candidate.folder]
         try:
-            self._campaign.process(candidate.sheet, told)
+            outcome = self._campaign.process(candidate.sheet, again=test.again)
         except LabpipeError as error:
             self._voice.once(f"{_called(candidate)}: {error}")
             return False
+        test.again = False
+        if outcome is not None:
+            if outcome.state == "failed":
+                test.again = True
+                _refuse_vanished(candidate)
+                test.again = False
+            self._say_verdict(candidate, outcome)
         return True
 
     def _waited(self, candidate: Candidate) -> float:
@@ -278,8 +286,6 @@ class Watcher:
     def _say_verdict(self, candidate: Candidate, outcome: Outcome) -> None:
         self._groups.read(self._campaign.results())
         summary = None if outcome.folder is None else read_summary(outcome.folder)
-        if outcome.state == "failed":
-            _refuse_vanished(candidate)
         if outcome.state == "failed" or outcome.folder is None or summary is None:
             lines = refused(_called(candidate), outcome.code, outcome.reason)
         else:

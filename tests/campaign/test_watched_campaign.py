@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from labpipe.campaign.campaign_folders import find_campaign
-from labpipe.campaign.executors import Outcome, local
+from labpipe.campaign.executors import local
 from labpipe.campaign.running import look
 from labpipe.campaign.watched_campaign import WatchedCampaign
 from labpipe.errors import ProcessingError
@@ -181,10 +181,12 @@ def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
         keeper.refresh()
         assert keeper.catalog.claim("T1")
         with pytest.raises(ProcessingError, match=r"another labpipe at work on it"):
-            watched.process(lab.sheet, lambda _: None)
+            watched.process(lab.sheet)
         keeper.catalog.release("T1")
-    outcomes: list[Outcome] = []
-    watched.process(lab.sheet, outcomes.append)
-    assert [each.state for each in outcomes] == ["ok"]
+    outcome = watched.process(lab.sheet)
+    assert outcome is not None
+    assert outcome.state == "ok"
+    assert watched.process(lab.sheet) is None
+    assert watched.process(lab.sheet, again=True) is not None
     assert watched.todo([lab.sheet]) == []
     assert list(watched.results()) == [lab.processed.resolve()]
