@@ -227,6 +227,23 @@ def test_a_test_that_an_orphan_still_writes_is_tried_again(
     assert (tries.count("T1"), ran.elsewhere, states(kept)["T1"]) == (3, [], STALE)
 
 
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), StoreError("the scheduler is gone")])
+def test_what_ends_a_run_gives_its_claims_back(kept: KeptCampaign, error: BaseException) -> None:
+    def before(name: str) -> None:
+        if name == "T2":
+            raise error
+
+    kept.stand_in.before = before
+    with pytest.raises(type(error)):
+        kept.run()
+    overview = look(kept.folders)
+    assert overview.claims == {}
+    assert overview.counts == {OK: 1, PENDING: 2}
+    kept.stand_in.before = lambda _: None
+    kept.run()
+    assert kept.stand_in.processed == ["T2", "T3"]
+
+
 def test_a_claim_of_a_process_that_died(kept: KeptCampaign) -> None:
     kept.run()
     ended = subprocess.Popen([sys.executable, "-c", ""])
