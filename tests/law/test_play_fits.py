@@ -43,6 +43,19 @@ def test_fit_refuses_a_law_that_softens() -> None:
         )
 
 
+@pytest.mark.parametrize(("last", "number"), [(0.1, 10), (0.05, 10), (3.0, 0)])
+def test_fit_refuses_plays_that_make_no_row(last: float, number: int) -> None:
+    said = rf"last_moment={last}, n_plays={number}: allowed are numbers > first_moment=0.1 and >= 1"
+    with pytest.raises(ValueError, match=said):
+        fit_plays(
+            lambda moment: moment / 0.5,
+            stiffness=0.5,
+            first_moment=0.1,
+            last_moment=last,
+            n_plays=number,
+        )
+
+
 def test_fit_refuses_a_curvature_that_stands() -> None:
     with pytest.raises(ValueError, match="curvature softens"):
         fit_plays(

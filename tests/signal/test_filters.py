@@ -155,6 +155,13 @@ def test_smoothed_leaves_nan_where_nothing_is() -> None:
     assert Smoothing(5)(values[:2]).tolist() == pytest.approx([np.nan, np.nan], nan_ok=True)
 
 
+def test_one_known_sample_makes_no_line() -> None:
+    values = np.array([np.nan, np.nan, 4.0, np.nan, np.nan, 1.0, 2.0, 3.0, 4.0, 5.0])
+    found = Smoothing(5)(values)
+    assert found[:2] == pytest.approx([np.nan, 4.0], nan_ok=True)
+    assert found[8:] == pytest.approx([4.0, 5.0])
+
+
 def test_pieces_keep_their_corner() -> None:
     tent = np.concatenate([np.arange(50.0), np.arange(50.0)[::-1]])
     act = Smoothing(21)
