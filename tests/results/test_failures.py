@@ -96,14 +96,6 @@ def test_compliance_of_a_stiff_bar() -> None:
     assert abs(shares[SCALE_OF_FORCE]) == pytest.approx(0.01 / 5000.0, rel=1e-3)
 
 
-def test_compliance_of_a_soft_strip() -> None:
-    """Half a newton a metre."""
-    travel, force = pull()
-    soft = ["compliance, from: 1 mN, to: 8 mN"]
-    _, results = pulled(travel, 1e-4 * force, results=soft)
-    holds(results["compliance"], 2.0, "m/N")
-
-
 EVERYTHING = [
     LINE,
     "two-segments, from: 1 mm, to: 18 mm",

@@ -196,3 +196,11 @@ def test_stretches_are_named_in_millimetres() -> None:
     assert [each.method for each in found.numbers] == [
         "slope over 5 mm from the take-up / that of cycle 1, scale cancelled"
     ]
+
+
+def test_compliance_of_a_soft_strip() -> None:
+    """Half a newton a metre."""
+    travel, force = pull()
+    soft = ["compliance, from: 1 mN, to: 8 mN"]
+    _, results = pulled(travel, 1e-4 * force, results=soft)
+    holds(results["compliance"], 2.0, "m/N")
