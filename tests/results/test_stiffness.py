@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from labpipe.records.arrays import Floats
+from labpipe.records.causes import SCALE_OF_FORCE
 from labpipe.records.result import Status
 from labpipe.records.signals import Signals
 from labpipe.results.evidence import Evidence
@@ -198,9 +199,10 @@ def test_stretches_are_named_in_millimetres() -> None:
     ]
 
 
-def test_compliance_of_a_soft_strip() -> None:
-    """Half a newton a metre."""
+def test_compliance_of_a_stiff_bar() -> None:
     travel, force = pull()
-    soft = ["compliance, from: 1 mN, to: 8 mN"]
-    _, results = pulled(travel, 1e-4 * force, results=soft)
-    holds(results["compliance"], 2.0, "m/N")
+    _, results = pulled(travel, force, results=["compliance, from: 10 N, to: 80 N"], scale="1 %")
+    found = results["compliance"]
+    holds(found, 1.0 / 5000.0, "m/N")
+    shares = {each.cause: each.change for each in found.budget}
+    assert abs(shares[SCALE_OF_FORCE]) == pytest.approx(0.01 / 5000.0, rel=1e-3)
