@@ -73,7 +73,10 @@ class Demo:
 
     @classmethod
     def followed(cls, folder: Path) -> Demo:
-        """Process each test once and see which lines run; none where the demo is not there."""
+        """Process each test once and see which lines run; none where the demo is not there.
+
+        A test whose numbers are not those that are kept, without any fault, tells nothing.
+        """
         names = GOLDEN if folder.is_dir() else ()
         told = {name: json.loads(_apart(partial(_followed, name, folder))) for name in names}
         lines = {
@@ -111,13 +114,17 @@ def noticed_by(mutant: Mutant, stages: Sequence[Sequence[str]], demo: Demo) -> s
 
 
 def _followed(name: str, folder: Path) -> str:
-    """Lines that run as a test of the demo is processed, by module."""
+    """Lines that run as a test of the demo is processed, by module; none if it is not as kept."""
     from coverage import Coverage
+
+    from tests.golden.differences import differences
 
     package = REPOSITORY / "labpipe"
     following = Coverage(data_file=None, include=[f"{package}/{layer}/*" for layer in LAYERS])
     with following.collect():
-        golden_rows(name, folder)
+        kept, made = golden_rows(name, folder)
+    if differences(kept, made):
+        return json.dumps({})
     data = following.get_data()
     found = {
         str(Path(path).relative_to(package)): data.lines(path) for path in data.measured_files()
