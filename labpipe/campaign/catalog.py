@@ -13,7 +13,7 @@ import sqlite3
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import astuple, dataclass, fields
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any, Final
 
 from labpipe.campaign.claims import Claim, is_alive, own_claim
@@ -440,7 +440,7 @@ def connected(path: Path, mode: str) -> sqlite3.Connection:
     mode : ``ro``, ``rw`` or ``rwc``, which makes it. With ``ro`` a file in a folder where SQLite
         cannot write its own files is opened as one that does not change
     """
-    uri = path.absolute().as_uri()
+    uri = uri_of(path.absolute())
     try:
         connection = in_autocommit(f"{uri}?mode={mode}")
         connection.execute("select count(*) from sqlite_schema")
@@ -449,6 +449,17 @@ def connected(path: Path, mode: str) -> sqlite3.Connection:
             raise
         connection = in_autocommit(f"{uri}?mode=ro&immutable=1")
     return connection
+
+
+def uri_of(path: PurePath) -> str:
+    """Name a file as SQLite takes it, whatever characters its name has.
+
+    Parameters
+    ----------
+    path : absolute; of a network drive of Windows, too, whose server SQLite wants as a folder
+    """
+    uri = path.as_uri()
+    return uri if uri.startswith("file:///") else uri.replace("file://", "file:////", 1)
 
 
 def in_autocommit(uri: str) -> sqlite3.Connection:

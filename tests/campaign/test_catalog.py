@@ -3,11 +3,11 @@ from __future__ import annotations
 import sqlite3
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath, PurePosixPath, PureWindowsPath
 
 import pytest
 
-from labpipe.campaign.catalog import OK, STALE, Catalog, Entry, Seen, TestRow, speaking
+from labpipe.campaign.catalog import OK, STALE, Catalog, Entry, Seen, TestRow, speaking, uri_of
 from labpipe.campaign.catalog_file import new_catalog
 from labpipe.campaign.decisions import Decision
 from labpipe.campaign.outcome_rows import ResultRow
@@ -89,6 +89,18 @@ def test_claims_of_the_dead_go(catalog: Catalog, monkeypatch: pytest.MonkeyPatch
     assert catalog._all("select * from running") == []
     catalog.claim("T1")
     assert catalog.claim("T1")
+
+
+@pytest.mark.parametrize(
+    ("path", "uri"),
+    [
+        (PurePosixPath("/a b/c?d#e%"), "file:///a%20b/c%3Fd%23e%25"),
+        (PureWindowsPath("C:/lab/ü.sqlite"), "file:///C:/lab/%C3%BC.sqlite"),
+        (PureWindowsPath("//server/share/c.sqlite"), "file:////server/share/c.sqlite"),
+    ],
+)
+def test_paths_as_sqlite_takes_them(path: PurePath, uri: str) -> None:
+    assert uri_of(path) == uri
 
 
 def test_a_reader_cannot_write(catalog: Catalog) -> None:
