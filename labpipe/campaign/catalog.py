@@ -322,7 +322,8 @@ class Catalog:
         False where another process that lives has it.
         """
         with self._writing() as connection:
-            if folder in self.claims():
+            sql = "select host, pid, process, since from running where folder = ?"
+            if any(is_alive(Claim(*row)) for row in self._all(sql, folder)):
                 return False
             values = (folder, *astuple(own_claim()))
             connection.execute("insert or replace into running values (?, ?, ?, ?, ?)", values)

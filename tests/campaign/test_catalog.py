@@ -82,6 +82,19 @@ def test_a_test_is_claimed_once(catalog: Catalog) -> None:
     assert catalog.claim("T1")
 
 
+def test_a_claim_does_not_look_at_all_others(
+    catalog: Catalog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for number in range(5):
+        catalog.claim(f"T{number}")
+
+    def asked(_: object) -> bool:
+        raise AssertionError
+
+    monkeypatch.setattr("labpipe.campaign.catalog.is_alive", asked)
+    assert catalog.claim("T5")
+
+
 def test_claims_of_the_dead_go(catalog: Catalog, monkeypatch: pytest.MonkeyPatch) -> None:
     catalog.claim("T1")
     monkeypatch.setattr("labpipe.campaign.catalog.is_alive", lambda _: False)
