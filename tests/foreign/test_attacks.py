@@ -35,10 +35,8 @@ JUMPS, PERIODIC = (
 DROWNED = "a force of which nothing is to be seen, not even its sign"
 CLOCKS = "the corner of a force that stands on a step, or has no noise at all"
 NOT_YET = {
-    "wire-cantilever-jump-4000": JUMPS,
     "taped-bundle-jump-4000": JUMPS,
     "taped-bundle-jump-4110": JUMPS,
-    "taped-bundle-jump-4156": JUMPS,
     "conduit-bundle-jump-4000": JUMPS,
     "conduit-bundle-jump-4110": JUMPS,
     "twist-tube-jump-4156": JUMPS,
