@@ -6,12 +6,11 @@ done is said in a `LabpipeError`, in one sentence.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TypeAlias
 
 from labpipe.door.export_facts import Export, inspect
+from labpipe.door.given_paths import PathLike, path_of
 from labpipe.door.many_tests import groups, table
 from labpipe.door.one_test import Test
 from labpipe.errors import UsageError, complaint
@@ -20,8 +19,6 @@ from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.store.read import read_outcome, read_result
 
 __all__ = ["Export", "Test", "groups", "inspect", "open", "process", "table"]
-
-PathLike: TypeAlias = str | os.PathLike[str]
 
 
 def open(path: PathLike) -> Test:
@@ -46,8 +43,7 @@ def open(path: PathLike) -> Test:
     --------
     >>> labpipe.open("processed/A2/A2-085-1").results  # doctest: +SKIP
     """
-    place = Path(path)
-    file = _only_one(place, find_results, "labpipe.table(path) puts many tests together.")
+    file = _only_one(path_of(path), find_results, "labpipe.table(path) puts many tests together.")
     return Test(read_outcome(file), whole=lambda: read_result(file), folder=file.parent)
 
 
@@ -75,7 +71,7 @@ def process(source: PathLike, *, follow_links: bool = False) -> Test:
     """
     from labpipe.process.run import read_source, reduce_test  # as heavy as processing is
 
-    file = _only_one(Path(source), _sources, "Name the folder of one test.")
+    file = _only_one(path_of(source), _sources, "Name the folder of one test.")
     result = reduce_test(*read_source(file, follow_links=follow_links))
     return Test(result)
 

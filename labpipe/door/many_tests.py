@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 import pandas as pd
 
+from labpipe.door.given_paths import Paths, fields_of, paths_of
 from labpipe.errors import LabpipeError, StoreError, UsageError, complaint, nearest
 from labpipe.process.targets import RESULT_FILE, files_below, find_results
 from labpipe.store.replace import is_cut_off
@@ -19,8 +19,6 @@ from labpipe.store.summaries import SUMMARY_FILE, read_summary
 
 if TYPE_CHECKING:
     from labpipe.records.group import Group, GroupNumber
-
-Paths: TypeAlias = str | os.PathLike[str] | Iterable[str | os.PathLike[str]]
 
 _NUMBERS = ("value", "estimate", "lower", "upper")
 _TEXTS = ("unit", "status", "code", "reason")
@@ -31,13 +29,13 @@ class LeftOutWarning(UserWarning):
     """Some tests are not in a table, as they could not be read."""
 
 
-def table(folder: Paths, *, by: Sequence[str] = ()) -> pd.DataFrame:
+def table(folder: Paths, *, by: str | Sequence[str] = ()) -> pd.DataFrame:
     """Put the results of processed tests into one table.
 
     Parameters
     ----------
     folder : with processed tests at any depth, or several such folders
-    by : fields of the test sheets that come first and that rows are sorted by
+    by : field or fields of the test sheets that come first and that rows are sorted by
 
     Returns
     -------
@@ -64,7 +62,8 @@ def table(folder: Paths, *, by: Sequence[str] = ()) -> pd.DataFrame:
     --------
     >>> labpipe.table("processed/A2", by=["type", "length"])  # doctest: +SKIP
     """
-    rows, left_out = _read(_summaries(_places(folder)))
+    by = fields_of(by)
+    rows, left_out = _read(_summaries(paths_of(folder)))
     fields = dict.fromkeys(name for test, _ in rows for name in test if name not in _OF_TEST)
     _check(by, [name for name in fields if name != "test"])
     order = dict.fromkeys(("test", *by, *fields, *_OF_TEST))
@@ -80,11 +79,6 @@ def table(folder: Paths, *, by: Sequence[str] = ()) -> pd.DataFrame:
         frame = frame.sort_values(list(by), kind="stable", ignore_index=True)
     frame.attrs["left_out"] = left_out
     return frame
-
-
-def _places(folder: Paths) -> list[Path]:
-    given = [folder] if isinstance(folder, str | os.PathLike) else list(folder)
-    return [Path(each) for each in given]
 
 
 def _summaries(places: Sequence[Path]) -> list[Path]:
@@ -210,14 +204,14 @@ def _check(by: Sequence[str], known: list[str]) -> None:
 
 
 def groups(
-    folder: Paths, *, by: Sequence[str] = (), say: Callable[[str], None] = lambda _: None
+    folder: Paths, *, by: str | Sequence[str] = (), say: Callable[[str], None] = lambda _: None
 ) -> pd.DataFrame:
     """Put processed tests into groups, as ``labpipe report`` does, with means and intervals.
 
     Parameters
     ----------
     folder : with processed tests at any depth, or several such folders
-    by : fields that groups are made by; those that a report takes if empty
+    by : field or fields that groups are made by; those that a report takes if empty
     say : is given the name of each test as it is read
 
     Returns
@@ -237,7 +231,7 @@ def groups(
     """
     from labpipe.campaign.reporting import Wanted, make_campaign  # half a second, for this alone
 
-    campaign = make_campaign(find_results(_places(folder)), "", say, Wanted(by=tuple(by)))
+    campaign = make_campaign(find_results(paths_of(folder)), "", say, Wanted(by=fields_of(by)))
     rows = [_group_row(group, each) for group in campaign.groups for each in group.numbers]
     frame = pd.DataFrame(rows, columns=list(_GROUP_KINDS)).astype(_GROUP_KINDS)
     frame.attrs["left_out"] = dict(campaign.left_out)

@@ -79,6 +79,7 @@ def test_a_row_per_test_and_result(campaign: Path) -> None:
 
 
 def test_fields_that_are_asked_for_come_first_and_sort(campaign: Path) -> None:
+    assert list(table(campaign, by="taping"))[:2] == ["test", "taping"]
     frame = table(campaign, by=["length", "type"])
     assert list(frame)[:3] == ["test", "length", "type"]
     assert frame["length"].tolist() == [*[0.085] * 3, *[0.1] * 3, 0.1143]
