@@ -192,9 +192,9 @@ def _table(answer: Answer, out: IO[str]) -> int:
         for n, name in enumerate(answer.columns)
         if name != "run" and any(row[n] and (n == 0 or row[n] != row[0]) for row in head)
     ]
-    widths = {n: max(len(answer.columns[n]), *(len(row[n]) for row in head)) for n in shown}
+    names = {n: escaped(answer.columns[n]) for n in shown}
+    widths = {n: max(len(names[n]), *(len(row[n]) for row in head)) for n in shown}
     if shown:
-        names = {n: answer.columns[n] for n in shown}
         out.write("  ".join(f"{names[n]:<{widths[n]}}" for n in shown).rstrip() + "\n")
     count = 0
     for row in chain(head, ([_cell(each) for each in row] for row in answer.rows)):
@@ -271,8 +271,7 @@ def write_workbook(answer: Answer, path: Path) -> int:
         raise UsageError(complaint(path, "", expected=expected, found=f"{count}", remedy=remedy))
     book = Workbook(write_only=True)
     sheet = book.create_sheet("results")
-    sheet.append(list(answer.columns))
-    for row in answer.rows:
+    for row in chain([answer.columns], answer.rows):
         cells = []
         for said in row:
             cell = WriteOnlyCell(sheet, escaped(said) if isinstance(said, str) else said)

@@ -40,7 +40,9 @@ def catalog(tmp_path: Path) -> Iterator[Catalog]:
     peaks = (result("peak_force.1", 1.5), result("energy.1", None, status="failed", code="no_end",
                                                   reason="it has no end"))  # fmt: skip
     one = test_row("T1", "A1", length=0.085, labels={"room temperature": "23", "cured": "24 h"})
-    two = test_row("T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")})
+    two = test_row(
+        "T2", "A2", length=0.1, labels={"cured": NASTY.replace("\x00", "")}, **{"=odd\x07": "x"}
+    )
     made.put([
         Entry(one, Seen(), (), peaks),
         Entry(two, Seen(), (), (result("peak_force.1", 2.5),)),
@@ -115,7 +117,7 @@ def test_a_table_for_a_terminal(catalog: Catalog) -> None:
     lines = written(catalog, "table", "value > 0").splitlines()
     assert lines[0].split() == [
         "test", "state", "type", "spool", "sample", "name", "value", "unit", "level", "estimate",
-        "status", "date", "length", "cured", "room", "temperature",
+        "status", "date", "=odd\\x07", "length", "cured", "room", "temperature",
     ]  # fmt: skip
     assert lines[1].split()[:8] == ["T1", "ok", "A1", "s", "1", "peak_force.1", "1.5", "N"]
     assert len(lines) == 3
@@ -138,6 +140,7 @@ def test_a_workbook_holds_text_as_text(catalog: Catalog, tmp_path: Path) -> None
         assert write_workbook(answer, tmp_path / "out.xlsx") == 4
     sheet = openpyxl.load_workbook(tmp_path / "out.xlsx")["results"]
     rows = list(sheet.iter_rows())
+    assert ("s", "=odd\\x07") in [(cell.data_type, cell.value) for cell in rows[0]]
     place = [cell.value for cell in rows[0]].index("cured")
     cell = rows[3][place]
     assert (cell.data_type, str(cell.value)[:5]) == ("s", "=1+1 ")
