@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from labpipe.records.group import Campaign, Decision, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.causes import Cause, find_notes
 from labpipe.report.concerns import (
     Concern,
     Kind,
@@ -16,6 +15,7 @@ from labpipe.report.concerns import (
     sentence,
     sentences,
 )
+from labpipe.report.ranked_causes import Cause, find_notes
 from labpipe.report.wording import (
     count_of,
     display_of,

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
-from labpipe.report.causes import find_causes
 from labpipe.report.concerns import sentences
 from labpipe.report.group_figures import save_drawings, stems
 from labpipe.report.group_plots import count_words
@@ -34,6 +33,7 @@ from labpipe.report.questions import (
     question_table,
     remarks_on_pairs,
 )
+from labpipe.report.ranked_causes import find_causes
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.saving import SavedFigure, save_report_figures, written_to
 from labpipe.report.wording import count_of, printable, with_names_in_words

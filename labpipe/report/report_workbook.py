@@ -17,9 +17,9 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Band, BundlePlace, Campaign, Group, GroupNumber
 from labpipe.records.quality import worded
 from labpipe.report.bundle_figures import place_scales
-from labpipe.report.causes import find_causes, find_notes
 from labpipe.report.group_plots import group_scale
 from labpipe.report.questions import fields_in_words
+from labpipe.report.ranked_causes import find_causes, find_notes
 from labpipe.report.wording import Scale, display_of, in_words, printable, shown_in
 from labpipe.statistics.group_budgets import group_budget
 

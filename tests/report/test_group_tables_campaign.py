@@ -4,13 +4,13 @@ from dataclasses import replace
 
 from labpipe.records.group import Campaign
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.report.causes import find_causes
 from labpipe.report.group_tables import (
     cause_lines,
     method_tables,
     note_table,
     table_of_tests,
 )
+from labpipe.report.ranked_causes import find_causes
 from tests.builders.campaigns import build_campaign, build_group, build_sample
 
 

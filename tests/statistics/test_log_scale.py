@@ -99,3 +99,22 @@ def test_how_often_it_holds_the_arithmetic_mean(n: int, scatter: float) -> None:
 
 def _mean(values: list[float]) -> NestedMean:
     return on_log_scale(nested_mean({"a": values}))
+
+
+def test_it_lies_about_the_estimate() -> None:
+    """Noise adds 1 to each of 9, 10, 14: the middle is 10."""
+    base = bundle_sample(None, 1)
+    samples = [
+        replace(
+            base,
+            test=str(value),
+            results=(Result("k", value, "N", method="m", estimate=value - 1.0),),
+        )
+        for value in (9.0, 10.0, 14.0)
+    ]
+    mean = group_number("k", samples).mean
+    assert mean is not None
+    low, high = ends(mean.chosen)
+    assert mean.chosen.mean == 11.0
+    assert low * high == pytest.approx(100.0)
+    assert high / low == pytest.approx(exp(2.0 * 6.5724 / 10.0), rel=1e-4)

@@ -12,8 +12,8 @@ from scipy import stats
 from labpipe.records.group import Campaign, Group, Sample
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Status
-from labpipe.report.causes import find_causes, find_notes
 from labpipe.report.concerns import Kind
+from labpipe.report.ranked_causes import find_causes, find_notes
 from labpipe.statistics.groups import build_group
 from tests.builders.bundle_campaigns import bundle_sample
 
