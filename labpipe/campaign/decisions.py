@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from labpipe.campaign.outcome_rows import ResultRow, plain
 from labpipe.errors import StoreError, UsageError, complaint
+from labpipe.store.read import read_run
 from labpipe.store.replace import locked, replacing
 
 DECISIONS: Final = "decisions.json"
@@ -315,3 +316,41 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
         label = test.relative_to(home).as_posix()
         found[file] = tuple(each for each in known.decisions if each.test == label)
     return found
+
+
+def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:
+    """Leave out the results of tests that were rejected.
+
+    Parameters
+    ----------
+    files : result.h5 files
+
+    Returns
+    -------
+    left : those that count, in order
+    rejected : by file, why one does not, by whom and when
+
+    Raises
+    ------
+    LabpipeError
+        If all were rejected, or decisions cannot be read.
+    """
+    rejected = {}
+    for file, decisions in decisions_on(files).items():
+        found = in_force(decisions, run=read_run(file)) if decisions else None
+        if found is not None and found.decision == REJECT:
+            rejected[file] = said_of(found)
+    left = [file for file in files if file not in rejected]
+    if not left:
+        raise UsageError("\n".join(f"{file}: rejected: {why}" for file, why in rejected.items()))
+    return left, rejected
+
+
+def said_of(decision: Decision) -> str:
+    """Say why, by whom and when something was decided.
+
+    Parameters
+    ----------
+    decision : any
+    """
+    return f"{decision.because} ({', '.join(filter(None, (decision.by, decision.when)))})"

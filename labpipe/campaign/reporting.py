@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from labpipe import __version__
-from labpipe.campaign.decisions import REJECT, decisions_on, in_force
+from labpipe.campaign.decisions import REJECT, decisions_on, in_force, said_of
 from labpipe.campaign.grouping import (
     Settings,
     check_fields,
@@ -203,7 +203,7 @@ def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
             continue
         decision = in_force(decided.get(file, ()), run=result.run)
         if decision is not None and decision.decision == REJECT:
-            read.rejected[str(file)] = f"{decision.because} ({decision.by}, {decision.when})"
+            read.rejected[str(file)] = said_of(decision)
             continue
         read.wishes[result.protocol] = protocol.groups
         read.kinds[result.protocol] = number_kinds(protocol)

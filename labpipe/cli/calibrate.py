@@ -8,7 +8,10 @@ import math
 import sys
 from collections.abc import Sequence
 
+from labpipe.campaign.decisions import without_rejected
+from labpipe.campaign.queries import escaped
 from labpipe.cli.terminal import from_here, reading
+from labpipe.process.targets import find_results
 from labpipe.records.wire_calibration import (
     DISPLAYED,
     CalibratedParameter,
@@ -25,10 +28,13 @@ _WIDEST = 28
 
 
 def run(options: argparse.Namespace) -> int:
-    """Calibrate the wire model by processed cantilever tests."""
+    """Calibrate the wire model by processed cantilever tests that were not rejected."""
+    left, rejected = without_rejected(find_results(options.paths))
+    for file, why in rejected.items():
+        print(escaped(f"labpipe calibrate: rejected: {file.parent}: {why}"), file=sys.stderr)
     with reading(len(options.paths)) as say:
         done = calibrate_tests(
-            options.paths,
+            left if rejected else options.paths,
             wires=options.wire,
             plan=options.plan,
             out=options.out,

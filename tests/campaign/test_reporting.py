@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from labpipe.campaign.decisions import Decision, add_decisions
+from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
 from labpipe.campaign.reporting import Wanted, make_campaign, report_tests, sample_of
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import process_test
@@ -131,6 +131,16 @@ def test_a_rejected_test_is_left_out_and_named(results: Path) -> None:
     assert "Tests that were rejected" in page
     assert "lipped &lt;b&gt;twice&lt;/b&gt; (A. Tester, 2026-03-10)" in page
     assert "<b>twice" not in page
+
+
+def test_results_that_count(results: Path) -> None:
+    files = find_results([results])
+    assert without_rejected(files) == (files, {})
+    run = json.loads((files[0].parent / "summary.json").read_text("utf-8"))["run"]
+    add_decisions(results / "c", "c", [Decision("H-1", run, "reject", "slipped", "A. Tester")])
+    assert without_rejected(files) == (files[1:], {files[0]: "slipped (A. Tester)"})
+    with pytest.raises(UsageError, match=r"result\.h5: rejected: slipped \(A\. Tester\)"):
+        without_rejected(files[:1])
 
 
 def test_a_report_without_readable_decisions_is_refused(results: Path) -> None:
