@@ -316,6 +316,7 @@ _NO_METHOD = "No sample has this number."
 
 _HEADINGS = {
     Kind.UNREADABLE: "Not read",
+    Kind.REJECTED: "Rejected",
     Kind.UNLIKE: "Not alike",
     Kind.FAILED: "Failed",
     Kind.DOUBTFUL: "Doubtful",
