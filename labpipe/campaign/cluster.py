@@ -280,7 +280,7 @@ class _Dealer:
 
     def _without_data(self, hand: _Hand) -> Iterator[Outcome]:
         """Refuse what no worker sees; all of it where none has seen anything yet."""
-        found = f"none among {len(self._crew.fit)} that does"
+        found = f"none (workers: {len(self._crew.fit)})"
         remedy = (
             "Have the folders of exports and results at the same place on all workers, on a drive"
             " that they share."

@@ -5,6 +5,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -187,6 +188,27 @@ def test_tests_go_to_workers_that_see_them(alone: Cluster, own: list[TensileLab]
     states = {name: each.code for name, each in found.items() if each.state == "failed"}
     assert states == {"S-0005": "bad_sheet"}
     assert len(list((own[0].home / "out").glob("*/result.h5"))) == 5
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
+def test_a_test_that_no_worker_sees_fails_alone(alone: Cluster, own: list[TensileLab]) -> None:
+    alone.add_worker(folder=own[0].home)
+    handle = os.open(own[5].raw, os.O_RDONLY)
+    try:
+        tasks = own_tasks(own)
+        hidden = replace(tasks.pop(), sheet=Path(f"/proc/self/fd/{handle}/test.yaml"), run="0a")
+        found = list(dask(alone.address)([*tasks, hidden]))
+    finally:
+        os.close(handle)
+    (failed,) = (each for each in found if each.state == "failed")
+    assert (failed.sheet, failed.code, failed.run) == (hidden.sheet, "worker_without_data", "0a")
+    assert failed.reason == (
+        f"{hidden.sheet}: expected a worker that sees the files that are seen here, found none"
+        " (workers: 1). Have the folders of exports and results at the same place on all workers,"
+        " on a drive that they share."
+    )
+    said = json.loads((own[0].home / "out" / "S-0005" / "failure.json").read_text("utf-8"))
+    assert said["code"] == "worker_without_data"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="paths that are others for each process")
