@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from labpipe.cli import DONE, main
 from labpipe.cli.calibrate import calibration_table
 from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.wire_calibration import Calibration, CalibrationFailure
@@ -95,3 +96,25 @@ def test_a_failed_comparison_says_why(done: Calibrated) -> None:
     failed = CalibrationFailure("parameter_without_effect", "a single strand has no friction")
     said = calibration_table(replace(done, source=failed))
     assert "method of the source: failed, parameter_without_effect: a single strand" in said
+
+
+def test_rejected_tests_are_not_handed_over(
+    done: Calibrated, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    one, two = Path("processed/A2/A2-1/result.h5"), Path("processed/A2/A2-2/result.h5")
+    taken: list[object] = []
+
+    def take(targets: object, **_: object) -> Calibrated:
+        taken.append(targets)
+        return done
+
+    monkeypatch.setattr("labpipe.cli.calibrate.find_results", lambda _: [one, two])
+    monkeypatch.setattr("labpipe.cli.calibrate.calibrate_tests", take)
+    for rejected, left in (({}, [Path("processed/A2")]), ({one: "slipped (A. Tester)"}, [two])):
+        monkeypatch.setattr(
+            "labpipe.cli.calibrate.without_rejected", lambda _, r=rejected: ([two], r)
+        )
+        assert main(["calibrate", "processed/A2"]) == DONE
+        assert taken[-1] == left
+    said = capsys.readouterr().err
+    assert said == "labpipe calibrate: rejected: processed/A2/A2-1: slipped (A. Tester)\n"
