@@ -137,6 +137,8 @@ def _together(concerns: Iterable[Concern]) -> list[list[Concern]]:
 def _effect(concerns: Sequence[Concern], groups: dict[str, Group]) -> Effect | None:
     if concerns[0].kind is Kind.UNREADABLE:
         return Effect(inf, "the test is missing from all numbers")
+    if concerns[0].kind is Kind.REJECTED:
+        return Effect(0.0, "in no mean, as was decided")
     effects = [
         effect
         for name, own in _by_group(concerns).items()

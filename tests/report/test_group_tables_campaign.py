@@ -4,13 +4,14 @@ from dataclasses import replace
 
 from labpipe.records.group import Campaign
 from labpipe.records.quality import QualityNote, Severity
+from labpipe.report.concerns import Kind, find_concerns
 from labpipe.report.group_tables import (
     cause_lines,
     method_tables,
     note_table,
     table_of_tests,
 )
-from labpipe.report.ranked_causes import find_causes
+from labpipe.report.ranked_causes import Cause, find_causes
 from tests.builders.campaigns import build_campaign, build_group, build_sample
 
 
@@ -27,6 +28,12 @@ def test_a_line_for_each_cause_with_all_that_share_it() -> None:
     assert lines[0].head == "Not read"
     assert lines[0].effect == "the test is missing from all numbers"
     assert all(line.said and line.whom for line in lines)
+
+
+def test_every_kind_of_concern_has_a_line() -> None:
+    concern = find_concerns(build_campaign())[0]
+    causes = [Cause(kind, "", (replace(concern, kind=kind),), None) for kind in Kind]
+    assert len({line.head for line in cause_lines(causes)}) == len(Kind)
 
 
 def test_notes_of_which_nothing_follows_are_one_table() -> None:

@@ -79,6 +79,15 @@ def test_reasons_that_share_a_code_are_one_cause() -> None:
     assert [each.code for each in cause.concerns] == ["switch, drift", "drift"]
 
 
+def test_a_rejected_test_is_named_and_ranked_as_decided() -> None:
+    own = group({"a": 10, "b": 11, "c": 15}, doubtful=["c"])
+    first, last = find_causes(replace(campaign(own), rejected={"x/result.h5": "it slipped"}))
+    assert first.kind is Kind.DOUBTFUL
+    assert (last.kind, last.whom, last.sentence) == (Kind.REJECTED, "x/result.h5", "it slipped")
+    assert last.effect is not None
+    assert last.effect.words == "in no mean, as was decided"
+
+
 def test_a_number_that_rests_on_doubtful_values_alone() -> None:
     (cause,) = find_causes(campaign(group({"a": 10, "b": 11}, doubtful=["a", "b"])))
     assert cause.effect is not None
