@@ -117,7 +117,7 @@ class CampaignPlan(Block):
         60.0, description="How long an export that the protocol can do without is waited for"
     )
     still_for: Duration = Field(
-        1.5, description="How long a file must stand still before it counts as whole"
+        1.0, description="How long a file must stand still before it counts as whole"
     )
     look_every: Duration = Field(0.25, description="How often a watch looks")
 
