@@ -43,6 +43,8 @@ would be doubtful, or none."""
 _FINE, _FINEST = 16_000, 16
 """Samples of a curve that windows are decided anew on, about, and steps of a sample at most: ends
 of windows that jump from sample to sample make what an input changes too large or too small."""
+_FAR = 0.01
+"""Share of a number by which it lies outside of its interval where noise alone is no excuse."""
 _KEPT = 0.6
 """Share of the pieces of a record that its noise is to be judged by."""
 
@@ -143,7 +145,7 @@ def measure(
             off[row],
             _budget(float(spread[row]), parts, row),
             found.n,
-            (*doubts, *_without_width(off[row]), *(about_noise if matters[row] else ())),
+            (*doubts, *_unfit(value, off[row]), *(about_noise if matters[row] else ())),
         )
         for row, value in enumerate(values)
     )
@@ -159,11 +161,23 @@ def _on_smooth(replicates: Replicates, decide: Decide, found: Reading) -> Readin
     return Failure("no_replicate", f"not in the curve without its noise: {plain.message}")
 
 
-def _without_width(off: Floats) -> Iterator[tuple[str, Reason]]:
-    """Doubt an interval of no width: nothing is known of what it should hold."""
+def _unfit(value: float, off: Floats) -> Iterator[tuple[str, Reason]]:
+    """Doubt an interval without width, and a value that lies far outside of its interval.
+
+    The largest of many noisy samples lies outside of it, too, by a part of the noise; that is why
+    there is an estimate, and no reason for doubt.
+    """
     if not np.nanmax(off) > np.nanmin(off):
         message = "neither noise nor an uncertain input is known, so its interval has no width"
         yield "", Reason("no_width", message)
+        return
+    low, high = np.nanquantile(off, (_LOW, _HIGH)).tolist()
+    if max(low, -high) > _FAR * abs(value):
+        message = (
+            "the value lies outside of its interval: the curve is not smooth where it was read;"
+            " rather take the estimate"
+        )
+        yield "", Reason("value_outside", message)
 
 
 def _doubts(replicates: Replicates, count: int) -> Iterator[tuple[str, Reason]]:

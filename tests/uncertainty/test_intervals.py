@@ -494,6 +494,24 @@ def test_an_interval_without_width_is_doubtful() -> None:
     assert not found.doubts
 
 
+def test_a_value_far_outside_of_its_interval_is_doubtful() -> None:
+    """A sample has lost 10 N already: at 100 N that is 10 % of the number, at 2000 N 0.5 %."""
+
+    def one(trace: Trace) -> tuple[Floats, ...]:
+        return (trace.force[..., 500],)
+
+    def fallen(trace: Trace) -> Reading:
+        return Reading(one, 1, lambda drawn: (drawn.force[..., 500] - 10.0,))
+
+    for level, codes in ((100.0, ["value_outside"]), (2000.0, [])):
+        record = level + 0.1 * RNG(0).normal(size=1000)
+        found = measure(replicates_of(trace_of(record)), fallen)
+        assert not isinstance(found, Failure)
+        assert [reason.code for _, reason in found[0].doubts] == codes
+        assert found[0].interval.lower > found[0].value
+        assert found[0].estimate == pytest.approx(level + 10.0, abs=0.5)
+
+
 def test_noise_raises_no_doubt_of_a_number_that_it_does_not_move() -> None:
     record = RNG(0).normal(size=3000)
     record[1750:] *= 5.0
