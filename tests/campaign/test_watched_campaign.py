@@ -33,7 +33,11 @@ overrides:
 """
 LONGEST = 5.0
 """s, from the end of a recording to the verdict."""
-_COMMAND = "import sys; from labpipe.cli import main; sys.exit(main(sys.argv[1:]))"
+_COMMAND = (
+    "import signal, sys; from labpipe.cli import main;"
+    " signal.signal(signal.SIGINT, signal.default_int_handler);"  # a job in the background
+    " sys.exit(main(sys.argv[1:]))"
+)
 
 
 class Watch:

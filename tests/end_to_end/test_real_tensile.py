@@ -132,7 +132,7 @@ def test_rows_without_time_say_sample_numbers(done: dict[str, TensileLab]) -> No
         found = done[name].results["peak_force.1"]
         if why(found):
             rows = TESTS[name].rows
-            assert why(found) == (
+            assert why(found).startswith(
                 f"partial_cycle: the record ends at sample {rows}, while still loading"
             )
 
