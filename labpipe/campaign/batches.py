@@ -64,7 +64,7 @@ class Lost:
 
 Ended: TypeAlias = Outcome | Died | Raised | Unseen
 METADATA = "labpipe"
-"""Where the scheduler keeps how often batches were begun."""
+"""Where the scheduler keeps how often batches were begun and not ended."""
 _IDLE = 60.0
 """s without a batch, after which the process for tests is ended."""
 
@@ -96,7 +96,10 @@ def do_batch(batch: Batch) -> tuple[str, Versions | Lost | list[Ended]]:
     client.set_metadata(counter, times + 1)
     if times:
         return address, Lost(times)
-    return address, do_here(batch)
+    ended = do_here(batch)
+    # If the worker is lost before its results are fetched, they are made again: no death of theirs.
+    client.set_metadata(counter, 0)
+    return address, ended
 
 
 def do_here(batch: Batch) -> list[Ended]:
