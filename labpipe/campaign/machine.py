@@ -15,7 +15,7 @@ _CONTAINER = Path("/sys/fs/cgroup")
 
 
 def default_jobs() -> int:
-    """Number of tests at a time where nobody says another: the cores, fewer where memory is short.
+    """Number of tests at a time by default: the cores, fewer where memory is short.
 
     Returns
     -------

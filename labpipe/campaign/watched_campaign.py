@@ -37,7 +37,7 @@ class WatchedCampaign:
         """Folder of the exports."""
         return self._folders.raw
 
-    def todo(self, sheets: Iterable[Path]) -> list[Path]:
+    def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         """Of some test sheets, those whose results are not there or are of other exports."""
         known = {sheet: self._rows.get(self._label(sheet)) for sheet in sheets}
         due = {PENDING, STALE}

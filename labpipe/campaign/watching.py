@@ -34,7 +34,7 @@ class Campaign(Protocol):
     def raw(self) -> Path:
         """Folder of the exports."""
 
-    def todo(self, sheets: Iterable[Path]) -> list[Path]:
+    def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         """Of some test sheets, those whose results are not there or are of other exports."""
 
     def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
@@ -188,10 +188,10 @@ class Watcher:
     def _without_processed(self, ready: list[Candidate]) -> list[Candidate]:
         """Leave out the tests that were processed before the watch began."""
         sheets = {each.sheet for each in ready if each.sheet.exists()}
-        todo = set(self._campaign.todo(sheets))
+        unprocessed = set(self._campaign.unprocessed(sheets))
         left = []
         for each in ready:
-            if each.sheet in sheets and each.sheet not in todo:
+            if each.sheet in sheets and each.sheet not in unprocessed:
                 self._tests[each.folder] = _Test(self._marks(each), settled=-self.plan.patience)
             else:
                 left.append(each)

@@ -164,8 +164,8 @@ def new_seen(
         return
     there = [each for each in below if (each / SHEET_NAME).exists() and not overwrite]
     yield from (SeenSheet(each / SHEET_NAME, kept=True) for each in there)
-    todo = [each for each in below if each not in there]
-    for seen in see_tests(todo, given, protocols=protocols):
+    wanted = [each for each in below if each not in there]
+    for seen in see_tests(wanted, given, protocols=protocols):
         yield write_seen(seen, protocols=protocols)
 
 

@@ -274,7 +274,7 @@ def _needed(contrast: Contrast, outside: float) -> str:
 
 
 MOST_SAMPLES = 50
-"""Samples of each group beyond which nobody is told to test more."""
+"""Samples of each group beyond which more tests are not advised."""
 
 
 def samples_needed(contrast: Contrast, outside: float = 1.0 - LEVEL) -> int | None:

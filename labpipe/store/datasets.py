@@ -127,7 +127,7 @@ def fletcher32(data: bytes) -> int:
 def string_array(texts: tuple[str, ...]) -> NDArray[Any]:
     """Texts as bytes of UTF-8, as wide as the longest, in the one kind that all programs read.
 
-    HDF5 is told that they are ASCII, which Octave reads (see `layout`), and end in a zero, up to
+    They are declared ASCII, which Octave reads (see `layout`), and end in a zero, up to
     which h5dump shows them. One byte wide, they would be single characters to the netCDF library.
     """
     encoded = [text.encode() for text in texts]

@@ -11,7 +11,7 @@ from labpipe.campaign.machine import BYTES_PER_TEST, default_jobs
 
 @pytest.fixture
 def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A machine of eight cores, whose memory is told by files."""
+    """A machine of eight cores, whose memory files state."""
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(8)), raising=False)
     monkeypatch.setattr(machine, "_MEMINFO", tmp_path / "meminfo")
     monkeypatch.setattr(machine, "_CONTAINER", tmp_path)

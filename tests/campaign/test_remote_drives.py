@@ -19,7 +19,7 @@ no mount at all
 @pytest.mark.parametrize(
     ("path", "kind"),
     [
-        ("/home/x/processed/C", "ext4"),
+        ("/processed/C", "ext4"),
         ("/mnt/lab/processed/C", "nfs4"),
         ("/mnt/lab", "nfs4"),
         ("/mnt/laboratory", "ext4"),

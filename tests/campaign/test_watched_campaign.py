@@ -192,5 +192,5 @@ def test_a_test_that_another_labpipe_processes_is_tried_again(lab: Lab) -> None:
     assert outcome.state == "ok"
     assert watched.process(lab.sheet) is None
     assert watched.process(lab.sheet, again=True) is not None
-    assert watched.todo([lab.sheet]) == []
+    assert watched.unprocessed([lab.sheet]) == []
     assert list(watched.results()) == [lab.processed.resolve()]

@@ -39,7 +39,7 @@ class Campaign:
     def raw(self) -> Path:
         return self.home / "raw" / "c"
 
-    def todo(self, sheets: Iterable[Path]) -> list[Path]:
+    def unprocessed(self, sheets: Iterable[Path]) -> list[Path]:
         return [sheet for sheet in sheets if sheet.parent.name not in self.done]
 
     def process(self, sheet: Path, *, again: bool = False) -> Outcome | None:
