@@ -215,13 +215,19 @@ def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) ->
         if not known.is_whole:
             raise UsageError("\n".join(known.faults))
         document = {"schema": SCHEMA, "campaign": campaign, "decisions": [], **known.document}
-        document["decisions"] = [*document["decisions"], *map(_entry, decisions)]
+        document["decisions"] = [*document["decisions"], *map(decision_entry, decisions)]
         text = json.dumps(document, indent=2, ensure_ascii=False) + "\n"
         with replacing(folder / DECISIONS) as temporary:
             temporary.write_bytes(text.encode("utf-8", "surrogatepass"))
 
 
-def _entry(decision: Decision) -> dict[str, str]:
+def decision_entry(decision: Decision) -> dict[str, str]:
+    """Make the entry of a decision in ``decisions.json``.
+
+    Parameters
+    ----------
+    decision : any
+    """
     texts = {key: getattr(decision, key) for key in _TEXTS}
     return texts | ({"note": decision.note} if decision.note else {})
 
@@ -316,6 +322,19 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
         label = test.relative_to(home).as_posix()
         found[file] = tuple(each for each in known.decisions if each.test == label)
     return found
+
+
+def label_of(file: Path, shared: Path) -> str:
+    """Name a test as decisions on it do: by its folder below that of its campaign.
+
+    Parameters
+    ----------
+    file : a result.h5
+    shared : folder that counts as that of the campaign where none has decisions yet
+    """
+    test = file.resolve().parent
+    home = next((each for each in test.parents if (each / DECISIONS).is_file()), shared.resolve())
+    return test.relative_to(home).as_posix()
 
 
 def without_rejected(files: Sequence[Path]) -> tuple[list[Path], dict[Path, str]]:

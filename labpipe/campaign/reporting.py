@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
-import numpy as np
-
 from labpipe import __version__
-from labpipe.campaign.decisions import REJECT, decisions_on, in_force, said_of
+from labpipe.campaign.campaign_folders import find_campaign
+from labpipe.campaign.decisions import (
+    REJECT,
+    Decision,
+    decision_entry,
+    decisions_on,
+    in_force,
+    label_of,
+    said_of,
+)
 from labpipe.campaign.grouping import (
     Settings,
     check_fields,
@@ -22,6 +31,7 @@ from labpipe.campaign.grouping import (
     with_own_spools,
     without,
 )
+from labpipe.campaign.report_samples import frames_at_steps, sample_of
 from labpipe.campaign.stated import NumberKinds, number_kinds, with_sizes
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.targets import (
@@ -33,25 +43,17 @@ from labpipe.process.targets import (
 )
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
-from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, Direction
-from labpipe.records.group import Campaign, Group, Sample, SampleCurve
-from labpipe.records.result import TestResult
+from labpipe.records.group import Campaign, Group, Sample
 from labpipe.report.lab_report import write_report
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
 from labpipe.statistics.groups import PoolingLimits, build_group
-from labpipe.statistics.mean_curves import block_means
 from labpipe.statistics.outliers import with_outliers
-from labpipe.store.read import read_outcome
+from labpipe.store.read import read_drawable
 from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.bundle_bounds import find_places
 from labpipe.studies.wire_specs import read_wire_sheet
-
-_POINTS = 2000
-"""Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
-corner is smeared over less than a line is thick."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,6 +175,10 @@ def make_campaign(
         pairs_not_shown=differences.pairs_not_shown,
         places=() if wires is None else tuple(find_places(groups, wires)),
         wire_sheet="" if wanted.wires is None else wanted.wires.name,
+        rejected_samples=tuple(read.rejected_samples),
+        name=_name_of_campaign(shared_folder(files)),
+        decisions=tuple(map(decision_entry, read.decisions)),
+        made_on=datetime.now(tz=UTC).date(),
     )
 
 
@@ -186,31 +192,40 @@ class _Read:
     settings: dict[str, Settings]
     left_out: dict[str, str]
     rejected: dict[str, str]
+    rejected_samples: list[Sample]
+    decisions: list[Decision]
 
 
 def _read(files: Sequence[Path], say: Callable[[str], None]) -> _Read:
-    read = _Read([], {}, {}, {}, {}, {})
-    decided = decisions_on(files)
+    read = _Read([], {}, {}, {}, {}, {}, [], [])
+    decided, shared = decisions_on(files), shared_folder(files)
     recordings: list[tuple[Path, Hashable]] = []
     for file in files:
         say(file.parent.name)
         try:
-            result = read_outcome(file)
+            drawable = read_drawable(file, frames_at_steps)
+            result = drawable.result
             # What concerns a group is said by its protocol, as each result stored it.
             protocol = parse_protocol(result.protocol_yaml, str(file))
         except LabpipeError as error:
             read.left_out[str(file)] = str(error)
             continue
+        specimen = with_sizes(result.specimen, protocol.specimen)
+        sized = replace(drawable, result=replace(result, specimen=specimen))
+        sample = sample_of(sized, source=str(file), label=label_of(file, shared))
+        read.decisions.extend(decided.get(file, ()))
         decision = in_force(decided.get(file, ()), run=result.run)
+        if decision is not None:
+            sample = replace(sample, decided=said_of(decision))
         if decision is not None and decision.decision == REJECT:
             read.rejected[str(file)] = said_of(decision)
+            read.rejected_samples.append(sample)
             continue
         read.wishes[result.protocol] = protocol.groups
         read.kinds[result.protocol] = number_kinds(protocol)
         read.settings[str(file)] = settings_of(protocol)
         recordings.append((file, recording_of(result, protocol)))
-        sized = replace(result, specimen=with_sizes(result.specimen, protocol.specimen))
-        read.samples.append(sample_of(sized, str(file)))
+        read.samples.append(sample)
     if not read.samples:
         said = [f"{file}: rejected: {why}" for file, why in read.rejected.items()]
         raise UsageError("\n".join([*read.left_out.values(), *said]))
@@ -233,59 +248,11 @@ def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
     return with_outliers(groups)
 
 
-def sample_of(result: TestResult, source: str) -> Sample:
-    """Keep of a processed test what a report needs.
-
-    Parameters
-    ----------
-    result : with or without recordings
-    source : file it was read from
-    """
-    return Sample(
-        test=result.test,
-        specimen=result.specimen,
-        protocol=result.protocol,
-        loading=_branches(result, Direction.LOADING),
-        unloading=_branches(result, Direction.UNLOADING),
-        results=result.results,
-        slips=result.slips,
-        lines=result.lines,
-        quality=result.quality,
-        display=dict(result.display),
-        source=source,
-    )
-
-
-def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
-    branches = result.curve.branches if result.curve is not None else ()
-    return tuple(_thin(result, branch) for branch in branches if branch.direction is direction)
-
-
-def _thin(result: TestResult, branch: Branch) -> SampleCurve:
-    """A branch as means over equal numbers of samples, up to the failure."""
-    curve = result.curve
-    if curve is None:
-        message = "a branch without a curve"
-        raise ValueError(message)
-    part = slice(branch.start, _stop_before_failure(result, branch, curve.displacement))
-    force = curve.force[part]
-    measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
-    order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
-    return SampleCurve(
-        displacement=block_means(curve.displacement[part][order], _POINTS),
-        force=block_means(force[order], _POINTS),
-        as_measured=block_means(measured[order], _POINTS),
-        cycle=branch.cycle,
-    )
-
-
-def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
-    """Where a branch ends: at its last sample, or at the last one before the specimen broke."""
-    at = next((each.value for each in result.results if each.name == "failure_displacement"), None)
-    if at is None or branch.direction is not Direction.LOADING:
-        return branch.stop
-    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
-    return branch.start + int(beyond[0]) if len(beyond) else branch.stop
+def _name_of_campaign(folder: Path) -> str:
+    """Name of the campaign whose results lie in a folder; empty where it is none."""
+    with suppress(UsageError):
+        return find_campaign(folder).name
+    return ""
 
 
 def _group(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import date as Day  # noqa: N812 - a record has a field called date
 from enum import StrEnum
 from math import expm1, hypot, log
 
@@ -11,8 +12,16 @@ import numpy as np
 
 from labpipe.records.arrays import ArrayRecord, Ints, Vector
 from labpipe.records.curve import FittedLine, Interval, Slip
+from labpipe.records.drawn import DrawnLaw, DrawnShapes
 from labpipe.records.quality import QualityNote, Reason
-from labpipe.records.result import Contribution, Result, Specimen, apart_from
+from labpipe.records.result import (
+    Contribution,
+    InputFile,
+    Instrument,
+    Result,
+    Specimen,
+    apart_from,
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +59,15 @@ class Sample:
     quality : notes
     display : unit in which people see a quantity, by quantity
     source : where it was read from, for messages
+    label : folder of the test below that of the campaign, by which decisions name it
+    run : key of exports, sheet, protocol and processing; empty in results from before keys
+    date : day of the test; None where neither sheet nor exports say it
+    operator : who made the test; empty where the sheet does not say it
+    instruments : those whose certificates the protocol states
+    inputs : the exports, with their fingerprints
+    shapes : None without cameras
+    law : measured moment against curvature; None where the protocol does not ask for it
+    decided : what a person decided of the test, why, by whom and when; empty where nobody did
     """
 
     test: str
@@ -63,6 +81,15 @@ class Sample:
     quality: tuple[QualityNote, ...] = ()
     display: Mapping[str, str] = field(default_factory=dict)
     source: str = ""
+    label: str = ""
+    run: str = ""
+    date: Day | None = None
+    operator: str = ""
+    instruments: tuple[Instrument, ...] = ()
+    inputs: tuple[InputFile, ...] = ()
+    shapes: DrawnShapes | None = None
+    law: DrawnLaw | None = None
+    decided: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -418,6 +445,10 @@ class Campaign:
     places : bending stiffness of bundles between the bounds of their model
     wire_sheet : name of the file that the bounds are from; empty where none was given
     rejected : by file, why a person decided that a test does not count, by whom and when
+    rejected_samples : these tests, which are in no group
+    name : of the folders of the campaign; empty where all tests lie elsewhere
+    decisions : all that was decided on its tests, as ``decisions.json`` has it
+    made_on : day on which the report was made; None leaves it away
     """
 
     title: str
@@ -431,3 +462,7 @@ class Campaign:
     places: tuple[BundlePlace, ...] = ()
     wire_sheet: str = ""
     rejected: Mapping[str, str] = field(default_factory=dict)
+    rejected_samples: tuple[Sample, ...] = ()
+    name: str = ""
+    decisions: tuple[Mapping[str, str], ...] = ()
+    made_on: Day | None = None

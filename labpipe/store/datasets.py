@@ -23,6 +23,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from labpipe.errors import StoreError, complaint
+from labpipe.records.arrays import Ints
 from labpipe.store import layout
 from labpipe.store.hdf5_objects import LEVEL, get_text, make_dataset, set_text, set_texts
 from labpipe.store.layout import Field, Table
@@ -399,6 +400,27 @@ def arrays(group: Any, kinds: Mapping[str, Field]) -> dict[str, NDArray[Any]]:
 
 def array(group: Any, name: str, kind: Field) -> NDArray[Any]:
     """Read a dataset whose unit, axes and number type are those of the layout."""
+    dataset = _checked(group, name, kind)
+    values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
+    if values.size:
+        dataset.id.read(h5s.ALL, h5s.ALL, values)
+    return values
+
+
+def array_rows(group: Any, name: str, kind: Field, chosen: Ints) -> NDArray[Any]:
+    """Read rows of a dataset, as `array`.
+
+    Parameters
+    ----------
+    group, name, kind : as for `array`
+    chosen : numbers of rows of the first axis, increasing, each once
+    """
+    values: NDArray[Any] = _checked(group, name, kind)[chosen]
+    return values
+
+
+def _checked(group: Any, name: str, kind: Field) -> Any:
+    """A dataset of this file whose unit, axes and number type are those of the layout."""
     dataset = group[name]
     for label, expected in (("axes", ", ".join(kind.axes)), ("unit", kind.unit)):
         if expected is not None:
@@ -406,10 +428,7 @@ def array(group: Any, name: str, kind: Field) -> NDArray[Any]:
     if kind.dtype not in {"table", "text"}:
         _check(dataset, "number type", kind.dtype, str(dataset.dtype))
     _check_storage(dataset)
-    values: NDArray[Any] = np.empty(dataset.shape, dataset.dtype)
-    if values.size:
-        dataset.id.read(h5s.ALL, h5s.ALL, values)
-    return values
+    return dataset
 
 
 def _label(dataset: Any, name: str) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import date
 from math import isnan
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import (
     Aligned,
     Branch,
@@ -22,6 +23,7 @@ from labpipe.records.curve import (
     Slip,
     SlipDecision,
 )
+from labpipe.records.drawn import DrawnLaw, DrawnShapes
 from labpipe.records.recording import Recording
 from labpipe.records.result import (
     Contribution,
@@ -33,7 +35,7 @@ from labpipe.records.result import (
     TestResult,
 )
 from labpipe.store import layout
-from labpipe.store.datasets import array, arrays, opened, rows, strings, text, texts
+from labpipe.store.datasets import array, array_rows, arrays, opened, rows, strings, text, texts
 from labpipe.store.stored_parts import (
     method_parts,
     read_bending,
@@ -118,10 +120,71 @@ def read_outcome(path: Path) -> TestResult:
         As `read_result`.
     """
     with opened(path) as root:
-        outcome = _outcome(root)
-        is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in outcome["slips"])
-        aligned = _aligned(root) if is_repaired else None
-        return TestResult(**_head(root, raw=False), **outcome, aligned=aligned, shape=None)
+        return _reported(root)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drawable:
+    """What a report needs of a result file.
+
+    Parameters
+    ----------
+    result : as `read_outcome` gives it
+    shapes : at the chosen frames; None without shapes
+    law : None without a measured law
+    """
+
+    result: TestResult
+    shapes: DrawnShapes | None
+    law: DrawnLaw | None
+
+
+def read_drawable(
+    path: Path, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
+) -> Drawable:
+    """Read what a report needs of a result file: the outcome, few shapes and the measured law.
+
+    Parameters
+    ----------
+    path : a file that `write_result` made
+    choose : is given the outcome and the times of all frames, s; says which frames are wanted, in
+        order, and the deflection at each of them, m
+
+    Raises
+    ------
+    StoreError
+        As `read_result`.
+    """
+    with opened(path) as root:
+        result = _reported(root)
+        return Drawable(result, _drawn_shapes(root, result, choose), _drawn_law(root))
+
+
+def _drawn_shapes(
+    root: Any, result: TestResult, choose: Callable[[TestResult, Floats], tuple[Ints, Floats]]
+) -> DrawnShapes | None:
+    if layout.SHAPE not in root:
+        return None
+    group, fields = root[layout.SHAPE], layout.SHAPE_FIELDS
+    frames, deflection = choose(result, array(group, "time", fields["time"]))
+    places = array_rows(group, "positions", fields["positions"], frames)
+    return DrawnShapes(deflection, places[:, :, :2])
+
+
+def _drawn_law(root: Any) -> DrawnLaw | None:
+    group = root.get(f"{layout.BENDING}/{layout.LAW}")
+    if group is None:
+        return None
+    names = ("curvature", "moment", "moment_lower", "moment_upper")
+    return DrawnLaw(**arrays(group, {name: layout.LAW_FIELDS[name] for name in names}))
+
+
+def _reported(root: Any) -> TestResult:
+    """The outcome, with the aligned signals only where slips were repaired."""
+    outcome = _outcome(root)
+    is_repaired = any(slip.decision is SlipDecision.REPAIRED for slip in outcome["slips"])
+    aligned = _aligned(root) if is_repaired else None
+    return TestResult(**_head(root, raw=False), **outcome, aligned=aligned, shape=None)
 
 
 def read_stages(path: Path) -> TestResult:

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from labpipe.campaign.decisions import Decision, add_decisions, without_rejected
-from labpipe.campaign.reporting import Wanted, make_campaign, report_tests, sample_of
+from labpipe.campaign.reporting import Wanted, make_campaign, report_tests
 from labpipe.errors import LabpipeError, StoreError, UsageError
 from labpipe.process.run import process_test
 from labpipe.process.targets import find_results
-from labpipe.records.result import TestResult
-from labpipe.store.read import read_result
 from tests.builders.bundles import EXAMPLES
 from tests.builders.pulls import broken, pull, slipped
 from tests.builders.tensile_tests import TensileLab, write_pull
@@ -174,52 +171,6 @@ def test_a_report_lies_beside_the_tests(results: Path) -> None:
     one = report_tests([results / "c" / "T-1"], title="One")
     assert one.folder == results / "c" / "report"
     assert one.campaign.title == "One"
-
-
-def read(done: Path, name: str) -> TestResult:
-    return read_result(done / "c" / name / "result.h5")
-
-
-def test_a_sample_keeps_thinned_branches_up_to_the_failure(done: Path) -> None:
-    result = read(done, "T-1")
-    sample = sample_of(result, "here")
-    assert (sample.test, sample.source, sample.specimen.type) == ("T-1", "here", "tube")
-    (branch,) = sample.loading
-    assert not sample.unloading
-    assert 400 < len(branch.displacement) <= 1000
-    assert (np.diff(branch.displacement) > 0.0).all()
-    failure = next(each.value for each in result.results if each.name == "failure_displacement")
-    assert failure is not None
-    assert branch.displacement[-1] == pytest.approx(failure, abs=4e-5)
-    assert branch.force.min() > -0.1
-    line = 5e3 * np.maximum(branch.displacement, 0.0)
-    np.testing.assert_allclose(branch.force, line, atol=0.15)
-    np.testing.assert_array_equal(branch.force, branch.as_measured)
-
-
-def test_a_repaired_slip_is_seen_in_the_force_as_measured(done: Path) -> None:
-    sample = sample_of(read(done, "T-2"), "")
-    (branch,), (slip,) = sample.loading, sample.slips
-    added = branch.force - branch.as_measured
-    at = branch.displacement
-    assert np.abs(added[at < slip.position - 1e-4]).max() == 0.0
-    np.testing.assert_allclose(added[at > slip.position + 1e-4], slip.drop)
-
-
-def test_unloading_grows_too(done: Path) -> None:
-    result = read(done, "T-1")
-    curve = result.curve
-    assert curve is not None
-    back = replace(curve.branches[0], direction=type(curve.branches[0].direction).UNLOADING)
-    turned = replace(curve, displacement=-curve.displacement, branches=(back,))
-    sample = sample_of(replace(result, curve=turned), "")
-    assert not sample.loading
-    assert (np.diff(sample.unloading[0].displacement) > 0.0).all()
-
-
-def test_a_test_without_a_curve(done: Path) -> None:
-    sample = sample_of(replace(read(done, "T-1"), curve=None), "")
-    assert sample.loading == sample.unloading == ()
 
 
 def labelled(results: Path, labels: dict[str, str]) -> None:

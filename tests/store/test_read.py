@@ -17,7 +17,14 @@ from labpipe.records.curve import SlipDecision
 from labpipe.records.quality import Reason
 from labpipe.records.result import Status
 from labpipe.store import layout
-from labpipe.store.read import RawTest, read_outcome, read_raw, read_result, read_stages
+from labpipe.store.read import (
+    RawTest,
+    read_drawable,
+    read_outcome,
+    read_raw,
+    read_result,
+    read_stages,
+)
 from labpipe.store.write import write_result
 from tests.builders.measured_bending import some_bending
 from tests.store.builders_result import build_result, differences, with_slips
@@ -56,6 +63,20 @@ def test_outcome_is_the_result_without_what_only_processing_needs(
 def test_stages_are_the_result_without_recordings(written: Path) -> None:
     wanted = replace(read_result(written), recordings={}, bending=None)
     assert differences(wanted, read_stages(written)) == []
+
+
+def test_what_a_report_draws_is_part_of_the_result(written: Path) -> None:
+    whole, wanted = read_result(written), np.array([0, 3, 5])
+    found = read_drawable(written, lambda _, time: (wanted, time[wanted]))
+    assert differences(read_outcome(written), found.result) == []
+    assert found.shapes is not None
+    assert whole.shape is not None
+    np.testing.assert_array_equal(found.shapes.deflection, whole.shape.time[wanted])
+    np.testing.assert_array_equal(found.shapes.positions, whole.shape.positions[wanted][:, :, :2])
+    law = None if whole.bending is None else whole.bending.law
+    assert found.law is not None
+    assert law is not None
+    np.testing.assert_array_equal(found.law.moment_upper, law.moment_upper)
 
 
 def test_outcome_without_a_curve(tmp_path: Path) -> None:

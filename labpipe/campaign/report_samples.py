@@ -1,0 +1,122 @@
+"""What a report keeps of a processed test: thin curves, few shapes, its numbers, its origin."""
+
+from __future__ import annotations
+
+from math import floor, log10
+
+import numpy as np
+
+from labpipe.records.arrays import Floats, Ints
+from labpipe.records.curve import Branch, Direction
+from labpipe.records.group import Sample, SampleCurve
+from labpipe.records.result import TestResult
+from labpipe.statistics.mean_curves import block_means
+from labpipe.store.read import Drawable
+
+_POINTS = 2000
+"""Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
+corner is smeared over less than a line is thick."""
+_STEPS = 4
+"""Shapes of a test that are drawn, beside the first."""
+
+
+def sample_of(read: Drawable, *, source: str, label: str = "") -> Sample:
+    """Keep of a processed test what a report needs.
+
+    Parameters
+    ----------
+    read : with or without recordings
+    source : file it was read from
+    label : of the test in its campaign
+    """
+    result = read.result
+    return Sample(
+        test=result.test,
+        specimen=result.specimen,
+        protocol=result.protocol,
+        loading=_branches(result, Direction.LOADING),
+        unloading=_branches(result, Direction.UNLOADING),
+        results=result.results,
+        slips=result.slips,
+        lines=result.lines,
+        quality=result.quality,
+        display=dict(result.display),
+        source=source,
+        label=label,
+        run=result.run,
+        date=result.date,
+        operator=result.operator,
+        instruments=result.instruments,
+        inputs=result.inputs,
+        shapes=read.shapes,
+        law=read.law,
+    )
+
+
+def frames_at_steps(result: TestResult, time: Floats) -> tuple[Ints, Floats]:
+    """Choose the frames at equal, round steps of the first loading.
+
+    Parameters
+    ----------
+    result : with its curve
+    time : shape (frames,), s, on the clock of the curve
+
+    Returns
+    -------
+    frames : the first at or beyond each step; none without a first loading
+    deflection : shape of `frames`, m, of the curve at these frames
+    """
+    none = np.empty(0, dtype=np.int64), np.empty(0)
+    branches = result.curve.branches if result.curve is not None else ()
+    first = next((each for each in branches if each.direction is Direction.LOADING), None)
+    if first is None or result.curve is None:
+        return none
+    way: Floats = np.interp(time, result.curve.time, result.curve.displacement)
+    way[(time < first.start_time) | (time > first.stop_time)] = np.nan
+    if not np.isfinite(way).any():
+        return none
+    levels = _levels(float(np.nanmax(way)))
+    reached = [np.flatnonzero(way >= level) for level in levels]
+    frames = np.unique([hits[0] for hits in reached if len(hits)]).astype(np.int64)
+    return frames, way[frames]
+
+
+def _levels(most: float) -> Floats:
+    """Round steps from zero up to the largest deflection, m."""
+    if not most > 0.0:
+        return np.zeros(1)
+    power = 10.0 ** floor(log10(most / _STEPS))
+    step = next(each * power for each in (1.0, 2.0, 5.0, 10.0) if each * power * _STEPS >= most)
+    return np.arange(0.0, most, step)
+
+
+def _branches(result: TestResult, direction: Direction) -> tuple[SampleCurve, ...]:
+    branches = result.curve.branches if result.curve is not None else ()
+    return tuple(_thin(result, branch) for branch in branches if branch.direction is direction)
+
+
+def _thin(result: TestResult, branch: Branch) -> SampleCurve:
+    """A branch as means over equal numbers of samples, up to the failure."""
+    curve = result.curve
+    if curve is None:
+        message = "a branch without a curve"
+        raise ValueError(message)
+    part = slice(branch.start, _stop_before_failure(result, branch, curve.displacement))
+    force = curve.force[part]
+    measured = result.aligned.series["force"].values[part] if result.aligned is not None else force
+    order = slice(None) if branch.direction is Direction.LOADING else slice(None, None, -1)
+    return SampleCurve(
+        displacement=block_means(curve.displacement[part][order], _POINTS),
+        force=block_means(force[order], _POINTS),
+        as_measured=block_means(measured[order], _POINTS),
+        cycle=branch.cycle,
+    )
+
+
+def _stop_before_failure(result: TestResult, branch: Branch, displacement: Floats) -> int:
+    """Where a branch ends: at its last sample, or at the last one before the specimen broke."""
+    at = next((each.value for each in result.results if each.name == "failure_displacement"), None)
+    if at is None or branch.direction is not Direction.LOADING:
+        return branch.stop
+    beyond = np.flatnonzero(displacement[branch.start : branch.stop] > at)
+    return branch.start + int(beyond[0]) if len(beyond) else branch.stop
