@@ -2,20 +2,23 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo notebooks golden test test-slow coverage coverage-status coverage-page check bench reference clean
+.PHONY: demo demo-full notebooks golden test test-slow coverage coverage-status coverage-page check bench reference clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev,mf4]'
 	touch $@
 
-demo: .venv/.ready  ## synthetic campaigns in real vendor formats, processed, with figures to look at
+demo: .venv/.ready  ## a synthetic test of each kind in real vendor formats, processed, with a report
 	$(BIN)/labpipe demo
+
+demo-full: .venv/.ready  ## whole synthetic campaigns, processed, with reports and a calibration: some minutes
+	$(BIN)/labpipe demo --full
 
 notebooks: .venv/.ready  ## run the notebooks of the documentation and keep their output
 	$(BIN)/python -m tests.notebooks
 
-golden: .venv/.ready  ## numbers of the demo and of real exports against those kept (PROCESSED=processed/demo: made just now)
+golden: .venv/.ready  ## numbers of the full demo and of real exports against those kept (PROCESSED=processed/demo: made just now)
 	$(BIN)/python -m tests.golden $(if $(PROCESSED),--processed $(PROCESSED))
 
 # The matrices are small: more than one thread of BLAS only waits for the others.

@@ -128,7 +128,9 @@ def _parser(typed: Sequence[str]) -> argparse.ArgumentParser:
 def _demo(parser: argparse.ArgumentParser) -> None:
     where = "folder that gets raw/demo and processed/demo (default: here)"
     parser.add_argument("folder", nargs="?", type=_path, default=Path(), metavar="DIR", help=where)
-    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    whole = "make the whole campaigns, 99 tests with a report each, and calibrate: some minutes"
+    parser.add_argument("--full", action="store_true", help=whole)
+    _figures(parser)
     _jobs(parser)
 
 
@@ -170,13 +172,17 @@ def _process(parser: argparse.ArgumentParser) -> None:
     what = "test folder, campaign folder, test.yaml, or a result.h5 to process again"
     parser.add_argument("tests", nargs="+", type=_path, metavar="TEST", help=what)
     parser.add_argument("--out", type=_path, metavar="DIR", help="write to DIR/<test> instead")
-    drawn = parser.add_mutually_exclusive_group()
-    drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
-    drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
+    _figures(parser)
     parser.add_argument("--json", action="store_true", help="print the summaries as JSON")
     _follow_links(parser)
     _jobs(parser)
     _limit(parser)
+
+
+def _figures(parser: argparse.ArgumentParser) -> None:
+    drawn = parser.add_mutually_exclusive_group()
+    drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
 
 
 def _follow_links(parser: argparse.ArgumentParser) -> None:
@@ -253,9 +259,7 @@ def _campaign(parser: argparse.ArgumentParser) -> None:
 
 
 def _campaign_run(parser: argparse.ArgumentParser) -> None:
-    drawn = parser.add_mutually_exclusive_group()
-    drawn.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
-    drawn.add_argument("--png", action="store_true", help="draw figures as PNG, too")
+    _figures(parser)
     _follow_links(parser)
     _jobs(parser)
     _limit(parser)

@@ -18,30 +18,87 @@ from labpipe.cli.terminal import from_here
 from labpipe.process.run import Processed
 from labpipe.process.targets import find_tests
 from labpipe.protocol.load import load_test_sheet
+from labpipe.protocol.sheet_grammar import SHEET_NAME
 from labpipe.studies.calibration_study import Calibrated, calibrate_tests
 from labpipe.virtual_lab import (
     SMALL_HARNESS,
     Campaign,
+    ChosenTests,
     TensileCampaign,
     WireCampaign,
     simulate_campaigns,
     write_wire_sheet,
 )
 
-WIRES = "wires"
+WIRES, ONE_OF_EACH = "wires", "one-of-each"
 CAMPAIGNS: Mapping[str, Sequence[Campaign]] = {
     WIRES: (WireCampaign(cycles=2, fps=25.0),),
     "tensile": (TensileCampaign(),),
     "harness": SMALL_HARNESS,
 }
-"""By the folder that they go to."""
+"""Of the full demo, by the folder that they go to."""
+FIRST_LOOK: Sequence[Campaign] = (
+    ChosenTests(CAMPAIGNS[WIRES], ("A2-085-1",)),
+    ChosenTests(
+        CAMPAIGNS["tensile"], ("CT-10-slit-2", "twist-tube-1a", "pet-tape-1", "stiff-bar-1")
+    ),
+    ChosenTests(CAMPAIGNS["harness"], ("TWB-B2-19-PVC-1", "CWB-2c-1")),
+)
+"""A test of each kind: those whose numbers the reference of results shows."""
 PLAN = "version: 1\nwire: A2   # its tests calibrate; tests of other wires are predicted\n"
+_LOOK_AT = ("stiffness-lines", "wire-shapes", "force-displacement")
+"""Of the figures of a test, the one that says most: the first of these that it has."""
+_NEXT = """
+next:
+  labpipe inspect {export}
+                            what an export holds; then try one of yours
+  labpipe new FOLDER        write the test sheet of a folder with exports of yours
+  labpipe process FOLDER    results with intervals, quality notes, figures
+  labpipe demo --full       three campaigns of 99 tests and a calibration, in some minutes"""
 
 
 def run(options: argparse.Namespace) -> int:
-    """Make synthetic campaigns in vendor formats, process, report and calibrate, and say where."""
-    raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
+    """Make synthetic tests in vendor formats, process and report them, and say where."""
     options.jobs = options.jobs or default_jobs()
+    raw, out = options.folder / "raw" / "demo", options.folder / "processed" / "demo"
+    if options.full:
+        return _whole_campaigns(raw, out, options)
+    return _one_of_each(raw / ONE_OF_EACH, out / ONE_OF_EACH, options)
+
+
+def _one_of_each(raw: Path, out: Path, options: argparse.Namespace) -> int:
+    """One test of each kind and one report: enough to see what comes out."""
+    print(f"making a synthetic test of each kind in {raw}", file=sys.stderr)
+    made = run_jobs(
+        [partial(simulate_campaigns, [each], raw) for each in FIRST_LOOK], jobs=options.jobs
+    )
+    wires = write_wire_sheet(raw)
+    tests = [folder / SHEET_NAME for folders in made for folder in folders]
+    processed, refused = process_all(
+        tests, out=out, figures=lambda _: not options.no_figures, png=options.png, jobs=options.jobs
+    )
+    if not processed:
+        return 2  # each has its message
+    first, *others = processed
+    print("\n".join((table(first), "", *map(headline, others))))
+    page, status = _report(out, wires)
+    print("\nopen in a browser, the report first:")
+    print("\n".join(f"  {from_here(path)}" for path in (page, *_shown_first(processed))))
+    print(_NEXT.format(export=from_here(raw / first.result.test / first.result.inputs[0].file)))
+    return _status(processed, refused, status)
+
+
+def _shown_first(processed: Sequence[Processed]) -> list[Path]:
+    """A figure of each test."""
+    return [
+        next(path for name in _LOOK_AT for path in each.figures if path.name == f"{name}.svg")
+        for each in processed
+        if each.figures
+    ]
+
+
+def _whole_campaigns(raw: Path, out: Path, options: argparse.Namespace) -> int:
+    """Three campaigns with a report each, and a calibration."""
     print(f"making synthetic campaigns in {raw}", file=sys.stderr)
     run_jobs(
         [partial(simulate_campaigns, each, raw / name) for name, each in CAMPAIGNS.items()],
@@ -57,8 +114,13 @@ def run(options: argparse.Namespace) -> int:
     calibrated = _calibrated(raw / WIRES, out / WIRES, wires, is_drawn=not options.no_figures)
     print(f"\n{calibration_table(calibrated)}")
     _name_files([page for page, _ in reports], processed, calibrated)
+    return _status(processed, refused, *(status for _, status in reports))
+
+
+def _status(processed: Sequence[Processed], refused: int, *reports: int) -> int:
+    """Exit status: 2 where a test was refused, 1 where a result failed, else as of the reports."""
     failed = int(any(each.n_failed for each in processed))
-    return 2 if refused else max(failed, *(status for _, status in reports))
+    return 2 if refused else max(failed, *reports)
 
 
 def _report(folder: Path, wires: Path) -> tuple[Path, int]:
@@ -75,7 +137,11 @@ def _processed(raw: Path, out: Path, options: argparse.Namespace) -> tuple[list[
         tests = find_tests([raw / name])
         drawn = set() if options.no_figures else _first_of_each_type(tests)
         done, wrong = process_all(
-            tests, out=out / name, figures=drawn.__contains__, jobs=options.jobs
+            tests,
+            out=out / name,
+            figures=drawn.__contains__,
+            png=options.png,
+            jobs=options.jobs,
         )
         processed += done
         refused += wrong

@@ -8,6 +8,7 @@ from labpipe.virtual_lab.bundles import TAPED_TYPES
 from labpipe.virtual_lab.campaigns import (
     SMALL_HARNESS,
     Campaign,
+    ChosenTests,
     ConduitCampaign,
     TapedCampaign,
     TensileCampaign,
@@ -39,6 +40,7 @@ __all__ = [
     "TAPED_TYPES",
     "Campaign",
     "CantileverScenario",
+    "ChosenTests",
     "ConduitCampaign",
     "ConduitObservation",
     "ConduitScenario",

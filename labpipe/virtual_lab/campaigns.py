@@ -6,7 +6,7 @@ All tests with one load cell share what its gain is off by; each has clocks and 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -83,6 +83,37 @@ def simulate_campaigns(campaigns: Iterable[Campaign], folder: Path, seed: int = 
         for campaign in campaigns
         for scenario, own in campaign.scenarios(seed)
     ]
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenTests:
+    """Some tests of campaigns, the same to the byte as there.
+
+    Parameters
+    ----------
+    campaigns : that the tests are in
+    names : of the tests; their order is that of the campaigns
+    """
+
+    campaigns: Sequence[Campaign]
+    names: tuple[str, ...]
+
+    def scenarios(self, seed: int = 1) -> Iterator[tuple[Scenario, int]]:
+        """The tests, as `Campaign` says.
+
+        Yields
+        ------
+        Scenario and seed.
+
+        Raises
+        ------
+        KeyError
+            If no campaign has a test of one of the names.
+        """
+        tests = [each for campaign in self.campaigns for each in campaign.scenarios(seed)]
+        if missing := set(self.names) - {scenario.name for scenario, _ in tests}:
+            raise KeyError(*sorted(missing))
+        yield from (test for test in tests if test[0].name in self.names)
 
 
 @dataclass(frozen=True, slots=True)

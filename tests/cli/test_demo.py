@@ -1,14 +1,27 @@
 from __future__ import annotations
 
+import os
 import shutil
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from labpipe.cli.demo import CAMPAIGNS, FIRST_LOOK
+from labpipe.virtual_lab import Campaign
+from labpipe.virtual_lab.sheet_texts import protocol_of
 from tests.builders.pulls import broken, pull
 from tests.builders.small_tests import Run, make_lab, small_scenario
 from tests.builders.tensile_tests import TensileLab, write_pull
+
+
+def simulated(make: Callable[[Path], None] | list[Callable[[Path], None]], raw: Path) -> list[Path]:
+    before = set(raw.glob("*/"))
+    for each in make if isinstance(make, list) else [make]:
+        each(raw)
+    return sorted(set(raw.glob("*/")) - before)
 
 
 @pytest.fixture
@@ -38,12 +51,13 @@ def quick_campaign(monkeypatch: pytest.MonkeyPatch) -> None:
 
     campaigns = {"wires": simulate, "tensile": simulate_tensile}
     monkeypatch.setattr("labpipe.cli.demo.CAMPAIGNS", campaigns)
-    monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", lambda make, folder: make(folder))
+    monkeypatch.setattr("labpipe.cli.demo.FIRST_LOOK", (simulate_tensile,))
+    monkeypatch.setattr("labpipe.cli.demo.simulate_campaigns", simulated)
 
 
 @pytest.mark.usefixtures("quick_campaign")
 def test_processes_reports_and_calibrates_and_says_where(run: Run, tmp_path: Path) -> None:
-    ran = run("demo", tmp_path, "--no-figures", "--jobs", 1)
+    ran = run("demo", tmp_path, "--full", "--no-figures", "--jobs", 1)
     assert ran.status == 0
     assert ran.err.startswith("making synthetic campaigns in ")
     done = tmp_path / "processed" / "demo"
@@ -68,7 +82,7 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
         return [folder / "calibration.svg", folder / "calibration.png"]
 
     monkeypatch.setattr("labpipe.studies.calibration_study.save_calibration_figures", card)
-    ran = run("demo", tmp_path, "--jobs", 1)
+    ran = run("demo", tmp_path, "--full", "--jobs", 1)
     folder = tmp_path / "processed" / "demo"
     _, _, told = ran.out.partition(
         "\nfigures to look at, of the first test of each kind and of the calibration:\n"
@@ -83,9 +97,39 @@ def test_names_the_figures(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert str(Path(name) / "figures" / "force-displacement.svg") in told
 
 
+@pytest.mark.usefixtures("quick_campaign")
+def test_one_report_of_a_test_of_each_kind(run: Run, tmp_path: Path) -> None:
+    ran = run("demo", tmp_path, "--png", "--jobs", 1)
+    assert ran.status == 0
+    folder = tmp_path / "processed" / "demo" / "one-of-each"
+    out = ran.out.replace(f"{tmp_path}{os.sep}", "").replace(os.sep, "/")
+    assert "failure_displacement" in out.partition("P-2  (tensile)")[0], "numbers of the first test"
+    assert "failure_displacement" not in out.partition("P-2  (tensile)")[2]
+    shown = out.partition("open in a browser, the report first:\n")[2].partition("\n\n")[0]
+    assert [line.removeprefix("processed/demo/one-of-each/") for line in shown.split()] == [
+        "report/report.html",
+        "P-1/figures/stiffness-lines.svg",
+        "P-2/figures/stiffness-lines.svg",
+    ]
+    assert (folder / "P-2" / "figures" / "stiffness-lines.png").is_file()
+    assert (tmp_path / out.partition("labpipe inspect ")[2].splitlines()[0]).is_file()
+    page = (folder / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Synthetic demo campaign: one-of-each" in page
+    assert not (tmp_path / "processed" / "demo" / "wires").exists()
+
+
+def test_the_first_look_has_a_test_of_each_kind_of_the_campaigns() -> None:
+    def kinds(campaigns: Iterable[Campaign]) -> Counter[str]:
+        return Counter(protocol_of(test) for each in campaigns for test, _ in each.scenarios())
+
+    first = kinds(FIRST_LOOK)
+    assert set(first) == set(kinds(each for several in CAMPAIGNS.values() for each in several))
+    assert set(first.values()) == {1}
+
+
 @pytest.mark.slow
 def test_the_whole_demo(run: Run, tmp_path: Path) -> None:
-    ran = run("demo", tmp_path, "--jobs", 1)
+    ran = run("demo", tmp_path, "--full", "--jobs", 1)
     assert ran.status == 0
     assert ran.out.count("wire-shapes.svg") == 3  # a wire, a bundle in tape, one in a conduit
     assert len(list((tmp_path / "raw" / "demo").glob("*/*/test.yaml"))) == 99

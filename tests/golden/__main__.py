@@ -1,4 +1,4 @@
-"""Compare the numbers of the demo and of the real exports with those that are kept.
+"""Compare the numbers of the full demo and of the real exports with those that are kept.
 
 ``python -m tests.golden`` processes both afresh. ``--processed DIR`` takes the campaigns of a demo
 that has just been run. ``--update`` keeps the new numbers and prints what changed. Names of
@@ -36,7 +36,9 @@ HERE = Path(__file__).resolve().parent
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=", ".join(NAMES))
-    parser.add_argument("--processed", type=Path, metavar="DIR", help="a demo's processed/demo")
+    parser.add_argument(
+        "--processed", type=Path, metavar="DIR", help="a full demo's processed/demo"
+    )
     parser.add_argument("--update", action="store_true", help="keep the new numbers")
     parser.add_argument("--widths", action="store_true", help="compare widths and statuses alone")
     options = parser.parse_args()

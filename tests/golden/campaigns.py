@@ -1,4 +1,4 @@
-"""The tests whose numbers are kept: those of the demo, and every real export that is a test."""
+"""The tests whose numbers are kept: of the full demo, and every real export that is a test."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from tests.plain.bench import process
 from tests.plain.test_real_exports import CASES
 
 CAMPAIGNS = ("wires", "tensile", "harness")
-"""Of the demo."""
+"""Of the full demo."""
 JOBS = min(os.cpu_count() or 1, 4)
 
 
 def made_demo(folder: Path) -> Path:
-    """Run the demo without figures; the folder of its processed campaigns."""
+    """Run the full demo without figures; the folder of its processed campaigns."""
     with contextlib.redirect_stdout(io.StringIO()):
-        main(["demo", str(folder), "--no-figures"])
+        main(["demo", "--full", str(folder), "--no-figures"])
     return folder / "processed" / "demo"
 
 
