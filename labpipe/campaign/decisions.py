@@ -17,6 +17,8 @@ from labpipe.store.replace import locked, replacing
 DECISIONS: Final = "decisions.json"
 SCHEMA: Final = 1
 ACCEPT, REJECT = "accept", "reject"
+NO_SUCH_TEST: Final = "there is no such test"
+OTHER_KEY: Final = "it was made on another key: exports, sheet, protocol or labpipe changed"
 _TEXTS = ("test", "run", "decision", "because", "by", "when")
 _NEEDED = ("test", "run", "decision", "because", "by")
 _MOST_BYTES = 50_000_000
@@ -81,8 +83,21 @@ def read_decisions(folder: Path, campaign: str = "") -> DecisionFile:
     The decisions; none where there is no file. Whatever is wrong is said in `faults`.
     """
     path = folder / DECISIONS
-    if not path.exists():
-        return DecisionFile()
+    return read_decision_file(path, campaign) if path.exists() else DecisionFile()
+
+
+def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
+    """Read decisions, whatever their file is called and wherever it lies.
+
+    Parameters
+    ----------
+    path : of the file
+    campaign : its name; a file of another one is said. Empty for not known
+
+    Returns
+    -------
+    The decisions. Whatever is wrong, also that there is no such file, is said in `faults`.
+    """
     document = _document(path)
     if isinstance(document, str):
         return DecisionFile(faults=(document,), is_whole=False)
@@ -185,9 +200,9 @@ def not_applied(
             last[each.test] = each
     for test, each in last.items():
         if test not in runs:
-            yield each, "there is no such test"
+            yield each, NO_SUCH_TEST
         elif runs[test] != each.run:
-            yield each, "it was made on another key: exports, sheet, protocol or labpipe changed"
+            yield each, OTHER_KEY
 
 
 def add_decisions(folder: Path, campaign: str, decisions: Sequence[Decision]) -> None:
@@ -292,6 +307,21 @@ def carried_over(
     )
 
 
+def home_of(folder: Path) -> Path:
+    """Find the folder that has the decisions on the tests in a folder.
+
+    Parameters
+    ----------
+    folder : holds folders of tests
+
+    Returns
+    -------
+    The nearest of it and those around it that has decisions; it itself where none has.
+    """
+    here = folder.resolve()
+    return next((each for each in (here, *here.parents) if (each / DECISIONS).is_file()), here)
+
+
 def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
     """Find what was decided on tests, by their results.
 
@@ -313,8 +343,8 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
     read: dict[Path, DecisionFile] = {}
     for file in files:
         test = file.resolve().parent
-        home = next((each for each in test.parents if (each / DECISIONS).is_file()), None)
-        if home is None:
+        home = home_of(test.parent)
+        if not (home / DECISIONS).is_file():
             continue
         known = read.setdefault(home, read_decisions(home))
         if not known.is_whole:

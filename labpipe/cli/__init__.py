@@ -288,10 +288,13 @@ def _campaign_replay(parser: argparse.ArgumentParser) -> None:
 
 
 def _campaign_decide(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("test", metavar="TEST", help="name of the test, or its folder below DIR")
-    parser.add_argument("decision", choices=("accept", "reject"), help="what is decided")
-    parser.add_argument("--because", required=True, metavar="REASON", help="why")
-    parser.add_argument("--by", required=True, metavar="WHO", help="who decides")
+    what = "name of the test, or its folder below DIR"
+    parser.add_argument("test", nargs="?", default="", metavar="TEST", help=what)
+    parser.add_argument("decision", nargs="?", choices=("accept", "reject"), help="what is decided")
+    parser.add_argument("--because", default="", metavar="REASON", help="why")
+    parser.add_argument("--by", default="", metavar="WHO", help="who decides")
+    saved = "take in the decisions that the page of a report saved, in place of TEST"
+    parser.add_argument("--from", dest="saved", type=_path, metavar="FILE", help=saved)
 
 
 def _campaign_watch(parser: argparse.ArgumentParser) -> None:

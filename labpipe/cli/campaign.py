@@ -11,12 +11,13 @@ from typing import Any
 
 from labpipe.campaign.campaign_folders import CampaignFolders, find_campaign
 from labpipe.campaign.catalog import FAILED, PENDING, REJECTED, RUNNING, STALE, STATES, TestRow
-from labpipe.campaign.decisions import Decision, not_applied
+from labpipe.campaign.decisions import Decision, not_applied, said_of
 from labpipe.campaign.executors import executor_of
 from labpipe.campaign.file_accounts import account_for
 from labpipe.campaign.queries import answered, escaped, write_answer, write_workbook
 from labpipe.campaign.refreshing import Overview, opened_campaign
 from labpipe.campaign.running import Drawing, Ran, clear_failures, decide, rebuild, run_campaign
+from labpipe.campaign.saved_decisions import take_in_file
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError, complaint
 
@@ -95,6 +96,13 @@ def _replay(options: argparse.Namespace, campaign: CampaignFolders) -> int:
 
 
 def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    if options.saved is not None:
+        return _take_in(options, campaign)
+    if not options.test or not options.decision:
+        raise UsageError(
+            complaint("labpipe campaign decide", "", expected="a test and accept or reject",
+                      found="none", remedy="Or name a file that a report's page saved, with --from.")
+        )  # fmt: skip
     for key in ("because", "by"):
         if not getattr(options, key).strip():
             raise UsageError(
@@ -105,6 +113,24 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     row = decide(campaign, options.test, said)
     print(f"{escaped(row.folder)}: {row.state}")
     return 0
+
+
+def _take_in(options: argparse.Namespace, campaign: CampaignFolders) -> int:
+    """Take in decisions that the page of a report saved."""
+    if options.test:
+        raise UsageError(
+            complaint("--from", "", expected="nothing but the folder beside it",
+                      found=options.test, remedy="Decide on a test, or take in a file.")
+        )  # fmt: skip
+    taken, faults = take_in_file(campaign.processed, campaign.name, options.saved)
+    for each in faults:
+        print(f"labpipe campaign: {escaped(each)}", file=sys.stderr)
+    for decision in taken.added:
+        print(escaped(f"{decision.test}: {decision.decision}: {said_of(decision)}"))
+    for decision, why in taken.left:
+        print(escaped(f"{decision.test}: {decision.decision} does not count: {why}"), file=sys.stderr)
+    print(f"{len(taken.added)} decisions taken in, {taken.known} were known")
+    return 2 if faults or taken.left else 0
 
 
 def _rebuild(_: argparse.Namespace, campaign: CampaignFolders) -> int:

@@ -1,0 +1,128 @@
+// What a report does in a browser, first part: what all parts use, and tables that sort and filter.
+// No network, no other file. Whatever is read from the page is shown as text only.
+
+document.documentElement.classList.add("js");
+const all = (selector, within = document) => [...within.querySelectorAll(selector)];
+const minus = (text) => text.replace("-", "\u2212");
+
+function make(tag, attributes = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(attributes)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (value !== false) element.setAttribute(name, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+}
+
+const said = document.getElementById("said");
+function say(text) {
+  if (said) said.textContent = text;
+}
+
+const policy = document.querySelector('meta[http-equiv="Content-Security-Policy"]');
+const isServed = Boolean(policy && policy.content.includes("connect-src 'self'"));
+
+// ---- tests: one row each; whatever speaks of a test has its number ----
+const tests = new Map();
+for (const row of all("tr[data-t][data-test]")) {
+  const { t, test, key = "", state = "ok" } = row.dataset;
+  tests.set(t, { t, test, key, state, row, marks: [] });
+}
+for (const element of all("[data-t]")) tests.get(element.dataset.t)?.marks.push(element);
+const nameOf = (t) => tests.get(t)?.test ?? "";
+
+// ---- tables: sort ----
+const collator = new Intl.Collator("en", { numeric: true, sensitivity: "base" });
+
+function numberIn(text) {
+  const found = /[-+\u2212]?\d[\d\u2009]*(\.\d+)?(e[-+\u2212]?\d+)?/i.exec(text);
+  return found ? Number(found[0].replaceAll("\u2212", "-").replaceAll("\u2009", "")) : NaN;
+}
+
+function sortKey(cell, isNumber) {
+  const text = cell?.dataset.v ?? cell?.textContent.trim() ?? "";
+  return isNumber ? numberIn(text) : text;
+}
+
+function compare(a, b, isNumber, sign) {
+  if (!isNumber) return sign * collator.compare(a, b);
+  if (Number.isNaN(a) || Number.isNaN(b)) return Number.isNaN(a) - Number.isNaN(b);
+  return sign * (a - b);
+}
+
+function sortBy(table, head) {
+  const isNumber = head.dataset.sort === "number";
+  const goesDown = head.getAttribute("aria-sort") === "ascending";
+  const body = table.tBodies[0];
+  const keyed = [...body.rows].map((row) => [sortKey(row.cells[head.cellIndex], isNumber), row]);
+  keyed.sort(([a], [b]) => compare(a, b, isNumber, goesDown ? -1 : 1));
+  body.append(...keyed.map(([, row]) => row));
+  for (const other of all("th[aria-sort]", table)) other.removeAttribute("aria-sort");
+  head.setAttribute("aria-sort", goesDown ? "descending" : "ascending");
+  say(`sorted by ${head.textContent.trim()}, ${goesDown ? "last" : "first"} to ${goesDown ? "first" : "last"}`);
+  table.dispatchEvent(new Event("rows"));
+}
+
+for (const table of all("table.sortable")) {
+  for (const head of all("thead th[data-sort]", table)) {
+    const button = make("button", { type: "button", class: "sort" }, ...head.childNodes);
+    button.addEventListener("click", () => sortBy(table, head));
+    head.append(button);
+  }
+}
+
+// ---- tables: filter by words and states ----
+const STATES = ["ok", "doubtful", "failed", "rejected"];
+
+function wordsOf(row) {
+  const cells = [...row.cells].filter((cell) => !cell.classList.contains("decision"));
+  return cells.map((cell) => cell.textContent).join(" ").toLowerCase();
+}
+
+function stateOf(row) {
+  const own = tests.get(row.dataset.t);
+  return (own && decided(own)?.decision === "reject" && "rejected") || row.dataset.state;
+}
+
+function addFinder(table) {
+  const rows = [...table.tBodies[0].rows];
+  const words = new Map(rows.map((row) => [row, wordsOf(row)]));
+  const name = table.caption?.textContent.trim() || "rows";
+  const input = make("input", { type: "search", "aria-label": `Find in ${name}`, placeholder: "find" });
+  const shown = make("output", {});
+  const states = STATES.filter((state) => rows.some((row) => row.dataset.state === state));
+  const wanted = new Set();
+  const buttons = (states.length > 1 ? states : []).map((state) =>
+    make("button", { type: "button", "aria-pressed": "false", "data-state": state }, state));
+
+  function apply() {
+    const needed = input.value.toLowerCase().split(/\s+/).filter(Boolean);
+    let count = 0;
+    for (const row of rows) {
+      const fits = (!wanted.size || wanted.has(stateOf(row)))
+        && needed.every((word) => words.get(row).includes(word));
+      row.hidden = !fits;
+      count += fits;
+    }
+    shown.textContent = count === rows.length ? `${count} rows` : `${count} of ${rows.length} rows`;
+    table.dispatchEvent(new Event("rows"));
+  }
+
+  function toggle(button) {
+    const { state } = button.dataset;
+    if (!wanted.delete(state)) wanted.add(state);
+    button.setAttribute("aria-pressed", String(wanted.has(state)));
+    apply();
+  }
+  for (const button of buttons) button.addEventListener("click", () => toggle(button));
+  input.addEventListener("input", apply);
+  table.addEventListener("show-all", () => {
+    input.value = "";
+    for (const button of buttons.filter((each) => wanted.has(each.dataset.state))) toggle(button);
+    apply();
+  });
+  const place = table.closest(".wide") ?? table;
+  place.before(make("div", { class: "finder", role: "search", "aria-label": name }, input, ...buttons, shown));
+  apply();
+}
