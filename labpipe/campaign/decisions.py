@@ -307,19 +307,20 @@ def carried_over(
     )
 
 
-def home_of(folder: Path) -> Path:
-    """Find the folder that has the decisions on the tests in a folder.
+def home_of(test: Path, shared: Path) -> Path:
+    """Find the folder that has the decisions on a test.
 
     Parameters
     ----------
-    folder : holds folders of tests
+    test : folder of its results
+    shared : folder that counts as that of the campaign where none has decisions yet
 
     Returns
     -------
-    The nearest of it and those around it that has decisions; it itself where none has.
+    The nearest around the test that has decisions, resolved.
     """
-    here = folder.resolve()
-    return next((each for each in (here, *here.parents) if (each / DECISIONS).is_file()), here)
+    around = test.resolve().parents
+    return next((each for each in around if (each / DECISIONS).is_file()), shared.resolve())
 
 
 def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
@@ -343,7 +344,7 @@ def decisions_on(files: Sequence[Path]) -> dict[Path, tuple[Decision, ...]]:
     read: dict[Path, DecisionFile] = {}
     for file in files:
         test = file.resolve().parent
-        home = home_of(test.parent)
+        home = home_of(test, test.parent)
         if not (home / DECISIONS).is_file():
             continue
         known = read.setdefault(home, read_decisions(home))
@@ -363,7 +364,7 @@ def label_of(file: Path, shared: Path) -> str:
     shared : folder that counts as that of the campaign where none has decisions yet
     """
     test = file.resolve().parent
-    home = next((each for each in test.parents if (each / DECISIONS).is_file()), shared.resolve())
+    home = home_of(test, shared)
     return test.relative_to(home).as_posix()
 
 

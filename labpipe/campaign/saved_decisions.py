@@ -14,6 +14,7 @@ from labpipe.campaign.decisions import (
     add_decisions,
     decisions_on,
     home_of,
+    label_of,
     read_decision_file,
 )
 from labpipe.errors import LabpipeError, UsageError, complaint
@@ -55,7 +56,12 @@ def take_in_file(folder: Path, campaign: str, file: Path) -> tuple[TakenIn, tupl
     LabpipeError
         If the file cannot be read, is that of the campaign itself, or nothing can be written.
     """
-    if file.resolve() == (home_of(folder) / DECISIONS).resolve():
+    if not file.is_file():
+        found, remedy = "nothing of that name", "A page saves it in the folder of downloads."
+        raise UsageError(
+            complaint(file, "", expected="a file that a page saved", found=found, remedy=remedy)
+        )
+    if file.resolve() == (folder / DECISIONS).resolve():
         found, remedy = "the campaign's own", "What stands in it counts already."
         raise UsageError(
             complaint(file, "", expected="a file that a page saved", found=found, remedy=remedy)
@@ -86,49 +92,48 @@ def take_in(folder: Path, campaign: str, decisions: Iterable[Decision]) -> Taken
 
     Notes
     -----
-    Labels of tests are looked up among the tests that there are; no path is made of them. They
-    count from the folder, or from the one around it that has decisions. Each decision goes where a
-    report looks for it: to the nearest ``decisions.json`` around its test.
+    Labels of tests are looked up among the tests that there are; no path is made of them. Each
+    decision goes where a report looks for it: to the nearest ``decisions.json`` around its test.
     """
-    files = _results(home_of(folder)) | _results(folder)
     wanted = list(dict.fromkeys(decisions))
-    standing = decisions_on([files[each.test] for each in wanted if each.test in files])
+    files = _results(folder)
+    standing = decisions_on([file for each in wanted for file in files.get(each.test, ())])
     taken = TakenIn()
     at_home: dict[Path, list[Decision]] = {}
     for each in wanted:
-        file = files.get(each.test)
-        why = NO_SUCH_TEST if file is None else _why_not(file, each)
-        if file is None or why:
+        file, why = _meant(each, files.get(each.test, ()))
+        if file is None:
             taken.left.append((each, why))
             continue
-        home = _home(file, folder)
-        own = replace(each, test=file.parent.relative_to(home).as_posix())
+        own = replace(each, test=label_of(file, folder))
         if own in standing.get(file, ()):
             taken.known += 1
         else:
             taken.added.append(each)
-            at_home.setdefault(home, []).append(own)
+            at_home.setdefault(home_of(file.parent, folder), []).append(own)
     for home, new in at_home.items():
         add_decisions(home, campaign, new)
     return taken
 
 
-def _results(folder: Path) -> dict[str, Path]:
-    """Results of the tests, by their label."""
-    here = folder.resolve()
-    found = files_below(here, RESULT_FILE)
-    return {file.parent.relative_to(here).as_posix(): file for file in found}
+def _results(folder: Path) -> dict[str, list[Path]]:
+    """Results of the tests by their label, and by their folder below the campaign."""
+    found: dict[str, list[Path]] = {}
+    for file in files_below(folder, RESULT_FILE):
+        for label in {label_of(file, folder), file.parent.relative_to(folder).as_posix()}:
+            found.setdefault(label, []).append(file)
+    return found
 
 
-def _home(file: Path, folder: Path) -> Path:
-    """Where a report looks for decisions on a test; the campaign where there are none yet."""
-    home = home_of(file.parent.parent)
-    return home if (home / DECISIONS).is_file() else folder.resolve()
-
-
-def _why_not(file: Path, decision: Decision) -> str:
-    try:
-        run = read_run(file)
-    except LabpipeError as error:
-        return str(error)
-    return "" if run == decision.run else OTHER_KEY
+def _meant(decision: Decision, files: Iterable[Path]) -> tuple[Path | None, str]:
+    """The result that a decision was made on, or why there is none."""
+    why = NO_SUCH_TEST
+    for file in files:
+        try:
+            if read_run(file) == decision.run:
+                return file, ""
+        except LabpipeError as error:
+            why = str(error)
+        else:
+            why = OTHER_KEY
+    return None, why

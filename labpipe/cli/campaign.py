@@ -20,6 +20,7 @@ from labpipe.campaign.running import Drawing, Ran, clear_failures, decide, rebui
 from labpipe.campaign.saved_decisions import take_in_file
 from labpipe.cli.terminal import counting, from_here
 from labpipe.errors import UsageError, complaint
+from labpipe.report.wording import count_of
 
 _SHOWN = 20
 """Tests, or files, that a list shows."""
@@ -101,7 +102,7 @@ def _decide(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     if not options.test or not options.decision:
         raise UsageError(
             complaint("labpipe campaign decide", "", expected="a test and accept or reject",
-                      found="none", remedy="Or name a file that a report's page saved, with --from.")
+                      found="none", remedy="Or name a file that a page saved, with --from.")
         )  # fmt: skip
     for key in ("because", "by"):
         if not getattr(options, key).strip():
@@ -128,8 +129,10 @@ def _take_in(options: argparse.Namespace, campaign: CampaignFolders) -> int:
     for decision in taken.added:
         print(escaped(f"{decision.test}: {decision.decision}: {said_of(decision)}"))
     for decision, why in taken.left:
-        print(escaped(f"{decision.test}: {decision.decision} does not count: {why}"), file=sys.stderr)
-    print(f"{len(taken.added)} decisions taken in, {taken.known} were known")
+        print(
+            escaped(f"{decision.test}: {decision.decision} does not count: {why}"), file=sys.stderr
+        )
+    print(f"{count_of(len(taken.added), 'decision')} taken in, {taken.known} known before")
     return 2 if faults or taken.left else 0
 
 
