@@ -242,7 +242,7 @@ def parse_quantity(text: object, si_unit: str) -> float:
     """
     match = _QUANTITY.fullmatch(str(text))
     if match is None or isinstance(text, bool):
-        message = f"expected a number with a unit such as '1 {si_unit}', found {text!r}"
+        message = f'expected a number with a unit such as "1 {si_unit}", found {text!r}'
         raise ValueError(message)
     number, unit = match.groups()
     if not unit and si_unit != "1":

@@ -11,7 +11,7 @@ import gc
 import io
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from pathlib import Path
 
@@ -21,6 +21,8 @@ DONE, SOME_FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _NO_FIGURES = "numbers only; figures drawn before stay as they are"
 _SHOWN = 60
+_COMPLETION = "_ARGCOMPLETE"
+"""Set in the environment by the script of `labpipe completion`."""
 _NO_MEMORY = (
     "expected data that go into the memory, found that it was used up. Close other programs, or"
     " take fewer files; earlier results are as they were."
@@ -29,7 +31,7 @@ _EPILOG = """\
 exit status: 0 done; 1 some results failed (they are listed); 2 bad input or usage
 
 first steps:
-  labpipe demo                      see everything once, on a synthetic campaign
+  labpipe demo                      see it work, on a synthetic test of each kind
   labpipe inspect take.csv          what is in this export?
   labpipe new raw/A2/A2-085-1       write the test.yaml of a test
   labpipe check raw/A2              is everything there, and spelt right?
@@ -37,7 +39,7 @@ first steps:
   labpipe campaign run raw/A2       process what is new or changed, as often as you like
   labpipe report processed/A2       means, bands and tables of many tests
   labpipe model examples/wires.xlsx stiffness of wires from their dimensions
-  labpipe bundle '19 B1' --wire examples/wires.xlsx
+  labpipe bundle "19 B1" --wire examples/wires.xlsx
                                     bounds of a bundle's stiffness
 """
 
@@ -53,6 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     Exit status: 0 done, 1 some results failed, 2 bad input or usage, 130 interrupted.
     """
+    if _COMPLETION in os.environ:  # a shell asks what may follow
+        from argcomplete import autocomplete
+
+        autocomplete(_parser(_COMMANDS))  # and ends
     options = _parser(sys.argv[1:] if arguments is None else arguments).parse_args(arguments)
     if arguments is not None:
         return _run(options)
@@ -102,7 +108,7 @@ def _spare_the_collector() -> None:
     gc.enable()
 
 
-def _parser(typed: Sequence[str]) -> argparse.ArgumentParser:
+def _parser(typed: Collection[str]) -> argparse.ArgumentParser:
     """Parser of all commands; only one that was typed has arguments."""
     parser = argparse.ArgumentParser(
         prog="labpipe",
@@ -114,7 +120,7 @@ def _parser(typed: Sequence[str]) -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"labpipe {__version__}")
     # As long as the longest command is indented, or argparse puts that one on two lines.
     commands = parser.add_subparsers(
-        dest="command", metavar="COMMAND ...", required=True, prog="labpipe"
+        dest="command", metavar="COMMAND [...]", required=True, prog="labpipe"
     )
     for name, (about, add_arguments) in _COMMANDS.items():
         command = commands.add_parser(
@@ -148,7 +154,7 @@ def _new(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--type", help="specimen type, such as A2")
     parser.add_argument("--spool", help="spool the sample was cut from, such as A2-s1")
     parser.add_argument("--sample", help="number of the sample on its spool")
-    parser.add_argument("--length", help="free length with its unit, such as '85 mm'")
+    parser.add_argument("--length", help='free length with its unit, such as "85 mm"')
     parser.add_argument("--date", help="day of the test, such as 2026-03-04")
     parser.add_argument("--operator", help="who ran it")
     for role in ("force", "markers", "frame"):
@@ -322,7 +328,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
 
 
 def _bundle(parser: argparse.ArgumentParser) -> None:
-    what = "wires, such as '10 B1 + 9 B2', or the test.yaml of a harness bundle"
+    what = 'wires, such as "10 B1 + 9 B2", or the test.yaml of a harness bundle'
     parser.add_argument("bundle", metavar="BUNDLE", help=what)
     sheet = "wire sheet with the types of the bundle as its wires (default: %(default)s)"
     parser.add_argument(
@@ -330,7 +336,7 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
     )
     where = "packed, symmetric or asymmetric (default: that of the test.yaml, else packed)"
     parser.add_argument("--arrangement", metavar="WORD", help=where)
-    bore = "inner diameter of a conduit, such as '10.7 mm'; of several, the best filled is chosen"
+    bore = 'inner diameter of a conduit, such as "10.7 mm"; of several, the best filled is chosen'
     parser.add_argument("--bore", action="append", default=[], metavar="LENGTH", help=bore)
     where = "folder of the results (default: processed/bundles/<name>)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
@@ -370,10 +376,23 @@ def _simulate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=int, default=1, help="(default: %(default)s)")
 
 
+def _examples(parser: argparse.ArgumentParser) -> None:
+    where = "folder that gets them (default: %(default)s)"
+    parser.add_argument(
+        "folder", nargs="?", type=_path, default=Path("examples"), metavar="DIR", help=where
+    )
+
+
+def _completion(parser: argparse.ArgumentParser) -> None:
+    shells = ("bash", "zsh", "fish", "powershell")
+    what = f"that is to complete: {', '.join(shells)}"
+    parser.add_argument("shell", choices=shells, metavar="SHELL", help=what)
+
+
 _COMMANDS = {
-    "demo": ("a synthetic campaign in vendor formats, processed", _demo),
+    "demo": ("synthetic tests in vendor formats, processed and reported", _demo),
     "inspect": ("what an export holds: channels, rate, gaps, oddities", _inspect),
-    "new": ("write test.yaml files: by what lies there, or from a campaign sheet", _new),
+    "new": ("write test.yaml files: by what lies there, or from a table", _new),
     "check": ("protocols and tests against each other and the files", _check),
     "process": ("exports to result.h5, summary.json and figures", _process),
     "campaign": ("many tests: only what changed; states, queries, decisions", _campaign),
@@ -382,5 +401,7 @@ _COMMANDS = {
     "bundle": ("bounds of a harness bundle's bending stiffness", _bundle),
     "calibrate": ("cantilever tests to a calibrated wire model", _calibrate),
     "simulate": ("synthetic exports of a test, with known truth", _simulate),
+    "examples": ("copy a wire sheet, a calibration plan and the protocols", _examples),
+    "completion": ("a script that lets Tab complete commands and options", _completion),
 }
 """What each command is for, and its arguments."""

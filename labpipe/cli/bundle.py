@@ -44,7 +44,7 @@ def _not_a_bore(text: str) -> UsageError:
     message = complaint(
         "--bore",
         "",
-        expected="a length above zero with its unit, such as '10.7 mm'",
+        expected='a length above zero with its unit, such as "10.7 mm"',
         found=repr(text),
         remedy="Write the inner diameter of the conduit.",
     )

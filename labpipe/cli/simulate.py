@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> int:
         message = complaint(
             "options",
             "",
-            expected="--rate and --fps such as '10 kHz' and '50 Hz', a cycle, a plain name, a type "
+            expected='--rate and --fps such as "10 kHz" and "50 Hz", a cycle, a plain name, a type '
             "and cycles that the kind has",
             found=str(error),
             remedy="See `labpipe simulate --help`.",

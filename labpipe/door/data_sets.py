@@ -129,7 +129,7 @@ def _xarray() -> Any:
             "",
             expected="the package",
             found="none",
-            remedy="Install it: pip install 'labpipe[xarray]'. The tables of pandas work without.",
+            remedy='Install it: pip install "labpipe[xarray]". The tables of pandas work without.',
         )
         raise UsageError(message) from error
     return xarray

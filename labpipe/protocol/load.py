@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sysconfig
 from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -45,13 +44,28 @@ def protocol_folders(protocols: Path | None = None) -> tuple[Path, ...]:
 
     Returns
     -------
-    The lab's folder, that of a checkout, and that of an installed labpipe, as far as they exist.
+    The lab's folder, and that of labpipe, as far as they exist.
     """
     own = Path("protocols") if protocols is None else protocols
-    checkout = Path(__file__).resolve().parents[2] / "protocols"
-    installed = Path(sysconfig.get_path("data")) / "share" / "labpipe" / "protocols"
-    unique = {folder.resolve(): folder for folder in (installed, checkout, own) if folder.is_dir()}
+    both = (shipped_folder("protocols"), own)
+    unique = {folder.resolve(): folder for folder in both if folder.is_dir()}
     return tuple(reversed(unique.values()))
+
+
+def shipped_folder(name: str) -> Path:
+    """Find a folder of files that come with labpipe.
+
+    Parameters
+    ----------
+    name : ``protocols`` or ``examples``
+
+    Returns
+    -------
+    The folder: inside the package where that was installed, else beside it in the checkout.
+    """
+    package = Path(__file__).resolve().parents[1]
+    installed = package / "shipped" / name
+    return installed if installed.is_dir() else package.parent / name
 
 
 def known_protocols(protocols: Path | None = None) -> dict[str, Path]:

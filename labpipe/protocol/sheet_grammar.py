@@ -296,7 +296,7 @@ def bundle_in_words(words: str, *, arrangement: str = PACKED) -> Bundle:
 
 def _worded(fault: Fault, words: str) -> str:
     place = "" if fault.path == ("wires",) else ".".join(map(str, fault.path))
-    remedy = fault.remedy or "Write it like '10 B1 + 9 B2 (1.25 mm)', or give a test.yaml."
+    remedy = fault.remedy or 'Write it like "10 B1 + 9 B2 (1.25 mm)", or give a test.yaml.'
     return complaint(words, place, expected=fault.expected, found=fault.found, remedy=remedy)
 
 

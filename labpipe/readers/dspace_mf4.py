@@ -121,7 +121,7 @@ def _not_installed(path: Path) -> str:
         "",
         expected="the package asammdf to read MF4",
         found="it is not installed",
-        remedy="Run: pip install 'labpipe[mf4]', or export the recording as MAT.",
+        remedy='Run: pip install "labpipe[mf4]", or export the recording as MAT.',
     )
 
 

@@ -31,7 +31,7 @@ def test_a_bore_that_is_none(run: Run, tmp_path: Path, bore: str) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, f"--bore={bore}", "--out", tmp_path / "x")
     assert ran.status == BAD_INPUT
     assert ran.err == (
-        f"labpipe bundle: --bore: expected a length above zero with its unit, such as '10.7 mm', "
+        'labpipe bundle: --bore: expected a length above zero with its unit, such as "10.7 mm", '
         f"found {bore!r}. Write the inner diameter of the conduit.\n"
     )
     assert not (tmp_path / "x").exists()

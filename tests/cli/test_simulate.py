@@ -70,7 +70,7 @@ def test_what_a_kind_does_not_have(
     ran = run("simulate", "--out", tmp_path, *options)
     assert ran.status == 2
     assert ran.err == (
-        f"labpipe simulate: options: expected --rate and --fps such as '10 kHz' and '50 Hz', a "
+        'labpipe simulate: options: expected --rate and --fps such as "10 kHz" and "50 Hz", a '
         f"cycle, a plain name, a type and cycles that the kind has, found {found}. See `labpipe "
         f"simulate --help`.\n"
     )

@@ -1,12 +1,11 @@
 from __future__ import annotations
 
-import sysconfig
 from pathlib import Path
 
 import pytest
 
 from labpipe.errors import Fault
-from labpipe.protocol.load import find_protocol, known_protocols, protocol_folders
+from labpipe.protocol.load import find_protocol, known_protocols, protocol_folders, shipped_folder
 
 
 def test_the_folder_of_the_lab_comes_first(tmp_path: Path, repository: Path) -> None:
@@ -32,13 +31,16 @@ def test_the_working_folder_is_the_lab_if_nobody_says_otherwise(
 
 
 def test_an_installed_labpipe_brings_its_protocols(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, repository: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    installed = tmp_path / "share" / "labpipe" / "protocols"
+    assert protocol_folders(tmp_path)[-1] == repository / "protocols"
+    installed = tmp_path / "labpipe" / "shipped" / "protocols"
     installed.mkdir(parents=True)
-    monkeypatch.setattr(sysconfig, "get_path", lambda _: str(tmp_path))
+    module = tmp_path / "labpipe" / "protocol" / "load.py"
+    monkeypatch.setattr("labpipe.protocol.load.__file__", str(module))
 
-    assert protocol_folders(tmp_path)[-1] == installed
+    assert protocol_folders(tmp_path / "lab") == (installed,)
+    assert shipped_folder("examples") == tmp_path / "examples", "as in a checkout"
 
 
 def test_a_path_is_sought_beside_the_sheet_and_then_from_here(

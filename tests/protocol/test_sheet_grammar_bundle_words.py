@@ -19,7 +19,7 @@ def test_words_of_a_bundle() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("B1", r"^B1: expected wires by type, .*, found 'B1'\. Write it like '10 B1 \+ 9 B2 \("),
+        ("B1", r"""^B1: expected wires by type, .*, found 'B1'\. Write it like "10 B1 \+ 9"""),
         ("7 B1 + 3 B1", r": expected each type once, found .*\. Add the numbers of 'B1'"),
         ("0 B1", r"^0 B1: expected a whole number from 1 to 1000, found '0'\. Write it like"),
         ("7 B1 (thick)", r"^7 B1 \(thick\): expected a quantity with a unit .*, found 'thick'\."),

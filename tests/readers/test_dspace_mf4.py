@@ -56,7 +56,7 @@ def test_without_the_library_the_error_says_what_to_install(
     monkeypatch.setitem(sys.modules, "asammdf", None)
     expected = (
         r"r\.mf4: expected the package asammdf to read MF4, found it is not installed\."
-        r" Run: pip install 'labpipe\[mf4\]', or export the recording as MAT\."
+        r' Run: pip install "labpipe\[mf4\]", or export the recording as MAT\.'
     )
     with pytest.raises(ReadError, match=expected):
         dspace_mf4.read(file)

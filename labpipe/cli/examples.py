@@ -1,0 +1,48 @@
+"""``labpipe examples``."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from labpipe.cli.terminal import from_here
+from labpipe.errors import UsageError, complaint
+from labpipe.protocol.load import shipped_folder
+
+
+def run(options: argparse.Namespace) -> int:
+    """Copy what a lab starts from: a wire sheet, a calibration plan and the protocols."""
+    wanted = _copies(options.folder)
+    for goal, source in wanted.items():
+        _refuse_another(goal, source)
+    for goal, source in wanted.items():
+        goal.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, goal)
+        print(f"wrote {from_here(goal)}")
+    return 0
+
+
+def _copies(folder: Path) -> Mapping[Path, Path]:
+    """Files by where they go; those that stand there unchanged are left out."""
+    examples, protocols = shipped_folder("examples"), shipped_folder("protocols")
+    files = {folder / path.name: path for path in sorted(examples.iterdir())}
+    files |= {folder / "protocols" / path.name: path for path in sorted(protocols.iterdir())}
+    return {
+        goal: source
+        for goal, source in files.items()
+        if source.is_file() and source.resolve() != goal.resolve()
+    }
+
+
+def _refuse_another(goal: Path, source: Path) -> None:
+    if goal.exists() and goal.read_bytes() != source.read_bytes():
+        message = complaint(
+            goal,
+            "",
+            expected="the example as it comes with labpipe, or no such file",
+            found="another one",
+            remedy="Move it away, or name another folder; nothing was written.",
+        )
+        raise UsageError(message)
