@@ -62,6 +62,22 @@ def find_campaign(folder: Path) -> CampaignFolders:
     raise _no_campaign(folder, "a folder below 'raw' or 'processed'", found)
 
 
+def name_of_campaign(folder: Path) -> str:
+    """Name the campaign whose results lie in a folder.
+
+    Parameters
+    ----------
+    folder : any
+
+    Returns
+    -------
+    Its name; empty where the folder is that of no campaign.
+    """
+    with suppress(UsageError):
+        return find_campaign(folder).name
+    return ""
+
+
 def _as_typed(path: Path) -> Path:
     """A path as seen from the working folder, if it lies below: messages are kept in files."""
     here = Path.cwd().resolve()

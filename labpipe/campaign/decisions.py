@@ -101,6 +101,22 @@ def read_decision_file(path: Path, campaign: str = "") -> DecisionFile:
     document = _document(path)
     if isinstance(document, str):
         return DecisionFile(faults=(document,), is_whole=False)
+    return decisions_in(document, path, campaign)
+
+
+def decisions_in(document: Mapping[str, Any], path: Path, campaign: str = "") -> DecisionFile:
+    """Take the decisions out of a document.
+
+    Parameters
+    ----------
+    document : with a list ``decisions``
+    path : of where it stands, for messages
+    campaign : its name; a document of another one is said. Empty for not known
+
+    Returns
+    -------
+    The decisions. What is wrong with single ones is said in `faults`.
+    """
     faults = []
     if campaign and document.get("campaign", campaign) != campaign:
         faults.append(
@@ -128,6 +144,21 @@ def _document(path: Path) -> dict[str, Any] | str:
         return _broken(path, f"line {error.lineno}, column {error.colno}", error.msg)
     except (OSError, ValueError, RecursionError) as error:
         return _broken(path, "", getattr(error, "strerror", None) or "text that is no JSON")
+    return checked_document(document, path)
+
+
+def checked_document(document: object, path: Path) -> dict[str, Any] | str:
+    """Check that something is a document of decisions.
+
+    Parameters
+    ----------
+    document : as JSON gives it
+    path : of where it stands, for messages
+
+    Returns
+    -------
+    The document, or what is wrong with it.
+    """
     if not isinstance(document, dict) or not isinstance(document.get("decisions"), list):
         return _broken(path, "", "JSON without a list 'decisions'")
     if document.get("schema") != SCHEMA:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
 from labpipe import __version__
-from labpipe.campaign.campaign_folders import find_campaign
+from labpipe.campaign.campaign_folders import name_of_campaign
 from labpipe.campaign.decisions import (
     REJECT,
     Decision,
@@ -176,7 +175,7 @@ def make_campaign(
         places=() if wires is None else tuple(find_places(groups, wires)),
         wire_sheet="" if wanted.wires is None else wanted.wires.name,
         rejected_samples=tuple(read.rejected_samples),
-        name=_name_of_campaign(shared_folder(files)),
+        name=name_of_campaign(shared_folder(files)),
         decisions=tuple(map(decision_entry, read.decisions)),
         made_on=datetime.now(tz=UTC).date(),
     )
@@ -246,13 +245,6 @@ def _groups(read: _Read, by: Sequence[str]) -> list[Group]:
         unlike = setting_notes(settings_by_test(group.samples, read.settings), noted)
         groups.append(replace(group, notes=(*unlike, *group.notes)))
     return with_outliers(groups)
-
-
-def _name_of_campaign(folder: Path) -> str:
-    """Name of the campaign whose results lie in a folder; empty where it is none."""
-    with suppress(UsageError):
-        return find_campaign(folder).name
-    return ""
 
 
 def _group(

@@ -38,6 +38,7 @@ first steps:
   labpipe process raw/A2/A2-085-1   numbers and figures
   labpipe campaign run raw/A2       process what is new or changed, as often as you like
   labpipe report processed/A2       means, bands and tables of many tests
+  labpipe serve processed/A2        the report in the browser, to decide on its tests
   labpipe model examples/wires.xlsx stiffness of wires from their dimensions
   labpipe bundle "19 B1" --wire examples/wires.xlsx
                                     bounds of a bundle's stiffness
@@ -228,6 +229,10 @@ def _count(text: str) -> int:
 
 
 def _report(parser: argparse.ArgumentParser) -> None:
+    _what_is_reported(parser)
+
+
+def _what_is_reported(parser: argparse.ArgumentParser) -> None:
     what = "folder with processed tests, or a result.h5"
     parser.add_argument("paths", nargs="+", type=_path, metavar="PATH", help=what)
     where = "folder of the report (default: report, beside the tests)"
@@ -242,6 +247,21 @@ def _report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compare", default="", metavar="FIELD", help=alone)
     sheet = "wire sheet: shows where bundles lie between wires that slip and wires that stick"
     parser.add_argument("--wire", type=_path, metavar="SHEET", help=sheet)
+
+
+def _serve(parser: argparse.ArgumentParser) -> None:
+    _what_is_reported(parser)
+    which = "of this machine's own address; 0 for any that is free (default: %(default)s)"
+    parser.add_argument("--port", type=_whole, default=8765, metavar="N", help=which)
+    shut = "print the address only; else it is opened in the browser"
+    parser.add_argument("--no-browser", action="store_true", help=shut)
+
+
+def _whole(text: str) -> int:
+    if not text.isdecimal():
+        message = f"expected a whole number, found {text!r}"
+        raise argparse.ArgumentTypeError(message)
+    return int(text)
 
 
 _CAMPAIGN = {
@@ -397,6 +417,7 @@ _COMMANDS = {
     "process": ("exports to result.h5, summary.json and figures", _process),
     "campaign": ("many tests: only what changed; states, queries, decisions", _campaign),
     "report": ("processed tests to one page, figures and a workbook", _report),
+    "serve": ("a report in the browser that saves decisions on tests", _serve),
     "model": ("wire dimensions to stiffness tables and simulation decks", _model),
     "bundle": ("bounds of a harness bundle's bending stiffness", _bundle),
     "calibrate": ("cantilever tests to a calibrated wire model", _calibrate),

@@ -21,14 +21,19 @@ def run(options: argparse.Namespace) -> int:
     files = find_results(options.paths)
     with reading(len(files)) as say:
         reported = report_tests(
-            files, out=options.out, title=options.title, say=say, wanted=_wanted(options)
+            files, out=options.out, title=options.title, say=say, wanted=wanted_by(options)
         )
     print(report_table(reported))
     return status_of(reported)
 
 
-def _wanted(options: argparse.Namespace) -> Wanted:
-    """Groups and comparisons as they were typed."""
+def wanted_by(options: argparse.Namespace) -> Wanted:
+    """Read groups and comparisons as they were typed.
+
+    Parameters
+    ----------
+    options : of ``labpipe report``
+    """
     by = tuple(dict.fromkeys(filter(None, map(str.strip, options.by.split(",")))))
     return Wanted(by, options.compare, options.wire)
 

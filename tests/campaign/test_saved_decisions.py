@@ -13,38 +13,20 @@ from labpipe.campaign.decisions import Decision, add_decisions, read_decisions
 from labpipe.campaign.reporting import report_tests
 from labpipe.campaign.saved_decisions import take_in, take_in_file
 from labpipe.errors import UsageError
-from labpipe.process.run import process_test
-from labpipe.store.read import read_run
-from tests.builders.pulls import pull
+from tests.builders.pulled_campaigns import WHEN, decision_on, make_pulls
 from tests.builders.small_tests import Run
-from tests.builders.tensile_tests import TensileLab, write_pull
-
-NAMES = ("T-1", "T-2", "T-3")
-WHEN = "2026-03-10T08:00:00+00:00"
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A campaign of three pulls."""
-    home = tmp_path_factory.mktemp("done")
-    for seed, name in enumerate(NAMES):
-        lab = TensileLab(home, name)
-        travel, force = pull(stiffness=5e3, slack=0.001, seed=seed)
-        write_pull(lab, "tensile", force, travel)
-        process_test(lab.sheet, figures=False)
-    return home
+    return make_pulls(tmp_path_factory.mktemp("done"))
 
 
 @pytest.fixture
 def processed(done: Path, tmp_path: Path) -> Path:
-    shutil.copytree(done, tmp_path / "lab")
-    (folder,) = (tmp_path / "lab" / "processed").iterdir()
+    folder = tmp_path / "lab" / "processed" / done.name
+    shutil.copytree(done, folder)
     return folder
-
-
-def on(processed: Path, name: str, decision: str = "reject") -> Decision:
-    run = read_run(processed / name / "result.h5")
-    return Decision(name, run, decision, "slipped <b>twice</b>", "A. Tester", WHEN)
 
 
 def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
@@ -54,7 +36,7 @@ def saved(path: Path, *decisions: Decision, campaign: str = "c") -> Path:
 
 
 def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -> None:
-    mine, accepted = on(processed, "T-1"), on(processed, "T-2", "accept")
+    mine, accepted = decision_on(processed, "T-1"), decision_on(processed, "T-2", "accept")
     add_decisions(processed, "c", [mine])
     other = replace(mine, run="0" * 64)
     stray = replace(mine, test="../c/T-1")
@@ -74,7 +56,7 @@ def test_only_what_is_new_and_counts_is_added(processed: Path, tmp_path: Path) -
 def test_a_page_saves_and_the_next_report_leaves_out(
     run: Run, processed: Path, tmp_path: Path
 ) -> None:
-    file = saved(tmp_path / "decisions.json", on(processed, "T-2"))
+    file = saved(tmp_path / "decisions.json", decision_on(processed, "T-2"))
     ran = run("campaign", "decide", processed, "--from", file)
     assert ran.status == 0
     assert ran.out.splitlines() == [
@@ -91,7 +73,7 @@ def test_a_test_below_a_nearer_file_is_decided_on_there(processed: Path) -> None
     inner.mkdir()
     (processed / "T-3").rename(inner / "T-3")
     add_decisions(inner, "c/inner", [])
-    said = on(processed, "inner/T-3")
+    said = decision_on(processed, "inner/T-3")
     assert take_in(processed, "c", [said]).added == [said]
     assert read_decisions(inner).decisions == (replace(said, test="T-3"),)
     assert not (processed / "decisions.json").exists()
@@ -109,10 +91,10 @@ def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path
     file.write_text("{", "utf-8")
     with pytest.raises(UsageError, match="line 1, column 2: expected decisions in JSON"):
         take_in_file(processed, "c", file)
-    own = saved(processed / "decisions.json", on(processed, "T-1"))
+    own = saved(processed / "decisions.json", decision_on(processed, "T-1"))
     with pytest.raises(UsageError, match=r"found the campaign's own\. What stands in it counts"):
         take_in_file(processed, "c", own)
-    saved(file, on(processed, "T-2"), campaign="other")
+    saved(file, decision_on(processed, "T-2"), campaign="other")
     ran = run("campaign", "decide", processed, "--from", file)
     assert "campaign: expected decisions of 'c', found those of 'other'" in ran.err
     assert "1 decision taken in" in ran.out
@@ -123,7 +105,7 @@ def test_files_that_cannot_be_taken_in(run: Run, processed: Path, tmp_path: Path
 
 
 def test_a_result_that_cannot_be_read_is_said(processed: Path) -> None:
-    said = on(processed, "T-1")
+    said = decision_on(processed, "T-1")
     (processed / "T-1" / "result.h5").write_bytes(b"nothing")
     ((left, why),) = take_in(processed, "c", [said]).left
     assert left == said

@@ -18,7 +18,7 @@ from labpipe.cli import BAD_INPUT, DONE
 from tests.builders.small_tests import Lab, Run, make_lab, runner, small_scenario, state
 
 COMMANDS = (
-    *("demo", "inspect", "new", "check", "process", "campaign", "report"),
+    *("demo", "inspect", "new", "check", "process", "campaign", "report", "serve"),
     *("model", "bundle", "calibrate", "simulate", "examples", "completion"),
 )
 

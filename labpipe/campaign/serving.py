@@ -1,0 +1,330 @@
+"""A report served by the machine it lies on, to that machine alone: decisions are saved at once.
+
+The standard library's server is enough: one person looks at one report, a few requests a minute,
+and each answer is a file or takes a second of work. What a framework would add, such as sessions,
+templates and many connections, is not needed, and its release would have to be trusted, too.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import unquote, urlsplit
+
+from labpipe.campaign.decisions import (
+    checked_document,
+    decision_entry,
+    decisions_in,
+    decisions_on,
+    label_of,
+)
+from labpipe.campaign.saved_decisions import TakenIn, take_in
+from labpipe.errors import LabpipeError, UsageError, complaint, refusal
+from labpipe.process.targets import RESULT_FILE, files_below
+from labpipe.report.lab_report import PAGE_FILE
+from labpipe.report.page_parts import served
+from labpipe.report.wording import count_of
+
+LOOPBACK: Final = "127.0.0.1"
+REPORT: Final = "report"
+TESTS: Final = "tests"
+_MOST_BYTES = 5_000_000
+"""Of what a page may send."""
+_TYPES: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".svg": "image/svg+xml",
+    ".png": "image/png",
+    ".pdf": "application/pdf",
+    ".json": "application/json",
+    ".yaml": "text/plain; charset=utf-8",
+    ".csv": "text/plain; charset=utf-8",
+}
+"""What a browser may show; everything else is a download."""
+_HEADERS: Final = {
+    "Cache-Control": "no-store",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",  # the address holds the token
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+_NO_SCRIPT: Final = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src 'self' data:"
+"""Policy of all but labpipe's own pages: a file that somebody put there must not decide."""
+
+
+@dataclass(slots=True)
+class Site:
+    """What is served.
+
+    Parameters
+    ----------
+    folder : of the results of the campaign
+    campaign : its name
+    report : folder that holds report.html
+    make_report : makes the report again, there
+    make_test_page : makes the page of a test of its result file; None where there are no such pages
+    token : first part of every address; who does not know it gets nothing
+    """
+
+    folder: Path
+    campaign: str
+    report: Path
+    make_report: Callable[[], None]
+    make_test_page: Callable[[Path], str] | None = None
+    token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+    work: threading.Lock = field(default_factory=threading.Lock)
+
+
+class RefusedError(Exception):
+    """A request that is not answered, with the status that says so."""
+
+    def __init__(self, status: HTTPStatus, why: str) -> None:
+        super().__init__(why)
+        self.status = status
+
+
+class ReportServer(ThreadingHTTPServer):
+    """Serves one report on the loopback address.
+
+    Parameters
+    ----------
+    site : what is served
+    port : number of the port; 0 for any that is free
+
+    Raises
+    ------
+    UsageError
+        If the port is in use.
+    """
+
+    daemon_threads = True
+    allow_reuse_address = os.name != "nt"  # there it would let another program in beside us
+
+    def __init__(self, site: Site, port: int) -> None:
+        self.site = site
+        try:
+            super().__init__((LOOPBACK, port), _Handler)
+        except (OSError, OverflowError) as error:
+            raise _no_port(port, error) from error
+
+    def server_bind(self) -> None:
+        """Bind without asking for the name of this machine, which may need a network."""
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+        self.server_name, self.server_port = LOOPBACK, int(self.server_address[1])
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the report."""
+        return f"http://{LOOPBACK}:{self.server_port}/{self.site.token}/"
+
+
+def _no_port(port: int, error: Exception) -> UsageError:
+    found = (getattr(error, "strerror", None) or "no such number").lower()
+    remedy = "Choose another with --port, or 0 for any."
+    return UsageError(
+        complaint(f"--port {port}", "", expected="a free port", found=found, remedy=remedy)
+    )
+
+
+class _Handler(BaseHTTPRequestHandler):
+    server: ReportServer
+    server_version, sys_version = "labpipe", ""
+    timeout = 30.0
+
+    def do_GET(self) -> None:
+        """Send a page or a file."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Save decisions, or make the report again."""
+        self._answer(self._post)
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Say nothing: the terminal is for the person who started the server."""
+
+    def _answer(self, make: Callable[[list[str]], None]) -> None:
+        try:
+            make(self._parts())
+        except RefusedError as error:
+            self._send_json({"error": str(error)}, error.status)
+        except LabpipeError as error:
+            self._send_json({"error": str(error)}, HTTPStatus.CONFLICT)
+        except (BrokenPipeError, ConnectionResetError, TimeoutError):
+            self.close_connection = True  # the browser went away
+        except OSError as error:
+            self._send_json({"error": refusal(error)}, HTTPStatus.INTERNAL_SERVER_ERROR)
+
+    def _parts(self) -> list[str]:
+        """Parts of the address behind the token, of a request that may be answered."""
+        _check_sender(self.headers, self.server.server_port)
+        try:
+            parts = unquote(urlsplit(self.path).path, errors="strict").split("/")[1:]
+        except ValueError:
+            raise _not_found() from None
+        token = self.server.site.token
+        if not secrets.compare_digest(parts[0].encode("utf-8", "replace"), token.encode()):
+            raise RefusedError(HTTPStatus.FORBIDDEN, "Open the address that labpipe serve printed.")
+        return parts[1:]
+
+    def _get(self, parts: list[str]) -> None:
+        site = self.server.site
+        if parts in ([], [""], [REPORT], [REPORT, ""]):
+            self._redirect(f"/{site.token}/{REPORT}/{PAGE_FILE}")
+            return
+        if parts == [REPORT, PAGE_FILE]:
+            text = (site.report / PAGE_FILE).read_text(encoding="utf-8")
+            self._send(served(text).encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
+            return
+        if len(parts) == 3 and parts[:2] == [REPORT, TESTS] and site.make_test_page is not None:
+            with site.work:
+                text = site.make_test_page(_test_called(parts[2], site))
+            self._send(text.encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
+            return
+        self._send_file(_file_at(parts, site))
+
+    def _post(self, parts: list[str]) -> None:
+        if self.headers.get("Origin") is None:
+            raise RefusedError(HTTPStatus.FORBIDDEN, "Expected a request of the report's own page.")
+        body = self._body()
+        site = self.server.site
+        if parts == [REPORT, "decisions"]:
+            with site.work:
+                answer = _save(body, site)
+        elif parts == [REPORT, REPORT]:
+            with site.work:
+                site.make_report()
+            answer = {"said": "The report was made again."}
+        else:
+            raise _not_found()
+        self._send_json(answer)
+
+    def _body(self) -> bytes:
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > _MOST_BYTES:
+            self.close_connection = True
+            found = f"expected at most {_MOST_BYTES} bytes, found {length or 'no length'}."
+            raise RefusedError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"decisions: {found}")
+        return self.rfile.read(int(length))
+
+    def _redirect(self, place: str) -> None:
+        self.send_response(HTTPStatus.FOUND)
+        self.send_header("Location", place)
+        self.send_header("Content-Length", "0")
+        self._end_headers(_NO_SCRIPT)
+
+    def _send_file(self, file: Path) -> None:
+        kind = _TYPES.get(file.suffix.lower())
+        more = {} if kind else {"Content-Disposition": "attachment"}
+        self._send(file.read_bytes(), kind or "application/octet-stream", more=more)
+
+    def _send_json(self, said: object, status: HTTPStatus = HTTPStatus.OK) -> None:
+        text = json.dumps(said).encode()
+        self._send(text, _TYPES[".json"], status=status)
+
+    def _send(
+        self,
+        content: bytes,
+        kind: str,
+        *,
+        policy: str = _NO_SCRIPT,
+        status: HTTPStatus = HTTPStatus.OK,
+        more: dict[str, str] | None = None,
+    ) -> None:
+        self.send_response(status)
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(content)))
+        for name, value in (more or {}).items():
+            self.send_header(name, value)
+        self._end_headers(policy)
+        self.wfile.write(content)
+
+    def _end_headers(self, policy: str) -> None:
+        self.send_header("Content-Security-Policy", policy)
+        for name, value in _HEADERS.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+
+def _check_sender(headers: Any, port: int) -> None:
+    """Refuse what another site sends, or sends for by a name of its own that leads here."""
+    own = {f"{name}:{port}" for name in (LOOPBACK, "localhost")}
+    host, origin = headers.get("Host", ""), headers.get("Origin")
+    if host not in own:
+        why = f"Host: expected {LOOPBACK}:{port}, found {host!r}. Open the address as printed."
+        raise RefusedError(HTTPStatus.FORBIDDEN, why)
+    if origin is not None and origin != f"http://{host}":
+        why = f"Origin: expected http://{host}, found {origin!r}. Open the address as printed."
+        raise RefusedError(HTTPStatus.FORBIDDEN, why)
+    if headers.get("Sec-Fetch-Site", "none") not in {"none", "same-origin"}:
+        raise RefusedError(HTTPStatus.FORBIDDEN, "Another site asks. Open the address as printed.")
+
+
+def _not_found() -> RefusedError:
+    return RefusedError(HTTPStatus.NOT_FOUND, "There is no such file in this campaign.")
+
+
+def _file_at(parts: list[str], site: Site) -> Path:
+    """A file of the report or of the campaign; none that is hidden or lies elsewhere."""
+    if any(not part or part.startswith(".") or set(part) & set('\\:\0"') for part in parts):
+        raise _not_found()
+    is_report = parts[0] == REPORT
+    top = (site.report if is_report else site.folder).resolve()
+    file = top.joinpath(*parts[1:] if is_report else parts).resolve()
+    if not file.is_relative_to(top) or not file.is_file():
+        raise _not_found()
+    return file
+
+
+def page_of_test(label: str) -> str:
+    """Name the page of a test.
+
+    Parameters
+    ----------
+    label : of the test in its campaign
+
+    Examples
+    --------
+    >>> page_of_test("tubes/CT-10-1")
+    'tubes__CT-10-1.html'
+    """
+    return f"{label.replace('/', '__')}.html"
+
+
+def _test_called(name: str, site: Site) -> Path:
+    """Result of the test whose page has a name."""
+    for file in files_below(site.folder, RESULT_FILE):
+        if page_of_test(label_of(file, site.folder)) == name:
+            return file
+    raise _not_found()
+
+
+def _save(body: bytes, site: Site) -> dict[str, Any]:
+    """Take in what the page sends; gives all decisions as they stand then."""
+    name = Path("decisions")
+    try:
+        document = checked_document(json.loads(body), name)
+    except (ValueError, RecursionError):
+        document = "decisions: expected JSON, found something else."
+    read = document if isinstance(document, str) else decisions_in(document, name)
+    if isinstance(read, str) or read.faults:
+        why = read if isinstance(read, str) else "\n".join(read.faults)
+        raise RefusedError(HTTPStatus.BAD_REQUEST, why)
+    taken = take_in(site.folder, site.campaign, read.decisions)
+    standing = decisions_on(files_below(site.folder, RESULT_FILE))
+    entries = [decision_entry(each) for own in standing.values() for each in own]
+    return {"said": _said_of(taken), "decisions": entries}
+
+
+def _said_of(taken: TakenIn) -> str:
+    said = [f"{count_of(len(taken.added) + taken.known, 'decision')} saved."]
+    said += [f"{each.test}: not saved: {why}." for each, why in taken.left]
+    said += ["They count once the report is made again."] * bool(taken.added)
+    return " ".join(said)

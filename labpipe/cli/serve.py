@@ -1,0 +1,41 @@
+"""``labpipe serve``."""
+
+from __future__ import annotations
+
+import argparse
+import webbrowser
+
+from labpipe.campaign.campaign_folders import name_of_campaign
+from labpipe.campaign.reporting import report_tests
+from labpipe.campaign.serving import REPORT, ReportServer, Site
+from labpipe.cli.report import wanted_by
+from labpipe.cli.terminal import reading
+from labpipe.process.targets import find_results, shared_folder
+from labpipe.report.lab_report import PAGE_FILE
+
+
+def run(options: argparse.Namespace) -> int:
+    """Serve a report until it is interrupted; makes it where there is none yet."""
+    folder = shared_folder(find_results(options.paths))
+    report = folder / REPORT if options.out is None else options.out
+    site = Site(folder, name_of_campaign(folder), report, lambda: _make(options))
+    with ReportServer(site, options.port) as server:
+        if not (report / PAGE_FILE).is_file():
+            _make(options)
+        print(f"{options.title or site.campaign or folder.name}: {server.address}")
+        print("Only this machine can open it. Ctrl+C ends it.", flush=True)
+        if not options.no_browser:
+            webbrowser.open(server.address)
+        try:
+            server.serve_forever()
+        except KeyboardInterrupt:
+            print()
+    return 0
+
+
+def _make(options: argparse.Namespace) -> None:
+    files = find_results(options.paths)
+    with reading(len(files)) as say:
+        report_tests(
+            files, out=options.out, title=options.title, say=say, wanted=wanted_by(options)
+        )

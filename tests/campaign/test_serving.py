@@ -1,0 +1,228 @@
+"""The server of a report: to this machine alone, and no file but the campaign's."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import threading
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from labpipe.campaign.decisions import add_decisions, read_decisions
+from labpipe.campaign.serving import ReportServer, Site
+from labpipe.errors import UsageError
+from tests.builders.pulled_campaigns import WHEN, decision_on, make_pulls
+
+PAGE = "<head><meta content=\"connect-src 'none'\"></head><body>ü</body>"
+
+
+class Answer(NamedTuple):
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    @property
+    def said(self) -> Any:
+        return json.loads(self.body)
+
+
+class Asked:
+    """A server at work, and what its own page would ask of it."""
+
+    def __init__(self, server: ReportServer, made: list[str]) -> None:
+        self.server, self.made, self.site = server, made, server.site
+        self.host = f"127.0.0.1:{server.server_port}"
+
+    def raw(self, method: str, path: str, body: str | None = None, **headers: str) -> Answer:
+        connection = HTTPConnection("127.0.0.1", self.server.server_port, timeout=10)
+        sent = {"Host": self.host} | {key.replace("_", "-"): each for key, each in headers.items()}
+        connection.request(method, path, body, {key: each for key, each in sent.items() if each})
+        got = connection.getresponse()
+        answer = Answer(got.status, dict(got.getheaders()), got.read())
+        connection.close()
+        return answer
+
+    def get(self, path: str, **headers: str) -> Answer:
+        return self.raw("GET", f"/{self.site.token}/{path}", **headers)
+
+    def post(self, path: str, body: object = "", **headers: str) -> Answer:
+        text = body if isinstance(body, str) else json.dumps(body)
+        own = {"Origin": f"http://{self.host}"} | headers
+        return self.raw("POST", f"/{self.site.token}/{path}", text, **own)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_pulls(tmp_path_factory.mktemp("done"), ("T-1", "T-2"))
+
+
+@pytest.fixture
+def asked(done: Path, tmp_path: Path) -> Iterator[Asked]:
+    processed = tmp_path / "processed" / "c"
+    shutil.copytree(done, processed)
+    (processed / "report" / "figures").mkdir(parents=True)
+    (processed / "report" / "report.html").write_text(PAGE, "utf-8")
+    (processed / "report" / "figures" / "f ü.svg").write_text("<svg/>", "utf-8")
+    (processed / "report" / "tables.xlsx").write_bytes(b"PK")
+    (processed / ".secret.json").write_text("{}", "utf-8")
+    (tmp_path / "beside.json").write_text("{}", "utf-8")
+    made: list[str] = []
+    site = Site(processed, "c", processed / "report", lambda: made.append("report"), str)
+    with ReportServer(site, 0) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield Asked(server, made)
+        server.shutdown()
+        thread.join()
+
+
+def test_the_page_may_talk_to_its_server(asked: Asked) -> None:
+    answer = asked.get("report/report.html")
+    assert answer.status == 200
+    assert answer.body.decode() == PAGE.replace("'none'", "'self'")
+    assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
+    assert answer.headers["Referrer-Policy"] == "no-referrer"
+    assert answer.headers["Cache-Control"] == "no-store"
+    assert "Python" not in answer.headers["Server"]
+    place = asked.get("").headers["Location"]
+    assert place == f"/{asked.site.token}/report/report.html"
+    assert asked.server.address == f"http://{asked.host}/{asked.site.token}/"
+
+
+def test_it_listens_on_the_loopback_address_alone(asked: Asked) -> None:
+    assert asked.server.socket.getsockname()[0] == "127.0.0.1"
+
+
+def test_files_of_the_campaign(asked: Asked) -> None:
+    figure = asked.get("report/figures/f%20%C3%BC.svg")
+    assert (figure.status, figure.body) == (200, b"<svg/>")
+    assert figure.headers["Content-Type"] == "image/svg+xml"
+    assert figure.headers["Content-Security-Policy"].startswith("sandbox; default-src 'none'")
+    assert asked.get("T-1/summary.json").said["test"] == "T-1"
+    table = asked.get("report/tables.xlsx")
+    assert table.headers["Content-Disposition"] == "attachment"
+    assert table.headers["X-Content-Type-Options"] == "nosniff"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../../beside.json", "%2e%2e/%2e%2e/beside.json", "..%2f..%2fbeside.json",
+        "report/../../../beside.json", "..\\..\\beside.json", "%2fetc/passwd", "/etc/passwd",
+        ".secret.json", "report/%00", "link.json", "T-1", "report/nothing.svg", "report/C:/x",
+        "report//report.html", "%ff", "report/tests/T-9.html", "report/tests/..%2fT-1.html",
+    ],
+)  # fmt: skip
+def test_no_other_file(asked: Asked, path: str) -> None:
+    (asked.site.folder / "link.json").symlink_to(asked.site.folder.parent.parent / "beside.json")
+    answer = asked.get(path)
+    assert answer.status == 404
+    assert answer.said == {"error": "There is no such file in this campaign."}
+
+
+def test_who_has_no_token_gets_nothing(asked: Asked) -> None:
+    for path in ("/", "/report/report.html", "//report/report.html", "/x/report/report.html"):
+        answer = asked.raw("GET", path)
+        assert answer.status == 403
+        assert answer.said["error"] == "Open the address that labpipe serve printed."
+    other = Site(asked.site.folder, "c", asked.site.report, lambda: None)
+    assert len({other.token, asked.site.token}) == 2
+    assert len(other.token) >= 32
+
+
+@pytest.mark.parametrize(
+    ("headers", "why"),
+    [
+        ({"Host": "evil.example"}, "Host: expected 127.0.0.1:"),
+        ({"Host": "127.0.0.1"}, "found '127.0.0.1'."),
+        ({"Origin": "http://evil.example"}, "Origin: expected http://127.0.0.1:"),
+        ({"Origin": "null"}, "found 'null'"),
+        ({"Sec_Fetch_Site": "cross-site"}, "Another site asks."),
+        ({"Sec_Fetch_Site": "same-site"}, "Another site asks."),
+    ],
+)
+def test_other_sites_are_refused(asked: Asked, headers: dict[str, str], why: str) -> None:
+    for answer in (
+        asked.get("report/report.html", **headers), asked.post("report/report", **headers)
+    ):  # fmt: skip
+        assert answer.status == 403
+        assert why in answer.said["error"]
+    assert asked.made == []
+
+
+def test_a_request_without_a_page_changes_nothing(asked: Asked) -> None:
+    assert asked.post("report/report", Origin="").status == 403
+    assert asked.made == []
+    assert asked.raw("DELETE", f"/{asked.site.token}/report/report.html").status == 501
+
+
+def test_decisions_are_saved_at_once(asked: Asked) -> None:
+    entry = {k: v for k, v in asdict(decision_on(asked.site.folder, "T-2")).items() if v}
+    stale = entry | {"test": "T-1"}
+    sent = {"schema": 1, "campaign": "c", "decisions": [entry, stale]}
+    answer = asked.post("report/decisions", sent, Content_Type="application/json")
+    assert answer.status == 200
+    assert answer.said["decisions"] == [entry]
+    assert answer.said["said"] == (
+        "1 decision saved. T-1: not saved: it was made on another key: exports, sheet, protocol or"
+        " labpipe changed. They count once the report is made again."
+    )
+    (kept,) = read_decisions(asked.site.folder).decisions
+    assert (kept.test, kept.decision, kept.when) == ("T-2", "reject", WHEN)
+    assert asked.post("report/report").said == {"said": "The report was made again."}
+    assert asked.made == ["report"]
+
+
+@pytest.mark.parametrize(
+    ("body", "why"),
+    [
+        ("{", "decisions: expected JSON"),
+        ("[" * 100_000, "decisions: expected JSON"),
+        ("[]", "found JSON without a list 'decisions'"),
+        ({"schema": 2, "decisions": []}, "schema: expected decisions in JSON, found 2"),
+        ({"schema": 1, "decisions": [{"test": "T-1"}]}, "decisions.0: expected test, run"),
+    ],
+)
+def test_what_is_no_decision_is_refused(asked: Asked, body: object, why: str) -> None:
+    answer = asked.post("report/decisions", body)
+    assert answer.status == 400
+    assert why in answer.said["error"]
+    assert not (asked.site.folder / "decisions.json").exists()
+
+
+def test_too_much_is_refused_unread(asked: Asked) -> None:
+    answer = asked.post("report/decisions", "", Content_Length="5000001")
+    assert answer.status == 413
+    assert answer.said["error"] == ("decisions: expected at most 5000000 bytes, found 5000001.")
+
+
+def test_what_goes_wrong_is_said_to_the_page(asked: Asked) -> None:
+    add_decisions(asked.site.folder, "c", [])
+    (asked.site.folder / "decisions.json").write_text("{", "utf-8")
+    entry = asdict(decision_on(asked.site.folder, "T-1"))
+    answer = asked.post("report/decisions", {"schema": 1, "decisions": [entry]})
+    assert answer.status == 409
+    assert "decisions.json, line 1, column 2: expected decisions in JSON" in answer.said["error"]
+    (asked.site.report / "report.html").unlink()
+    gone = asked.get("report/report.html")
+    assert gone.status == 500
+    assert "found no such file" in gone.said["error"]
+
+
+def test_the_page_of_a_test_is_made_on_click(asked: Asked) -> None:
+    answer = asked.get("report/tests/T-1.html")
+    assert answer.status == 200
+    assert answer.body.decode() == str(asked.site.folder / "T-1" / "result.h5")
+
+
+def test_a_port_in_use_is_said(asked: Asked) -> None:
+    port = asked.server.server_port
+    with pytest.raises(UsageError, match=rf"--port {port}: expected a free port, found address al"):
+        ReportServer(asked.site, port)
+    with pytest.raises(UsageError, match=r"--port 99999: expected a free port, found no such"):
+        ReportServer(asked.site, 99999)
