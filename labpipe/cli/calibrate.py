@@ -23,7 +23,7 @@ from labpipe.records.wire_calibration import (
 from labpipe.report.calibration_shown import ValidationGroup
 from labpipe.studies.calibration_study import Calibrated, as_json, calibrate_tests
 
-_DOUBTED = {Identified.NOT, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
+_DOUBTED = {Identified.NOT, Identified.TWO, Identified.AT_BOUND, Identified.AGAINST_PRIOR}
 _WIDEST = 28
 
 
@@ -88,9 +88,11 @@ def _parameter(each: CalibratedParameter) -> str:
     line = f"{mark} {each.name:<20}{_written(factor * each.value):>10} {unit:<4}"
     if each.interval is None:
         return f"{line} {each.verdict}"
-    low = "?" if each.is_open_below else _written(factor * each.interval.lower)
-    high = "?" if each.is_open_above else _written(factor * each.interval.upper)
-    return f"{line} 95 %: {low} to {high}  {each.verdict}"
+    ends = [[_written(factor * end) for end in (part.lower, part.upper)] for part in each.intervals]
+    ends[0][0] = "?" if each.is_open_below else ends[0][0]
+    ends[-1][1] = "?" if each.is_open_above else ends[-1][1]
+    parts = " or ".join(f"{low} to {high}" for low, high in ends)
+    return f"{line} 95 %: {parts}  {each.verdict}"
 
 
 def _written(number: float) -> str:

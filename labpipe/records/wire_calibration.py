@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
+import numpy as np
+
 from labpipe.records.arrays import ArrayRecord, Floats, Vector
 from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote
@@ -195,6 +197,9 @@ class Identified(StrEnum):
     """The 95 % interval spans less than a factor of two."""
     WEAKLY = "weakly identified"
     """It has both ends, and spans more."""
+    TWO = "two solutions"
+    """It spans more, and falls into parts that belong to solutions of their own; or there is a
+    solution elsewhere that the tests allow at 99 %."""
     NOT = "not identified"
     """It is open on a side, or spans more than a factor of a hundred."""
     BY_PRIOR = "known from its prior"
@@ -209,12 +214,13 @@ class Identified(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile(ArrayRecord):
-    """How much worse the fit becomes as one parameter is held; arrays of shape (n,).
+    """How much worse the fit becomes as one parameter is held, traced from one solution.
 
     Parameters
     ----------
-    value : of the parameter, increasing
-    deviance : rise of the objective over its least, all others fitted anew
+    value : shape (n,), of the parameter, increasing
+    deviance : shape (n,), rise of the objective over the least of all solutions, all others fitted
+        anew
     threshold_below, threshold_above : of the deviance, at the lower and the upper end of the 95 %
         interval: the square of a quantile of t, averaged over what the scatter of samples may be
     """
@@ -231,7 +237,7 @@ class PriorConflict:
 
     Parameters
     ----------
-    centre, factor : of the prior
+    centre, factor, source : of the prior, and where it comes from
     alone : value that the tests give without this prior
     size : distance of the two in standard deviations of both together
     freedom : degrees of freedom of that standard deviation
@@ -246,6 +252,7 @@ class PriorConflict:
     freedom: float
     contradicts: bool
     message: str
+    source: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,22 +263,25 @@ class CalibratedParameter:
     ----------
     name, unit : one of `PARAMETERS`
     value : at the least of the objective
-    interval : 95 %, by profile likelihood; its ends are those of the search where it is open. None
-        for a fixed parameter
+    intervals : 95 %, by profile likelihood: the union of those of all solutions, rising; more than
+        one where it falls apart. Ends are those of the search where it is open. None for a fixed
+        parameter
     log_error : standard error of its logarithm at the least of the objective; 0 if fixed
     freedom : degrees of freedom of that error
     is_open_below, is_open_above : the tests do not bound it on that side
     at_bound : ``lower``, ``upper``, or empty
     verdict : in one word or two
     words : the verdict as a sentence
-    profile : None for a fixed parameter
+    profiles : one of each solution whose part of the interval is not empty, the best first; none
+        for a fixed parameter
     conflict : None without a prior
+    source : where a fixed value comes from; empty for what was fitted
     """
 
     name: str
     unit: str
     value: float
-    interval: Interval | None
+    intervals: tuple[Interval, ...]
     log_error: float
     freedom: float
     is_open_below: bool
@@ -279,8 +289,16 @@ class CalibratedParameter:
     at_bound: str
     verdict: Identified
     words: str
-    profile: Profile | None = None
+    profiles: tuple[Profile, ...] = ()
     conflict: PriorConflict | None = None
+    source: str = ""
+
+    @property
+    def interval(self) -> Interval | None:
+        """From the lowest to the highest end; None for a fixed parameter."""
+        if not self.intervals:
+            return None
+        return Interval(self.intervals[0].lower, self.intervals[-1].upper)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -324,6 +342,39 @@ class ScatterMixture(ArrayRecord):
     freedom: float
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution(ArrayRecord):
+    """A least of the objective that the tests allow at 99 %: the best one, or another valley.
+
+    Parameters
+    ----------
+    values : shape (3,), of `PARAMETERS`; NaN where the wire has no such thing
+    rise : of the objective over that of the best; exp(-rise / 2) is its likelihood over the best's
+    rmse : N, over all curves
+    covariance : shape (4, 4), of the logarithms and of the load cell's gain, last; 0 for what is
+        fixed
+    mixture : the same for each scatter of samples that the tests allow
+    limit : of the rise, below which a solution is in the 95 % set
+    """
+
+    values: Annotated[Floats, 3]
+    rise: float
+    rmse: float
+    covariance: Annotated[Floats, 4, 4]
+    mixture: ScatterMixture
+    limit: float
+
+    @property
+    def is_allowed(self) -> bool:
+        """Whether it is in the 95 % set: intervals and bands take it in."""
+        return self.rise < self.limit
+
+    @property
+    def likelihood(self) -> float:
+        """Over that of the best solution."""
+        return float(np.exp(-0.5 * self.rise))
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
     """What scatters about the model.
@@ -355,10 +406,8 @@ class Calibration(ArrayRecord):
     ----------
     wire : name
     parameters : in the order of `PARAMETERS`
-    correlations : shape (3, 3), of the logarithms; NaN in rows of fixed parameters
-    covariance : shape (4, 4), of the logarithms and of the load cell's gain, last; 0 for what is
-        fixed
-    mixture : the same for each scatter of samples that the tests allow
+    solutions : every least of the objective that is not quite unlikely, the best first
+    correlations : shape (3, 3), of the logarithms at the best; NaN in rows of fixed parameters
     levels : noise, scatter, gain
     separability : of the three parameters, all taken as free
     friction_separability : of mu_s, mu_p and F_rad; None where nothing rubs
@@ -371,9 +420,8 @@ class Calibration(ArrayRecord):
 
     wire: str
     parameters: tuple[CalibratedParameter, ...]
+    solutions: tuple[Solution, ...]
     correlations: Annotated[Floats, 3, 3]
-    covariance: Annotated[Floats, 4, 4]
-    mixture: ScatterMixture
     levels: NoiseLevels
     separability: Separability
     friction_separability: Separability | None

@@ -219,37 +219,64 @@ def plot_profile(
     Parameters
     ----------
     parameter : one that was not fitted gets a panel that says so
-    axes : to draw on; with the threshold on either side of the value, the 95 % interval in grey up
-        to the end of the panel where it is open, the value as a triangle, and the deviance of the
-        prior from its own centre where there is one
+    axes : to draw on; with the threshold on either side of each solution, the parts of the 95 %
+        interval in grey, up to the end of the panel where it is open, the value as a triangle,
+        open ones for other solutions, and the deviance of the prior from its own centre where
+        there is one
     elsewhere : SI, a value that another method found
     """
-    profile = parameter.profile
-    if profile is None or parameter.interval is None:
+    if not parameter.profiles:
         _say(axes, typeset(parameter.words))
         return
     shown = SHOWN[parameter.name]
     low, high = seen(parameter, elsewhere)
-    at = shown.scale.factor * np.array([low, parameter.value, high])
     axes.set_xscale("log")
-    axes.axvspan(
-        at[0] if parameter.is_open_below else shown.scale.factor * parameter.interval.lower,
-        at[2] if parameter.is_open_above else shown.scale.factor * parameter.interval.upper,
-        **INTERVAL,
-    )
-    values, deviance = smooth(profile)
-    axes.plot(shown.scale.factor * values, deviance, **_CURVE)
-    axes.plot(shown.scale.factor * profile.value, profile.deviance, **_DOTS)
-    axes.plot(at[:2], [profile.threshold_below] * 2, **THRESHOLD)
-    axes.plot(at[1:], [profile.threshold_above] * 2, **THRESHOLD)
-    axes.plot(at[1], 0.0, **_VALUE)
+    _draw_interval(parameter, axes, (low, high))
+    leasts = sorted(_least(profile)[0] for profile in parameter.profiles)
+    borders = [low, *np.sqrt(np.array(leasts[1:]) * np.array(leasts[:-1])).tolist(), high]
+    for profile in parameter.profiles:
+        side = leasts.index(_least(profile)[0])
+        _draw_solution(profile, axes, shown.scale.factor, (borders[side], borders[side + 1]))
+    axes.plot(shown.scale.factor * parameter.value, 0.0, **_VALUE)
     if elsewhere is not None:
         axes.axvline(shown.scale.factor * elsewhere, **SOURCE)
     _draw_prior(parameter, axes, (low, high))
-    axes.set_xlim(at[0], at[2])
-    axes.set_ylim(0.0, _HEIGHT * max(profile.threshold_below, profile.threshold_above))
+    axes.set_xlim(shown.scale.factor * low, shown.scale.factor * high)
+    axes.set_ylim(0.0, _highest(parameter))
     axes.set_xlabel(shown.label)
     _number(axes)
+
+
+def _highest(parameter: CalibratedParameter) -> float:
+    """Deviance up to which a panel shows."""
+    ends = [max(each.threshold_below, each.threshold_above) for each in parameter.profiles]
+    return _HEIGHT * max(ends)
+
+
+def _least(profile: Profile) -> tuple[float, float]:
+    """Value and deviance of the solution that a profile was traced from."""
+    number = int(np.argmin(profile.deviance))
+    return float(profile.value[number]), float(profile.deviance[number])
+
+
+def _draw_interval(parameter: CalibratedParameter, axes: Axes, ends: tuple[float, float]) -> None:
+    factor, last = SHOWN[parameter.name].scale.factor, len(parameter.intervals) - 1
+    for number, part in enumerate(parameter.intervals):
+        low = ends[0] if number == 0 and parameter.is_open_below else part.lower
+        high = ends[1] if number == last and parameter.is_open_above else part.upper
+        axes.axvspan(factor * low, factor * high, **INTERVAL)
+
+
+def _draw_solution(profile: Profile, axes: Axes, factor: float, ends: tuple[float, float]) -> None:
+    """Draw one profile, its thresholds between two values, and a triangle if it is not the best."""
+    values, deviance = smooth(profile)
+    least, height = _least(profile)
+    axes.plot(factor * values, deviance, **_CURVE)
+    axes.plot(factor * profile.value, profile.deviance, **_DOTS)
+    axes.plot([factor * ends[0], factor * least], [profile.threshold_below] * 2, **THRESHOLD)
+    axes.plot([factor * least, factor * ends[1]], [profile.threshold_above] * 2, **THRESHOLD)
+    if height > 0.0:
+        axes.plot(factor * least, height, **_VALUE, markerfacecolor="white")
 
 
 def seen(parameter: CalibratedParameter, elsewhere: float | None = None) -> tuple[float, float]:
@@ -260,16 +287,19 @@ def seen(parameter: CalibratedParameter, elsewhere: float | None = None) -> tupl
     parameter : with a profile; its interval, or up to where its profile was followed, is seen
     elsewhere : is seen as well
     """
-    profile, interval = parameter.profile, parameter.interval
-    if profile is None or interval is None:
+    if not parameter.profiles:
         return parameter.value, parameter.value
-    inside = profile.deviance <= _HEIGHT * max(profile.threshold_below, profile.threshold_above)
-    wanted = [*profile.value[inside], parameter.value]
-    wanted += [
-        end
-        for end in (interval.lower, interval.upper)
-        if profile.value[0] <= end <= profile.value[-1]
+    highest = _highest(parameter)
+    traced = [
+        value for each in parameter.profiles for value in each.value[each.deviance <= highest]
     ]
+    wanted = [*traced, parameter.value]
+    first, last = (
+        end([each.value[place] for each in parameter.profiles])
+        for end, place in ((min, 0), (max, -1))
+    )
+    ends = [end for part in parameter.intervals for end in (part.lower, part.upper)]
+    wanted += [end for end in ends if first <= end <= last]
     if elsewhere is not None and elsewhere > 0.0:
         wanted.append(elsewhere)
     if parameter.conflict is not None:
@@ -291,11 +321,11 @@ def smooth(profile: Profile) -> tuple[Floats, Floats]:
     Values, and deviances at them: of its square root, with the sign of the side, by straight lines
     over the logarithm of the value, since where a parameter is normal in it that root is straight.
     """
-    logs = np.log(profile.value)
-    side = np.sign(logs - logs[int(np.argmin(profile.deviance))])
+    logs, (least, height) = np.log(profile.value), _least(profile)
+    side = np.sign(logs - np.log(least))
     fine: Floats = np.union1d(np.linspace(logs[0], logs[-1], _FINE), logs)
-    root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance, 0.0)))
-    return np.exp(fine), root**2
+    root = np.interp(fine, logs, side * np.sqrt(np.maximum(profile.deviance - height, 0.0)))
+    return np.exp(fine), root**2 + height
 
 
 def _say(axes: Axes, sentence: str) -> None:
@@ -343,6 +373,7 @@ _LEFT = 0.012
 _COLUMNS = (0.0, 0.24, 0.34, 0.53, 0.60)
 _DOUBTFUL = {
     Identified.NOT,
+    Identified.TWO,
     Identified.AT_BOUND,
     Identified.BY_PRIOR,
     Identified.AGAINST_PRIOR,
@@ -460,7 +491,7 @@ def _keys(
         keys.append(area_key("its 95 % band, mean sample", **MODEL_BAND))
     if source is not None:
         keys.append(line_key("method: source", **SOURCE))
-    if any(parameter.profile is not None for parameter in calibration.parameters):
+    if any(parameter.profiles for parameter in calibration.parameters):
         keys.append(line_key("95 % threshold", **THRESHOLD))
         keys.append(area_key("95 % interval", **INTERVAL))
     if any(parameter.conflict is not None for parameter in calibration.parameters):

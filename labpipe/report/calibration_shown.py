@@ -239,15 +239,13 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
     """
     shown = SHOWN[parameter.name]
     factor, is_open = shown.scale.factor, parameter.is_open_below or parameter.is_open_above
-    written = write_number(parameter.value, parameter.interval, factor)
+    own = next(
+        (part for part in parameter.intervals if part.lower <= parameter.value <= part.upper),
+        parameter.interval,
+    )
+    written = write_number(parameter.value, own, factor)
     value = write_number(parameter.value, None, factor, digits=_DIGITS) if is_open else written
-    ends = {
-        (False, False): written.interval,
-        (True, False): f"below {written.upper}",
-        (False, True): f"above {written.lower}",
-        (True, True): "open on both sides",
-    }
-    between = ends[parameter.is_open_below, parameter.is_open_above]
+    between = " or ".join(_parts(parameter, factor))
     unit = shown.scale.unit or "1"
     return (
         typeset(shown.words).rstrip("."),
@@ -256,6 +254,25 @@ def parameter_row(parameter: CalibratedParameter) -> tuple[str, ...]:
         unit,
         parameter.verdict.value,
     )
+
+
+def _parts(parameter: CalibratedParameter, factor: float) -> Iterator[str]:
+    """Each part of an interval with the digits that its own width allows."""
+    last = len(parameter.intervals) - 1
+    for number, part in enumerate(parameter.intervals):
+        middle = min(max(parameter.value, part.lower), part.upper)
+        written = write_number(middle, part, factor)
+        ends = {
+            (False, False): written.interval,
+            (True, False): f"below {written.upper}",
+            (False, True): f"above {written.lower}",
+            (True, True): "open on both sides",
+        }
+        is_open = (
+            number == 0 and parameter.is_open_below,
+            number == last and parameter.is_open_above,
+        )
+        yield ends[is_open]
 
 
 def sentences(calibration: Calibration, source: SourceCalibration | None = None) -> list[str]:

@@ -23,8 +23,10 @@ from labpipe.report.calibration_shown import (
     FORCE,
     SHOWN,
     CalibrationReport,
+    Shown,
     ValidationGroup,
     length_words,
+    parameter_row,
     typeset,
 )
 from labpipe.report.report_workbook import (
@@ -100,7 +102,8 @@ def _points(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
         yield (curve.name, DEFLECTION.factor * across, *known)
 
 
-SUMMARY, FIT, IDENTIFIED, CURVES = "summary", "fit", "identified", "curves"
+SUMMARY, SOLUTIONS, FIT = "summary", "solutions", "fit"
+IDENTIFIED, CURVES = "identified", "curves"
 AGREEMENT, NOTES = "agreement", "notes"
 _FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 
@@ -115,12 +118,13 @@ def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Shee
 
     Returns
     -------
-    ``summary``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source), those of third
-    curves, ``curves``, ``notes``, and one sheet for each wire and length.
+    ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source),
+    those of external curves, ``curves``, ``notes``, and one sheet for each wire and length.
     """
     calibration = report.calibration
     sheets = [
         _summary(calibration),
+        _solutions(calibration),
         _fit(calibration, report.source),
         _identified(calibration, report.source),
         _agreement(report.groups),
@@ -137,10 +141,11 @@ def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Shee
 
 def _summary(calibration: Calibration) -> Sheet:
     heads = (
-        "parameter", "name", "unit", "value", "lower", "upper", "open below", "open above",
+        "parameter", "name", "unit", "value", "lower", "upper", "parts of the interval",
+        "open below", "open above",
         "standard error of its logarithm", "degrees of freedom", "verdict", "at bound",
         "prior, centre", "prior, factor", "without the prior", "conflict (standard errors)",
-        "contradicts", "in words", "prior in words",
+        "contradicts", "source of prior or fixed value", "in words", "prior in words",
     )  # fmt: skip
     return Sheet(SUMMARY, heads, [_parameter(each) for each in calibration.parameters], "C2")
 
@@ -148,22 +153,46 @@ def _summary(calibration: Calibration) -> Sheet:
 def _parameter(parameter: CalibratedParameter) -> tuple[Value, ...]:
     shown, interval, conflict = SHOWN[parameter.name], parameter.interval, parameter.conflict
     up = shown.scale.factor
-    ends: tuple[Value, ...] = (None, None, "", "", None, None)
+    ends: tuple[Value, ...] = (None, None, "", "", "", None, None)
     if interval is not None:
         ends = (
-            up * interval.lower, up * interval.upper, yes(parameter.is_open_below),
-            yes(parameter.is_open_above), parameter.log_error, parameter.freedom,
+            up * interval.lower, up * interval.upper, parameter_row(parameter)[2],
+            yes(parameter.is_open_below), yes(parameter.is_open_above), parameter.log_error,
+            parameter.freedom,
         )  # fmt: skip
-    prior: tuple[Value, ...] = (None, None, None, None, "")
+    prior: tuple[Value, ...] = (None, None, None, None, "", parameter.source)
     if conflict is not None:
         prior = (
             up * conflict.centre, conflict.factor, up * conflict.alone, conflict.size,
-            yes(conflict.contradicts),
+            yes(conflict.contradicts), conflict.source,
         )  # fmt: skip
     words = (typeset(parameter.words), "" if conflict is None else typeset(conflict.message))
     named = (typeset(shown.words).rstrip("."), parameter.name, shown.scale.unit or "1")
     verdict = (parameter.verdict.value, parameter.at_bound)
     return (*named, up * parameter.value, *ends, *verdict, *prior, *words)
+
+
+def _solutions(calibration: Calibration) -> Sheet:
+    """Every least of the objective that is not quite unlikely, the best first."""
+    shown = [SHOWN[name] for name in PARAMETERS]
+    heads = (
+        "solution", *(f"{each.words} ({each.scale.unit or '1'})" for each in shown),
+        "RMSE (N)", "rise of the objective", "likelihood over that of the best",
+        "in the 95 % set",
+    )  # fmt: skip
+    rows = [
+        (
+            number,
+            *(_scaled(each, v) for each, v in zip(shown, solution.values.tolist(), strict=True)),
+            solution.rmse, solution.rise, solution.likelihood, yes(solution.is_allowed),
+        )
+        for number, solution in enumerate(calibration.solutions, start=1)
+    ]  # fmt: skip
+    return Sheet(SOLUTIONS, heads, rows)
+
+
+def _scaled(shown: Shown, value: float) -> float | None:
+    return shown.scale.factor * value if math.isfinite(value) else None
 
 
 def _fit(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
@@ -350,7 +379,10 @@ _ABOUT = (
     "Calibration of the wire model by first loadings of cantilevers. Numbers are in the units of"
     " their row or heading, with all digits. An empty cell: no such number.",
     "Sheet 'summary': the parameters. Lower and upper are the ends of 95 % intervals by profile"
-    " likelihood; where one is open, the end of its search stands there.",
+    " likelihood; where one is open, the end of its search stands there. Where it falls into parts,"
+    " they are named.",
+    "Sheet 'solutions': what else fits the tests. Values are those of the first, intervals and"
+    " bands of all that are in the 95 % set.",
     "Sheet 'fit': what the calibration rests on, and what 'method: source' makes of the tests.",
     "Sheet 'identified': a combination with singular value s is known to 1 / s in logarithms; below"
     " 1 the tests do not determine it.",

@@ -32,6 +32,7 @@ from labpipe.records.wire_calibration import (
     ExternalCurveComparison,
     ParameterChoice,
     Separability,
+    Solution,
     SourceCalibration,
 )
 from labpipe.report.calibration_figures import save_calibration_figures
@@ -105,7 +106,7 @@ def _numbers(values: Floats) -> list[float | None]:
     return [_number(value) for value in values]
 
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def calibration_json(
@@ -130,6 +131,7 @@ def calibration_json(
         "wire": calibration.wire,
         "method": calibration.method,
         "parameters": [_parameter(each) for each in calibration.parameters],
+        "solutions": [_solution(each) for each in calibration.solutions],
         "correlations": {
             "names": list(PARAMETERS),
             "values": [_numbers(row) for row in calibration.correlations],
@@ -151,7 +153,7 @@ def calibration_json(
 
 
 def _parameter(each: CalibratedParameter) -> dict[str, object]:
-    interval, profile = each.interval, each.profile
+    interval, conflict = each.interval, each.conflict
     return {
         "name": each.name,
         "value": _number(each.value),
@@ -159,23 +161,50 @@ def _parameter(each: CalibratedParameter) -> dict[str, object]:
         "lower": None if interval is None or each.is_open_below else _number(interval.lower),
         "upper": None if interval is None or each.is_open_above else _number(interval.upper),
         "level": None if interval is None else interval.level,
+        "intervals": _intervals(each),
         "verdict": str(each.verdict),
         "words": each.words,
-        "profile": None
-        if profile is None
+        "profiles": [
+            {
+                "value": _numbers(profile.value),
+                "deviance": _numbers(profile.deviance),
+                "threshold_below": _number(profile.threshold_below),
+                "threshold_above": _number(profile.threshold_above),
+            }
+            for profile in each.profiles
+        ],
+        "prior": None
+        if conflict is None
         else {
-            "value": _numbers(profile.value),
-            "deviance": _numbers(profile.deviance),
-            "threshold_below": _number(profile.threshold_below),
-            "threshold_above": _number(profile.threshold_above),
+            "value": _number(conflict.centre),
+            "factor": _number(conflict.factor),
+            "source": conflict.source,
+            "without": _number(conflict.alone),
+            "size": _number(conflict.size),
+            "contradicts": conflict.contradicts,
+            "message": conflict.message,
         },
-        "prior_conflict": None
-        if each.conflict is None
-        else {
-            "size": _number(each.conflict.size),
-            "contradicts": each.conflict.contradicts,
-            "message": each.conflict.message,
-        },
+        "source": each.source,
+    }
+
+
+def _intervals(each: CalibratedParameter) -> list[list[float | None]]:
+    """Parts of the interval; None for an end that is open."""
+    ends = [[_number(part.lower), _number(part.upper)] for part in each.intervals]
+    if ends and each.is_open_below:
+        ends[0][0] = None
+    if ends and each.is_open_above:
+        ends[-1][1] = None
+    return ends
+
+
+def _solution(each: Solution) -> dict[str, object]:
+    return {
+        **dict(zip(PARAMETERS, _numbers(each.values), strict=True)),
+        "rise": each.rise,
+        "likelihood": each.likelihood,
+        "in_95_percent_set": each.is_allowed,
+        "rmse": each.rmse,
     }
 
 

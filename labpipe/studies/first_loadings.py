@@ -227,8 +227,8 @@ def first_loading(
     Raises
     ------
     NotUsableError
-        If it is no cantilever, or has no curve, no first loading, no free length, too few points,
-        or a wire that hung at rest.
+        If it is no cantilever, or has no zero of force and deflection, no curve, no first loading,
+        no free length, too few points, or a wire that hung at rest.
 
     Notes
     -----
@@ -237,6 +237,7 @@ def first_loading(
     it: `force_zero_error`, `place_error`, `scale_errors`.
     """
     _require_cantilever(protocol)
+    _require_zeros(result)
     curve, branch = _first_branch(result)
     rest_notes = _rest_notes(result, curve, branch, protocol)
     length = result.specimen.dimensions.get("length", protocol.specimen.length)
@@ -318,6 +319,25 @@ def _require_cantilever(protocol: Protocol) -> None:
             f"it is no cantilever test: its protocol, {protocol.name}, has neither a string "
             "(rig.string) nor a shape (step fit-shape)"
         )
+        raise NotUsableError(message)
+
+
+_NO_ZERO = ("zero_not_at_rest", "begins_under_load")
+"""Codes of notes on a test whose force or deflection is not counted from rest."""
+
+
+def _require_zeros(result: TestResult) -> None:
+    """Refuse a test that is not counted from rest: friction is in its first part of a millimetre.
+
+    Notes
+    -----
+    A calibration cannot see it by itself: a curve that is shifted fits nearly as well, with more
+    than twice the friction.
+    """
+    lost = [note for note in result.quality if note.code in _NO_ZERO]
+    if lost:
+        said = "; ".join(f"{note.where}: {note.message} ({note.code})" for note in lost)
+        message = f"its zero is lost, and with it the begin of the first loading: {said}"
         raise NotUsableError(message)
 
 

@@ -42,7 +42,7 @@ def test_an_open_end_and_a_fixed_value(done: Calibrated) -> None:
     first, second, third = done.calibration.parameters
     odd = replace(
         done.calibration,
-        parameters=(replace(first, is_open_below=True), second, replace(third, interval=None)),
+        parameters=(replace(first, is_open_below=True), second, replace(third, intervals=())),
     )
     lines = calibration_table(replace(done, calibration=odd)).splitlines()
     assert " 95 %: ? to " in lines[1]
@@ -85,7 +85,7 @@ def test_what_the_words_of_a_parameter_say_is_not_said_again(done: Calibrated) -
 
 def test_one_sample_and_a_value_at_a_far_bound(done: Calibrated) -> None:
     first, *others = done.calibration.parameters
-    far = replace(first, value=100.0, interval=None)
+    far = replace(first, value=100.0, intervals=())
     one = replace(done.calibration, n_samples=1, parameters=(far, *others))
     lines = calibration_table(replace(done, calibration=one)).splitlines()
     assert " points of 1 sample, rms" in lines[0]

@@ -25,14 +25,14 @@ def panel() -> Axes:
 
 def test_profile_with_thresholds_value_and_interval() -> None:
     parameter, axes = usual().parameter("insulation_modulus"), panel()
-    assert parameter.profile is not None
+    (profile,) = parameter.profiles
     assert parameter.interval is not None
     plot_profile(parameter, axes)
     curve, dots, below, above, value = axes.lines
-    np.testing.assert_allclose(np.asarray(dots.get_xdata()), 1e-6 * parameter.profile.value)
-    np.testing.assert_allclose(np.asarray(dots.get_ydata()), parameter.profile.deviance)
-    assert set(np.asarray(below.get_ydata())) == {parameter.profile.threshold_below}
-    assert set(np.asarray(above.get_ydata())) == {parameter.profile.threshold_above}
+    np.testing.assert_allclose(np.asarray(dots.get_xdata()), 1e-6 * profile.value)
+    np.testing.assert_allclose(np.asarray(dots.get_ydata()), profile.deviance)
+    assert set(np.asarray(below.get_ydata())) == {profile.threshold_below}
+    assert set(np.asarray(above.get_ydata())) == {profile.threshold_above}
     assert np.asarray(value.get_xdata())[0] == pytest.approx(1e-6 * parameter.value)
     assert np.min(np.asarray(curve.get_ydata())) == pytest.approx(0.0, abs=1e-12)
     (grey,) = axes.patches

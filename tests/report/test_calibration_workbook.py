@@ -14,7 +14,7 @@ from tests.report.builders_calibrations import group, report
 def test_sheets_with_headings_that_stay_in_view(tmp_path: Path) -> None:
     save_calibration_workbook(report(), tmp_path / "a.xlsx")
     book = load_workbook(tmp_path / "a.xlsx")
-    assert book.sheetnames[:3] == ["read me", "summary", "fit"]
+    assert book.sheetnames[:3] == ["read me", "summary", "solutions"]
     assert book.active is not None
     assert book.active.title == "summary"
     assert all(sheet.freeze_panes for sheet in book.worksheets)

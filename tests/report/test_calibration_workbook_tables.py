@@ -25,7 +25,7 @@ def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:
 def test_names_of_tables() -> None:
     names = [sheet.name for sheet in tables_of(report(), ["read me"])]
     assert names == [
-        "summary", "fit", "identified", "agreement", "curves", "notes", "A2, 85 mm", "A2, 120 mm",
+        "summary", "solutions", "fit", "identified", "agreement", "curves", "notes", "A2, 85 mm", "A2, 120 mm",
         "A1, 85 mm", "A3, 120 mm",
     ]  # fmt: skip
     twice = replace(report(), groups=(group(), group()))

@@ -11,7 +11,7 @@ import pytest
 from labpipe.protocol.load import load_protocol
 from labpipe.protocol.schema import Protocol
 from labpipe.records.curve import Aligned, Branch, Curve, Direction, Series
-from labpipe.records.quality import Reason
+from labpipe.records.quality import QualityNote, Reason, Severity
 from labpipe.records.result import Result, Specimen, Status, TestResult
 from labpipe.studies.first_loadings import (
     FirstLoading,
@@ -203,6 +203,16 @@ def test_a_wire_that_hung_under_its_counterweight(protocol: Protocol) -> None:
     assert not taken(
         protocol.model_copy(update={"rig": rig}), replace(result, aligned=aligned)
     ).notes
+
+
+@pytest.mark.parametrize("code", ["zero_not_at_rest", "begins_under_load"])
+def test_a_test_without_a_zero_is_left_out(protocol: Protocol, code: str) -> None:
+    said = "zeroed from 0.00 s to 2.00 s of the motion's clock, but the clamp moves from 1.00 s"
+    lost = result_of(quality=(QualityNote(code, Severity.WARNING, "force", said),))
+    with pytest.raises(NotUsableError, match=rf"its zero is lost.*force: zeroed.*\({code}\)"):
+        taken(protocol, lost)
+    other = result_of(quality=(QualityNote("gap", Severity.WARNING, "force", "a gap"),))
+    assert taken(protocol, other).curve.test == "T1"
 
 
 def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:

@@ -29,6 +29,7 @@ from labpipe.records.wire_calibration import (
     PriorConflict,
     Profile,
     Separability,
+    Solution,
 )
 from labpipe.wire.calibration.fit import (
     FRICTION_NAMES,
@@ -38,14 +39,17 @@ from labpipe.wire.calibration.fit import (
     Wire,
     find,
     friction_jacobian,
+    is_elsewhere,
     separability,
+    two_solutions,
     verdict_of,
     weigh_prior,
     words_of,
 )
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
 from labpipe.wire.calibration.parameter_search import P, pull_of, search
-from labpipe.wire.calibration.profile_likelihood import Trace, trace
+from labpipe.wire.calibration.profile_likelihood import Trace, limit_of, traces, union
+from labpipe.wire.calibration.valleys import Valley
 from labpipe.wire.calibration.variances import uncertainty
 
 __all__ = ["MeasuredCurve", "Settings", "Wire", "calibrate"]
@@ -79,9 +83,11 @@ def calibrate(
 
 METHOD = (
     "generalised least squares on the force over logarithms of the parameters; levels of noise, "
-    "samples and load cell; scatter of samples by restricted likelihood; profile likelihood with "
-    "quantiles of t averaged over what that scatter may be"
+    "samples and load cell; scatter of samples by restricted likelihood; profile likelihood from "
+    "every least of the objective, with quantiles of t averaged over what that scatter may be"
 )
+_UNLIKELY = 1.727
+"""Rise of the objective, over that at 95 %, up to which another solution is said: 99 %."""
 _MISSTATED = (0.8, 1.25)  # noise found over noise stated
 _PLAIN = 0.05  # half the slope of the objective: flatter is no wall that was run into
 _SLOW = 0.3  # correlation of neighbouring residuals that is worth a note
@@ -95,18 +101,18 @@ def tell(found: Found) -> Calibration:
     found : the fit and all that it rests on
     """
     problem = found.problem
-    parameters = tuple(_parameter(found, number) for number in range(P))
+    solutions = tuple(_solution(found, valley) for valley in found.valleys)
+    solutions = tuple(each for each in solutions if each.rise <= _UNLIKELY * each.limit)
+    parameters = tuple(_parameter(found, solutions, number) for number in range(P))
     compared = tuple(_agreements(found))
     sse = sum(curve.sse for curve in compared)
     rmse = float(np.sqrt(sse / problem.n_points))
-    covariance = found.spread.covariance
     levels = _noise_levels(found)
     return Calibration(
         wire=problem.curves[0].wire,
         parameters=parameters,
-        correlations=_correlations(covariance[:P, :P], found.free),
-        covariance=covariance,
-        mixture=found.mixture,
+        solutions=solutions,
+        correlations=_correlations(found.spread.covariance[:P, :P], found.free),
         levels=levels,
         separability=_separability(found),
         friction_separability=_friction_separability(found),
@@ -117,48 +123,74 @@ def tell(found: Found) -> Calibration:
         rmse=rmse,
         rmse_share=rmse / max(curve.peak for curve in problem.curves),
         method=METHOD,
-        notes=tuple(_notes(found, parameters, compared)),
+        notes=tuple(_notes(found, parameters, solutions, compared)),
     )
 
 
-def _parameter(found: Found, number: int) -> CalibratedParameter:
+def _solution(found: Found, valley: Valley) -> Solution:
+    left = [
+        curve.force - model.force
+        for curve, model in zip(found.problem.curves, valley.fit.models, strict=True)
+    ]
+    acts = np.array(found.problem.parts.has)
+    return Solution(
+        values=np.where(acts, np.exp(valley.fit.point.logs), np.nan),
+        rise=valley.rise,
+        rmse=float(np.sqrt(np.mean(np.concatenate(left) ** 2))),
+        covariance=valley.spread.covariance,
+        mixture=valley.mixture,
+        limit=limit_of(found, valley),
+    )
+
+
+def _parameter(found: Found, solutions: tuple[Solution, ...], number: int) -> CalibratedParameter:
     """One parameter, with profile, verdict and the weighing of its prior."""
     name = PARAMETERS[number]
     value = float(np.exp(found.fit.point.logs[number]))
     if not found.free[number]:
         return _held(found, number, value)
     error = float(np.sqrt(found.spread.covariance[number, number]))
-    traced = trace(found, number)
+    traced = traces(found, number)
+    parts = union(traced)
     conflict = _conflict(found, number) if _has_prior(found, number) else None
     parameter = CalibratedParameter(
         name=name,
         unit=UNITS[name],
         value=value,
-        interval=Interval(float(np.exp(traced.lower)), float(np.exp(traced.upper))),
+        intervals=tuple(Interval(float(np.exp(low)), float(np.exp(high))) for low, high in parts),
         log_error=error,
         freedom=found.spread.freedom(np.eye(P + 1)[number]),
-        is_open_below=traced.is_open_below,
-        is_open_above=traced.is_open_above,
+        is_open_below=any(each.is_open_below for each in traced),
+        is_open_above=any(each.is_open_above for each in traced),
         at_bound=_bound(found, number),
-        verdict=_verdict(found, number, traced, error, conflict),
+        verdict=Identified.WELL,
         words="",
-        profile=_profile(traced),
+        profiles=tuple(map(_profile, traced)),
         conflict=conflict,
     )
-    return replace(parameter, words=words_of(parameter))
+    others = tuple(
+        (float(each.values[number]), each.likelihood) for each in solutions if not each.is_allowed
+    )
+    parameter = replace(parameter, verdict=_verdict(found, number, parameter, others))
+    return replace(parameter, words=words_of(parameter, others))
 
 
 def _verdict(
-    found: Found, number: int, traced: Trace, error: float, conflict: PriorConflict | None
+    found: Found, number: int, parameter: CalibratedParameter, others: Sequence[tuple[float, float]]
 ) -> Identified:
+    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
+    wide = [low, high, *(value for value, _ in others)]
+    conflict = parameter.conflict
     prior = np.inf if conflict is None else float(found.problem.precision[number]) ** -0.5
     return verdict_of(
-        float(np.exp(traced.upper - traced.lower)),
-        at_bound=bool(_bound(found, number)),
-        is_open=traced.is_open_below or traced.is_open_above,
-        log_error=error,
+        high / low,
+        span_with_others=max(wide) / min(wide),
+        at_bound=bool(parameter.at_bound),
+        is_open=parameter.is_open_below or parameter.is_open_above,
+        log_error=parameter.log_error,
         prior_error=prior,
         contradicts=conflict is not None and conflict.contradicts,
+        is_apart=len(parameter.intervals) > 1 or is_elsewhere(parameter, others),
     )
 
 
@@ -170,7 +202,7 @@ def _held(found: Found, number: int, value: float) -> CalibratedParameter:
         name=name,
         unit=UNITS[name],
         value=value if acts else np.nan,
-        interval=None,
+        intervals=(),
         log_error=0.0,
         freedom=np.inf,
         is_open_below=False,
@@ -178,6 +210,7 @@ def _held(found: Found, number: int, value: float) -> CalibratedParameter:
         at_bound="",
         verdict=Identified.FIXED,
         words="",
+        source=found.settings.choices[name].source if name in found.settings.choices else "",
     )
     return replace(
         held, words=words_of(held) if acts else f"{NAMES[name]} does not act on this wire"
@@ -209,7 +242,8 @@ def _conflict(found: Found, number: int) -> PriorConflict:
     precision = found.problem.precision.copy()
     precision[number] = 0.0
     alone = replace(found.problem, precision=precision)
-    fit = search(alone, found.levels, found.fit.point, found.free)
+    fits = [search(alone, found.levels, valley.fit.point, found.free) for valley in found.valleys]
+    fit = min(fits, key=lambda each: each.objective)
     spread = uncertainty(
         alone, fit, found.free, found.levels, is_scatter_known=found.is_scatter_known
     )
@@ -223,6 +257,7 @@ def _conflict(found: Found, number: int) -> PriorConflict:
         freedom=float(freedom),
         contradicts=False,
         message="",
+        source=found.settings.choices[name].source,
     )
     return weigh_prior(name, numbers)
 
@@ -288,10 +323,21 @@ def _friction_separability(found: Found) -> Separability | None:
 
 
 def _notes(
-    found: Found, parameters: tuple[CalibratedParameter, ...], compared: tuple[CurveAgreement, ...]
+    found: Found,
+    parameters: tuple[CalibratedParameter, ...],
+    solutions: tuple[Solution, ...],
+    compared: tuple[CurveAgreement, ...],
 ) -> Iterator[QualityNote]:
     for parameter in parameters:
         yield from _parameter_notes(parameter)
+    if len(solutions) > 1:
+        where = found.problem.curves[0].wire
+        message = two_solutions(solutions)
+        yield QualityNote("two_solutions", Severity.WARNING, where, message)
+    yield from _level_notes(found, compared)
+
+
+def _level_notes(found: Found, compared: tuple[CurveAgreement, ...]) -> Iterator[QualityNote]:
     levels, where = found.levels, found.problem.curves[0].wire
     if found.problem.n_samples == 1 and not found.is_scatter_known:
         message = (

@@ -21,11 +21,12 @@ from labpipe.records.wire_calibration import (
     PriorConflict,
     ScatterMixture,
     Separability,
+    Solution,
 )
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
-from labpipe.wire.calibration.scatter_mixture import mix
-from labpipe.wire.calibration.variances import Uncertainty, quantile, settle, uncertainty
+from labpipe.wire.calibration.valleys import Valley, settle, valley_of
+from labpipe.wire.calibration.variances import Uncertainty, quantile
 from labpipe.wire.calibration.wire_parts import WireParts, model_forces, take_apart
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Contacts
@@ -72,19 +73,31 @@ class Found:
     ----------
     wire, settings : what was asked for
     problem, free : what was fitted
-    fit, levels : the least of the objective
-    spread : covariance, and what degrees of freedom need
-    mixture : covariance for each scatter that the tests allow
+    levels : of noise and samples
+    valleys : every least of the objective, the lowest first
     """
 
     wire: Wire
     settings: Settings
     problem: Problem
     free: Flags
-    fit: Fit
     levels: Levels
-    spread: Uncertainty
-    mixture: ScatterMixture
+    valleys: tuple[Valley, ...]
+
+    @property
+    def fit(self) -> Fit:
+        """The least of the objective."""
+        return self.valleys[0].fit
+
+    @property
+    def spread(self) -> Uncertainty:
+        """Covariance there, and what degrees of freedom need."""
+        return self.valleys[0].spread
+
+    @property
+    def mixture(self) -> ScatterMixture:
+        """Covariance there, for each scatter that the tests allow."""
+        return self.valleys[0].mixture
 
     @property
     def is_scatter_known(self) -> bool:
@@ -116,14 +129,20 @@ def find(
         return posed
     problem, logs, free = posed
     try:
-        fit, levels = settle(problem, logs, free, scatter=settings.scatter)
+        fits, levels = settle(problem, logs, free, scatter=settings.scatter)
     except ValueError as error:
         return CalibrationFailure("model_cannot_follow", str(error))
-    is_known = settings.scatter is not None
-    spread = uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
-    is_given = is_known or problem.n_samples == 1
-    mixture = mix(problem, fit, free, levels, is_scatter_known=is_given)
-    return Found(wire, settings, problem, free, fit, levels, spread, mixture)
+    valleys = tuple(
+        valley_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
+        for fit in fits
+        if fit.objective - fits[0].objective <= _HIGHEST
+    )
+    return Found(wire, settings, problem, free, levels, valleys)
+
+
+_HIGHEST = 200.0
+"""Rise of the objective above which no least is looked at: no quantile of so few samples is as
+large."""
 
 
 BOUNDS: Mapping[str, tuple[float, float]] = {
@@ -268,6 +287,8 @@ def verdict_of(
     log_error: float,
     prior_error: float,
     contradicts: bool = False,
+    is_apart: bool = False,
+    span_with_others: float = 1.0,
 ) -> Identified:
     """Judge an interval.
 
@@ -279,6 +300,9 @@ def verdict_of(
     log_error : standard error of the logarithm
     prior_error : that of its prior; infinite without one
     contradicts : whether prior and tests contradict each other
+    is_apart : whether it falls into parts, or another solution lies outside of it
+    span_with_others : the same with the values of solutions that are not in the 95 % set, but not
+        far from it
     """
     if at_bound:
         return Identified.AT_BOUND
@@ -288,7 +312,9 @@ def verdict_of(
         return Identified.BY_PRIOR
     if is_open or span > HOPELESS:
         return Identified.NOT
-    return Identified.WELL if span < WELL else Identified.WEAKLY
+    if max(span, span_with_others) < WELL:
+        return Identified.WELL
+    return Identified.TWO if is_apart else Identified.WEAKLY
 
 
 def in_display_unit(name: str, *values: float) -> str:
@@ -310,16 +336,28 @@ def in_display_unit(name: str, *values: float) -> str:
     return f"{written} {unit}".rstrip()
 
 
-def words_of(parameter: CalibratedParameter) -> str:
-    """Say what is known of a parameter in a sentence."""
+def is_elsewhere(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> bool:
+    """Whether another solution, by its value and likelihood, lies outside of all intervals."""
+    return any(
+        not any(part.lower <= value <= part.upper for part in parameter.intervals)
+        for value, _ in others
+    )
+
+
+def words_of(parameter: CalibratedParameter, others: Sequence[tuple[float, float]] = ()) -> str:
+    """Say what is known of a parameter in a sentence.
+
+    Parameters
+    ----------
+    parameter : without words
+    others : value and likelihood, over that of the best, of solutions that are outside of the 95 %
+        set, but not by much
+    """
     key, interval = parameter.name, parameter.interval
     name, value = NAMES[key], in_display_unit(key, parameter.value)
     if interval is None:
-        return f"{name} was held at {value}"
-    low, high, ends = (
-        in_display_unit(key, *values)
-        for values in ((interval.lower,), (interval.upper,), (interval.lower, interval.upper))
-    )
+        return f"{name} was held at {value}{_from(parameter.source)}"
+    low, high = (in_display_unit(key, value) for value in (interval.lower, interval.upper))
     if parameter.at_bound:
         side, other = ("below", high) if parameter.at_bound == "lower" else ("above", low)
         return (
@@ -327,16 +365,68 @@ def words_of(parameter: CalibratedParameter) -> str:
             f"{value}; the tests ask for a value {side} it, or do not determine it; inside the "
             f"bounds it reaches to {other} (95 %)"
         )
-    sides = {
-        (False, False): f"lies between {ends}",
-        (True, False): f"lies below {high}; the tests do not bound it from below",
-        (False, True): f"lies above {low}; the tests do not bound it from above",
-        (True, True): f"may lie anywhere between the bounds, {ends}",
-    }
-    place = sides[parameter.is_open_below, parameter.is_open_above]
+    place = _place_of(parameter)
     if parameter.verdict is Identified.AGAINST_PRIOR:
         return f"{name} is doubtful, for prior and tests contradict each other: it {place} (95 %)"
-    return f"{name} is {parameter.verdict.value}: it {place} (95 %)"
+    said = "has two solutions" if parameter.verdict is Identified.TWO else parameter.verdict.value
+    is_said = said if parameter.verdict is Identified.TWO else f"is {said}"
+    return f"{name} {is_said}: it {place} (95 %){_near(parameter, others)}"
+
+
+def _near(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:
+    """Where other solutions have a value, if that is what makes two of them."""
+    if parameter.verdict is not Identified.TWO or not is_elsewhere(parameter, others):
+        return ""
+    said = (
+        f"near {in_display_unit(parameter.name, value)}, by a solution that is {chance:.2g} times "
+        "as likely"
+        for value, chance in others
+    )
+    return f", or {', or '.join(said)}"
+
+
+def _from(source: str) -> str:
+    return f" ({source.strip().rstrip('.')})" if source.strip() else ""
+
+
+def _place_of(parameter: CalibratedParameter) -> str:
+    """Where a parameter lies, part by part."""
+    key, parts = parameter.name, parameter.intervals
+    is_open = parameter.is_open_below, parameter.is_open_above
+    if all(is_open) and len(parts) == 1:
+        ends = in_display_unit(key, parts[0].lower, parts[0].upper)
+        return f"may lie anywhere between the bounds, {ends}"
+    said = [f"between {in_display_unit(key, part.lower, part.upper)}" for part in parts]
+    if is_open[0]:
+        said[0] = f"below {in_display_unit(key, parts[0].upper)}"
+    if is_open[1]:
+        said[-1] = f"above {in_display_unit(key, parts[-1].lower)}"
+    sides = [side for side, here in zip(("below", "above"), is_open, strict=True) if here]
+    ending = f"; the tests do not bound it from {' or from '.join(sides)}" if sides else ""
+    return f"lies {' or '.join(said)}{ending}"
+
+
+def two_solutions(solutions: Sequence[Solution]) -> str:
+    """Say which solutions fit the tests alike, with their numbers.
+
+    Parameters
+    ----------
+    solutions : two or more, the best first
+    """
+    said = []
+    for number, solution in enumerate(solutions):
+        acting = zip(PARAMETERS, solution.values.tolist(), strict=True)
+        values = (f"{NAMES[name]} {in_display_unit(name, v)}" for name, v in acting if v > 0.0)
+        chance = f", {solution.likelihood:.2g} times as likely as (1)" if number else ""
+        outside = "" if solution.is_allowed else ", outside of the 95 % set"
+        rmse = f"{1e3 * solution.rmse:.3g} mN"
+        said.append(f"({number + 1}) {', '.join(values)}: RMSE {rmse}{chance}{outside}")
+    count = "two" if len(solutions) == 2 else str(len(solutions))
+    return (
+        f"{count} solutions fit the tests: {'; '.join(said)}. Values are of (1), intervals and "
+        "bands of all in the 95 % set. A prior on the strength of the copper, or tests of another "
+        "length, can tell them apart"
+    )
 
 
 def separability(names: tuple[str, ...], jacobian: Floats, what: str) -> Separability:
@@ -439,8 +529,8 @@ def weigh_prior(name: str, conflict: PriorConflict) -> PriorConflict:
     others = "; the other values are drawn along with it" if contradicts else ""
     message = (
         f"the prior of {NAMES[name]}, {in_display_unit(name, conflict.centre)} within a factor of "
-        f"{conflict.factor:.4g}, {relation} the tests, which by themselves say "
-        f"{in_display_unit(name, conflict.alone)}: {conflict.size:.2f} standard errors of both "
+        f"{conflict.factor:.4g}{_from(conflict.source)}, {relation} the tests, which by themselves "
+        f"say {in_display_unit(name, conflict.alone)}: {conflict.size:.2f} standard errors of both "
         f"together {side} the prior, {limit:.2f} would be a contradiction at 95 %{others}"
     )
     return replace(conflict, contradicts=contradicts, message=message)

@@ -109,7 +109,9 @@ class Fit:
     settled: bool
 
 
-def search(problem: Problem, levels: Levels, start: Point, free: Flags) -> Fit:
+def search(
+    problem: Problem, levels: Levels, start: Point, free: Flags, *, enough: float = _SETTLED
+) -> Fit:
     """Go from a start to the least of the objective.
 
     Parameters
@@ -117,6 +119,7 @@ def search(problem: Problem, levels: Levels, start: Point, free: Flags) -> Fit:
     problem, levels : what is fitted
     start : first guess; parameters that are not free stay there
     free : shape (3,)
+    enough : of the objective, below which a further step would not matter
 
     Raises
     ------
@@ -127,7 +130,7 @@ def search(problem: Problem, levels: Levels, start: Point, free: Flags) -> Fit:
     damping, steps, idle = _DAMPING[0], 0, 0
     while steps < _MOST_STEPS and damping <= _DAMPING[2] and idle < _MOST_IDLE:
         step, pull = _step_inside(problem, levels, here, free, damping)
-        if float(step @ pull) <= _SETTLED:
+        if float(step @ pull) <= enough:
             return replace(here, steps=steps, settled=True)
         steps += 1
         ahead = _try(problem, levels, _move(problem, here.point, step))

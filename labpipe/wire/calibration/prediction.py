@@ -9,7 +9,7 @@ from scipy.special import ndtri
 
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction
+from labpipe.records.wire_calibration import PARAMETERS, Calibration, Prediction, Solution
 from labpipe.wire.calibration.fit import Wire
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from labpipe.wire.calibration.wire_parts import loading_curve, take_apart
@@ -47,8 +47,10 @@ def predict(
 
     Returns
     -------
-    The curve and its bands: uncertainty of the parameters (linear in their logarithms), gain, and,
-    for the band of a measured curve, scatter of samples and noise. What the two wires do not share
+    The curve of the best solution, and bands of all: uncertainty of the parameters (linear in
+    their logarithms), gain, and, for the band of a measured curve, scatter of samples and noise.
+    Where there are several solutions a band reaches from the lowest to the highest of theirs, each
+    as much narrower as its likelihood is smaller. What the two wires do not share
     (dimensions, lots of copper and insulation) is not in it.
 
     Raises
@@ -62,35 +64,45 @@ def predict(
     (noise, another gain) is added as 1.96 s in quadrature.
     """
     parts = take_apart(wire.section, wire.contacts, orientation=wire.orientation)
-    values = np.array([parameter.value for parameter in calibration.parameters])
-    values = np.where(np.isnan(values), parts.given, values)
     deepest = float(np.nanmax(np.abs(deflection)))
-    curve = loading_curve(parts, values, length, rig, deepest)
-    force, change = force_at(curve, deflection)
-    gain_slope = force if other_gain is None else np.zeros_like(force)
-    slopes = np.vstack([change, gain_slope])
-    other = 0.0 if other_gain is None else other_gain
-    mixture, directions = calibration.mixture, slopes.T
-    lower_mean, upper_mean = quantiles(mixture, directions)
-    lower, upper = quantiles(mixture, directions, force / np.sqrt(n_samples))
-    gain, read = _NORMAL * other * force, _NORMAL * noise / np.sqrt(n_samples)
-    both = np.hypot(gain, read)
+    gain = _NORMAL * (other_gain or 0.0)
+    read = _NORMAL * noise / np.sqrt(n_samples)
+    forces, bands = [], []
+    for solution in (each for each in calibration.solutions if each.is_allowed):
+        values = np.where(np.isnan(solution.values), parts.given, solution.values)
+        curve = loading_curve(parts, values, length, rig, deepest)
+        force, change = force_at(curve, deflection)
+        gain_slope = force if other_gain is None else np.zeros_like(force)
+        slopes = np.vstack([change, gain_slope]).T
+        forces.append(force)
+        mean, one = _reach(solution, slopes, force / np.sqrt(n_samples))
+        one, mean = np.hypot(one, np.hypot(gain * force, read)), np.hypot(mean, gain * force)
+        bands.append([force - one[0], force + one[1], force - mean[0], force + mean[1]])
+    low, high = np.min(bands, axis=0), np.max(bands, axis=0)
     notes = tuple(_notes(calibration))
-    return Prediction(
-        deflection,
-        force,
-        force - np.hypot(lower, both),
-        force + np.hypot(upper, both),
-        force - np.hypot(lower_mean, gain),
-        force + np.hypot(upper_mean, gain),
-        notes,
-    )
+    return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
+
+
+def _reach(solution: Solution, slopes: Floats, one_more: Floats) -> tuple[Floats, Floats]:
+    """How far a band reaches down and up, shape (2, n), N: of the mean sample, and of one more."""
+    mean = np.abs(quantiles(solution.mixture, slopes))
+    one = np.abs(quantiles(solution.mixture, slopes, one_more))
+    scatter = np.sqrt(np.maximum(one**2 - mean**2, 0.0))
+    mean *= np.sqrt(1.0 - solution.rise / solution.limit)
+    return mean, np.hypot(mean, scatter)
 
 
 def _notes(calibration: Calibration) -> Iterator[QualityNote]:
     if calibration.levels.scatter_freedom == 0.0:
         message = "the scatter of samples is not known from one sample: the bands leave it out"
         yield QualityNote("one_sample", Severity.WARNING, calibration.wire, message)
+    allowed = sum(each.is_allowed for each in calibration.solutions)
+    if allowed > 1:
+        message = (
+            f"{allowed} solutions fit the tests: the bands reach over all of "
+            "them, the curve is that of the best"
+        )
+        yield QualityNote("two_solutions", Severity.WARNING, calibration.wire, message)
     for name in PARAMETERS:
         parameter = calibration.parameter(name)
         if parameter.is_open_below or parameter.is_open_above:

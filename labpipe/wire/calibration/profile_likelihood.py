@@ -5,7 +5,8 @@ of the parameter's distribution in the linear model, averaged over what the scat
 be (`scatter_mixture`); below and above it may differ. With many samples q is 1.96, for one
 that leans on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In the
 linear case this is the t interval; where the objective is asymmetric the interval is too, and it
-stays open where the objective levels out.
+stays open where the objective levels out. Where the objective has several leasts, each is followed
+by itself, its height above the lowest counts, and the interval is the union of what they allow.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from labpipe.wire.calibration.parameter_search import (
     search,
 )
 from labpipe.wire.calibration.scatter_mixture import quantiles
+from labpipe.wire.calibration.valleys import Valley
 
 _NORMAL, _LEAST_ROOT = 1.96, 0.5
 _CLOSE = 0.01  # of the root of the threshold
@@ -39,7 +41,7 @@ class Trace:
 
     Parameters
     ----------
-    logs, deviance : shape (n,), increasing logs, rise of the objective
+    logs, deviance : shape (n,), increasing logs, rise of the objective over its least of all
     lower, upper : logs, ends of the interval
     is_open_below, is_open_above : whether the objective stays below the threshold to the bound
     threshold_below, threshold_above : of the deviance
@@ -57,23 +59,71 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class _Side:
+    start: float
     end: float
     is_open: bool
     seen: tuple[tuple[float, float], ...]
 
 
-def trace(found: Found, number: int) -> Trace:
-    """Follow the objective to both sides of its least, all other unknowns fitted anew.
+def traces(found: Found, number: int) -> tuple[Trace, ...]:
+    """Follow the objective from each of its leasts that the interval of a parameter takes in.
 
     Parameters
     ----------
     found : the fit of a calibration
     number : of the parameter
     """
-    problem, levels, fit, free = found.problem, found.levels, found.fit, found.free
-    error = float(np.sqrt(found.spread.covariance[number, number]))
-    below, above = quantiles(found.mixture, np.eye(P + 1)[[number]])
-    roots = _root(-below[0], error), _root(above[0], error)
+    allowed = (valley for valley in found.valleys if valley.rise < limit_of(found, valley))
+    return tuple(trace(found, number, valley) for valley in allowed)
+
+
+def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
+    """Ends of the parts that several traces make together, in logarithms, rising."""
+    joined: list[tuple[float, float]] = []
+    for lower, upper in sorted((each.lower, each.upper) for each in parts):
+        if joined and lower <= joined[-1][1]:
+            joined[-1] = (joined[-1][0], max(joined[-1][1], upper))
+        else:
+            joined.append((lower, upper))
+    return tuple(joined)
+
+
+def limit_of(found: Found, valley: Valley) -> float:
+    """Rise of the objective below which a least is in the 95 % set.
+
+    Parameters
+    ----------
+    found : the fit of a calibration
+    valley : one of its leasts
+
+    Notes
+    -----
+    Square of the quantile, in standard errors, of the combination of parameters that leads there
+    from the lowest least. Which valley it is the shape of the curves says, so that this is that of
+    many points even where the level rests on few samples.
+    """
+    lowest = found.valleys[0]
+    here, there = lowest.fit.point, valley.fit.point
+    way = np.append(there.logs - here.logs, there.gain - here.gain)
+    error = float(np.sqrt(way @ lowest.spread.covariance @ way))
+    ends = quantiles(lowest.mixture, way[None, :])
+    return _root(float(max(-ends[0][0], ends[1][0])), error) ** 2
+
+
+def trace(found: Found, number: int, valley: Valley) -> Trace:
+    """Follow the objective to both sides of a least, all other unknowns fitted anew.
+
+    Parameters
+    ----------
+    found : the fit of a calibration
+    number : of the parameter
+    valley : from where; it is followed as much less high as its rise is of what is allowed
+    """
+    problem, levels, fit, free = found.problem, found.levels, valley.fit, found.free
+    error = float(np.sqrt(valley.spread.covariance[number, number]))
+    below, above = quantiles(valley.mixture, np.eye(P + 1)[[number]])
+    left = 1.0 - valley.rise / limit_of(found, valley) if valley.rise > 0.0 else 1.0
+    roots = [_root(end, error) * float(np.sqrt(left)) for end in (-below[0], above[0])]
     others = free.copy()
     others[number] = False
     direction = _direction(problem, levels, fit, free, number)
@@ -83,18 +133,29 @@ def trace(found: Found, number: int) -> Trace:
         walk = _Walk(problem, levels, fit, others, number, direction, float(bound), sign)
         sides.append(_walk(walk, root, error))
     middle = (float(fit.point.logs[number]), 0.0)
-    seen = sorted({*sides[0].seen, middle, *sides[1].seen})
+    one = len(found.valleys) == 1
+    seen = sorted({middle, *(p for side in sides for p in (side.seen if one else _uphill(side)))})
     logs, heights = np.array(seen).T
     return Trace(
         logs,
-        heights**2,
+        heights**2 + valley.rise,
         sides[0].end,
         sides[1].end,
         sides[0].is_open,
         sides[1].is_open,
-        roots[0] ** 2,
-        roots[1] ** 2,
+        roots[0] ** 2 + valley.rise,
+        roots[1] ** 2 + valley.rise,
     )
+
+
+def _uphill(side: _Side) -> list[tuple[float, float]]:
+    """Points up to the first hill: behind it lies another valley, which is followed by itself."""
+    kept: list[tuple[float, float]] = []
+    for place, height in sorted(side.seen, key=lambda point: abs(point[0] - side.start)):
+        if kept and height < kept[-1][1]:
+            break
+        kept.append((place, height))
+    return kept
 
 
 def _root(quantile: float, error: float) -> float:
@@ -149,7 +210,8 @@ def _walk(walk: _Walk, root: float, error: float) -> _Side:
     """Find where the root of the deviance passes a value, going outwards and then in between."""
     room = walk.sign * (walk.bound - float(walk.fit.point.logs[walk.number]))
     if room <= 0.0:
-        return _Side(walk.bound, is_open=True, seen=())
+        return _Side(walk.bound, walk.bound, is_open=True, seen=())
+    start = float(walk.fit.point.logs[walk.number])
     bracket, near = _Bracket((0.0, 0.0), None, 0), walk.fit
     seen: list[tuple[float, float]] = []
     distance = min(root * error, room) if error > 0.0 else room
@@ -161,13 +223,13 @@ def _walk(walk: _Walk, root: float, error: float) -> _Side:
         if height < root:
             near = found
             if distance >= room:
-                return _Side(walk.bound, is_open=True, seen=_places(walk, seen))
+                return _Side(start, walk.bound, is_open=True, seen=_places(walk, seen))
         bracket = bracket.narrowed(distance, height, root)
         distance = bracket.next_look(root, room)
     else:  # rather too far out than too near
         distance = bracket.high[0] if bracket.high else room
-    end = float(walk.fit.point.logs[walk.number]) + walk.sign * distance
-    return _Side(end, is_open=bracket.high is None and distance >= room, seen=_places(walk, seen))
+    end, is_open = start + walk.sign * distance, bracket.high is None and distance >= room
+    return _Side(start, end, is_open=is_open, seen=_places(walk, seen))
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,8 +43,7 @@ def test_values_lie_in_intervals_near_the_truth(usual: Calibration) -> None:
         assert parameter.interval is not None
         assert parameter.interval.lower < parameter.value < parameter.interval.upper
         assert abs(np.log(parameter.value / truth)) < 4.0 * parameter.log_error
-        assert parameter.profile is not None
-        assert parameter.profile.deviance.min() == 0.0
+        assert parameter.profiles[0].deviance.min() == 0.0
     assert usual.parameter("insulation_modulus").verdict is Identified.WELL
     assert usual.parameter("radial_friction").verdict in {Identified.WEAKLY, Identified.NOT}
 
@@ -79,7 +78,7 @@ def test_fixed_parameters() -> None:
     assert copper.verdict is Identified.FIXED
     assert copper.words == "the strength of the copper was held at 1"
     assert np.isnan(found.correlations[2]).all()
-    assert found.covariance[1, 1] == 0.0
+    assert found.solutions[0].covariance[1, 1] == 0.0
 
 
 def test_a_prior_that_says_most() -> None:
@@ -131,5 +130,5 @@ def test_everything_fixed_is_a_comparison() -> None:
     names = ("radial_friction", "insulation_modulus", "copper_scale")
     found = calibrated(THREE, Settings(dict.fromkeys(names, FIXED)))
     assert [parameter.interval for parameter in found.parameters] == [None] * 3
-    assert not found.covariance.any()
+    assert not found.solutions[0].covariance.any()
     assert found.rmse < 0.02

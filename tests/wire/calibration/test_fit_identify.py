@@ -22,7 +22,7 @@ KNOWN = CalibratedParameter(
     name="insulation_modulus",
     unit="Pa",
     value=1e9,
-    interval=Interval(0.9e9, 1.1e9),
+    intervals=(Interval(0.9e9, 1.1e9),),
     log_error=0.05,
     freedom=20.0,
     is_open_below=False,
@@ -46,6 +46,10 @@ KNOWN = CalibratedParameter(
         (1.9, {"prior_error": 0.11, "contradicts": True}, Identified.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "is_open": True}, Identified.AGAINST_PRIOR),
         (1.9, {"contradicts": True, "at_bound": True}, Identified.AT_BOUND),
+        (1.9, {"is_apart": True}, Identified.WELL),
+        (2.1, {"is_apart": True}, Identified.TWO),
+        (1.9, {"is_apart": True, "span_with_others": 4.0}, Identified.TWO),
+        (101.0, {"is_apart": True}, Identified.NOT),
     ],
 )
 def test_verdicts(span: float, more: dict[str, bool], expected: Identified) -> None:
@@ -64,8 +68,20 @@ def test_words() -> None:
     assert "lies above 900 MPa; the tests do not" in words_of(replace(KNOWN, is_open_above=True))
     both = replace(open_below, is_open_above=True)
     assert "may lie anywhere between the bounds, 900 and 1100 MPa" in words_of(both)
-    held = replace(KNOWN, interval=None)
-    assert words_of(held) == f"{name} was held at 1000 MPa"
+    held = replace(KNOWN, intervals=(), source="data sheet")
+    assert words_of(held) == f"{name} was held at 1000 MPa (data sheet)"
+    parts = (Interval(0.9e9, 1.1e9), Interval(2e9, 3e9))
+    two = replace(KNOWN, intervals=parts, verdict=Identified.TWO)
+    assert words_of(two) == (
+        f"{name} has two solutions: it lies between 900 and 1100 MPa or between 2000 and 3000 MPa "
+        "(95 %)"
+    )
+    assert (
+        "lies below 1100 MPa or above 2000 MPa; the tests do not bound it from below or from "
+        in (words_of(replace(two, is_open_below=True, is_open_above=True)))
+    )
+    near = words_of(replace(KNOWN, verdict=Identified.TWO), [(4e8, 0.08)])
+    assert near.endswith("MPa (95 %), or near 400 MPa, by a solution that is 0.08 times as likely")
     bound = replace(KNOWN, at_bound="lower", value=0.9e9)
     assert words_of(bound) == (
         f"{name} is doubtful: it ended at the lower bound of its search, 900 MPa; the tests ask "

@@ -39,10 +39,34 @@ def test_what_widens_a_band(calibration: Calibration) -> None:
 
 
 def test_nominal_numbers_where_the_calibration_has_none(calibration: Calibration) -> None:
-    bare = tuple(replace(parameter, value=np.nan) for parameter in calibration.parameters)
-    found = predict(replace(calibration, parameters=bare), wire_of("A2"), 0.085, D)
+    bare = replace(calibration.solutions[0], values=np.full(3, np.nan))
+    found = predict(replace(calibration, solutions=(bare,)), wire_of("A2"), 0.085, D)
     exact = exact_curve("A2", 0.085, has_string=False)(D)
     assert found.force == pytest.approx(exact, abs=1e-5)
+
+
+def test_bands_of_two_solutions(calibration: Calibration) -> None:
+    """The second as far as its own likelihood allows; the curve is that of the first."""
+    first = calibration.solutions[0]
+    one = predict(calibration, wire_of("A2"), 0.085, D)
+    alone = predict(replace(calibration, solutions=(first,)), wire_of("A2"), 0.085, D)
+    stiff = replace(first, values=np.array([1.0, 1.3, 1.0]) * first.values)
+    same = replace(calibration, solutions=(stiff,))
+    of_stiff = predict(same, wire_of("A2"), 0.085, D)
+    both = replace(calibration, solutions=(first, stiff))
+    equal = predict(both, wire_of("A2"), 0.085, D)
+    assert equal.force == pytest.approx(alone.force)
+    assert equal.lower_mean == pytest.approx(alone.lower_mean)
+    assert equal.upper_mean == pytest.approx(of_stiff.upper_mean)
+    assert equal.upper == pytest.approx(of_stiff.upper)
+    assert "two_solutions" in [note.code for note in equal.notes]
+    worse = replace(stiff, rise=0.75 * first.limit)
+    less = predict(replace(calibration, solutions=(first, worse)), wire_of("A2"), 0.085, D)
+    half = 0.5 * (of_stiff.upper_mean - of_stiff.force)
+    assert less.upper_mean[1:] == pytest.approx((of_stiff.force + half)[1:])
+    outside = replace(stiff, rise=1.1 * first.limit)
+    left = predict(replace(calibration, solutions=(first, outside)), wire_of("A2"), 0.085, D)
+    assert left.upper == pytest.approx(one.upper)
 
 
 def test_what_the_bands_leave_out_is_said(calibration: Calibration) -> None:

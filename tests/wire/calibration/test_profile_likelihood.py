@@ -5,7 +5,7 @@ import pytest
 
 from labpipe.records.wire_calibration import CalibrationFailure, ParameterChoice
 from labpipe.wire.calibration.fit import Found, Settings, find
-from labpipe.wire.calibration.profile_likelihood import _root, trace
+from labpipe.wire.calibration.profile_likelihood import _root, traces
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from tests.builders.loading_tests import measured, wire_of
 
@@ -21,7 +21,7 @@ def found_of(settings: Settings, **more: float) -> Found:
 def test_the_quantiles_where_the_model_is_linear() -> None:
     choices = {"radial_friction": FIXED, "copper_scale": FIXED}
     found = found_of(Settings(choices))
-    traced = trace(found, 1)
+    (traced,) = traces(found, 1)
     low, high = quantiles(found.mixture, np.eye(4)[[1]])
     best, half = float(found.fit.point.logs[1]), 0.5 * float(high[0] - low[0])
     assert traced.lower == pytest.approx(best + low[0], abs=0.03 * half)
@@ -31,7 +31,7 @@ def test_the_quantiles_where_the_model_is_linear() -> None:
 
 
 def test_the_deviance_rises_on_both_sides() -> None:
-    traced = trace(found_of(Settings(gain=0.005)), 0)
+    (traced,) = traces(found_of(Settings(gain=0.005)), 0)
     best = int(np.argmin(traced.deviance))
     assert traced.deviance[best] == 0.0
     assert np.all(np.diff(traced.deviance[: best + 1]) < 0.0)
@@ -43,7 +43,7 @@ def test_the_deviance_rises_on_both_sides() -> None:
 def test_open_where_the_objective_levels_out() -> None:
     """Twenty times the noise: friction may as well be nothing."""
     noisy = found_of(Settings(gain=0.005), noise=0.04)
-    traced = trace(noisy, 0)
+    (traced,) = traces(noisy, 0)
     assert traced.is_open_below
     assert traced.lower == noisy.problem.lower[0]
     assert traced.deviance[0] < traced.threshold_below
@@ -53,16 +53,16 @@ def test_a_walk_that_is_cut_short_ends_outside(monkeypatch: pytest.MonkeyPatch) 
     from labpipe.wire.calibration import profile_likelihood as profiles
 
     found = found_of(Settings(gain=0.005))
-    whole = trace(found, 0)
+    (whole,) = traces(found, 0)
     monkeypatch.setattr(profiles, "_MOST_LOOKS", 1)
-    short = trace(found, 0)
+    (short,) = traces(found, 0)
     assert short.lower <= whole.lower + 0.01
     assert short.upper >= whole.upper - 0.01
 
 
 def test_one_parameter_and_nothing_else() -> None:
     choices = {"radial_friction": FIXED, "copper_scale": FIXED}
-    traced = trace(found_of(Settings(choices, scatter=0.0)), 1)
+    (traced,) = traces(found_of(Settings(choices, scatter=0.0)), 1)
     assert traced.lower < np.log(1e9) + 0.1
     assert traced.upper > np.log(1e9) - 0.1
     assert traced.threshold_above == pytest.approx(1.96**2, rel=0.03)
@@ -80,9 +80,9 @@ def test_where_no_look_is_close_enough_the_end_is_taken_a_little_too_far_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = found_of(Settings({"radial_friction": FIXED, "copper_scale": FIXED}))
-    usual = trace(found, 1)
+    (usual,) = traces(found, 1)
     monkeypatch.setattr("labpipe.wire.calibration.profile_likelihood._CLOSE", 0.0)
-    finest = trace(found, 1)
+    (finest,) = traces(found, 1)
     half = 0.5 * (usual.upper - usual.lower)
     assert finest.upper == pytest.approx(usual.upper, abs=0.03 * half)
     assert finest.lower == pytest.approx(usual.lower, abs=0.03 * half)

@@ -1,0 +1,275 @@
+"""All solutions of a calibration: every least of the objective that the tests allow.
+
+A wire of hard copper with little insulation can look like one of soft copper with much of it, so
+that the objective has two valleys, and at times more, between which noise decides. All of them lie
+along one line: the copper's strength held, and all else fitted anew. It is followed from bound to
+bound, and a search goes down from each of its dips.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.records.arrays import Flags, Floats
+from labpipe.records.wire_calibration import (
+    COPPER_SCALE,
+    INSULATION_MODULUS,
+    PARAMETERS,
+    ScatterMixture,
+)
+from labpipe.wire.calibration.parameter_search import (
+    Fit,
+    Levels,
+    Point,
+    Problem,
+    products,
+    search,
+)
+from labpipe.wire.calibration.scatter_mixture import mix
+from labpipe.wire.calibration.variances import (
+    Uncertainty,
+    correlation_of,
+    estimate_levels,
+    uncertainty,
+)
+from labpipe.wire.calibration.wire_parts import model_forces
+
+_TUBE, _COPPER = PARAMETERS.index(INSULATION_MODULUS), PARAMETERS.index(COPPER_SCALE)
+_FIRST_SCATTER = 0.05
+_ROUNDS, _SETTLED = 6, 0.01
+_SHARES = (0.3, 0.8)
+"""Of the load that the insulation takes, where the model cannot follow from the given start."""
+_STRIDE = 0.3
+"""Between points of the line, in logarithms of the copper's strength."""
+_ROUGH = 0.01
+"""Of the objective, to which points of the line are fitted."""
+_HILL = 1.0
+"""Rise of the objective between two leasts, above the higher: with less they are one valley."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Valley:
+    """A least of the objective.
+
+    Parameters
+    ----------
+    fit : there
+    rise : of the objective over that of the lowest valley
+    spread : covariance, and what degrees of freedom need
+    mixture : covariance for each scatter that the tests allow
+    """
+
+    fit: Fit
+    rise: float
+    spread: Uncertainty
+    mixture: ScatterMixture
+
+
+def settle(
+    problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
+) -> tuple[list[Fit], Levels]:
+    """Fit parameters and levels.
+
+    Parameters
+    ----------
+    problem : what is fitted
+    logs : shape (3,), where the search starts
+    free : shape (3,)
+    scatter : of the samples, in logarithms, where it is given
+
+    Returns
+    -------
+    Every least of the objective, the lowest first, and the levels, which are those of the lowest.
+
+    Raises
+    ------
+    ValueError
+        If the model cannot follow the curves at any start.
+    """
+    levels = Levels(1.0, 0.0, _FIRST_SCATTER if scatter is None else scatter)
+    tried = (_from(problem, levels, start, free) for start in _starts(problem, logs, free))
+    first = next((fit for fit in tried if fit is not None), None)
+    if first is None:
+        message = "the model cannot follow the curves at any of the starts"
+        raise ValueError(message)
+    fit, levels = refine(problem, first, levels, free, scatter=scatter)
+    others = [each for each in leasts(problem, levels, fit, free) if each is not fit]
+    lowest = min([fit, *others], key=lambda each: each.objective)
+    if lowest is not fit:
+        others = [fit, *(each for each in others if each is not lowest)]
+        fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
+    found = (_again(problem, levels, each, free) for each in others)
+    fits = [fit, *(each for each in found if each is not None)]
+    return sorted(fits, key=lambda each: each.objective), levels
+
+
+def _again(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> Fit | None:
+    """A least again, with other levels."""
+    try:
+        return search(problem, levels, _within(fit.point, levels), free)
+    except ValueError:
+        return None
+
+
+def refine(
+    problem: Problem, fit: Fit, levels: Levels, free: Flags, *, scatter: float | None
+) -> tuple[Fit, Levels]:
+    """Estimate the levels and search again until they rest.
+
+    Parameters
+    ----------
+    problem, free, scatter : as for `settle`
+    fit, levels : a fit, and the levels it was made with
+    """
+    for _ in range(_ROUNDS):
+        factors = np.exp(fit.point.gain + fit.point.offsets[problem.sample])
+        correlation = correlation_of(problem.curves, fit.models, factors)
+        grams = products(problem, correlation, fit.point, fit.models)
+        white = Fit(fit.point, fit.objective, grams, fit.models, fit.steps, fit.settled)
+        new = estimate_levels(problem, white, free, correlation, scatter)
+        rests = _are_close(levels, new)
+        levels = new
+        fit = search(problem, levels, _within(fit.point, levels), free)
+        if rests:
+            break
+    return fit, levels
+
+
+def _from(problem: Problem, levels: Levels, logs: Floats, free: Flags) -> Fit | None:
+    start = Point(logs, 0.0, np.zeros(problem.n_samples))
+    try:
+        return search(problem, levels, start, free)
+    except ValueError:
+        return None
+
+
+def _within(point: Point, levels: Levels) -> Point:
+    """The point without offsets where samples do not scatter."""
+    offsets = point.offsets if levels.scatter > 0.0 else np.zeros_like(point.offsets)
+    return Point(point.logs, point.gain, offsets)
+
+
+def _are_close(one: Levels, other: Levels) -> bool:
+    if abs(one.correlation - other.correlation) > _SETTLED:
+        return False
+    close = abs(one.noise / other.noise - 1.0) <= _SETTLED
+    return close and abs(one.scatter - other.scatter) <= _SETTLED * max(other.scatter, 1e-9)
+
+
+def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
+    """The given start, then others, should the model not follow the curves from there."""
+    yield logs
+    if not (free[_TUBE] and free[_COPPER]):
+        return
+    given = problem.parts.given
+    nominal = np.where(free & (given > 0.0), np.log(np.where(given > 0.0, given, 1.0)), logs)
+    models = model_forces(problem.parts, np.exp(nominal), problem.curves)
+    total = sum(float(np.abs(model.force).sum()) for model in models)
+    of_tube = sum(float(np.abs(model.change[_TUBE]).sum()) for model in models)
+    measured = sum(float(np.abs(curve.force).sum()) for curve in problem.curves)
+    for share in _SHARES:
+        start = nominal.copy()
+        start[_TUBE] += np.log(share * measured / of_tube)
+        start[_COPPER] += np.log((1.0 - share) * measured / max(total - of_tube, 0.01 * total))
+        yield np.clip(start, problem.lower, problem.upper)
+
+
+def leasts(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
+    """Find every least of the objective.
+
+    Parameters
+    ----------
+    problem, levels, free : what is fitted
+    fit : one of them
+
+    Returns
+    -------
+    In order of the copper's strength; of two without a hill of `_HILL` between them, the lower.
+    Where insulation and copper are not both free there is but one.
+    """
+    if not (free[_TUBE] and free[_COPPER]):
+        return [fit]
+    line = _line(problem, levels, fit, free)
+    found = [fit]
+    for dip in _dips(line):
+        if dip is not fit:
+            least = _again(problem, levels, dip, free)
+            found += [] if least is None else [least]
+    found.sort(key=_place)
+    kept: list[Fit] = []
+    for each in found:
+        if kept and _hill(line, kept[-1], each) < _HILL:
+            kept[-1] = min(kept[-1], each, key=lambda one: one.objective)
+        else:
+            kept.append(each)
+    return kept
+
+
+def _place(fit: Fit) -> float:
+    return float(fit.point.logs[_COPPER])
+
+
+def _line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
+    """Fits with the copper's strength held at even steps, from bound to bound, and the fit."""
+    others = free.copy()
+    others[_COPPER] = False
+    at, low, high = _place(fit), float(problem.lower[_COPPER]), float(problem.upper[_COPPER])
+    down = _stretch(problem, levels, fit, others, _stops(at, low))
+    up = _stretch(problem, levels, fit, others, _stops(at, high))
+    return [*down[::-1], fit, *up]
+
+
+def _stops(at: float, bound: float) -> Floats:
+    count = int(np.ceil(abs(bound - at) / _STRIDE))
+    return np.linspace(at, bound, count + 1)[1:]
+
+
+def _stretch(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: Floats) -> list[Fit]:
+    """Fits at one stop after the other, each begun where the last two point to."""
+    found = [fit]
+    for stop in stops:
+        last = found[-1].point
+        before = found[-2].point if len(found) > 1 else last
+        logs = np.clip(2.0 * last.logs - before.logs, last.logs - 1.0, last.logs + 1.0)
+        logs = np.clip(logs, problem.lower, problem.upper)
+        logs[_COPPER] = stop
+        try:
+            found.append(search(problem, levels, replace(last, logs=logs), others, enough=_ROUGH))
+        except ValueError:
+            break  # the model cannot follow the curves with such copper
+    return found[1:]
+
+
+def _dips(line: list[Fit]) -> Iterator[Fit]:
+    """Points of a line that are not above their neighbours."""
+    heights = [np.inf, *(fit.objective for fit in line), np.inf]
+    for number, fit in enumerate(line, start=1):
+        if heights[number] <= min(heights[number - 1], heights[number + 1]):
+            yield fit
+
+
+def _hill(line: list[Fit], one: Fit, other: Fit) -> float:
+    """How far the line rises above both of two leasts between them."""
+    between = [fit.objective for fit in line if _place(one) < _place(fit) < _place(other)]
+    return max(between, default=-np.inf) - max(one.objective, other.objective)
+
+
+def valley_of(
+    problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: Fit, scatter: float | None
+) -> Valley:
+    """Say what is known at a least of the objective.
+
+    Parameters
+    ----------
+    problem, levels, free, scatter : what was fitted, as for `settle`
+    fit : the least
+    lowest : of all leasts
+    """
+    is_known = scatter is not None
+    spread = uncertainty(problem, fit, free, levels, is_scatter_known=is_known)
+    is_given = is_known or problem.n_samples == 1
+    mixture = mix(problem, fit, free, levels, is_scatter_known=is_given)
+    return Valley(fit, max(fit.objective - lowest.objective, 0.0), spread, mixture)
