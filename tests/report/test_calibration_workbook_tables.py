@@ -25,8 +25,8 @@ def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:
 def test_names_of_tables() -> None:
     names = [sheet.name for sheet in tables_of(report(), ["read me"])]
     assert names == [
-        "summary", "solutions", "fit", "identified", "agreement", "curves", "notes", "A2, 85 mm", "A2, 120 mm",
-        "A1, 85 mm", "A3, 120 mm",
+        "summary", "solutions", "fit", "identified", "agreement", "curves", "notes",
+        "A2, 85 mm", "A2, 120 mm", "A1, 85 mm", "A3, 120 mm",
     ]  # fmt: skip
     twice = replace(report(), groups=(group(), group()))
     assert [sheet.name for sheet in tables_of(twice)][-2:] == ["A2, 85 mm", "A2, 85 mm 2"]
