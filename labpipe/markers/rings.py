@@ -242,10 +242,9 @@ def _direction_of_motion(moved: Floats, section: Ints, x: Floats) -> Floats:
     if not far.max() > _MOVES or not len(path):
         message = "the markers do not move: expected a specimen that is bent"
         raise ValueError(message)
-    main = np.linalg.svd(path, full_matrices=False)[2][0]
-    main = main - (main @ x) * x
+    main = np.linalg.svd(path, full_matrices=False)[2][0]  # of length one, and across like the path
     sign = np.sign(float(path[np.argmax(np.abs(path @ main))] @ main))
-    return np.asarray(sign * main / np.linalg.norm(main), dtype=np.float64)
+    return np.asarray(sign * main, dtype=np.float64)
 
 
 def axis_at_rest(sections: Sections, *, radius: float, towards: tuple[float, float]) -> Floats:

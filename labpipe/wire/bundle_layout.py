@@ -8,17 +8,22 @@ number is drawn together from several starts, of which the densest heap is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import combinations, islice
 
 import numpy as np
 
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.harness_bundle import STATED, Bundle, BundleLayout
-from labpipe.wire.bundle_packing import drawn_together, holding_circle
+from labpipe.wire.bundle_packing import densest_heap, holding_circle
 
 N_SHUFFLES = 8
 """Shuffles of the kinds of a packed bundle, of which the densest is kept."""
+_MOST_SOUGHT = 100
+"""Wires of which many starts are tried: in a larger heap chance evens out, and lattices of equal
+wires are the densest."""
+_PITCHES = (0.6, 0.8, 1.0)
+"""Starts of an arrangement that leaves nothing to chance, see `_widths`."""
 OVERLAP = 0.01
 """Overlap of stated positions that is let pass, as a share of the smaller wire's diameter:
 the test sheet lets as much pass."""
@@ -88,12 +93,10 @@ def _arranged(bundle: Bundle, diameters: Floats, stiffness: Sequence[float], see
     if len(counts) == 1 or np.ptp(diameters) <= _EQUAL * diameters.max():
         kind = _spread(bundle.arrangement, places, counts, stiffness, seed)[0]
         return _by_kind(diameters.max() * places, kind)
-    tried = [
-        drawn_together(_by_kind(diameters.max() * places, kind), np.repeat(diameters, counts))
-        for kind in _spread(bundle.arrangement, places, counts, stiffness, seed)
-    ]
     each = np.repeat(diameters, counts)
-    return min(tried, key=lambda centres: holding_circle(centres, each)[1])
+    kinds = _spread(bundle.arrangement, places, counts, stiffness, seed)
+    starts = [_by_kind(width * places, kind) for kind in kinds for width in _widths(each, kinds)]
+    return densest_heap(starts, each)
 
 
 def _spread(
@@ -107,7 +110,17 @@ def _spread(
             return [evenly(places, counts, seed=seed)]
         case _:
             rng = np.random.default_rng(seed)
-            return [by_chance(counts, rng) for _ in range(N_SHUFFLES)]
+            shuffles = N_SHUFFLES if len(places) <= _MOST_SOUGHT else N_SHUFFLES // 2
+            return [by_chance(counts, rng) for _ in range(shuffles)]
+
+
+def _widths(each: Floats, kinds: Sequence[Ints]) -> list[float]:
+    """Distances of the sites from which wires are drawn together, m."""
+    alike = float(np.sqrt(np.mean(each**2)))  # at which equal wires would have as much area
+    if len(kinds) > 1:
+        return [alike]
+    shares = _PITCHES if len(each) <= _MOST_SOUGHT else _PITCHES[1:]
+    return [float(each.max()), *(share * alike for share in shares)]
 
 
 def _by_kind(centres: Floats, kind: Ints) -> Floats:
@@ -219,41 +232,56 @@ def _traits(sites: Floats) -> Floats:
     return np.asarray((traits - traits.mean(axis=0)) / np.array([size**0.5] * 2 + [size] * 3))
 
 
-def _unevenness(kind: Ints, traits: Floats) -> float:
-    member = (kind == np.arange(kind.max() + 1)[:, None]).astype(float)
-    count = np.maximum(member.sum(axis=1), 1.0)
-    return float(np.sum((member @ traits) ** 2 / count[:, None]))
+def _neighbours(sites: Floats) -> Floats:
+    """Whether two sites touch, or nearly: 1 or 0, shape (sites, sites)."""
+    distance = np.hypot(*(sites[:, None] - sites).transpose(2, 0, 1))
+    np.fill_diagonal(distance, np.inf)
+    return np.asarray(distance < 1.2 * distance.min(initial=np.inf), dtype=np.float64)
 
 
-def _neighbours(sites: Floats) -> Ints:
-    """Pairs of sites that touch, or nearly, shape (pairs, 2)."""
-    pairs = np.column_stack(np.triu_indices(len(sites), 1))
-    distance = np.hypot(*(sites[pairs[:, 0]] - sites[pairs[:, 1]]).T)
-    return np.asarray(pairs[distance < 1.2 * distance.min(initial=np.inf)])
+def _merit(kind: Ints, traits: Floats, near: Floats) -> tuple[float, int]:
+    """Unevenness, and neighbours of one kind."""
+    member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
+    count = np.maximum(member.sum(axis=0), 1.0)
+    unevenness = float(np.sum((member.T @ traits) ** 2 / count[:, None]))
+    return round(unevenness, _DIGITS), round(0.5 * float(np.sum(member * (near @ member))))
 
 
-def _merit(kind: Ints, traits: Floats, near: Ints) -> tuple[float, int]:
-    alike = int(np.sum(kind[near[:, 0]] == kind[near[:, 1]]))
-    return round(_unevenness(kind, traits), _DIGITS), alike
-
-
-def _exchanged(kind: Ints, traits: Floats, near: Ints) -> Ints:
+def _exchanged(kind: Ints, traits: Floats, near: Floats) -> Ints:
     """Exchange the two wires that help most, until no two do."""
     best, least = kind, _merit(kind, traits, near)
     while True:
-        found = min(_exchanges(best), key=lambda each: _merit(each, traits, near), default=best)
+        one, other = _best_exchange(best, traits, near)
+        found = best.copy()
+        found[[one, other]] = best[[other, one]]
         merit = _merit(found, traits, near)
         if merit >= least:
             return best
         best, least = found, merit
 
 
-def _exchanges(kind: Ints) -> Iterator[Ints]:
-    for one, other in combinations(range(len(kind)), 2):
-        if kind[one] != kind[other]:
-            changed = kind.copy()
-            changed[[one, other]] = kind[[other, one]]
-            yield changed
+def _best_exchange(kind: Ints, traits: Floats, near: Floats) -> tuple[int, int]:
+    """Two wires whose exchange leaves the least unevenness, then the fewest neighbours alike.
+
+    With S_k the sum of the traits t over n_k wires of kind k, and d = t_j - t_i: S_a grows by d and
+    S_b falls by it, where a and b are the kinds of i and j.
+    """
+    member = (kind[:, None] == np.arange(kind.max() + 1)).astype(np.float64)
+    count = np.maximum(member.sum(axis=0), 1.0)
+    pull = traits @ ((member.T @ traits) / count[:, None]).T  # t_i . S_k / n_k
+    own, among = pull[np.arange(len(kind)), kind], pull[:, kind]
+    size = np.sum(traits**2, axis=1)
+    apart = size[:, None] + size - 2.0 * traits @ traits.T
+    share = 1.0 / count[kind]
+    change = (share[:, None] + share) * apart + 2.0 * (among + among.T - own[:, None] - own)
+    beside = (near @ member)[:, kind]
+    own_beside = np.diag(beside)
+    alike = beside + beside.T - own_beside[:, None] - own_beside - 2.0 * near
+    change = np.where(kind[:, None] == kind, np.inf, np.round(change, _DIGITS))
+    change[np.tri(len(kind), dtype=bool)] = np.inf  # each pair once
+    candidates = np.argwhere(change == change.min())
+    first = candidates[np.argmin(alike[candidates[:, 0], candidates[:, 1]])]
+    return int(first[0]), int(first[1])
 
 
 def _in_turn(counts: Sequence[int]) -> Ints:
@@ -262,10 +290,15 @@ def _in_turn(counts: Sequence[int]) -> Ints:
 
 N_HEAP_STARTS = 8
 """Seeded starts of a heap, beside those from a lattice of triangles."""
+_MOST_IN_HEXAGON = 37
+"""Wires that are laid as a hexagon because they fill one. The corners of a larger one stick out of
+a heap, which then is the narrower."""
 
 _CORES = np.array([[0.0, 0.0], [0.5, np.sqrt(3.0) / 6.0], [0.5, 0.0]])
 """What a heap can have in its middle: a wire, three wires around a gap, two wires side by side."""
 _ALIKE = 1e-9
+_N_MIDDLES = 8
+"""Along the edge of the triangle of places in which the middle of a lattice is sought."""
 
 
 def sites(number: int, *, seed: int = 0) -> Floats:
@@ -290,8 +323,8 @@ def sites(number: int, *, seed: int = 0) -> Floats:
     if number < 1:
         message = f"number={number!r}: allowed are whole numbers >= 1"
         raise ValueError(message)
-    core = _core_of_hexagon(number)
-    found = _nearest(number, core) if core is not None else _densest(number, seed)
+    core = _core_of_hexagon(number) if number <= _MOST_IN_HEXAGON else None
+    found = _hexagon(number, core) if core is not None else _densest(number, seed)
     return _in_order(found - found.mean(axis=0))
 
 
@@ -303,36 +336,54 @@ def _core_of_hexagon(number: int) -> Floats | None:
     return np.asarray(_CORES[1]) if number == 3 * math.isqrt(number // 3) ** 2 else None
 
 
-def _nearest(number: int, core: Floats) -> Floats:
-    """Points of a lattice of triangles nearest to its middle by hexagonal distance, then by circle.
+def _hexagon(number: int, core: Floats) -> Floats:
+    """Points of a lattice of triangles nearest to its middle by hexagonal distance.
 
-    Hexagonal distance is the largest of the heights above the three pairs of opposite sides: by it
-    the rings of a hexagon are complete, whatever their number.
+    That is the largest of the heights above the three pairs of opposite sides: by it the rings of a
+    hexagon are complete, whatever their number.
     """
-    reach = 2 + math.isqrt(number)
-    along, up = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
-    points = np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up]) - core
+    points = _lattice(number) - core
     sides = np.deg2rad([30.0, 90.0, 150.0])
     height = np.abs(points @ np.array([np.cos(sides), np.sin(sides)])).max(axis=1)
-    round_ = np.hypot(*points.T)
-    chosen = np.lexsort([np.round(round_, 9), np.round(height, 9)])[:number]
-    return np.asarray(points[chosen])
+    return np.asarray(points[np.argsort(np.round(height, 9), kind="stable")[:number]])
+
+
+def _lattice(number: int) -> Floats:
+    """Points of a lattice of triangles about a point of it, more than a heap needs."""
+    reach = 2 + math.isqrt(2 * number)
+    along, up = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1)
+    return np.column_stack([along + 0.5 * up, np.sqrt(0.75) * up])
+
+
+def _nearest(number: int, core: Floats) -> Floats:
+    """Points of a lattice of triangles nearest to its middle."""
+    points = _lattice(number) - core
+    return np.asarray(points[np.argsort(np.round(np.hypot(*points.T), 9), kind="stable")[:number]])
 
 
 def _densest(number: int, seed: int) -> Floats:
-    """The heap in the smallest circle, of those drawn together from lattices and from chance."""
+    """The heap in the smallest circle, of lattices and of those drawn together from starts."""
     rng = np.random.default_rng(seed)
-    spread = 0.7 * math.sqrt(number)
-    starts = [_nearest(number, core) for core in _CORES]
-    starts += [rng.normal(scale=spread, size=(number, 2)) for _ in range(N_HEAP_STARTS)]
-    best, least = starts[0], np.inf
     diameters = np.ones(number)
-    for start in starts:
-        found = drawn_together(start, diameters)
-        radius = holding_circle(found, diameters)[1]
-        if radius < least - _ALIKE:  # of equal ones, the first
-            best, least = found, radius
-    return best
+    found = [_nearest(number, middle) for middle in _middles()]
+    if number <= _MOST_SOUGHT:
+        radius = 0.55 * math.sqrt(number) * np.sqrt(rng.uniform(size=(N_HEAP_STARTS, number)))
+        angle = rng.uniform(0.0, 2.0 * np.pi, size=(N_HEAP_STARTS, number))
+        starts = [_nearest(number, core) for core in _CORES]
+        starts += list(np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=-1))
+        found = [*found, densest_heap(starts, diameters)]
+    widths = np.array([holding_circle(each, diameters)[1] for each in found])
+    return found[int(np.argmax(widths < widths.min() + _ALIKE))]  # of equal ones, the first
+
+
+def _middles() -> Floats:
+    """Points of the triangle between the cores: every other middle makes one of these heaps."""
+    share = np.linspace(0.0, 1.0, _N_MIDDLES + 1)
+    one, other = np.meshgrid(share, share)
+    inside = one + other <= 1.0 + _ALIKE
+    edges = _CORES[1:] - _CORES[0]
+    points = np.column_stack([one[inside], other[inside]]) @ edges
+    return np.concatenate([_CORES, np.asarray(points)])
 
 
 def _in_order(points: Floats) -> Floats:

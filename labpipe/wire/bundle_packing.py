@@ -2,29 +2,67 @@
 
 Least is the sum of diameter^2 x squared distance from the middle, without any overlap: a bore, as
 in `wire.packing`, leaves wires loose in the gaps, a pull to the middle leaves none. The start is
-first let go in the soft energy of that module, eqs. (3.1)-(3.4) of the source, with the pull in
-place of the bore; then the overlaps that the pull left are forbidden (sequential least squares).
+first let go in a soft energy, eqs. (3.1)-(3.4) of the source with the pull in place of the bore;
+then contacts harden until the overlaps that the pull left are gone (method of multipliers: Hestenes
+and Powell, 1969). Only wires near each other are looked at, so that cost grows with their number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import Bounds, minimize
+from scipy.spatial import cKDTree
 
 from labpipe.law.plays import require_positive
-from labpipe.records.arrays import Floats
-from labpipe.wire.packing import squared_overlaps
+from labpipe.records.arrays import Floats, Ints
 
-_PULLS = (0.1, 1e-2)
-"""Weights of the pull against squared overlaps, one after the other."""
-_NEIGHBOURS = 1.4
-"""Distance, in touching ones, up to which a pair is kept from overlapping at the end; others are
-too far apart to meet."""
+_STIFFNESSES = (10.0, 100.0)
+"""Of a contact against a pull of 1, one after the other; low enough for a search by gradients."""
+_NEIGHBOURS = 1.5
+"""Distance, in touching ones, up to which a pair is looked at until the next list of pairs."""
+_TRAVEL = 0.17
+"""Of the least diameter: how far a wire goes along x or y on one list of pairs, so that none that
+is not on the list can be met."""
+_LOOSE = {"maxiter": 20, "ftol": 1e-16, "gtol": 1e-3, "maxcor": 20}
+_FINE = {"maxiter": 60, "ftol": 1e-16, "gtol": 1e-8, "maxcor": 20}
+"""Of the search on one list of pairs, while wires find their places and when they have them."""
+_LISTS = 200
+_WIDEST = 1.5
+"""Of the spread of wires without any gaps: a wider start is made as small, so that all arrive."""
+_HARDER, _HARDEST = 10.0, 1e5
+"""Factor on the stiffness of a contact from one hardening to the next, and where it ends."""
+_HARDENINGS = (4, 8, 1500)
+"""At least, at most, and in between so many over the number of wires."""
+_HARD = 1e-7
+"""Of a mean diameter: overlap or gap of wires that push each other at which they count as hard."""
 _APART = 1e-3
 """Of a diameter: wires that lie on one another know no way apart, so that they get one."""
+_ALIKE = 1e-2
+"""Of a radius: heaps that differ less in theirs are equally wide while wires are soft."""
+LEAST_FILLED = 0.5
+"""Of the smallest circle around a heap: what two equal wires fill, the emptiest of all heaps that
+are drawn together."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """Wires near each other; arrays of shape (pairs,).
+
+    Parameters
+    ----------
+    first, second : indices
+    touching : distance at which they touch
+    force : with which they push each other where they just touch
+    """
+
+    first: Ints
+    second: Ints
+    touching: Floats
+    force: Floats
 
 
 def drawn_together(centres: Floats, diameters: Floats) -> Floats:
@@ -39,98 +77,194 @@ def drawn_together(centres: Floats, diameters: Floats) -> Floats:
     -------
     Shape (wires, 2), m: no two overlap; centroid of their areas at the origin. A dense heap near
     the start, not the densest of all.
+
+    Raises
+    ------
+    ValueError
+        As `densest_heap`.
     """
+    return densest_heap([centres], diameters)
+
+
+def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
+    """Draw wires together from several starts, and keep the heap in the smallest circle.
+
+    Parameters
+    ----------
+    starts : at least one, each of shape (wires, 2), m; wires may overlap
+    diameters : shape (wires,), m
+
+    Returns
+    -------
+    Shape (wires, 2), m: no two overlap; centroid of their areas at the origin. Of heaps that are
+    equally wide, the first.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, or the wires did not come together: they fill less than half
+        of the smallest circle around them.
+    """
+    if not (np.all(np.isfinite(starts)) and np.all(diameters > 0.0)):
+        message = "a heap of wires: allowed are finite centres and diameters > 0"
+        raise ValueError(message)
     if len(diameters) == 1:
         return np.zeros((1, 2))
     scale = float(np.mean(diameters))
     reach = diameters / scale
-    found = (centres - centres.mean(axis=0)) / scale
-    for pull in _PULLS:
-        found = _settled(found, reach, pull)
-    found = _without_overlap(found, reach)
+    heaps = [_soft((start - start.mean(axis=0)) / scale, reach) for start in starts]
+    widths = np.array([holding_circle(heap * _spread(heap, reach), reach)[1] for heap, _ in heaps])
+    found, contacts = heaps[int(np.argmax(widths <= (1.0 + _ALIKE) * widths.min()))]
+    found = _hardened(found, reach, contacts)
     found = found * _spread(found, reach)
+    require_dense(found, reach)
     return np.asarray(scale * (found - np.average(found, axis=0, weights=reach**2)))
 
 
-def _settled(begin: Floats, diameters: Floats, pull: float) -> Floats:
-    wires = np.arange(len(diameters))
-    apart = _APART * np.column_stack([np.cos(wires), np.sin(wires)])
-    found = minimize(
-        pulled_overlap_energy,
-        (begin + (apart if _is_on_one_another(begin) else 0.0)).ravel(),
-        args=(diameters, pull),
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": 1000},
-    )
-    return np.asarray(found.x).reshape(-1, 2)
+def require_dense(centres: Floats, diameters: Floats) -> None:
+    """Refuse a heap whose wires did not come together.
+
+    Parameters
+    ----------
+    centres : shape (wires, 2)
+    diameters : shape (wires,), in the same unit
+
+    Raises
+    ------
+    ValueError
+        If the wires fill less than `LEAST_FILLED` of the smallest circle around them; the message
+        says how much they fill.
+    """
+    radius = holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
+    filled = packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
+    if not filled > LEAST_FILLED * (1.0 - 1e-6):
+        message = (
+            f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "
+            f"smallest circle around them, expected at least {LEAST_FILLED:g}"
+        )
+        raise ValueError(message)
 
 
-def _without_overlap(begin: Floats, diameters: Floats) -> Floats:
-    """Nearest least sum of diameter^2 x squared distance in which neighbours do not overlap."""
-    first, second = np.triu_indices(len(diameters), 1)
+def _parted(centres: Floats) -> Floats:
+    """The same, wires at one place a little apart."""
+    if len(np.unique(centres, axis=0)) == len(centres):
+        return centres
+    turn = np.arange(len(centres), dtype=np.float64)
+    return np.asarray(centres + _APART * np.column_stack([np.cos(turn), np.sin(turn)]))
+
+
+def _contacts(centres: Floats, diameters: Floats, before: Contacts | None = None) -> Contacts:
+    """Pairs of wires that touch, or could before the next list; forces of an earlier list stay."""
+    reach = _NEIGHBOURS * float(diameters.max())
+    found = cKDTree(centres).query_pairs(reach, output_type="ndarray").astype(np.int64)
+    first, second = found[np.lexsort(found.T[::-1])].T
     touching = 0.5 * (diameters[first] + diameters[second])
-    near = np.hypot(*(begin[first] - begin[second]).T) < _NEIGHBOURS * touching
-    first, second, touching = first[near], second[near], touching[near]
-    weight = np.repeat(diameters**2, 2) / len(diameters)
-
-    def gaps(flat: Floats) -> Floats:
-        apart = flat.reshape(-1, 2)[first] - flat.reshape(-1, 2)[second]
-        return np.asarray(np.sum(apart**2, axis=1) - touching**2)
-
-    def gap_changes(flat: Floats) -> Floats:
-        apart = 2.0 * (flat.reshape(-1, 2)[first] - flat.reshape(-1, 2)[second])
-        changes = np.zeros((len(first), len(diameters), 2))
-        pairs = np.arange(len(first))
-        changes[pairs, first], changes[pairs, second] = apart, -apart
-        return changes.reshape(len(first), -1)
-
-    def spread(flat: Floats) -> tuple[float, Floats]:
-        return float(np.sum(weight * flat**2)), 2.0 * weight * flat
-
-    apart: Any = {"type": "ineq", "fun": gaps, "jac": gap_changes}
-    found = minimize(
-        spread,
-        begin.ravel(),
-        jac=True,
-        method="SLSQP",
-        constraints=apart,
-        options={"ftol": 1e-12, "maxiter": 200},
-    )
-    return np.asarray(found.x).reshape(-1, 2)
+    use = np.hypot(*(centres[first] - centres[second]).T) < _NEIGHBOURS * touching
+    first, second, touching = first[use], second[use], touching[use]
+    force = np.zeros(len(first))
+    if before is not None:
+        number = len(diameters)
+        old, new = (
+            number * each[0] + each[1] for each in ((before.first, before.second), (first, second))
+        )
+        _, at_old, at_new = np.intersect1d(old, new, assume_unique=True, return_indices=True)
+        force[at_new] = before.force[at_old]
+    return Contacts(first, second, touching, force)
 
 
-def _is_on_one_another(centres: Floats) -> bool:
-    first, second = np.triu_indices(len(centres), 1)
-    return bool(np.hypot(*(centres[first] - centres[second]).T).min() == 0.0)
+def _soft(begin: Floats, diameters: Floats) -> tuple[Floats, Contacts]:
+    """Wires that overlap a little, and their contacts."""
+    found = _parted(begin)
+    wide = np.sqrt(np.sum(found**2) / len(found)) / (0.25 * np.sqrt(2.0 * np.sum(diameters**2)))
+    found = found / max(1.0, wide / _WIDEST)
+    contacts = _contacts(found, diameters)
+    for stiffness in _STIFFNESSES:
+        found, contacts = _settled(found, diameters, contacts, stiffness, _LOOSE)
+    return found, contacts
 
 
-def pulled_overlap_energy(flat: Floats, diameters: Floats, pull: float) -> tuple[float, Floats]:
+def _settled(
+    begin: Floats,
+    diameters: Floats,
+    contacts: Contacts,
+    stiffness: float,
+    options: Any,
+) -> tuple[Floats, Contacts]:
+    """Wires where their energy is least, and their contacts there."""
+    found, reach = begin, _TRAVEL * float(diameters.min())
+    for _ in range(_LISTS):
+        flat = found.ravel()
+        done = minimize(
+            energy_of_heap,
+            flat,
+            args=(diameters, contacts, stiffness),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=Bounds(flat - reach, flat + reach),
+            options=options,
+        )
+        found = np.asarray(done.x).reshape(-1, 2)
+        contacts = _contacts(found, diameters, contacts)
+        if np.max(np.abs(done.x - flat)) < 0.5 * reach:
+            break
+    return found, contacts
+
+
+def _hardened(begin: Floats, diameters: Floats, contacts: Contacts) -> Floats:
+    """Nearest least sum of diameter^2 x squared distance in which neighbours do not overlap."""
+    found, stiffness = begin, _STIFFNESSES[-1]
+    least, most, shared = _HARDENINGS
+    for _ in range(max(least, min(most, shared // len(diameters)))):
+        force = np.maximum(contacts.force + stiffness * _depths(found, contacts)[0], 0.0)
+        if np.max(np.abs(force - contacts.force), initial=0.0) < stiffness * _HARD:
+            break
+        contacts, stiffness = replace(contacts, force=force), min(_HARDER * stiffness, _HARDEST)
+        found, contacts = _settled(found, diameters, contacts, stiffness, _FINE)
+    return found
+
+
+def energy_of_heap(
+    flat: Floats, diameters: Floats, contacts: Contacts, stiffness: float
+) -> tuple[float, Floats]:
     """Energy of wires that push each other apart and are pulled to the origin, and its gradient.
 
     Parameters
     ----------
     flat : shape (2 n,), x and y of one wire after the other
     diameters : shape (n,), in the same unit
-    pull : weight of the pull
+    contacts : pairs that are looked at, and their forces f
+    stiffness : k of a contact
 
     Returns
     -------
-    Sum over pairs of squared overlaps + pull x sum of diameter^2 x squared distance from the
-    origin; gradient, shape (2 n,).
+    Sum of diameter^2 x squared distance from the origin / 2 + sum over pairs of
+    max(f + k overlap, 0)^2 / 2 k; gradient, shape (2 n,).
     """
     centres = flat.reshape(-1, 2)
-    pairs, push = squared_overlaps(centres, 0.5 * (diameters[:, None] + diameters))
-    weight = pull * diameters[:, None] ** 2
-    gradient = 2.0 * weight * centres + push
-    return float(pairs + np.sum(weight * centres**2)), gradient.ravel()
+    depth, along = _depths(centres, contacts)
+    force = np.maximum(contacts.force + stiffness * depth, 0.0)
+    pulled = diameters[:, None] ** 2 / len(centres) * centres
+    gradient = np.empty_like(centres)
+    for axis in range(2):
+        push = force * along[:, axis]
+        gradient[:, axis] = np.bincount(contacts.second, push, len(centres))
+        gradient[:, axis] -= np.bincount(contacts.first, push, len(centres))
+    energy = 0.5 * (np.sum(pulled * centres) + np.sum(force**2) / stiffness)
+    return float(energy), (gradient + pulled).ravel()
+
+
+def _depths(centres: Floats, contacts: Contacts) -> tuple[Floats, Floats]:
+    """Overlap of each pair, negative for a gap, and the direction from second to first."""
+    apart = centres[contacts.first] - centres[contacts.second]
+    distance = np.hypot(apart[:, 0], apart[:, 1])
+    return contacts.touching - distance, apart / np.where(distance == 0.0, 1.0, distance)[:, None]
 
 
 def _spread(centres: Floats, diameters: Floats) -> float:
     """Factor on all distances that leaves no overlap, at least 1."""
-    first, second = np.triu_indices(len(centres), 1)
-    distance = np.hypot(*(centres[first] - centres[second]).T)
-    return float(max(np.max(0.5 * (diameters[first] + diameters[second]) / distance), 1.0))
+    contacts = _contacts(centres, diameters)
+    distance = contacts.touching - _depths(centres, contacts)[0]
+    return float(np.max(contacts.touching / distance, initial=1.0))
 
 
 def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
@@ -148,16 +282,38 @@ def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
     Notes
     -----
     The distance to the farthest wire is convex in the centre; it is brought down as a linear
-    objective under one cone for each wire (sequential least squares).
+    objective under one cone for each wire (sequential least squares), first for a few wires far
+    out, then for those too that the circle left out.
     """
     radii = diameters / 2.0
     scale = float(radii.max())
     points, reach = centres / scale, radii / scale
     middle = points.mean(axis=0)
-    start = np.append(middle, np.max(np.hypot(*(points - middle).T) + reach))
+    chosen = np.argsort(-_extent(points, reach, middle), kind="stable")[:_FEW]
+    while True:
+        middle, radius = _circle(points[chosen], reach[chosen])
+        extent = _extent(points, reach, middle)
+        outside = np.flatnonzero(extent > radius * (1.0 + _OUTSIDE))
+        if not len(np.setdiff1d(outside, chosen)):
+            return np.asarray(scale * middle), float(scale * extent.max())
+        chosen = np.union1d(chosen, outside)
+
+
+_FEW = 24
+_OUTSIDE = 1e-9
+
+
+def _extent(points: Floats, reach: Floats, middle: Floats) -> Floats:
+    return np.asarray(np.hypot(*(points - middle).T) + reach)
+
+
+def _circle(points: Floats, reach: Floats) -> tuple[Floats, float]:
+    """Middle and radius of the smallest circle around a few circles."""
+    middle = points.mean(axis=0)
+    start = np.append(middle, np.max(_extent(points, reach, middle)))
 
     def slack(at: Floats) -> Floats:
-        return np.asarray(at[2] - reach - np.hypot(*(points - at[:2]).T))
+        return np.asarray(at[2] - _extent(points, reach, at[:2]))
 
     def radius_of(at: Floats) -> tuple[float, Floats]:
         return float(at[2]), np.array([0.0, 0.0, 1.0])
@@ -171,8 +327,7 @@ def holding_circle(centres: Floats, diameters: Floats) -> tuple[Floats, float]:
         constraints=held,
         options={"ftol": 1e-12, "maxiter": 200},
     ).x
-    radius = np.max(np.hypot(*(points - found[:2]).T) + reach)
-    return np.asarray(scale * found[:2]), float(scale * radius)
+    return np.asarray(found[:2]), float(np.max(_extent(points, reach, found[:2])))
 
 
 WANTED = 0.7

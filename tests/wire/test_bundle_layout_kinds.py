@@ -8,7 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from labpipe.records.arrays import Floats, Ints
-from labpipe.wire.bundle_layout import by_chance, evenly, on_one_side, sites
+from labpipe.wire.bundle_layout import (
+    _best_exchange,
+    _neighbours,
+    _traits,
+    by_chance,
+    evenly,
+    on_one_side,
+    sites,
+)
 
 
 @settings(max_examples=20, deadline=None)
@@ -61,3 +69,20 @@ def test_six_of_seven_around_the_core_cannot_be_even() -> None:
     """A lone wire of its kind goes where it tilts the bundle least: into the middle."""
     kind = evenly(sites(7), [6, 1])
     assert kind.tolist() == [1, 0, 0, 0, 0, 0, 0]
+
+
+@pytest.mark.parametrize("counts", [[6, 5], [4, 4, 3]])
+def test_the_best_exchange_is_the_best_of_all(counts: list[int]) -> None:
+    """Against all exchanges; of equal ones that with fewer neighbours alike."""
+    places = sites(11)
+    traits, near = _traits(places), _neighbours(places)
+    kind = by_chance(counts, np.random.default_rng(4))
+
+    def merit(one: int, other: int) -> tuple[float, float]:
+        changed = kind.copy()
+        changed[[one, other]] = kind[[other, one]]
+        alike = near * (changed[:, None] == changed)
+        return round(unevenness(places, changed), 7), float(alike.sum())
+
+    every = [(i, j) for i in range(11) for j in range(i) if kind[i] != kind[j]]
+    assert merit(*_best_exchange(kind, traits, near)) == min(merit(*pair) for pair in every)

@@ -64,23 +64,20 @@ def test_no_wire() -> None:
         sites(0)
 
 
-@pytest.mark.parametrize(
-    ("number", "middle"),
-    [
-        (22, (0.5, 0.0)),
-        (23, (0.5, 0.0)),
-        (38, (0.5, 0.0)),
-        (43, (0.5, 3.0**-0.5 / 2.0)),
-        (45, (0.5, 3.0**-0.5 / 2.0)),
-    ],
-    ids=["22 around two", "23 around two", "38 around two", "43 around three", "45 around three"],
-)
+@pytest.mark.parametrize("number", [10, 22, 23, 38, 43, 45, 47, 48, 59, 61, 127, 300])
+@pytest.mark.parametrize("middle", [(0.0, 0.0), (0.5, 0.0), (0.5, 3.0**-0.5 / 2.0)])
 def test_a_heap_is_no_wider_than_the_lattice_around(
     number: int, middle: tuple[float, float]
 ) -> None:
-    """The points of a lattice of triangles nearest to the middle of two or three of them."""
-    along, up = np.mgrid[-9:10, -9:10].reshape(2, -1)
+    """The points of a lattice of triangles nearest to a point of it, or in the middle of two or
+    three."""
+    along, up = np.mgrid[-25:26, -25:26].reshape(2, -1)
     points = np.column_stack([along + 0.5 * up, 0.75**0.5 * up]) - middle
     nearest = points[np.argsort(np.hypot(*points.T).round(9), kind="stable")[:number]]
     ones = np.ones(number)
     assert holding_circle(sites(number), ones)[1] <= holding_circle(nearest, ones)[1] + 1e-6
+
+
+def test_a_large_hexagon_is_wider_than_a_heap() -> None:
+    """169 wires make a hexagon with its corners 7 diameters out; a lattice needs 7.43 for all."""
+    assert holding_circle(sites(169), np.ones(169))[1] < 7.45

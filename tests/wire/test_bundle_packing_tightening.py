@@ -10,30 +10,39 @@ from scipy.optimize import approx_fprime
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.bundle_packing import (
+    LEAST_FILLED,
+    Contacts,
+    densest_heap,
     drawn_together,
+    energy_of_heap,
     holding_circle,
-    pulled_overlap_energy,
+    packing_fraction,
+    require_dense,
 )
 from labpipe.wire.cross_section import largest_overlap
 
 
 def test_gradient_of_the_energy() -> None:
     rng = np.random.default_rng(3)
-    flat, diameters = rng.normal(size=14), rng.uniform(0.5, 1.5, 7)
-    energy, gradient = pulled_overlap_energy(flat, diameters, 0.1)
+    centres, diameters = rng.normal(size=(7, 2)), rng.uniform(0.5, 1.5, 7)
+    first, second = np.triu_indices(7, 1)
+    touching = 0.5 * (diameters[first] + diameters[second])
+    contacts = Contacts(first, second, touching, rng.uniform(0.0, 0.2, len(first)))
+    energy, gradient = energy_of_heap(centres.ravel(), diameters, contacts, 10.0)
 
     def value(at: Floats) -> float:
-        return pulled_overlap_energy(at, diameters, 0.1)[0]
+        return energy_of_heap(at, diameters, contacts, 10.0)[0]
 
-    assert gradient == pytest.approx(approx_fprime(flat, value, 1e-7), abs=1e-4)
+    assert gradient == pytest.approx(approx_fprime(centres.ravel(), value, 1e-7), abs=1e-4)
     assert energy > 0.0
 
 
 def test_energy_of_two_wires_by_hand() -> None:
     """1 m and 3 m wide, 1.5 m apart: they touch at 2 m. The larger one is 1.5 m off the origin."""
     flat, diameters = np.array([0.0, 0.0, 1.5, 0.0]), np.array([1.0, 3.0])
-    energy, _ = pulled_overlap_energy(flat, diameters, 0.1)
-    assert energy == pytest.approx(0.5**2 + 0.1 * 3.0**2 * 1.5**2)
+    pair = Contacts(np.array([0]), np.array([1]), np.array([2.0]), np.array([0.25]))
+    energy, _ = energy_of_heap(flat, diameters, pair, 10.0)
+    assert energy == pytest.approx(3.0**2 * 1.5**2 / 2.0 / 2 + (0.25 + 10.0 * 0.5) ** 2 / 20.0)
 
 
 def test_three_unequal_wires_touch_each_other() -> None:
@@ -61,8 +70,9 @@ def test_one_wire_lies_in_the_middle() -> None:
 def test_scale_does_not_matter() -> None:
     rng = np.random.default_rng(1)
     begin, diameters = rng.normal(size=(9, 2)), rng.uniform(0.8, 1.2, 9)
-    large = drawn_together(begin, diameters)
-    assert 1e-3 * large == pytest.approx(drawn_together(1e-3 * begin, 1e-3 * diameters), abs=1e-9)
+    large, scale = drawn_together(begin, diameters), 2.0**-10  # which no number is rounded by
+    small = drawn_together(scale * begin, scale * diameters)
+    assert scale * large == pytest.approx(small, abs=1e-12)
 
 
 @settings(max_examples=15, deadline=None)
@@ -85,3 +95,58 @@ def test_circle_around_three_wires() -> None:
     middle, radius = holding_circle(corners, np.ones(3))
     assert radius == pytest.approx(0.5 + 1.0 / np.sqrt(3.0))
     assert middle == pytest.approx(corners.mean(axis=0), abs=1e-6)
+
+
+@pytest.mark.parametrize("number", [60, 200])
+@pytest.mark.parametrize("kinds", [(1.1, 1.25), (1.0, 2.0, 1.5, 3.0)])
+def test_many_unequal_wires_come_together(number: int, kinds: tuple[float, ...]) -> None:
+    """A search by sequential least squares let some such heaps explode and left others loose."""
+    rng = np.random.default_rng(2)
+    diameters = rng.permutation(np.resize(kinds, number))
+    starts = [2.0 * np.sqrt(number) * rng.uniform(-1.0, 1.0, size=(number, 2)) for _ in range(2)]
+    found = densest_heap(starts, diameters)
+    assert largest_overlap(found, diameters / 2.0) < 1e-9
+    assert packing_fraction(diameters, 2.0 * holding_circle(found, diameters)[1]) > 0.6
+
+
+def test_the_narrower_of_two_heaps() -> None:
+    """A row that nothing pushes aside stays a row: 4 of 16 filled; a square fills 0.69."""
+    row = np.column_stack([np.arange(4.0), np.zeros(4)])
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
+    found = densest_heap([row, square], np.ones(4))
+    assert holding_circle(found, np.ones(4))[1] == pytest.approx(0.5 + np.sqrt(0.5), abs=1e-5)
+
+
+def test_wires_that_do_not_come_together_are_refused() -> None:
+    row = np.column_stack([np.arange(4.0), np.zeros(4)])
+    with pytest.raises(
+        ValueError,
+        match=r"^the 4 wires did not come together: they fill 0\.25 of the smallest circle around "
+        r"them, expected at least 0\.5$",
+    ):
+        drawn_together(row, np.ones(4))
+    require_dense(row[:2], np.ones(2))  # two wires fill just half
+    assert LEAST_FILLED == 0.5
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf])
+def test_places_that_are_no_numbers(place: float) -> None:
+    with pytest.raises(ValueError, match=r"^a heap of wires: allowed are finite centres and "):
+        drawn_together(np.array([[0.0, 0.0], [place, 1.0]]), np.ones(2))
+    with pytest.raises(ValueError, match=r"the 2 wires did not come together: they fill 0 of"):
+        require_dense(np.array([[0.0, 0.0], [place, 1.0]]), np.ones(2))
+
+
+def test_circle_around_many_wires_touches_some_and_leaves_out_none() -> None:
+    """More wires than are looked at first, the widest of them in the middle."""
+    rng = np.random.default_rng(8)
+    centres, diameters = rng.normal(size=(300, 2)), rng.uniform(0.1, 0.5, 300)
+    diameters[np.argmin(np.hypot(*centres.T))] = 4.0
+    middle, radius = holding_circle(centres, diameters)
+    reach = np.hypot(*(centres - middle).T) + diameters / 2.0
+    assert reach.max() == pytest.approx(radius)
+    touching = centres[reach > radius * (1.0 - 1e-6)] - middle
+    assert len(touching) >= 2
+    # held from all sides: no half plane has all the wires that touch
+    angle = np.sort(np.arctan2(*touching.T[::-1]))
+    assert np.max(np.diff(np.append(angle, angle[0] + 2.0 * np.pi))) <= np.pi + 1e-3
