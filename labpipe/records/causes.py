@@ -60,14 +60,14 @@ IS_COMMON: Final[Mapping[str, bool]] = {
     COMPLIANCE: True,
     TURN: False,  # found in the force of each test
     SPEED: True,
-    GRIP: False,  # markers are put on every specimen anew
-    PULL: False,
+    GRIP: True,  # the clamp stays where it was set
+    PULL: False,  # markers are put on every specimen anew
     CENTRE: False,
     MARKER_SIDE: False,
     CLOCK_OFFSET: False,  # the clocks are started anew for every test
     CLOCK_DRIFT: False,
     LENGTH: False,  # every specimen is measured by itself
-    SPAN: False,
+    SPAN: True,  # supports are set once for a series
     SECTION: False,
     SLACK: False,
     REPAIRED_SLIPS: False,

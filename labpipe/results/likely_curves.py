@@ -12,8 +12,11 @@ import numpy as np
 from labpipe.fits.failure_point import FailurePoint
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.causes import (
+    CENTRE,
     DRIFT_OF_ZERO,
+    GRIP,
     LENGTH,
+    PULL,
     REPAIRED_SLIPS,
     RESOLUTION,
     SCALE_OF_DISPLACEMENT,
@@ -29,7 +32,15 @@ from labpipe.records.curve import Curve, Direction, SlipDecision
 from labpipe.records.signals import Act, Signal
 from labpipe.results.evidence import Evidence
 from labpipe.uncertainty.readings import Trace
-from labpipe.uncertainty.replicates import Input, Law, Replicates, replicated, smooth_curve
+from labpipe.uncertainty.replicates import (
+    Filter,
+    Input,
+    Law,
+    Replicates,
+    parts_of,
+    replicated,
+    smooth_curve,
+)
 from labpipe.uncertainty.wandering_zeros import wanders
 
 _MOST = 20_000
@@ -38,6 +49,8 @@ _PARTS = 40
 """Intervals of the spline that tells the noise of single samples from the curve."""
 _STANDS, _LEVELS = 0.5, 10
 """Share of the samples that stand where a converter is too coarse, and times that they do."""
+_BY_FRAMES = (SHAPE, GRIP, PULL, CENTRE)
+"""Causes whose change is found frame by frame, from markers with noise."""
 _PULSE = np.eye(1, 101, 50)[0]
 """A single sample, to see what a filter does to it."""
 
@@ -73,7 +86,7 @@ def likely_curves(test: Evidence) -> Replicates | None:
         _on_grid(measured, starts), time=grid_time, displacement=records[0], force=records[1]
     )
     first, second = (partial(_filtered, acts=each, cuts=cuts) for each in acts)
-    inputs = tuple(_inputs(test, starts))
+    inputs = tuple(_inputs(test, starts, partial(_without_noise, grid=grid, cuts=cuts)))
     return replicated(
         measured, grid, cuts, (first, second), inputs, seed=test.seed, compliance=test.compliance
     )
@@ -246,7 +259,16 @@ def _filtered(values: Floats, *, acts: Sequence[Act], cuts: Sequence[int]) -> Fl
     return np.concatenate([values[..., :first], *parts, values[..., last:]], axis=-1)
 
 
-def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
+def _without_noise(change: Floats, *, grid: Trace, cuts: Sequence[int]) -> Floats:
+    """What an input changes a record by, without the noise of the record in it.
+
+    The largest of many samples would be raised by that noise, whichever way the input is moved.
+    """
+    parts = parts_of(grid)
+    return smooth_curve(grid.time, change, cuts, parts, branches=grid.branches)
+
+
+def _inputs(test: Evidence, starts: Ints, smooth: Filter) -> Iterator[Input]:
     """What is the same for the whole record, and known with an uncertainty."""
     force, displacement = test.raw_force, test.displacement
     gain, raised, scaled = (
@@ -266,6 +288,7 @@ def _inputs(test: Evidence, starts: Ints) -> Iterator[Input]:
     yield from _wanders(test, _means(test.known_curve.time, starts))
     for cause, signal in displacement.moved.items():
         change = _means(signal - displacement.values, starts)
+        change = smooth(change) if cause in _BY_FRAMES else change
         law: Law = "uniform" if cause == SHAPE else "normal"
         yield Input(cause, partial(_bent, by=change), law=law)
     for cause, clocks in test.clocks.moved.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import sqrt
@@ -272,25 +273,38 @@ class _Frames:
         cuts = tuple(int(each) for each in np.searchsorted(time, ends))
         return cls(time, bend.rest, branch, cuts, test.seed)
 
-    def drawn(self, values: Floats, weights: Floats, name: str) -> Floats:
-        """What a sum over the values is off by in noise like theirs, shape (replicates,)."""
-        smooth = smooth_curve(self.time, values, self.cuts, _PARTS)
+    def drawn(self, values: Sequence[Floats], weights: Floats, name: str) -> Floats:
+        """What a sum over the first of the values is off by, shape (replicates,).
+
+        In noise like that of all the values, which cameras see alike but for its size.
+        """
+        smooth = [smooth_curve(self.time, each, self.cuts, _PARTS) for each in values]
+        spread = [np.nanstd(each - curve) for each, curve in zip(values, smooth, strict=True)]
+        shares = [spread[0] / each if each > 0.0 else 0.0 for each in spread]
+        values, smooth = (
+            [share * one for share, one in zip(shares, each, strict=True)]
+            for each in (values, smooth)
+        )
         moving = [slice(low, high) for low, high in pairwise(self.cuts)]
-        rests = [slice(0, self.cuts[0]), slice(self.cuts[-1], None)]
         noise = noise_of(
-            [values[each] for each in moving],
-            [smooth[each] for each in moving],
-            [values[each] for each in rests],
+            [each[part] for each in values for part in moving],
+            [each[part] for each in smooth for part in moving],
+            [each[: self.cuts[0]] for each in values],
+            [each[self.cuts[-1] :] for each in values],
+            copies=len(values),
         )
         chance = stream(self.seed, name)
         some = [
-            noise.draw(len(values), _AT_ONCE, chance) @ weights for _ in range(COUNT // _AT_ONCE)
+            noise.draw(len(values[0]), _AT_ONCE, chance) @ weights for _ in range(COUNT // _AT_ONCE)
         ]
         return np.concatenate(some).astype(np.float64)
 
 
-def _at_turn(values: Floats, frames: _Frames, name: str) -> Outcome:
-    """What a quantity is at the end of loading, less what it is at rest."""
+def _at_turn(values: Floats, frames: _Frames, name: str, alike: Sequence[Floats] = ()) -> Outcome:
+    """What a quantity is at the end of loading, less what it is at rest.
+
+    Its noise is judged together with that of others that cameras see alike.
+    """
     still = frames.rest & np.isfinite(values)
     if still.sum() < 8:
         found = int(still.sum())
@@ -303,7 +317,7 @@ def _at_turn(values: Floats, frames: _Frames, name: str) -> Outcome:
     count = int((weights != 0.0).sum())
     weights = weights - still / still.sum()
     value = float(weights @ np.nan_to_num(values))
-    off = frames.drawn(values, weights, name)
+    off = frames.drawn([values, *alike], weights, name)
     low, high = np.quantile(off, (_LOW, _HIGH)).tolist()
     return Estimate(value, float(off.std()), count, Interval(value - high, value - low))
 
@@ -351,10 +365,11 @@ class Twist(Kind):
         section = int(able[np.argmin(np.abs(x[able]))])
         said = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
         frames = _Frames.of(test, parts)
-        turned = _at_turn(shape.twist[:, section], frames, "twist")
+        alike = [shape.twist[:, other] for other in able if other != section]
+        turned = _at_turn(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
             # which way it turns is only a matter of which end of the conduit is called the first
-            turned = _at_turn(-shape.twist[:, section], frames, "twist")
+            turned = _at_turn(-shape.twist[:, section], frames, "twist", alike)
         number = self.number(turned, method, during=test.while_loading())
         note = worth_knowing("twist_section", "markers", said)
         return Computed((number,), findings=(note,))

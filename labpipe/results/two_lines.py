@@ -112,7 +112,7 @@ class _TwoLines(Window):
             each = hinges.fitted(trace.force[..., part], trace.displacement[..., part])
             return each.first, each.second, each.break_point, each.level
 
-        return Reading(numbers, len(hinges.scan.d))
+        return Reading(numbers, len(hinges.scan.d), is_cut=True, feels_corners=True)
 
     def one_of(self, trace: Trace, *, number: int) -> Reading | Failure:
         """Decide on one of the numbers alone.

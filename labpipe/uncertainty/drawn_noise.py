@@ -49,8 +49,12 @@ _PRIOR = -0.4
 """Power of the correlation time in the prior."""
 _STEEP, _CROSSINGS = (0.6, 0.8, 1.0, 1.2, 1.5), (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
 """Of flicker noise: powers of the frequency; rad per sample at which white noise is as large."""
-_FLICKER = 0.05
-"""Prior of each flicker noise, where that of white noise is 1."""
+_FLICKER = 0.1
+"""Prior of flicker noise without white noise, where that of white noise is 1; the later it rises
+from white noise, the less, as with a memory that is longer."""
+_RISES, _STEEPEST = 2.0, 1.2
+"""Of flicker noise that pieces tell without rests: times the slowest wave of a piece at which it is
+above white noise, and power of the frequency."""
 _FAST, _BAND = 256, 16
 """Half waves over a branch above which the record's own power may stand for a process, in bands."""
 _MARGIN = 12
@@ -68,6 +72,7 @@ class _Processes:
     Flicker noise, whose power rises with a power of the period up to that of the whole record.
 
     factor, floor, is_mirrored, prior, time, steep : shape (g,)
+    crossing : shape (g,), rad per sample, where white noise is as large as flicker noise
     lowest : rad per sample, where flicker noise rises no more
     """
 
@@ -77,6 +82,7 @@ class _Processes:
     prior: Floats
     time: Floats
     steep: Floats
+    crossing: Floats
     lowest: float
 
     def spectra(self, angle: Floats) -> Floats:
@@ -106,11 +112,18 @@ def _processes(longest: int, count: int) -> _Processes:
         ),
         is_mirrored=np.concatenate([[0.0], none + 1.0, none, np.tile(none, kinds), 0.0 * flicker]),
         prior=np.concatenate(
-            [[1.0], prior, 0.5 * prior, np.tile(0.5 * prior / kinds, kinds), _FLICKER * flicker]
+            [
+                [1.0],
+                prior,
+                0.5 * prior,
+                np.tile(0.5 * prior / kinds, kinds),
+                _FLICKER * (crossing / np.pi) ** -_PRIOR,
+            ]
         ),
         # Its end forgets its beginning no sooner than the record is over.
         time=np.concatenate([[0.0], none, times, np.tile(times, kinds), count / _MARGIN * flicker]),
         steep=np.concatenate([np.zeros(1 + (2 + kinds) * _TIMES), steep]),
+        crossing=np.concatenate([np.full(1 + (2 + kinds) * _TIMES, np.inf), crossing]),
         lowest=lowest,
     )
 
@@ -182,7 +195,7 @@ class Noise:
         length = fft.next_fast_len(count + margin, real=True)
         angle = np.linspace(0.0, np.pi, length // 2 + 1)
         used, which = np.unique(drawn, return_inverse=True)
-        arrays = ("factor", "floor", "is_mirrored", "prior", "time", "steep")
+        arrays = ("factor", "floor", "is_mirrored", "prior", "time", "steep", "crossing")
         some = replace(processes, **{name: getattr(processes, name)[used] for name in arrays})
         # Half of the power goes to the cosine, half to the sine; the first wave has no sine.
         height = np.sqrt(0.5 * length * some.spectra(angle))
@@ -200,7 +213,12 @@ class Noise:
 
 
 def noise_of(
-    branches: Sequence[Floats], smooth: Sequence[Floats], rests: Sequence[Floats] = ()
+    branches: Sequence[Floats],
+    smooth: Sequence[Floats],
+    before: Sequence[Floats] = (),
+    behind: Sequence[Floats] = (),
+    *,
+    copies: int = 1,
 ) -> Noise:
     """Judge the noise of a signal by short pieces of all its branches, and by whole rests.
 
@@ -209,9 +227,11 @@ def noise_of(
     branches : each shape (n,), unfiltered and evenly sampled; where one has NaN, its known samples
         are closed up, less the smooth curve
     smooth : of each branch, shape (n,), the smooth curve through it
-    rests : each shape (n,), stretches in which nothing moves: there waves as long as they are seen,
-        and nowhere else; short ones, and ones with NaN, are left out. The first lies before the
-        motion, all others behind it, where a force relaxes: a parabola is no noise there
+    before, behind : each shape (n,), rests before and behind the motion: there waves as long as
+        they are seen, and nowhere else; short ones, and ones with NaN, are left out. Behind the
+        motion a force relaxes: a parabola is no noise there
+    copies : signals of one kind that these are, each with all branches and rests: their noise is
+        one process
 
     Returns
     -------
@@ -223,8 +243,8 @@ def noise_of(
     half waves of a discrete cosine transform, in which such noise is uncorrelated to a good
     approximation (Ahmed, Natarajan and Rao, IEEE Trans. Comput. C-23 (1974) 90), by the restricted
     likelihood (Harville, J. Am. Stat. Assoc. 72 (1977) 320) of white noise, of first-order
-    autoregressive noise, of its mirror image, of it on a floor of white noise; with rests, also of
-    flicker noise (power as frequency^-s, s from 0.6 to 1.5), as cameras have it. Faster waves are
+    autoregressive noise, of its mirror image, of it on a floor of white noise; of flicker noise
+    (power as frequency^-s, s from 0.6 to 1.5), as cameras and amplifiers have it. Faster waves are
     hum, rounding and converters: there the record's own power is taken, in bands of 16 half waves.
     No process is followed to waves that it was not judged by: a correlation time of ten samples of
     20 000 is seen by those alone, and would make the variance 1.6 times too large on average.
@@ -253,7 +273,8 @@ def noise_of(
     terms, kept = min(_WAVES, width), int(is_sound.sum())
     waves = fft.dct(left[is_sound], norm="ortho", axis=1)[:, :terms]
     columns = fft.dct(basis, norm="ortho", axis=0)[:terms]
-    processes = _processes(longest, sum(len(each) for each in branches))
+    count = sum(len(each) for each in branches) // copies
+    processes = _processes(longest, count)
     spectra = processes.spectra(np.pi * np.arange(terms) / width)
     for _ in range(_ROUNDS):
         likelihood, squares, freedom = _likelihood(spectra, waves, columns)
@@ -265,7 +286,8 @@ def noise_of(
             break
         waves, kept = waves[~odd], kept - int(odd.sum())
     seen = likelihood, squares, freedom
-    likelihood, squares, freedom = _with_rests(processes, rests, width, seen)
+    still = [*_still(before, width), *_still(behind, width, is_behind=True)]
+    likelihood, squares, freedom = _with_rests(processes, still, width, seen)
     chances = processes.prior * np.exp(likelihood - likelihood.max())
     chances[chances < _SURE * chances.max()] = 0.0
     angles, fast = _own_power(branches, smooth)
@@ -274,7 +296,7 @@ def noise_of(
         squares,
         freedom,
         longest,
-        sum(len(each) for each in branches),
+        count,
         kept / len(moving),
         angles,
         fast,
@@ -283,18 +305,25 @@ def noise_of(
 
 def _with_rests(
     processes: _Processes,
-    rests: Sequence[Floats],
-    least_of_rest: int,
+    still: Sequence[tuple[Floats, Floats]],
+    width: int,
     seen: tuple[Floats, Floats, int],
 ) -> tuple[Floats, Floats, int]:
     """Likelihood, sums of squares and degrees of freedom with those of rests.
 
-    Without rests nothing is seen of waves as long as the record, and flicker noise is left out.
+    Without rests nothing is seen of waves as long as the record. Flicker noise is left out there
+    where pieces do not tell it from others: in records of less than a dozen pieces, where it rises
+    from white noise below their waves, and where it rises as steeply as noise that remembers.
     """
     likelihood, squares, freedom = seen
-    still = list(_still(rests, least_of_rest))
     if not still:
-        return np.where(processes.steep > 0.0, -np.inf, likelihood), squares, freedom
+        slow, fast = (np.pi * each / width for each in (_RISES * _CUBIC, _WAVES))
+        is_seen = (processes.crossing >= slow) & (processes.crossing <= fast)
+        # What is white beyond the fastest wave of a piece is alike there.
+        is_seen |= processes.crossing == _CROSSINGS[0]
+        is_seen &= (processes.steep <= _STEEPEST) & (width > _SHORTEST)
+        is_seen |= processes.steep == 0.0
+        return np.where(is_seen, likelihood, -np.inf), squares, freedom
     least = np.finfo(np.float64).tiny
     logs = likelihood + 0.5 * freedom * np.log(np.maximum(squares, least))
     for rest, basis in still:
@@ -308,14 +337,16 @@ def _with_rests(
     return logs - 0.5 * freedom * np.log(np.maximum(squares, least)), squares, freedom
 
 
-def _still(rests: Sequence[Floats], least: int) -> Iterator[tuple[Floats, Floats]]:
+def _still(
+    rests: Sequence[Floats], least: int, *, is_behind: bool = False
+) -> Iterator[tuple[Floats, Floats]]:
     """Middles of rests that are long enough, each with what moves there but for noise."""
-    for number, rest in enumerate(rests):
+    for rest in rests:
         if len(rest) < least or not np.ptp(rest) > 0.0:  # nor of NaN
             continue
         edge = len(rest) // _EDGE
-        middle = rest[edge:] if number else rest[: len(rest) - edge]
-        yield middle, _polynomials(len(middle), _RELAXES if number else 1)
+        middle = rest[edge:] if is_behind else rest[: len(rest) - edge]
+        yield middle, _polynomials(len(middle), _RELAXES if is_behind else 1)
 
 
 def _spread(values: Floats) -> float:

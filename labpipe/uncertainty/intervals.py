@@ -19,7 +19,7 @@ from math import hypot
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.causes import NOISE, RESOLUTION, contribution
+from labpipe.records.causes import NOISE, RESOLUTION, STEP, contribution
 from labpipe.records.curve import Interval
 from labpipe.records.estimates import Estimate, Failure
 from labpipe.records.quality import Reason
@@ -47,6 +47,9 @@ _FAR = 0.01
 """Share of a number by which it lies outside of its interval where noise alone is no excuse."""
 _KEPT = 0.6
 """Share of the pieces of a record that its noise is to be judged by."""
+_BETWEEN = Input(STEP, lambda trace, _: trace, law="uniform", stream="between samples")
+"""What finer samples change is known from a curve that is rounder, or rougher, than the true one:
+the truth lies anywhere from half of it the other way to half as much again."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,8 +122,9 @@ def measure(
     base = _of(plain, replicates.smooth)
     drawn = [np.asarray(plain.drawn(each)) for each in replicates.traces()]
     noise = np.concatenate(drawn, axis=1) - base[:, None]
-    off = noise - smooth.between_samples()[:, None]
-    parts, doubts = list[tuple[str, Floats]](), list[tuple[str, Reason]]()
+    between, share = _between_samples(replicates, found, smooth), 1.0 / np.sqrt(3.0)
+    off = noise - np.outer(between, 0.5 + share * replicates.draws(_BETWEEN))
+    parts, doubts = [(STEP, share * between)], list[tuple[str, Reason]]()
     for given in replicates.inputs:
         low, high = (smooth.changed(given, x) for x in (-1.0, 1.0))
         if np.isnan(low + high).any():
@@ -149,6 +153,14 @@ def measure(
         )
         for row, value in enumerate(values)
     )
+
+
+def _between_samples(replicates: Replicates, found: Reading, smooth: Decided) -> Floats:
+    """What numbers would be more of if samples lay without end, by the curve that shows it best."""
+    measured = replicates.measured
+    if not found.feels_corners or len(measured.time) != len(replicates.smooth.time):
+        return smooth.between_samples()
+    return Decided.of(smooth.decide, measured, found).between_samples()
 
 
 def _on_smooth(replicates: Replicates, decide: Decide, found: Reading) -> Reading | Failure:
@@ -233,7 +245,7 @@ class Decided:
         return cls(decide, trace, reading, fine, found)
 
     def between_samples(self) -> Floats:
-        """What the numbers would be more of if samples lay without end."""
+        """What the numbers of the curve would be more of if samples lay without end."""
         return _of(self.fine_reading, self.fine) - _of(self.reading, self.trace)
 
     def changed(self, given: Input, by: float) -> Floats:

@@ -84,12 +84,15 @@ class Reading:
         where they are the same
     is_cut : whether its windows end at samples, and nothing else of it is counted in samples: finer
         samples of the same curve say then what it would be without them
+    feels_corners : whether that is to be read from the measured curve: the smooth one rounds off
+        corners that the number rests on
     """
 
     numbers: Callable[[Trace], tuple[Floats, ...]]
     n: int
     in_noise: Callable[[Trace], tuple[Floats, ...]] | None = None
     is_cut: bool = False
+    feels_corners: bool = False
 
     @property
     def drawn(self) -> Callable[[Trace], tuple[Floats, ...]]:
@@ -128,6 +131,8 @@ def combined(how: Callable[..., Floats], *parts: Decide) -> Decide:
         def drawn(trace: Trace) -> tuple[Floats]:
             return (how(trace, *(each.drawn(trace)[0] for each in readings)),)
 
-        return Reading(numbers, readings[0].n, drawn, all(each.is_cut for each in readings))
+        is_cut = all(each.is_cut for each in readings)
+        feels = any(each.feels_corners for each in readings)
+        return Reading(numbers, readings[0].n, drawn, is_cut, feels)
 
     return decide

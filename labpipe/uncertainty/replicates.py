@@ -148,6 +148,16 @@ def stream(seed: bytes, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(int.from_bytes(found, "little")))
 
 
+def parts_of(trace: Trace) -> int:
+    """Intervals of the smooth curve through each piece of a record.
+
+    Parameters
+    ----------
+    trace : the record; one with a branch back is cyclic
+    """
+    return _PARTS_OF_CYCLE if len(trace.branches) > 1 else _PARTS
+
+
 def smooth_curve(
     time: Floats,
     values: Floats,
@@ -185,12 +195,25 @@ def smooth_curve(
         each, most = (_PER_PART_AT_REST, _PARTS_AT_REST) if rests else (_PER_PART, parts)
         count = int(np.clip(len(y) // each, 1, most))
         knots = np.concatenate([[0.0] * 4, np.arange(1, count) / count, [1.0] * 4])
-        spline = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)
-        found[low:high][known] = spline(x)
+        curve = make_lsq_spline(x, y, _with_samples(knots, x), _DEGREE)(x)
+        stands = rests and _stands(y, curve, count + _DEGREE)
+        found[low:high][known] = y.mean() if stands else curve
     for before, cut, after in zip(ends, ends[1:], ends[2:], strict=False):
         if cut != broken and cut - before > 1 and after - cut > 1:
             _meet(found, cut)
     return found
+
+
+def _stands(values: Floats, curve: Floats, parameters: int) -> bool:
+    """Whether the mean of a rest says as much as a curve through it.
+
+    By the information criterion of Schwarz, Ann. Stat. 6 (1978) 461. A curve through noise is
+    highest at an end of the rest, and a peak that is read there comes out too high.
+    """
+    count = len(values)
+    about_mean, about_curve = np.var(values), np.mean((values - curve) ** 2)
+    limit = np.exp((parameters - 1) * np.log(count) / count)
+    return bool(about_mean <= limit * about_curve)
 
 
 def _meet(values: Floats, cut: int) -> None:
@@ -253,8 +276,7 @@ def replicated(
     -------
     The same for the same seed.
     """
-    cyclic = len(unfiltered.branches) > 1
-    parts = _PARTS_OF_CYCLE if cyclic else _PARTS
+    parts = parts_of(unfiltered)
     time, drawn, noises, smooth = unfiltered.time, [], {}, []
     failed = None if unfiltered.failed_at is None else unfiltered.failed_at + 1
     for name, act in zip(("displacement", "force"), filters, strict=True):
@@ -284,14 +306,11 @@ def _noise(values: Floats, curve: Floats, trace: Trace, cuts: Sequence[int]) -> 
     if max(each.stop - each.start for each in pieces) < LEAST:
         pieces = _pieces(cuts, len(values))
     of_pieces = [values[each] for each in pieces], [curve[each] for each in pieces]
-    return noise_of(*of_pieces, [values[each] for each in _rests(trace)])
-
-
-def _rests(trace: Trace) -> list[slice]:
-    """Before the first branch and behind the last one of a cyclic test: there nothing moves."""
     if len(trace.branches) < 2:
-        return []
-    return [slice(0, trace.branches[0].start), slice(trace.branches[-1].stop, None)]
+        return noise_of(*of_pieces)
+    # Before the first branch of a cyclic test and behind its last one nothing moves.
+    before, behind = values[: trace.branches[0].start], values[trace.branches[-1].stop :]
+    return noise_of(*of_pieces, [before], [behind])
 
 
 def _pieces(cuts: Sequence[int], last: int) -> list[slice]:

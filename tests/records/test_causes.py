@@ -13,6 +13,8 @@ from labpipe.records.result import Contribution
         ("scale of the force", True),
         ("compliance of the frame", True),
         ("pull offset", False),
+        ("grip offset", True),
+        ("span", True),
     ],
 )
 def test_what_tests_of_a_rig_share(cause: str, is_common: bool) -> None:

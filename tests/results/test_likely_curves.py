@@ -12,7 +12,9 @@ from labpipe.records.arrays import Floats
 from labpipe.records.causes import (
     CLOCK_DRIFT,
     CLOCK_OFFSET,
+    COMPLIANCE,
     GRIP,
+    PULL,
     REPAIRED_SLIPS,
     RESOLUTION,
     SCALE_OF_DISPLACEMENT,
@@ -384,6 +386,19 @@ def test_scale_and_zero_of_the_displacement(compliance: float) -> None:
     assert moved - trace.displacement == pytest.approx(0.02 * measured, abs=1e-15)
     moved = found[ZERO_OF_DISPLACEMENT].moved(trace, -1.0).displacement
     assert moved - trace.displacement == pytest.approx(-2e-6, abs=1e-15)
+
+
+@pytest.mark.parametrize(("cause", "spread"), [(PULL, 0.02), (COMPLIANCE, 1.0)])
+def test_what_an_offset_changes_frame_by_frame_has_no_noise(cause: str, spread: float) -> None:
+    """A tenth more of the displacement, seen in noise of 10 um: what cameras see is made smooth."""
+    test = straight()
+    signal, noise = test.displacement, RNG(5).normal(0.0, 1e-5, 800)
+    seen = replace(signal, moved={cause: 1.1 * signal.values + noise})
+    found = curves(replace(test, signals=test.signals.with_new("displacement", seen)))
+    (given,) = (each for each in found.inputs if each.cause == cause)
+    change = given.moved(found.smooth, 1.0).displacement - found.smooth.displacement
+    left = change - 0.1 * signal.values
+    assert np.std(left) == pytest.approx(spread * 1e-5, rel=0.1, abs=2e-6)
 
 
 def plateau(seed: int, level: float, step: float) -> Evidence:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -66,8 +67,15 @@ def test_a_white_record_is_drawn_as_it_is() -> None:
 
 @pytest.mark.parametrize("factor", [0.5, 0.9, 0.98])
 def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
-    """In a long record a memory of ten samples is seen by its own power only."""
-    drawn = draws(autoregressive(factor, (20_000,), 2))
+    """In a long record a memory of ten samples is seen by its own power only.
+
+    A memory of fifty may be flicker noise, by a chance of one in six at most.
+    """
+    noise = judged(autoregressive(factor, (20_000,), 2))
+    steep = _processes(noise.longest, noise.count).steep[: len(noise.chances)]
+    remembers = np.where(steep > 0.0, 0.0, noise.chances)
+    assert remembers.sum() > 5.0 / 6.0
+    drawn = replace(noise, chances=remembers / remembers.sum()).draw(20_000, 400, RNG(1))
     for at in (slice(0, 200), slice(10_000, 10_200), slice(-200, None)):
         part = drawn[:, at]
         for lag in (0, 1, 5, 20):
@@ -76,13 +84,16 @@ def test_remembering_noise_has_its_autocovariance(factor: float) -> None:
 
 
 def test_a_slow_part_on_white_noise() -> None:
-    """A tenth of the variance is slow; it makes nearly all of that of a mean of 200."""
+    """A tenth of the variance is slow; it makes nearly all of that of a mean of 200.
+
+    Waves of a piece hardly tell it from flicker noise, which has more power in slower ones.
+    """
     slow, white = autoregressive(0.95, (200, 4000), 3), RNG(4).normal(size=(200, 4000))
     both = np.sqrt(0.1) * slow + np.sqrt(0.9) * white
     truth = np.std(both[:, :200].mean(axis=1))
     found = [np.std(draws(row, 200)[:, :200].mean(axis=1)) for row in both[:12]]
-    assert 0.9 * truth < np.mean(found) < 1.5 * truth
-    assert np.var(draws(both[0])) == pytest.approx(1.0, rel=0.1)
+    assert 0.9 * truth < np.mean(found) < 1.9 * truth
+    assert np.var(draws(both[0])) == pytest.approx(1.0, rel=0.2)
 
 
 def test_noise_that_swings_back() -> None:
@@ -169,8 +180,9 @@ def test_processes_by_their_formulas() -> None:
     bare = (1.0 - a) ** 2 / (1.0 - 2.0 * a * np.cos(angle) + a**2)
     floors = (0.0003, 0.001, 0.003, 0.01, 0.03, 0.1, 0.3)
     lowest, flicker = np.pi / 16_000.0, list[Floats]()
+    crossings = (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05)
     for steep in (0.6, 0.8, 1.0, 1.2, 1.5):
-        for crossing in (np.pi, 2.0, 0.8, 0.3, 0.12, 0.05):
+        for crossing in crossings:
             white = (lowest / crossing) ** steep
             rising = (1.0 + (angle / lowest) ** 2) ** (-0.5 * steep)
             flicker.append(white + (1.0 - white) * rising)
@@ -179,7 +191,8 @@ def test_processes_by_their_formulas() -> None:
     spectra = np.concatenate([white_alone, 1.0 / bare, bare, *on_floors, np.array(flicker)])
     assert found.spectra(angle) == pytest.approx(spectra, rel=1e-9)
     prior = (times / 0.4) ** -0.4
-    weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), np.full(30, 0.05)]
+    of_flicker = 0.1 * np.tile((np.array(crossings) / np.pi) ** 0.4, 5)
+    weights = [np.ones(1), prior, prior / 2.0, np.tile(prior / 14.0, 7), of_flicker]
     assert found.prior == pytest.approx(np.concatenate(weights))
 
 
@@ -341,19 +354,54 @@ def wander(rows: Floats, *, at_rest: bool) -> float:
     found = []
     for row in rows:
         branches = [row[200 + 650 * at : 850 + 650 * at] for at in range(4)]
-        rests = [row[each] for each in RESTS] if at_rest else []
-        noise = noise_of(branches, [0.0 * each for each in branches], rests)
+        rests = [[row[each]] if at_rest else [] for each in RESTS]
+        noise = noise_of(branches, [0.0 * each for each in branches], *rests)
         drawn = noise.draw(3000, 400, RNG(8))
         found.append(np.std(drawn[:, RESTS[1]].mean(axis=1) - drawn[:, RESTS[0]].mean(axis=1)))
     return float(np.mean(found))
 
 
 def test_rests_tell_flicker_noise() -> None:
-    """Pieces of a second do not know what the record does in a minute; rests of four seconds do."""
+    """Pieces of a second guess what the record does in a minute; rests of four seconds know.
+
+    Beneath white noise, pieces do not even guess.
+    """
     rows = flicker((60, 3000), 11)
     truth = np.std(rows[:, RESTS[1]].mean(axis=1) - rows[:, RESTS[0]].mean(axis=1))
-    assert wander(rows[:8], at_rest=False) < 0.5 * truth
+    hidden = rows[:8] + 3.0 * RNG(12).normal(size=(8, 3000))
+    assert wander(hidden, at_rest=False) < 0.5 * truth
     assert 0.7 * truth < wander(rows[:8], at_rest=True) < 1.4 * truth
+
+
+def slow_contrast(rows: Floats) -> Floats:
+    """What two means of a tenth of a record differ by that lie a fifth of it apart."""
+    tenth = rows.shape[1] // 10
+    found: Floats = rows[:, :tenth].mean(axis=1) - rows[:, 2 * tenth : 3 * tenth].mean(axis=1)
+    return found
+
+
+def test_long_records_tell_flicker_noise_without_rests() -> None:
+    """Of 1500 samples twelve pieces say how power rises; of 400 they do not."""
+    for count, low, high in ((1500, 0.6, 1.4), (400, 0.2, 0.6)):
+        rows = flicker((200, count), 14)
+        truth = np.std(slow_contrast(rows))
+        found = [np.std(slow_contrast(draws(row, 200))) for row in rows[:12]]
+        assert low * truth < np.mean(found) < high * truth
+
+
+def test_signals_that_are_alike_tell_more() -> None:
+    """Twelve signals of one camera: what one of them leaves open is sure."""
+    rows = flicker((12, 900), 15)
+    ends = slice(100, 500), slice(500, 800)
+    branches = [row[each] for row in rows for each in ends]
+    none = [0.0 * each for each in branches]
+    before, behind = [row[:100] for row in rows], [row[800:] for row in rows]
+    noise = noise_of(branches, none, before, behind, copies=12)
+    alone = noise_of(branches[:2], none[:2], before[:1], behind[:1])
+    assert (noise.count, alone.count) == (700, 700)
+    flickers = _processes(noise.longest, noise.count).steep[: len(noise.chances)] > 0.0
+    assert noise.chances[flickers].sum() > 0.99
+    assert noise.freedom > 10 * alone.freedom
 
 
 def test_rests_tell_white_noise() -> None:

@@ -391,7 +391,8 @@ def test_windows_are_decided_anew_where_the_curve_moves() -> None:
 def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None:
     """Mean force up to 4.5 of 2 N a sample: 4 N by samples, 4.5 N by the line through them.
 
-    A displacement that is off by 0.3 samples moves no sample across the end of the window.
+    The truth may lie from 3.75 to 4.75 N, evenly. A displacement that is off by 0.3 samples moves
+    no sample across the end of the window.
     """
 
     def below(trace: Trace) -> Reading:
@@ -406,9 +407,47 @@ def test_between_its_samples_a_window_ends_where_it_should(is_cut: bool) -> None
     found = measure(replicates_of(trace, off), below)
     assert isinstance(found, tuple)
     assert found[0].value == 4.0
-    assert found[0].estimate == pytest.approx(4.5 if is_cut else 4.0, abs=0.04)
-    expected = {ZERO_OF_DISPLACEMENT: -0.3} if is_cut else {}
+    assert found[0].estimate == pytest.approx(4.25 if is_cut else 4.0, abs=0.04)
+    expected = {ZERO_OF_DISPLACEMENT: -0.3, STEP: 0.5 / np.sqrt(3.0)} if is_cut else {}
     assert budget(found[0]) == pytest.approx(expected, abs=0.04)
+
+
+def test_a_value_between_whose_samples_much_happens_lies_in_its_interval() -> None:
+    """Nothing else is uncertain: a rectangle from 3.75 to 4.75 N, of which 95 %."""
+
+    def below(trace: Trace) -> Reading:
+        chosen = slice(0, int(np.sum(trace.displacement <= 4.5)))
+        return Reading(lambda each: (each.force[..., chosen].mean(axis=-1),), 5, is_cut=True)
+
+    found = measure(replicates_of(trace_of(2.0 * np.arange(20.0), np.arange(20.0))), below)
+    assert isinstance(found, tuple)
+    ends = found[0].interval.lower, found[0].interval.upper
+    assert ends == pytest.approx((3.775, 4.725), abs=0.04)
+    assert not found[0].doubts
+
+
+@pytest.mark.parametrize("feels", [False, True])
+def test_corners_between_samples_are_those_of_the_measured_curve(feels: bool) -> None:
+    """Force |d - 10| up to 10.5 samples: 55 / 11 by samples, from a corner that a spline rounds."""
+    away = np.abs(np.arange(200.0) - 100.0)
+
+    def near(trace: Trace) -> Reading:
+        chosen = np.abs(trace.displacement - 100.0) <= 2.5
+        return Reading(
+            lambda each: (each.force[..., chosen].mean(axis=-1),),
+            5,
+            is_cut=True,
+            feels_corners=feels,
+        )
+
+    found = measure(replicates_of(trace_of(away, np.arange(200.0))), near)
+    assert isinstance(found, tuple)
+    shift = 2.0 * (found[0].estimate - found[0].value)
+    assert found[0].value == 1.2
+    if feels:  # to the mean of |d|, from -2.5 to 2.5, at 16 samples a step
+        assert shift == pytest.approx(1.25 - 1.2, abs=0.02)
+    else:
+        assert abs(shift) < 0.02
 
 
 def test_values_from_more_samples() -> None:

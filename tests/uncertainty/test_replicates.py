@@ -280,3 +280,19 @@ def test_a_plateau_is_not_as_high_as_its_noise() -> None:
         off.append((found - true)[405:595])
     assert np.std(off) < 0.25
     assert np.mean(np.max(off, axis=1)) < 0.5
+
+
+def test_a_rest_without_a_course_is_its_mean() -> None:
+    """Behind 5 s of motion 5 s of rest; one that creeps by ten times its noise is followed."""
+    branches = (Branch(0, 500, 1, Direction.LOADING, 0.0, 5.0),)
+    way, later = np.minimum(TIME, 5.0), np.maximum(TIME - 5.0, 0.0)
+    values = way + RNG(4).normal(0.0, 0.01, 1000)
+    found = smooth_curve(TIME, values, [500], 12, branches=branches)
+    assert found[502:] == pytest.approx(np.full(498, values[500:].mean()), abs=1e-12)
+    creeping = values - 0.1 * (1.0 - np.exp(-later))
+    found = smooth_curve(TIME, creeping, [500], 12, branches=branches)
+    truth = 5.0 - 0.1 * (1.0 - np.exp(-later[502:]))
+    assert found[502:] == pytest.approx(truth, abs=8e-3)
+    # Where the whole record moves it has its spline.
+    found = smooth_curve(TIME, values, [500], 12)
+    assert np.ptp(found[502:]) > 1e-3
