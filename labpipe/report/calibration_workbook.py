@@ -1,4 +1,4 @@
-"""The results of a calibration as a workbook, in display units with all digits."""
+"""The results of a calibration as a workbook: one sheet for each question."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire_calibration import (
     PARAMETERS,
@@ -29,17 +30,8 @@ from labpipe.report.calibration_shown import (
     parameter_row,
     typeset,
 )
-from labpipe.report.report_workbook import (
-    FREE,
-    Column,
-    Sheet,
-    Value,
-    column,
-    save_sheets,
-    sheet_name,
-    sheet_of_columns,
-    yes,
-)
+from labpipe.report.workbook_cells import Row, Value
+from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book
 
 EXTERNAL_CURVES, EXTERNAL_POINTS = "external curves", "external curves, points"
 
@@ -67,9 +59,15 @@ def comparison_tables(comparisons: Sequence[ExternalCurveComparison]) -> list[Sh
     across, up = DEFLECTION.label("deflection"), FORCE.label("force")
     columns = ("name", across, up, FORCE.label("mean of the tests"), FORCE.label("model"))
     return [
-        Sheet(EXTERNAL_CURVES, heads, rows, "B2"),
-        Sheet(EXTERNAL_POINTS, columns, points, "B2"),
-    ]
+        Sheet(
+            EXTERNAL_CURVES, heads, rows, 1,
+            asks="How far are external curves from tests and model?",
+        ),
+        Sheet(
+            EXTERNAL_POINTS, columns, points, 1,
+            asks="Where are they apart? Force at the deflections of the external curves.",
+        ),
+    ]  # fmt: skip
 
 
 def _external_agreement(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
@@ -102,27 +100,31 @@ def _points(each: ExternalCurveComparison) -> Iterator[tuple[Value, ...]]:
         yield (curve.name, DEFLECTION.factor * across, *known)
 
 
+def yes(value: bool) -> str:
+    """Word a truth value for a cell."""
+    return "yes" if value else "no"
+
+
 SUMMARY, SOLUTIONS, FIT = "summary", "solutions", "fit"
 IDENTIFIED, CURVES = "identified", "curves"
 AGREEMENT, NOTES = "agreement", "notes"
 _FRICTION = ("strand_friction", "insulation_friction", "radial_force")
 
 
-def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Sheet]:
+def tables_of(report: CalibrationReport) -> list[Sheet]:
     """Make all tables of a calibration.
 
     Parameters
     ----------
     report : what they hold
-    taken : names of sheets that are there already
 
     Returns
     -------
     ``summary``, ``solutions``, ``fit``, ``identified``, ``agreement`` (Table 3.3 of the source),
-    those of external curves, ``curves``, ``notes``, and one sheet for each wire and length.
+    those of external curves, ``curves``, ``forces`` and ``notes``.
     """
     calibration = report.calibration
-    sheets = [
+    return [
         _summary(calibration),
         _solutions(calibration),
         _fit(calibration, report.source),
@@ -130,13 +132,9 @@ def tables_of(report: CalibrationReport, taken: Sequence[str] = ()) -> list[Shee
         _agreement(report.groups),
         *comparison_tables(report.comparisons),
         _curves(calibration),
+        _forces(report.groups),
         _notes(report),
     ]
-    names = [*taken, *(sheet.name for sheet in sheets)]
-    for group in report.groups:
-        names.append(sheet_name(f"{group.wire}, {length_words(group.length)}", names))
-        sheets.append(_group(group, names[-1]))
-    return sheets
 
 
 def _summary(calibration: Calibration) -> Sheet:
@@ -147,7 +145,10 @@ def _summary(calibration: Calibration) -> Sheet:
         "prior, centre", "prior, factor", "without the prior", "conflict (standard errors)",
         "contradicts", "source of prior or fixed value", "in words", "prior in words",
     )  # fmt: skip
-    return Sheet(SUMMARY, heads, [_parameter(each) for each in calibration.parameters], "C2")
+    rows = [_parameter(each) for each in calibration.parameters]
+    asks = "What are the parameters of the model, and do the tests determine them?"
+    last = ("in words", "prior in words")
+    return Sheet(SUMMARY, heads, rows, 2, asks=asks, wrapped=last)
 
 
 def _parameter(parameter: CalibratedParameter) -> tuple[Value, ...]:
@@ -188,7 +189,7 @@ def _solutions(calibration: Calibration) -> Sheet:
         )
         for number, solution in enumerate(calibration.solutions, start=1)
     ]  # fmt: skip
-    return Sheet(SOLUTIONS, heads, rows)
+    return Sheet(SOLUTIONS, heads, rows, 1, asks="What else fits the tests?")
 
 
 def _scaled(shown: Shown, value: float) -> float | None:
@@ -213,7 +214,8 @@ def _fit(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
         ("uncertainty of the load cell's gain, in logarithms", levels.gain, "1"),
         ("method", calibration.method, ""),
     ]
-    return Sheet(FIT, ("number", "value", "unit"), [*rows, *_source(source)])
+    asks = "What does the calibration rest on, and what does 'method: source' make of the tests?"
+    return Sheet(FIT, ("number", "value", "unit"), [*rows, *_source(source)], 1, asks=asks)
 
 
 def _source(source: SourceCalibration | None) -> Iterator[tuple[Value, ...]]:
@@ -253,7 +255,11 @@ def _identified(calibration: Calibration, source: SourceCalibration | None) -> S
         "of",
         *(f"weight or correlation, {name}" for name in (*PARAMETERS, *_FRICTION)),
     )
-    return Sheet(IDENTIFIED, heads, rows)
+    asks = (
+        "Which combinations of parameters are known? One with singular value s is known to 1 / s in"
+        " logarithms; below 1 the tests do not determine it."
+    )
+    return Sheet(IDENTIFIED, heads, rows, 2, asks=asks)
 
 
 def _singular(what: str, found: Separability) -> Iterator[tuple[Value, ...]]:
@@ -274,7 +280,11 @@ def _agreement(groups: Sequence[ValidationGroup]) -> Sheet:
         FORCE.label("RMSE"), "RMSE over the largest force (%)", "points inside the band (%)",
         "band predicts the mean of (samples)", "reason",
     )  # fmt: skip
-    return Sheet(AGREEMENT, heads, [_agreement_row(group) for group in groups], "C2")
+    asks = (
+        "How far are the samples from the model, of wires that calibrated it and of others? The"
+        " band is that of one more sample; SSE grows with the number of points."
+    )
+    return Sheet(AGREEMENT, heads, [_agreement_row(group) for group in groups], 2, asks=asks)
 
 
 def _agreement_row(group: ValidationGroup) -> tuple[Value, ...]:
@@ -304,7 +314,8 @@ def _curves(calibration: Calibration) -> Sheet:
         )
         for each in calibration.curves
     ]  # fmt: skip
-    return Sheet(CURVES, heads, rows, "B2")
+    asks = "How far is each test from the model, without the sample's own factor?"
+    return Sheet(CURVES, heads, rows, 1, asks=asks)
 
 
 def _notes(report: CalibrationReport) -> Sheet:
@@ -336,62 +347,66 @@ def _notes(report: CalibrationReport) -> Sheet:
         for each in found
         if each is not None
     ]
-    return Sheet(NOTES, ("of", "kind", "where", "what", "code"), rows)
+    asks = "What has to be known about the calibration?"
+    heads = ("of", "kind", "where", "what", "code")
+    return Sheet(NOTES, heads, rows, 1, asks=asks, wrapped=("what",))
 
 
-def _group(group: ValidationGroup, name: str) -> Sheet:
-    """Mean, prediction and samples beside each other, each on its own deflections."""
-    blocks = [*_mean(group), *_prediction(group)]
-    for test, sample in group.samples.items():
-        blocks += [
-            FREE,
-            column(f"{test}, deflection", DEFLECTION, sample.displacement),
-            column(f"{test}, force", FORCE, sample.force),
-        ]
-    return sheet_of_columns(name, blocks)
+def _forces(groups: Sequence[ValidationGroup]) -> Sheet:
+    """Mean, model and samples of all groups below each other, each on its own deflections."""
+    heads = (
+        "wire", DEFLECTION.label("length"), "what", DEFLECTION.label("deflection"),
+        *(FORCE.label(f"force{end}") for end in ("", ", lower", ", upper")),
+        *(FORCE.label(f"mean sample, {end}") for end in ("lower", "upper")),
+    )  # fmt: skip
+    rows: list[Row] = []
+    charts = []
+    for group in groups:
+        lines = []
+        for what, block in _blocks(group).items():
+            head = (group.wire, DEFLECTION.factor * group.length, what)
+            if block:
+                lines.append(Line(what, (len(rows), len(rows) + len(block) - 1), 3, 4))
+            rows += [(*head, *row) for row in block]
+        title = f"{group.wire}, {length_words(group.length)}"
+        charts.append(Chart(title, DEFLECTION.label("Deflection"), FORCE.label("Force"), lines))
+    asks = "What are the forces of samples and model? 'lower' and 'upper' are 95 % bands."
+    drawn = [chart for chart in charts if chart.lines]
+    return Sheet("forces", heads, rows, 3, asks=asks, charts=drawn)
 
 
-def _mean(group: ValidationGroup) -> Iterator[Column]:
-    yield column("deflection", DEFLECTION, group.band.displacement)
-    yield column("mean", FORCE, group.band.mean)
-    yield column("mean, lower", FORCE, group.band.lower)
-    yield column("mean, upper", FORCE, group.band.upper)
+def _blocks(group: ValidationGroup) -> dict[str, list[Row]]:
+    """Rows of the mean, of the model where there is one, and of each sample."""
+    band, found = group.band, group.prediction
+    mean = _columns(band.displacement, band.mean, band.lower, band.upper)
+    model = [] if found is None else _columns(
+        found.deflection, found.force, found.lower, found.upper, found.lower_mean, found.upper_mean
+    )  # fmt: skip
+    samples = {
+        test: _columns(sample.displacement, sample.force) for test, sample in group.samples.items()
+    }
+    return {"mean of the samples": mean, "model": model, **samples}
 
 
-def _prediction(group: ValidationGroup) -> Iterator[Column]:
-    found = group.prediction
-    if found is None:
-        return
-    yield FREE
-    yield column("deflection of the model", DEFLECTION, found.deflection)
-    yield column("model", FORCE, found.force)
-    for name, values in (
-        ("model, lower", found.lower),
-        ("model, upper", found.upper),
-        ("model of the mean sample, lower", found.lower_mean),
-        ("model of the mean sample, upper", found.upper_mean),
-    ):
-        yield column(name, FORCE, values)
+def _columns(across: Floats, *forces: Floats) -> list[Row]:
+    """Deflection and forces in the units of the headings; what is missing at the end is empty."""
+    x = (DEFLECTION.factor * across).tolist()
+    up = [(FORCE.factor * force).tolist() for force in forces]
+    missing = [None] * (_MOST_FORCES - len(up))
+    return [(*row, *missing) for row in zip(x, *up, strict=True)]
 
 
-_READ_ME = "read me"
+_MOST_FORCES = 5
 _ABOUT = (
-    "Calibration of the wire model by first loadings of cantilevers. Numbers are in the units of"
-    " their row or heading, with all digits. An empty cell: no such number.",
-    "Sheet 'summary': the parameters. Lower and upper are the ends of 95 % intervals by profile"
-    " likelihood; where one is open, the end of its search stands there. Where it falls into parts,"
-    " they are named.",
-    "Sheet 'solutions': what else fits the tests. Values are those of the first, intervals and"
-    " bands of all that are in the 95 % set.",
-    "Sheet 'fit': what the calibration rests on, and what 'method: source' makes of the tests.",
-    "Sheet 'identified': a combination with singular value s is known to 1 / s in logarithms; below"
-    " 1 the tests do not determine it.",
-    "Sheet 'agreement': model against all points of the samples, for wires and lengths that it was"
-    " calibrated by and for others that it predicts. SSE grows with the number of points; the band"
-    " is that of one more sample.",
-    "Sheet 'curves': each test against the model without the sample's own factor. A sheet for each"
-    " wire and length holds mean, model and samples; 'lower' and 'upper' of the mean are its 95 %"
-    " band by Student's t with n - 1 degrees of freedom.",
+    "Calibration of the wire model by first loadings of cantilevers. Cells hold all digits of a"
+    " number. An empty cell: no such number. Every table has filters.",
+    "Sheet 'summary': lower and upper are the ends of 95 % intervals by profile likelihood; where"
+    " one is open, the end of its search stands there. Where it falls into parts, they are named.",
+    "Sheet 'solutions': values of the summary are those of the first, intervals and bands those of"
+    " all that are in the 95 % set.",
+    "Sheet 'forces': lower and upper of the mean are its 95 % band by Student's t with n - 1"
+    " degrees of freedom, those of the model hold one more sample; those of the mean sample hold"
+    " the mean.",
     "Sheets 'external curves': those that the plan names, compared with the mean of the tests and"
     " with the model, at their own deflections and never beyond either.",
 )
@@ -410,9 +425,5 @@ def save_calibration_workbook(report: CalibrationReport, path: Path) -> None:
     StoreError
         If the file cannot be written.
     """
-    save_sheets(_sheets(report), path, again="calibrate", active=1)
-
-
-def _sheets(report: CalibrationReport) -> Iterator[Sheet]:
-    yield Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT])
-    yield from tables_of(report, [_READ_ME])
+    title = f"Calibration of {report.calibration.wire}"
+    save_book(About(title, _ABOUT), tables_of(report), path, again="calibrate")

@@ -1,4 +1,4 @@
-"""The results of a sheet of wires as a workbook: a row for each, and a sheet with its law."""
+"""The results of a sheet of wires as a workbook: a row for each, and their laws."""
 
 from __future__ import annotations
 
@@ -12,15 +12,6 @@ from labpipe.records.arrays import Ints
 from labpipe.records.quality import Severity
 from labpipe.records.wire import WireTable
 from labpipe.report.drawn_points import bends
-from labpipe.report.report_workbook import (
-    FREE,
-    Sheet,
-    Value,
-    column,
-    save_sheets,
-    sheet_name,
-    sheet_of_columns,
-)
 from labpipe.report.wire_sections import (
     CURVATURE,
     FORCE,
@@ -31,6 +22,8 @@ from labpipe.report.wire_sections import (
     warnings_of,
 )
 from labpipe.report.wording import Scale
+from labpipe.report.workbook_cells import Row, Value
+from labpipe.report.workbook_file import About, Chart, Line, Sheet, save_book
 
 DEFLECTIONS = (5e-3, 10e-3, 20e-3, 30e-3, 40e-3, 50e-3)
 """Tip deflections at which the end load is reported, m."""
@@ -192,7 +185,7 @@ MOST_ROWS = 12_000
 the model to run."""
 _FEWEST_ROWS = 40
 """Rows of each law that are shown at least: straight lines between them stay within 1 %."""
-_READ_ME, _SUMMARY, _NOTES = "read me", "wires", "notes"
+_LAWS = "laws"
 _LAW: tuple[tuple[str, str, Scale], ...] = (
     ("curvature", "curvature", CURVATURE),
     ("moment", "moment", MOMENT),
@@ -207,16 +200,15 @@ _LAW: tuple[tuple[str, str, Scale], ...] = (
     ("highest moment of all orientations", "highest_moment", MOMENT),
 )
 _ABOUT = (
-    "Laws of wires on first loading, from the wire model of labpipe. Numbers are in the units of"
-    " their headings, with all digits. 1 N·mm² is 1e-6 N·m². An empty cell: no such number.",
-    "Sheet 'wires': one row for each wire; its name leads to its sheet. Sheet 'notes': what was"
-    " refused, limited or taken as a default.",
+    "Laws of wires on first loading, from the wire model of labpipe. Cells hold all digits of a"
+    " number and show five. 1 N·mm² is 1e-6 N·m². An empty cell: no such number. Every table has"
+    " filters: choose a wire in the heading 'wire'.",
     "Moment = sticking strands + slipping strands + strands' own bending + lost to yielding +"
     " insulation; what yielding takes is negative.",
     "Secant stiffness is moment / curvature, tangent stiffness its slope. Stick stiffness: no"
     " strand slips or yields. Slip stiffness: no friction, and no strand yields.",
-    "A law ends with its last row. Nothing is said beyond it. With very many wires, their sheets"
-    " show fewer rows than the law has: see the last columns of 'wires'.",
+    "A law ends with its last row. Nothing is said beyond it. With very many wires, the sheet"
+    " 'laws' shows fewer rows than a law has: see the last columns of 'wires'.",
     "End load: normal to the clamped axis, at the tip of the cantilever of the wire's length, by"
     " straight lines between the points of its curve; empty beyond its end.",
     "Torsional stiffness: of strands that do not grip each other, a lower bound.",
@@ -242,31 +234,32 @@ def save_wire_workbook(
 
     Notes
     -----
-    With many wires, the sheet of each shows some rows of its law, `MOST_ROWS` of all wires
+    With many wires, the sheet of laws shows some rows of each, `MOST_ROWS` of all wires
     together but 40 of each at least; the summary says how many, and how far straight lines between
     them are from the whole law.
     """
-    save_sheets(_sheets(tables, refused or {}), path, again="run the model", active=1)
+    sheets = list(_sheets(tables, refused or {}))
+    save_book(About("Laws of wires", _ABOUT), sheets, path, again="run the model")
 
 
 def _sheets(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Iterator[Sheet]:
     most = max(MOST_ROWS // max(len(tables), 1), _FEWEST_ROWS)
     shown = [shown_rows(table, most) for table in tables]
-    names = _names(tables)
-    links = {table.name: name for table, name in zip(tables, names, strict=True)}
-    yield Sheet(_READ_ME, ("About",), [(line,) for line in _ABOUT])
+    laws, places = _laws(tables, shown)
+    links = {name: f"'{_LAWS}'!A{first + 2}" for name, (first, _) in places.items()}
     yield _summary(tables, refused, shown)._replace(links=links)
+    yield laws
+    loads = (("tip deflection", "tip_deflection", LENGTH), ("end load", "tip_force", FORCE))
+    yield _below(
+        "cantilevers", tables, loads,
+        "How hard does the end of each cantilever have to be pulled?",
+    )  # fmt: skip
+    yield _below(
+        "onsets of slip", tables, (("strands begin to slip", "slip_onsets", CURVATURE),),
+        "At which curvatures do strands begin to slip?",
+    )  # fmt: skip
+    yield _strands(tables)
     yield _notes(tables, refused)
-    for table, name, rows in zip(tables, names, shown, strict=True):
-        yield _wire(table, name, rows)
-
-
-def _names(tables: Sequence[WireTable]) -> list[str]:
-    """Names of the wires' sheets, in their order."""
-    names = [_READ_ME, _SUMMARY, _NOTES]
-    for table in tables:
-        names.append(sheet_name(table.name, names))
-    return names[3:]
 
 
 def _summary(
@@ -276,18 +269,92 @@ def _summary(
         "wire", *(column.heading for column in SUMMARY), "rows of the law", "rows shown",
         "error between the rows shown, largest (% of moment)",
     )  # fmt: skip
-    rows: list[Sequence[Value]] = [
-        (name, *(None for _ in SUMMARY[:-2]), f"not modelled: {reason}")
+    rows: list[Row] = [
+        (name, *(None for _ in SUMMARY[:-2]), f"not modelled: {reason}", *[None] * 4)
         for name, reason in refused.items()
     ]
     for table, kept in zip(tables, shown, strict=True):
         about = (len(table.curvature), len(kept), row_error(table, kept))
         rows.append((table.name, *(column.value(table) for column in SUMMARY), *about))
-    return Sheet(_SUMMARY, heads, rows, "B2")
+    asks = "How stiff is each wire, when does it begin to slip, and how far does its law go?"
+    return Sheet("wires", heads, rows, 1, asks=asks)
+
+
+def _laws(
+    tables: Sequence[WireTable], shown: Sequence[Ints]
+) -> tuple[Sheet, dict[str, tuple[int, int]]]:
+    """Laws of all wires below each other; first and last row of each by its name."""
+    rows: list[Row] = []
+    places: dict[str, tuple[int, int]] = {}
+    for table, kept in zip(tables, shown, strict=True):
+        columns = [
+            (scale.factor * getattr(table, field)[kept]).tolist() for _, field, scale in _LAW
+        ]
+        first = len(rows)
+        rows += [(table.name, *row) for row in zip(*columns, strict=True)]
+        places[table.name] = first, len(rows) - 1
+    heads = ("wire", *(scale.label(words) for words, _, scale in _LAW))
+    bent_only = {name: (first + 1, last) for name, (first, last) in places.items() if last > first}
+    lines = {
+        heads[up]: [Line(name, rows_of, 1, up) for name, rows_of in bent_only.items()]
+        for up in (_SECANT, _MOMENT)
+    }
+    charts = [
+        Chart(
+            head.partition(" (")[0].capitalize(),
+            CURVATURE.label("Curvature"),
+            head,
+            own,
+            is_log=True,
+        )
+        for head, own in lines.items()
+        if own
+    ]
+    asks = "What are moment and stiffness of each wire against curvature, on first loading?"
+    return Sheet(_LAWS, heads, rows, 2, asks=asks, charts=charts), places
+
+
+_MOMENT, _SECANT = 2, 8
+"""Columns of the laws that are drawn."""
+
+
+def _below(
+    name: str, tables: Sequence[WireTable], columns: Sequence[tuple[str, str, Scale]], asks: str
+) -> Sheet:
+    """Values of all wires below each other; where there are two columns of them, drawn."""
+    rows: list[Row] = []
+    lines = []
+    for table in tables:
+        values = [(scale.factor * getattr(table, field)).tolist() for _, field, scale in columns]
+        first = len(rows)
+        rows += [(table.name, *row) for row in zip(*values, strict=True)]
+        if len(columns) == _DRAWN and len(rows) > first + 1:
+            lines.append(Line(table.name, (first, len(rows) - 1), 1, 2))
+    heads = ("wire", *(scale.label(words) for words, _, scale in columns))
+    across, up = _capital(heads[1]), _capital(heads[-1])
+    charts = [Chart("", across, up, lines)] if lines else []
+    return Sheet(name, heads, rows, 1, asks=asks, charts=charts)
+
+
+_DRAWN = 2
+
+
+def _capital(words: str) -> str:
+    return f"{words[0].upper()}{words[1:]}"
+
+
+def _strands(tables: Sequence[WireTable]) -> Sheet:
+    rows: list[Row] = []
+    for table in tables:
+        own = table.layout
+        sizes = [(LENGTH.factor * each).tolist() for each in (own.x, own.y, own.diameter)]
+        rows += [(table.name, *row) for row in zip(own.layer.tolist(), *sizes, strict=True)]
+    heads = ("wire", "layer", *(LENGTH.label(word) for word in ("x", "y", "diameter")))
+    return Sheet("strands", heads, rows, 1, asks="Where do the strands lie in the section?")
 
 
 def _notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Sheet:
-    rows: list[Sequence[Value]] = [
+    rows: list[Row] = [
         (name, "not modelled", "", reason, "refused") for name, reason in refused.items()
     ]
     for severity in reversed(Severity):
@@ -297,24 +364,6 @@ def _notes(tables: Sequence[WireTable], refused: Mapping[str, str]) -> Sheet:
             for note in table.notes
             if note.severity is severity
         ]
-    return Sheet(_NOTES, ("wire", "kind", "where", "what", "code"), rows)
-
-
-def _wire(table: WireTable, name: str, shown: Ints) -> Sheet:
-    """The law, the cantilever, the onsets of slip and the strands beside each other."""
-    layout = table.layout
-    law = [column(words, scale, getattr(table, field)[shown]) for words, field, scale in _LAW]
-    columns = [
-        *law,
-        FREE,
-        column("tip deflection", LENGTH, table.tip_deflection),
-        column("end load", FORCE, table.tip_force),
-        FREE,
-        column("strands begin to slip", CURVATURE, table.slip_onsets),
-        FREE,
-        ("layer of a strand", layout.layer.tolist()),
-        column("its centre, x", LENGTH, layout.x),
-        column("its centre, y", LENGTH, layout.y),
-        column("its diameter", LENGTH, layout.diameter),
-    ]
-    return sheet_of_columns(name, columns)
+    asks = "What was refused, limited or taken as a default?"
+    heads = ("wire", "kind", "where", "what", "code")
+    return Sheet("notes", heads, rows, 1, asks=asks, wrapped=("what",))

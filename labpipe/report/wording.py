@@ -298,7 +298,7 @@ def write_number(
     >>> write_number(1234.567, None).value
     '1235'
     """
-    place = _place(value, interval, factor, digits)
+    place = place_of(value, interval, factor, digits)
     return _written([value, *_ends(interval), *([] if apart is None else [apart])], factor, place)
 
 
@@ -325,7 +325,7 @@ def write_mean(
     >>> write_mean(MeanInterval(11.468, Interval(-31.2, 54.1), 4.7, 2)).text
     '11.5 (-31.2 to 54.1)'
     """
-    supported = _place(mean.mean, mean.interval, factor, _DIGITS_ALONE)
+    supported = place_of(mean.mean, mean.interval, factor, _DIGITS_ALONE)
     wanted = [_place_of_mean(each, factor) for each in parts]
     place = min([_place_of_mean(mean, factor), *([max(wanted)] if wanted else [])])
     kept = max(place, supported - _BEYOND_INTERVAL)
@@ -334,14 +334,28 @@ def write_mean(
 
 
 def _place_of_mean(mean: MeanInterval, factor: float) -> int:
-    supported = _place(mean.mean, mean.interval, factor, _DIGITS_ALONE)
+    supported = place_of(mean.mean, mean.interval, factor, _DIGITS_ALONE)
     if mean.mean == 0.0 or not math.isfinite(mean.mean):
         return supported
     return min(supported, _last_place(abs(factor * mean.mean), _DIGITS_OF_MEAN))
 
 
-def _place(value: float, interval: Interval | None, factor: float, digits: int) -> int:
-    """Power of ten of the last digit that an interval supports; of `digits` without one."""
+def place_of(
+    value: float, interval: Interval | None, factor: float = 1.0, digits: int = _DIGITS_ALONE
+) -> int:
+    """Find the power of ten of the last digit that an interval supports; of `digits` without one.
+
+    Parameters
+    ----------
+    value, interval : in SI
+    factor : from SI to the display unit
+    digits : significant digits of a number without an interval
+
+    Examples
+    --------
+    >>> place_of(0.052284, Interval(0.046271, 0.058296), 1e3)
+    -1
+    """
     shown = [factor * number for number in (value, *_ends(interval))]
     half = (max(shown[1:]) - min(shown[1:])) / 2.0 if shown[1:] else 0.0
     if not all(map(math.isfinite, shown)) or not half > 0.0:

@@ -11,7 +11,9 @@ import contextlib
 import io
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import groupby
 from math import fsum
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -35,24 +37,24 @@ def report_rows(workbook: Path, campaign: str) -> Iterator[Row]:
         if name in TABLES:
             for entry in entries:
                 yield from TABLES[name](campaign, entry)
-        elif name.startswith(("curve ", "scaled ")):
-            for head in map(str, heads):
-                values: list[float] = [
-                    cell for each in entries if isinstance(cell := each[head], float)
-                ]
-                if values:
-                    yield _array(f"{campaign} {name}", "curve", head, values)
+        elif name in CURVES:
+            for group, own in groupby(entries, key=itemgetter("group")):
+                yield from _curve(f"{campaign} {CURVES[name]} {group}", list(own))
 
 
-def _columns(curve: str, entries: Sequence[Entry]) -> Iterator[Row]:
+CURVES = {"curves": "curve", "scaled curves": "scaled"}
+
+
+def _curve(name: str, entries: Sequence[Entry]) -> Iterator[Row]:
     for head in entries[0]:
-        numbers = [each[head] for each in entries if isinstance(each[head], float)]
-        if numbers:
-            yield _array(curve, "curve", head, numbers)
+        values: list[float] = [cell for each in entries if isinstance(cell := each[head], float)]
+        if values:
+            pure = "" if "(" in head or head == "n" else " (1)"
+            yield _array(name, "curve", f"{head}{pure}", values)
 
 
 def _group(campaign: str, entry: Entry) -> Iterator[Row]:
-    if _is_on_edge(campaign, entry):
+    if entry["over"] != "all" or _is_on_edge(campaign, entry):
         return
     where = (f"{campaign} {entry['group']}", "group", entry["result"])
     yield _number(*where, entry, "mean", n=entry["n"])
@@ -62,10 +64,9 @@ def _group(campaign: str, entry: Entry) -> Iterator[Row]:
 def _difference(campaign: str, entry: Entry) -> Iterator[Row]:
     if _is_on_edge(campaign, entry):
         return
-    verdict = str(entry["verdict"]).partition(":")[0]
     pair = f"{campaign} {entry['first']} {entry['second']}"
     where = (pair, "difference", entry["result"])
-    yield _number(*where, entry, "second minus first", status=verdict)
+    yield _number(*where, entry, "second minus first", status=str(entry["verdict"]))
     yield from _more(*where, entry, {"equivalent, p": "p"})
 
 
@@ -76,12 +77,14 @@ def _is_on_edge(campaign: str, entry: Entry) -> bool:
 def _bundle(campaign: str, entry: Entry) -> Iterator[Row]:
     where = (f"{campaign} {entry['group']} {entry['test']}", "bundle", "bending_stiffness")
     yield _number(*where, entry, "bending stiffness")
-    heads = ("all slips", "wires slip", "nothing slips", "share", "share lower", "share upper")
-    yield from _more(*where, entry, {head: head.replace(" ", "_") for head in heads})
+    heads = ("all slips", "wires slip", "nothing slips")
+    shares = ("share", "share lower", "share upper")
+    named = {**{head: head for head in heads}, **{f"{head} (%)": head for head in shares}}
+    yield from _more(*where, entry, {k: v.replace(" ", "_") for k, v in named.items()})
 
 
 TABLES: Mapping[str, Callable[[str, Entry], Iterator[Row]]] = {
-    "groups": _group,
+    "means": _group,
     "comparisons": _difference,
     "slipping and sticking": _bundle,
 }
@@ -103,12 +106,16 @@ def made_model(folder: Path) -> Path:
     return folder / "model.json"
 
 
+_PLAIN = str.maketrans({"\u00b7": "*", "\u00b2": "^2"})
+"""Units as results have them."""
+
+
 def _number(
     test: str, kind: str, name: str, entry: Entry, head: str, *, status: str = "", n: Any = ""
 ) -> Row:
     value, lower, upper = (_text(entry[each]) for each in (head, "lower", "upper"))
     count = "" if n == "" else str(int(n))
-    unit = str(entry["unit"])
+    unit = str(entry["unit"]).translate(_PLAIN) or "1"
     return Row(test, kind, name, status, "", unit, value, lower, upper, n=count)
 
 

@@ -22,14 +22,12 @@ def rows(own: CalibrationReport, name: str) -> list[dict[str, Any]]:
     return [dict(zip(sheet.heads, row, strict=False)) for row in sheet.rows]
 
 
-def test_names_of_tables() -> None:
-    names = [sheet.name for sheet in tables_of(report(), ["read me"])]
-    assert names == [
-        "summary", "solutions", "fit", "identified", "agreement", "curves", "notes",
-        "A2, 85 mm", "A2, 120 mm", "A1, 85 mm", "A3, 120 mm",
+def test_one_sheet_for_each_question() -> None:
+    names = [
+        "summary", "solutions", "fit", "identified", "agreement", "curves", "forces", "notes",
     ]  # fmt: skip
-    twice = replace(report(), groups=(group(), group()))
-    assert [sheet.name for sheet in tables_of(twice)][-2:] == ["A2, 85 mm", "A2, 85 mm 2"]
+    assert [sheet.name for sheet in tables_of(report())] == names
+    assert all(sheet.asks.count("?") for sheet in tables_of(report()))
 
 
 def test_rows_are_as_long_as_headings() -> None:
@@ -117,18 +115,29 @@ def test_notes_worst_first_and_what_is_told_apart() -> None:
     assert "prediction" in [row["of"] for row in rows(both, "notes")]
 
 
-def test_curves_of_a_wire_and_length() -> None:
-    found = rows(report(), "A2, 85 mm")
+def test_forces_of_samples_and_model() -> None:
+    every = rows(report(), "forces")
+    found = [row for row in every if (row["wire"], round(row["length (mm)"])) == ("A2", 85)]
     shown = group()
-    mean = [row["mean (N)"] for row in found if row.get("mean (N)") is not None]
+    mean = [row["force (N)"] for row in found if row["what"] == "mean of the samples"]
     np.testing.assert_allclose(mean, shown.band.mean)
-    upper = [row["model, upper (N)"] for row in found if row["model, upper (N)"] is not None]
+    upper = [row["force, upper (N)"] for row in found if row["what"] == "model"]
     np.testing.assert_allclose(upper, predicted().upper)
     name = next(iter(shown.samples))
-    force = [row[f"{name}, force (N)"] for row in found[:90]]
-    np.testing.assert_allclose(force, shown.samples[name].force)
-    bare = rows(CalibrationReport(usual(), (LOST,)), "A1, 85 mm")
-    assert "model (N)" not in bare[0]
+    own = [row for row in found if row["what"] == name]
+    np.testing.assert_allclose([row["force (N)"] for row in own], shown.samples[name].force)
+    assert own[0]["mean sample, lower (N)"] is None
+    bare = rows(CalibrationReport(usual(), (LOST,)), "forces")
+    assert "model" not in {row["what"] for row in bare}
+
+
+def test_a_chart_for_each_wire_and_length() -> None:
+    sheet = next(sheet for sheet in tables_of(report()) if sheet.name == "forces")
+    assert [chart.title for chart in sheet.charts][:2] == ["A2, 85 mm", "A2, 120 mm"]
+    line = sheet.charts[1].lines[0]
+    first, last = line.rows
+    assert {row[2] for row in sheet.rows[first : last + 1]} == {"mean of the samples"}
+    assert sheet.rows[first - 1][1] == pytest.approx(85.0)
 
 
 def test_external_curves_have_sheets_and_notes() -> None:

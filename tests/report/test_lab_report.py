@@ -103,4 +103,4 @@ def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
     for drawing in tmp_path.rglob("*.svg"):
         ElementTree.fromstring(drawing.read_bytes())
     book = load_workbook(tmp_path / "tables.xlsx")
-    assert printable(name) in {row[0] for row in book["groups"].iter_rows(values_only=True)}
+    assert printable(name) in {row[0] for row in book["means"].iter_rows(values_only=True)}

@@ -41,12 +41,20 @@ def book(folder: Path) -> Workbook:
     return saved([wire_table("A1"), troubled()], folder)
 
 
-def test_sheets_with_headings_that_stay_in_view(book: Workbook) -> None:
-    assert book.sheetnames == ["read me", "wires", "notes", "A1", "A3"]
+SHEETS = ["read me", "wires", "laws", "cantilevers", "onsets of slip", "strands", "notes"]
+
+
+def of_wire(book: Workbook, name: str, wire: str) -> list[dict[str, Any]]:
+    return [row for row in rows(book, name) if row["wire"] == wire]
+
+
+def test_one_sheet_for_each_question(book: Workbook) -> None:
+    assert book.sheetnames == SHEETS
     assert book.active is not None
     assert book.active.title == "wires"
-    assert [sheet.freeze_panes for sheet in book.worksheets] == ["A2", "B2", "A2", "A2", "A2"]
-    for sheet in book.worksheets:
+    assert [sheet.freeze_panes for sheet in book.worksheets[1:4]] == ["B2", "C2", "B2"]
+    for sheet in book.worksheets[1:]:
+        assert len(sheet.tables) == 1
         assert sheet["A1"].font.bold
         assert sheet["A1"].alignment.wrap_text
 
@@ -66,10 +74,12 @@ def test_summary_has_refused_wires_first_and_numbers_as_numbers(book: Workbook) 
     assert second["warnings"] == CUT.message
 
 
-def test_names_lead_to_their_sheets(book: Workbook) -> None:
+def test_names_lead_to_their_laws(book: Workbook) -> None:
     links = [book["wires"][f"A{row}"].hyperlink for row in (2, 3, 4)]
     assert links[0] is None
-    assert [link.location for link in links[1:]] == ["'A1'!A1", "'A3'!A1"]
+    places = [link.location for link in links[1:]]
+    assert places == ["'laws'!A2", f"'laws'!A{len(wire_table('A1').curvature) + 2}"]
+    assert book["laws"][places[1].partition("!")[2]].value == "A3"
 
 
 def test_notes_with_what_is_worst_first(book: Workbook) -> None:
@@ -80,9 +90,9 @@ def test_notes_with_what_is_worst_first(book: Workbook) -> None:
     ]
 
 
-def test_sheet_of_a_wire_holds_its_law(book: Workbook) -> None:
+def test_law_of_a_wire_and_what_belongs_to_it(book: Workbook) -> None:
     table = wire_table("A1")
-    law = rows(book, "A1")
+    law = of_wire(book, "laws", "A1")
     assert len(law) == len(table.curvature)
     for head, values in {
         "curvature (1/m)": table.curvature,
@@ -92,12 +102,23 @@ def test_sheet_of_a_wire_holds_its_law(book: Workbook) -> None:
         "highest moment of all orientations (N·mm)": 1e3 * table.highest_moment,
     }.items():
         np.testing.assert_allclose([row[head] for row in law], values, rtol=1e-14)
-    loads = [row["end load (N)"] for row in law if row["end load (N)"] is not None]
+    loads = [row["end load (N)"] for row in of_wire(book, "cantilevers", "A1")]
     np.testing.assert_allclose(loads, table.tip_force, rtol=1e-14)
-    onsets = [row["strands begin to slip (1/m)"] for row in law[: len(table.slip_onsets)]]
+    found = of_wire(book, "onsets of slip", "A1")
+    onsets = [row["strands begin to slip (1/m)"] for row in found]
     np.testing.assert_allclose(onsets, table.slip_onsets)
-    assert [row["layer of a strand"] for row in law[:8]] == [0, 1, 1, 1, 1, 1, 1, None]
-    assert law[1]["its centre, x (mm)"] == pytest.approx(0.26)
+    strands = of_wire(book, "strands", "A1")
+    assert [row["layer"] for row in strands] == [0, 1, 1, 1, 1, 1, 1]
+    assert strands[1]["x (mm)"] == pytest.approx(0.26)
+
+
+def test_laws_are_drawn_on_logarithmic_axes(book: Workbook, folder: Path) -> None:
+    laws: Any = book["laws"]
+    assert len(laws._charts) == 2
+    with zipfile.ZipFile(folder / "wires.xlsx") as parts:
+        chart = parts.read("xl/charts/chart1.xml")
+    assert chart.count(b"<c:logBase") == 2
+    assert b"laws!$B$3:$B$" in chart  # not the zero of the first row
 
 
 def test_other_programs_read_the_same(book: Workbook, folder: Path) -> None:
@@ -111,16 +132,17 @@ def test_other_programs_read_the_same(book: Workbook, folder: Path) -> None:
 
 def test_values_that_are_not_finite_are_empty_cells(tmp_path: Path) -> None:
     never = replace(wire_table("A1"), slip_onsets=np.array([0.03, np.inf]))
-    law = rows(saved([never], tmp_path), "A1")
-    assert [row["strands begin to slip (1/m)"] for row in law[:2]] == [0.03, None]
+    found = rows(saved([never], tmp_path), "onsets of slip")
+    assert [row["strands begin to slip (1/m)"] for row in found] == [0.03, None]
 
 
-def test_names_of_sheets_are_safe_and_unique(tmp_path: Path) -> None:
+def test_any_name_of_a_wire(tmp_path: Path) -> None:
     names = ["x" * 40, "x" * 41, "a/b", "wires", "Notes"]
     book = saved([replace(wire_table("A1"), name=name) for name in names], tmp_path)
-    assert book.sheetnames[3:] == ["x" * 31, "x" * 29 + " 2", "a-b", "wires 2", "Notes 2"]
+    assert book.sheetnames == SHEETS
     assert [row["wire"] for row in rows(book, "wires")] == ["Z1", *names]
-    assert book["wires"]["A5"].hyperlink.location == "'a-b'!A1"
+    place = book["wires"]["A5"].hyperlink.location.partition("!")[2]
+    assert book["laws"][place].value == "a/b"
 
 
 @pytest.mark.parametrize("name", ["=1+1", "#N/A", "+2", "@SUM(A1)", "a\x07b"])
@@ -141,14 +163,14 @@ def test_hundreds_of_wires_share_the_rows(tmp_path: Path) -> None:
     last = rows(book, "wires")[-1]
     assert last["rows shown"] == MOST_ROWS // count < last["rows of the law"]
     assert 0.0 < last["error between the rows shown, largest (% of moment)"] < 0.5
-    law = rows(book, "w99")
-    assert sum(row["moment (N·mm)"] is not None for row in law) == last["rows shown"]
-    assert law[last["rows shown"] - 1]["curvature (1/m)"] == pytest.approx(table.curvature[-1])
+    law = of_wire(book, "laws", "w99")
+    assert len(law) == last["rows shown"]
+    assert law[-1]["curvature (1/m)"] == pytest.approx(table.curvature[-1])
 
 
 def test_no_wire_at_all(tmp_path: Path) -> None:
     book = saved([], tmp_path)
-    assert book.sheetnames == ["read me", "wires", "notes"]
+    assert book.sheetnames == SHEETS
     assert [row["wire"] for row in rows(book, "wires")] == ["Z1"]
 
 

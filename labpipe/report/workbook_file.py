@@ -1,0 +1,432 @@
+"""Tables as the sheets of a workbook: filters, heads that stay in view, digits, charts, print."""
+
+from __future__ import annotations
+
+import io
+import math
+import textwrap
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from labpipe.errors import StoreError, complaint
+from labpipe.report.wording import printable, shortened
+from labpipe.report.workbook_cells import (
+    Shown,
+    Value,
+    begin_of,
+    column_place,
+    form_in_column,
+)
+
+_NARROWEST, _WIDEST, _WRAPPED = 8, 34, 46
+"""Characters: of the narrowest column, of the widest, and of one whose text is wrapped."""
+_LINE = 15.0
+"""Height of a line of text, in points."""
+_FILTER = 3
+"""Characters that the button of a filter takes."""
+_PAGE_WIDTH = 250
+"""Characters side by side on a landscape page, at the smallest print that is still read."""
+_LONGEST_TEXT, _LONGEST_FOOTER = 32_767, 90
+_RISKY = frozenset("=+-@#")
+"""Letters with which a text, typed anew, would become a formula or an error."""
+_A4 = 9
+_MADE = datetime(2000, 1, 1)
+"""A fixed time: the same content gives the same bytes."""
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+"""Okabe and Ito's, as in the figures."""
+_DASHES = ("solid", "dash", "square_dot", "dash_dot")
+_MOST_ABOVE = 80
+"""Rows of a table that has its charts below it."""
+_MOST_LINES = 12
+"""Lines that a chart can tell apart."""
+
+
+class Line(NamedTuple):
+    """A line of a chart, or its bars.
+
+    Parameters
+    ----------
+    name : in the legend
+    rows : first and last, from 0 below the heading
+    across, up : numbers of the columns; of bars `across` has the names
+    minus, plus : columns of the lengths of error bars; 0 for none
+    """
+
+    name: str
+    rows: tuple[int, int]
+    across: int
+    up: int
+    minus: int = 0
+    plus: int = 0
+
+
+class Chart(NamedTuple):
+    """A chart beside a table; what it shows is the cells.
+
+    Parameters
+    ----------
+    title : above it; none if empty
+    across, up : words at the axes, with units
+    lines : drawn; beyond `_MOST_LINES` they are left out
+    kind : lines over numbers, or bars of positive numbers over names
+    is_log : both axes are logarithmic
+    """
+
+    title: str
+    across: str
+    up: str
+    lines: Sequence[Line]
+    kind: Literal["lines", "bars"] = "lines"
+    is_log: bool = False
+
+
+class Sheet(NamedTuple):
+    """A sheet before it is written.
+
+    Parameters
+    ----------
+    name : free of what a sheet's name may not hold, and no other sheet's
+    heads : headings, with units
+    rows : below them
+    frozen : columns at the left that stay in view, as the headings do
+    links : text of the first column -> place that it leads to, such as ``'laws'!A12``
+    asks : the question that it answers
+    charts : below the table; of a long one beside it, and then they go to paper in its place
+    wrapped : headings of columns whose text is broken into lines
+    printed : heading of the last column that goes to paper; all if empty
+    printed_rows : of the table, from the top, that go to paper; all if None
+    """
+
+    name: str
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Value]]
+    frozen: int = 0
+    links: Mapping[str, str] = {}
+    asks: str = ""
+    charts: Sequence[Chart] = ()
+    wrapped: Sequence[str] = ()
+    printed: str = ""
+    printed_rows: int | None = None
+
+    @property
+    def is_long(self) -> bool:
+        """Tell whether charts have to stand beside the table, and go to paper in its place."""
+        return len(self.rows) > _MOST_ABOVE
+
+    @property
+    def printed_columns(self) -> int:
+        """Columns that go to paper."""
+        return list(self.heads).index(self.printed) + 1 if self.printed else len(self.heads)
+
+
+class About(NamedTuple):
+    """What a book says of itself.
+
+    Parameters
+    ----------
+    title : of what it holds
+    lines : how to read it, a line each
+    footer : at the foot of each printed page: title, report
+    """
+
+    title: str
+    lines: Sequence[str]
+    footer: str = ""
+
+
+READ_ME = "read me"
+
+
+def save_book(about: About, sheets: Sequence[Sheet], path: Path, *, again: str) -> None:
+    """Write sheets as an xlsx file, behind one that says how to read them.
+
+    Parameters
+    ----------
+    about : what stands in the sheet `READ_ME`, which lists the others and leads to them
+    sheets : in their order; the first of them is seen first
+    path : of the file
+    again : how to make the file again, for a message
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written.
+
+    Notes
+    -----
+    Text stays text: a sample that is called ``=1+1`` is not a formula. Numbers that are not finite
+    are empty cells. Characters that a workbook cannot hold are shown as U+FFFD. The same sheets
+    give the same bytes.
+    """
+    memory = io.BytesIO()
+    book = _Book(memory, about)
+    book.read_me(about, sheets)
+    for number, sheet in enumerate(sheets):
+        book.add(sheet, is_first=not number)
+    book.close()
+    try:
+        path.write_bytes(memory.getvalue())
+    except OSError as error:
+        message = complaint(
+            path,
+            "",
+            expected="a workbook that can be written",
+            found=str(error),
+            remedy=f"Make room, change the permissions, or close it where it is open, and {again}"
+            " again.",
+        )
+        raise StoreError(message) from error
+
+
+class _Book:
+    """A workbook that is being written."""
+
+    def __init__(self, file: io.BytesIO, about: About) -> None:
+        from xlsxwriter import Workbook
+
+        self.book = Workbook(file, {"in_memory": True})
+        self.book.set_properties({"title": printable(about.title), "created": _MADE})
+        self.forms: dict[str, Any] = {}
+        footer = shortened(printable(about.footer or about.title), _LONGEST_FOOTER)
+        self.footer = f"&L&8{footer.replace('&', '&&')}&C&8&A&R&8page &P of &N"
+
+    @cached_property
+    def head(self) -> Any:
+        """Look of a heading."""
+        return self.book.add_format(
+            {"bold": True, "text_wrap": True, "valign": "top", "bottom": 1, "align": "left"}
+        )
+
+    def form(self, number: str = "", **look: Any) -> Any:
+        """Look of a cell, made once."""
+        key = f"{number} {sorted(look)}"
+        if key not in self.forms:
+            wanted = {"valign": "top", **({"num_format": number} if number else {}), **look}
+            self.forms[key] = self.book.add_format(wanted)
+        return self.forms[key]
+
+    def read_me(self, about: About, sheets: Sequence[Sheet]) -> None:
+        """Write how to read the book, and which question each sheet answers."""
+        page = self.book.add_worksheet(READ_ME)
+        page.set_column(0, 0, 26)
+        page.set_column(1, 1, 100)
+        _write_text(page, 0, 0, about.title, self.head)
+        wrapped = self.form(text_wrap=True)
+        for row, line in enumerate(about.lines, start=1):
+            page.merge_range(row, 0, row, 1, "", wrapped)
+            _write_text(page, row, 0, line, wrapped)
+            page.set_row(row, _LINE * math.ceil(len(line) / 115))
+        start = len(about.lines) + 2
+        for column, word in enumerate(("Sheet", "Question that it answers")):
+            _write_text(page, start, column, word, self.head)
+        for row, sheet in enumerate(sheets, start=start + 1):
+            page.set_row(row, _LINE * math.ceil(len(sheet.asks) / 90))
+            page.write_url(row, 0, f"internal:'{sheet.name}'!A1", string=sheet.name)
+            _write_text(page, row, 1, sheet.asks, wrapped)
+        self._set_up_print(page)
+        page.fit_to_pages(1, 0)
+
+    def add(self, sheet: Sheet, *, is_first: bool) -> None:
+        """Write one sheet: the table, what is beside it, how it is printed."""
+        page = self.book.add_worksheet(sheet.name)
+        if is_first:
+            page.activate()
+        widths = _widths(sheet)
+        for at, width in enumerate(widths):
+            page.set_column(at, at, width)
+        forms = [column_place(column) for column in zip(*sheet.rows, strict=True)]
+        wrapped = [head in sheet.wrapped for head in sheet.heads]
+        for number, row in enumerate(sheet.rows, start=1):
+            for at, value in enumerate(row):
+                self._write(page, (number, at), value, forms[at], is_wrapped=wrapped[at])
+            lines = _lines(row, wrapped)
+            if lines > 1:
+                page.set_row(number, lines * _LINE)
+        for number, row in enumerate(sheet.rows if sheet.links else (), start=1):
+            if (place := sheet.links.get(str(row[0]))) is not None:
+                page.write_url(number, 0, f"internal:{place}", string=printable(str(row[0])))
+        self._make_table(page, sheet)
+        page.set_row(0, _LINE * _head_lines(sheet.heads, widths), self.head)
+        page.freeze_panes(1, sheet.frozen)
+        size = _chart_size(sheet, widths)
+        self._draw(page, sheet, size)
+        self._set_up_print(page)
+        _lay_out(page, sheet, widths, size)
+
+    def _write(
+        self, page: Any, place: tuple[int, int], value: Value, form: int | None, *, is_wrapped: bool
+    ) -> None:
+        if value is None or value == "":
+            return
+        if isinstance(value, str):
+            look: dict[str, Any] = {"quote_prefix": True} if value[:1] in _RISKY else {}
+            look |= {"text_wrap": True} if is_wrapped else {"align": "left", "indent": 1}
+            _write_text(page, *place, value, self.form(**look))
+            return
+        number = value.value if isinstance(value, Shown) else value
+        if math.isfinite(number):
+            seen = value.form if isinstance(value, Shown) else form_in_column(value, form)
+            page.write_number(*place, number, self.form(seen))
+
+    def _make_table(self, page: Any, sheet: Sheet) -> None:
+        heads = unique_heads(sheet.heads)
+        if not sheet.rows:
+            for at, head in enumerate(heads):
+                _write_text(page, 0, at, head, self.head)
+            return
+        columns = [{"header": each, "header_format": self.head} for each in heads]
+        look = {"columns": columns, "style": "Table Style Light 1"}
+        page.add_table(0, 0, len(sheet.rows), len(heads) - 1, look)
+
+    def _draw(self, page: Any, sheet: Sheet, size: tuple[int, int]) -> None:
+        top, left = (1, len(sheet.heads) + 1) if sheet.is_long else (len(sheet.rows) + 2, 0)
+        width, height = size
+        for number, chart in enumerate(sheet.charts):
+            down, across = divmod(number, _CHARTS_ABREAST)
+            offset = {"x_offset": across * width, "y_offset": down * height, "object_position": 3}
+            drawn = _chart(self.book, sheet.name, chart)
+            drawn.set_size({"width": width - _GAP, "height": height - _GAP})
+            page.insert_chart(top, left, drawn, offset)
+
+    def _set_up_print(self, page: Any) -> None:
+        page.set_landscape()
+        page.set_paper(_A4)
+        page.set_margins(left=0.4, right=0.4, top=0.5, bottom=0.6)
+        page.set_footer(self.footer)
+
+    def close(self) -> None:
+        """Write what is left."""
+        self.book.close()
+
+
+_CHARTS_ABREAST, _GAP = 2, 16
+_CHART_WIDTH, _NARROWEST_CHART, _HEIGHT_OF_WIDTH = 704, 400, 0.62
+_CELL_WIDTH, _CELL_HEIGHT, _CHARACTER = 64, 20, 7
+"""Pixels: of charts, and of cells of usual size."""
+
+
+def _chart_size(sheet: Sheet, widths: Sequence[int]) -> tuple[int, int]:
+    """Width and height of a chart with its gap: below a table two of them are as wide as it is."""
+    width = _CHART_WIDTH
+    if not sheet.is_long:
+        room = _CHARACTER * sum(widths[: sheet.printed_columns]) // _CHARTS_ABREAST
+        width = min(max(room, _NARROWEST_CHART), _CHART_WIDTH)
+    return width, int(_HEIGHT_OF_WIDTH * width)
+
+
+def _lay_out(page: Any, sheet: Sheet, widths: Sequence[int], size: tuple[int, int]) -> None:
+    """Say what goes to paper: headings on every page, as wide as the page is."""
+    width, height = size
+    deep = math.ceil(math.ceil(len(sheet.charts) / _CHARTS_ABREAST) * height / _CELL_HEIGHT)
+    if sheet.charts and sheet.is_long:
+        left = len(sheet.heads) + 1
+        wide = min(len(sheet.charts), _CHARTS_ABREAST) * width // _CELL_WIDTH
+        page.print_area(1, left, deep, left + wide)
+        page.fit_to_pages(1, 0)
+        return
+    rows = len(sheet.rows) if sheet.printed_rows is None else sheet.printed_rows
+    bottom = rows + 2 + deep if sheet.charts else max(rows, 1)
+    page.repeat_rows(0)
+    page.print_area(0, 0, bottom, sheet.printed_columns - 1)
+    across = max(math.ceil(sum(widths[: sheet.printed_columns]) / _PAGE_WIDTH), 1)
+    if across > 1 and sheet.frozen:
+        page.repeat_columns(0, sheet.frozen - 1)
+    page.fit_to_pages(across, 1 if sheet.charts else 0)
+
+
+def unique_heads(heads: Sequence[str]) -> list[str]:
+    """Headings of a table, of which no two may be alike, whatever their letters, and none empty."""
+    found: list[str] = []
+    taken: set[str] = set()
+    for head in heads:
+        plain = printable(head)[:250] or "column"
+        name, number = plain, 1
+        while name.casefold() in taken:
+            number += 1
+            name = f"{plain} {number}"
+        taken.add(name.casefold())
+        found.append(name)
+    return found
+
+
+def _write_text(page: Any, row: int, column: int, text: str, form: Any) -> None:
+    page.write_string(row, column, begin_of(printable(text), _LONGEST_TEXT), form)
+
+
+def _lines(row: Sequence[Value], wrapped: Sequence[bool]) -> int:
+    """Lines of the longest text of a row that is wrapped."""
+    lengths = [
+        len(value)
+        for value, is_wrapped in zip(row, wrapped, strict=True)
+        if is_wrapped and isinstance(value, str)
+    ]
+    return math.ceil(max(lengths, default=0) / (0.95 * _WRAPPED))
+
+
+def _head_lines(heads: Sequence[str], widths: Sequence[int]) -> int:
+    """Lines of the longest heading, broken between its words."""
+    pairs = zip(heads, widths, strict=True)
+    return max((len(textwrap.wrap(head, width - _FILTER)) for head, width in pairs), default=1)
+
+
+def _widths(sheet: Sheet) -> list[int]:
+    """Width of each column: of its longest text; headings are broken into lines."""
+    widths = [max(_NARROWEST, *map(len, head.split(" "))) + _FILTER for head in sheet.heads]
+    for row in sheet.rows:
+        for at, value in enumerate(row):
+            if isinstance(value, str):
+                widths[at] = max(widths[at], len(value) + 1)
+    most = [_WRAPPED if head in sheet.wrapped else _WIDEST for head in sheet.heads]
+    return [min(pair) for pair in zip(widths, most, strict=True)]
+
+
+def _chart(book: Any, name: str, chart: Chart) -> Any:
+    is_bars = chart.kind == "bars"
+    drawn = book.add_chart(
+        {"type": "bar"} if is_bars else {"type": "scatter", "subtype": "straight"}
+    )
+    for number, line in enumerate(chart.lines[:_MOST_LINES]):
+        drawn.add_series(_series(name, line, number, is_bars=is_bars))
+    font = {"name_font": {"bold": False, "size": 10}, "num_font": {"size": 9}}
+    grid = {"major_gridlines": {"visible": True, "line": {"color": "#e0e0e0", "width": 0.5}}}
+    log = {"log_base": 10, "crossing": "min"} if chart.is_log else {}
+    values = {**font, **grid, **log, "num_format": "General"}
+    if is_bars:  # names go up, the first on top; numbers go to the right
+        drawn.set_x_axis({"name": printable(chart.up), "min": 0, **values})
+        drawn.set_y_axis({"reverse": True, "crossing": "max", "interval_unit": 1, **font})
+    else:
+        drawn.set_x_axis({"name": printable(chart.across), **values})
+        drawn.set_y_axis({"name": printable(chart.up), **values})
+    title = {"name": printable(chart.title), "name_font": {"bold": False, "size": 11}}
+    drawn.set_title(title if chart.title else {"none": True})
+    drawn.set_legend({"none": True} if is_bars else {"position": "right", "font": {"size": 9}})
+    return drawn
+
+
+def _cells(sheet: str, first: int, last: int, column: int) -> str:
+    from xlsxwriter.utility import xl_range_abs
+
+    return f"='{sheet}'!{xl_range_abs(first, column, last, column)}"
+
+
+def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, Any]:
+    first, last = (row + 1 for row in line.rows)
+    colour = COLOURS[number % len(COLOURS)]
+    dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
+    series: dict[str, Any] = {
+        "name": printable(line.name),
+        "categories": [sheet, first, line.across, last, line.across],
+        "values": [sheet, first, line.up, last, line.up],
+    }
+    if is_bars:
+        series |= {"fill": {"color": colour}, "gap": 60}
+    else:
+        series |= {"line": {"color": colour, "width": 1.5, "dash_type": dash}}
+    if line.plus:
+        ends = {"minus_values": line.minus, "plus_values": line.plus}
+        bars = {"type": "custom", **{k: _cells(sheet, first, last, at) for k, at in ends.items()}}
+        series["y_error_bars"] = {**bars, "line": {"color": "#333333", "width": 1.0}}
+    return series
