@@ -47,6 +47,7 @@ def curves() -> list[MeasuredCurve]:
                 force=seen.force,
                 noise=np.hypot(scenario.load_cell.noise, slope * scenario.markers.noise),
                 rig=string,
+                self_weight=rig.self_weight,
             )
         )
     return found

@@ -2,8 +2,9 @@
 
 What load cell and cameras would give if their clocks agreed and nothing were lost: the true curve,
 noise, and the error of the load cell. The curve is solved as that of every test is, but only three
-times for each wire and length: with moments f times as large the wire does under a counterweight w
-exactly what the plain one does under w / f, at f times the force; and that is smooth in 1 / f.
+times for each wire and length: with moments f times as large the wire does under weights w of its
+own and at its tip exactly what the plain one does under w / f, at f times the force; and that is
+smooth in 1 / f.
 """
 
 from __future__ import annotations
@@ -136,10 +137,10 @@ def _positions(test: MechanicalTest) -> Floats:
 
 @lru_cache(maxsize=32)
 def _plain_loadings(test: MechanicalTest) -> Floats:
-    """Deflections and forces of the plain wire under three counterweights, shape (3, 2, n)."""
+    """Deflections and forces of the plain wire under three gravities, shape (3, 2, n)."""
     curves = []
     for inverse in _INVERSES.tolist():
-        path = solve_path(replace(test, counterweight=test.counterweight * inverse))
+        path = solve_path(replace(test, gravity=test.gravity * inverse))
         at = _positions(test)
         curves.append([path.deflection(at), path.tension(at) - path.rest.tension])
     return np.array(curves)

@@ -7,8 +7,12 @@ The wire keeps its length and its direction at the clamp. Its angle in frame f i
 
     theta_f(s) = theta_rest(s) + integral from 0 to s of [kappa(M_f) - kappa(M_rest)] ds'
 
-with one law kappa(M) for all places and frames; x = integral cos theta, y = integral sin theta, and
-markers stand off along the normal.
+with one law kappa(M) for all places and frames. Where the specimen's weight or that at its tip had
+bent it the other way, it goes back by Masing's rule until it is bent as much this way:
+
+    kappa - kappa(M_rest) = 2 kappa((M_f - M_rest) / 2).
+
+x = integral cos theta, y = integral sin theta, and markers stand off along the normal.
 """
 
 from __future__ import annotations
@@ -323,8 +327,7 @@ class LawShapes:
     @classmethod
     def of(cls, loaded: Loaded, basis: LawBasis) -> LawShapes:
         """Prepare the laws of a basis."""
-        at_rest = basis.values(loaded.moment_at_rest)
-        turns = loaded.line.integral(basis.values(loaded.moment) - at_rest)
+        turns = loaded.line.integral(basis.changes(loaded.moment_at_rest, loaded.moment))
         begin = loaded.angle_at_rest[None]
         return cls(loaded, turns, _centres(loaded, np.sin(begin), np.cos(begin)))
 
@@ -400,6 +403,24 @@ class LawBasis:
         values[..., 1:] += rising
         values[..., -1] += np.maximum(size - self.knots[-1], 0.0)
         return np.asarray(np.sign(moment)[..., None] * values, dtype=np.float64)
+
+    def changes(self, rest: Floats, moment: Floats) -> Floats:
+        """Change of curvature from a rest reached by first loading, per unit of compliance.
+
+        Parameters
+        ----------
+        rest : shape (points,), N m
+        moment : shape (n, points), N m
+
+        Returns
+        -------
+        shape (n, points, knots).
+        """
+        plain = self.values(moment) - self.values(rest)
+        way = moment - rest
+        turned = (way * rest < 0.0) & (np.abs(way) < 2.0 * np.abs(rest))
+        plain[turned] = 2.0 * self.values(0.5 * way[turned])
+        return plain
 
 
 def law_knots(largest: float, count: int) -> LawBasis:

@@ -249,6 +249,19 @@ def require_positive(name: str, value: float) -> None:
         raise ValueError(message)
 
 
+def require_not_negative(name: str, value: float) -> None:
+    """Refuse a number that is not finite, or negative.
+
+    Raises
+    ------
+    ValueError
+        With the name, the value and what is allowed.
+    """
+    if not (np.isfinite(value) and value >= 0.0):
+        message = f"{name}={value!r}: allowed are finite numbers >= 0"
+        raise ValueError(message)
+
+
 def require_finite(name: str, values: Floats | float) -> None:
     """Refuse numbers that are NaN or infinite.
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from labpipe.bending.bent_frames import held_at_rest
 from labpipe.errors import in_test_sheet
 from labpipe.process.calibrated_signals import Prepared
 from labpipe.process.motion import Motion
@@ -53,7 +54,8 @@ def check_rig(
     Parameters
     ----------
     signals, shape : of the test
-    protocol : resolved; cycles, stroke, specimen length, counterweight where it has them
+    protocol : resolved; cycles, stroke, the specimen's length and mass, counterweight where it has
+        them
     branches : of the motion
     is_blocked : whether there is no curve
     """
@@ -62,8 +64,10 @@ def check_rig(
     force = signals.filtered.get(signals.force)
     if force is None or protocol.curve is None:
         return
-    if protocol.rig.string is not None:  # by the counterweight the force can fall, no further
+    if protocol.rig.string is not None:  # by what the string holds the force can fall, no further
         weight = protocol.rig.string.counterweight * GRAVITY
+        self_weight = GRAVITY * (protocol.specimen.mass_per_length or 0.0)
+        weight += held_at_rest(self_weight, protocol.specimen.length or 0.0)
         yield from _negative(_per_second(force), -1.2 * weight - 2e-3, "a string cannot push")
     if protocol.specimen.span is not None and force.has_time and not is_blocked:
         why = "what presses on a specimen between supports cannot pull at it"

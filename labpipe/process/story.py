@@ -215,6 +215,7 @@ def _evidence(
     setup = Setup(
         length=specimen.length,
         span=specimen.span,
+        mass_per_length=specimen.mass_per_length,
         section={name: size for name, size in sizes.items() if size is not None},
         uncertainties=_uncertainties(protocol),
         string=None

@@ -17,8 +17,8 @@ from labpipe.protocol.yaml_text import Document, Spot
 from labpipe.records.declarations import Step, TravelFromSpeed
 from labpipe.units import whole_number
 
-SHEET_DIMENSIONS = ("length", "span")
-"""Dimensions of the sheet's specimen that override those of the protocol."""
+SHEET_DIMENSIONS = ("length", "span", "mass_per_length")
+"""Keys of the sheet's specimen that override those of the protocol."""
 _LEFT = {"follow_links": "Write it into the protocol, or give --follow-links."}
 """Keys that a test sheet must not change, and what to do instead."""
 _LISTS = (("steps",), ("results",))

@@ -31,6 +31,7 @@ from labpipe.records.declarations import (
     Force,
     Key,
     Length,
+    LinearMass,
     Mass,
     Moment,
     Offset,
@@ -68,6 +69,9 @@ class SpecimenBlock(Block):
 
     length: Length | None = Field(None, description="Free length; a test sheet can give its own")
     span: Length | None = Field(None, description="Distance of the supports")
+    mass_per_length: LinearMass | None = Field(
+        None, description="Bends a cantilever by its weight; left out where it is not given"
+    )
     section: Section | None = None
     uncertainty: SizeUncertainties | None = Field(
         None, description="Standard uncertainties of these sizes; a test sheet can give its own"

@@ -40,7 +40,7 @@ from labpipe.protocol.values import (
     one_or_several,
     parse_day,
 )
-from labpipe.records.declarations import Length, Offset, Snake, Whole
+from labpipe.records.declarations import Length, LinearMass, Offset, Snake, Whole
 from labpipe.records.harness_bundle import NONE, PACKED, Bundle, BundleWire
 from labpipe.records.result import Specimen
 from labpipe.units import parse_quantity
@@ -320,6 +320,9 @@ class SheetSpecimen(Block):
     spool: Line
     sample: Line
     length: Length | None = Field(None, description="Free length; overrides the protocol's")
+    mass_per_length: LinearMass | None = Field(
+        None, description="Mass per length; overrides the protocol's"
+    )
     uncertainty: SizeUncertainties | None = Field(
         None, description="Standard uncertainties of sizes; override the protocol's"
     )

@@ -25,6 +25,8 @@ _B = TypeVar("_B", bound=Block)
 
 AREAS_AGREE = 0.02
 """Share by which a conductor area may differ from that of the strands' diameters."""
+MASSES_AGREE = 4.0 / 3.0
+"""Ratio by which a mass may differ from that of strands and wall: fillers, tin, a gap."""
 _TOUCHING = 1e-3  # of the bore: less is rounding of the sheet
 _UNITS = {
     "mm": ("_mm", 1e-3),
@@ -34,6 +36,8 @@ _UNITS = {
     "GPa": ("_gpa", 1e9),
     "N": ("_n", 1.0),
     "1/m": ("_per_m", 1.0),
+    "g/m": ("_g_per_m", 1e-3),
+    "kg/m^3": ("_kg_per_m3", 1.0),
     "": ("", 1.0),
 }
 """How the name of a column ends, and the factor to SI, by the unit."""
@@ -156,6 +160,9 @@ class WireRow(Block):
     friction_strand: Annotated[float | None, Column("", 0.0, 10.0)] = None
     friction_insulation: Annotated[float | None, Column("", 0.0, 10.0)] = None
     radial_force_n: Annotated[float | None, Column("N", 0.0, 1e6)] = None
+    mass_per_length_g_per_m: Annotated[float | None, Column("g/m", 1e-3, 1e5)] = None
+    conductor_density_kg_per_m3: Annotated[float | None, Column("kg/m^3", 100.0, 3e4)] = None
+    insulation_density_kg_per_m3: Annotated[float | None, Column("kg/m^3", 10.0, 2e4)] = None
     length_mm: Annotated[float | None, Column("mm", 1.0, 1e5)] = None
     tension_n: Annotated[float | None, Column("N", 0.0, 1e7)] = None
     orientation_deg: Annotated[float | None, Column("deg", -3600.0, 3600.0, period=360.0)] = None
@@ -186,9 +193,14 @@ class WireRow(Block):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:
-        if faults := [*_layer_faults(self)] or [*_room_faults(self)]:
+        if faults := [*_layer_faults(self)] or [*_room_faults(self)] or [*_mass_faults(self)]:
             raise raised(faults, self)
         return self
+
+    @property
+    def has_mass(self) -> bool:
+        """Whether the sheet says what the wire weighs."""
+        return self.mass_per_length_g_per_m is not None
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -224,6 +236,7 @@ NEEDED: Final = tuple(n for n, field in WireRow.model_fields.items() if field.is
 SIZES: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2")
 """Columns of which every sheet has at least one."""
 _OF_THE_CURVE = ("conductor_modulus_gpa", "copper_k_mpa", "copper_n")
+_DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _ALWAYS_THERE = (*NEEDED, "lay_angles_deg")
 
 
@@ -304,6 +317,36 @@ def _room_faults(row: WireRow) -> Iterator[Fault]:
         )
 
 
+def _mass_faults(row: WireRow) -> Iterator[Fault]:
+    """Find a mass that cannot be that of the strands and the wall."""
+    said = row.mass_per_length_g_per_m
+    if said is None:
+        return
+    angles = (0.0,) * int(row.counts[0] == 1) + row.lay_angles_deg
+    layers = zip(row.counts, row.diameters, angles, strict=True)
+    strands = sum(n * d**2 / math.cos(math.radians(angle)) for n, d, angle in layers)
+    outer, bore = row.wire_diameter_mm, row.wire_diameter_mm - 2.0 * row.insulation_thickness_mm
+    conductor = _density(row.conductor_density_kg_per_m3, "conductor_density")
+    insulation = _density(row.insulation_density_kg_per_m3, "insulation_density")
+    whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
+    if 1.0 / MASSES_AGREE <= said / whole <= MASSES_AGREE:
+        return
+    expected = (
+        f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} kg/m^3, "
+        f"wall of {insulation:.4g} kg/m^3)"
+    )
+    remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
+    yield Fault(("mass_per_length_g_per_m",), expected, f"{said:.4g} g/m", remedy)
+
+
+def _density(said: float | None, field: str) -> float:
+    return float(said if said is not None else _default_of(field))
+
+
+def _default_of(field: str) -> Any:
+    return next(each.default for each in fields(WireSpec) if each.name == field)
+
+
 def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | None) -> WireSpec:
     """Make the record of a row, with words for what it leaves open.
 
@@ -329,8 +372,8 @@ def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | N
             values[field_of(name)] = COLUMNS[name].in_si(value)
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
-    of_curve = _OF_THE_CURVE if curve else ()
-    silent = {field_of(name): name for name in _WITH_DEFAULT if name not in of_curve}
+    needless = {*(_OF_THE_CURVE if curve else ()), *(_DENSITIES if row.has_mass else ())}
+    silent = {field_of(name): name for name in _WITH_DEFAULT if name not in needless}
     defaults = {
         field: default_words(name) + " (blank in this row)" * (name in blank)
         for field, name in silent.items()
@@ -341,7 +384,8 @@ def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | N
 
 _WITH_DEFAULT = (
     *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson", "copper_k_mpa", "copper_n"),
-    *("friction_strand", "friction_insulation", "radial_force_n", "length_mm", "tension_n"),
+    *("friction_strand", "friction_insulation", "radial_force_n"),
+    *(*_DENSITIES, "length_mm", "tension_n"),
     *("orientation_deg", "largest_curvature_per_m", "layout"),
 )
 
@@ -361,7 +405,7 @@ def default_words(name: str) -> str:
     field = field_of(name)
     if field == "largest_curvature":
         return "largest curvature at a bending radius of five wire diameters"
-    value = next(each.default for each in fields(WireSpec) if each.name == field)
+    value = _default_of(field)
     if value is MISSING:
         message = f"{name}: allowed are columns with a default"
         raise ValueError(message)

@@ -41,6 +41,8 @@ class WireSpec:
     radial_force : of the insulation, N per radian of lay and strand of the outermost ring
     layout : one of `LAYOUTS`
     layer_radii : m, of the strands' centroids in compressed layers, where they are known
+    mass_per_length : kg/m; None for that of the section by the densities
+    conductor_density, insulation_density : kg/m^3
     length : free length of the cantilever, m
     tension : of the wire, N
     orientation : of the section against the neutral axis, rad
@@ -66,6 +68,9 @@ class WireSpec:
     radial_force: float = 0.15
     layout: str = AUTO
     layer_radii: tuple[float, ...] | None = None
+    mass_per_length: float | None = None
+    conductor_density: float = 8960.0
+    insulation_density: float = 1400.0
     length: float = 85.0e-3
     tension: float = 0.0
     orientation: float = 0.0

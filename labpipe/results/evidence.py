@@ -70,6 +70,7 @@ class Setup:
     Parameters
     ----------
     length, span : m, of the specimen, and between its supports; None where not given
+    mass_per_length : kg/m; None where not given
     section : m (the area m^2), sizes of the cross-section by the keys of the protocol
     uncertainties : m (of the area m^2), standard uncertainties of length, span and section by the
         keys of the protocol; what is not there is taken as exact
@@ -81,6 +82,7 @@ class Setup:
 
     length: float | None = None
     span: float | None = None
+    mass_per_length: float | None = None
     section: Mapping[str, float] = field(default_factory=dict)
     uncertainties: Mapping[str, float] = field(default_factory=dict)
     string: LoadString | None = None

@@ -1,14 +1,15 @@
 """The moment-curvature law that a test shows, and what its string held at rest.
 
-A string that is taut at rest carries the counterweight, and nothing bends the wire. One that is
-slack, or only just spans, leaves the counterweight to the wire: it hangs, and has been bent one way
-before it is bent the other. The test itself tells, in four ways:
+A string that is taut at rest carries the counterweight, and of the wire's own weight what a prop at
+the tip carries, 3/8: the load at the tip. One that is slack, or only just spans, leaves that load
+to the wire: it hangs, and has been bent one way before it is bent the other. The test itself tells,
+in four ways:
 
 - the string goes slack in a later cycle: the clamp moves and the tip moves with it. What the force
   then lies below that at rest is what the string carried at rest;
 - the force falls below that at rest: a string that carried nothing cannot;
 - the clamp is ahead of the tip once the string pulls: the string was slack by as much;
-- the tip stands below the axis of the clamp at rest by as much as the counterweight bends the wire.
+- the tip stands below the axis of the clamp at rest by as much as that load bends the wire.
 """
 
 from __future__ import annotations
@@ -20,7 +21,13 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, curves_at
+from labpipe.bending.bent_frames import (
+    BendingErrors,
+    BendingTest,
+    TipPull,
+    curves_at,
+    held_at_rest,
+)
 from labpipe.bending.law_table import measure_bending
 from labpipe.errors import in_test_sheet
 from labpipe.records.arrays import Flags, Floats, Ints
@@ -36,16 +43,16 @@ EARLY = (0.5e-3, 3e-3)
 SLACK = 0.2e-3
 """m; a clamp that is ahead by more had travelled before the string pulled."""
 HANGS, LEANS = 0.5, 0.1
-"""Shares of the deflection that the counterweight gives the wire: a tip that stands lower than the
+"""Shares of the deflection that the load gives the wire: a tip that stands lower than the
 first hung, one that stands lower than the second is reported, for wires are not quite straight."""
 STRAIGHT, LEAST_REACH = 0.25, 0.5e-3
 """Share of that deflection within which a wire is straight, for wires are curled; and m that it is
 at least, to differ from the direction of the clamp."""
 NOTHING, ALL = 0.25, 0.75
-"""Shares of the counterweight: a string that carried less carried nothing, one that carried more
+"""Shares of the load at the tip: a string that carried less carried nothing, one that carried more
 carried all of it."""
 _PULLED = 0.05
-"""Share of the counterweight by which a force lies below that at rest, so that a string held it."""
+"""Share of the load at the tip by which a force lies below that at rest: then a string held it."""
 _SURELY = 5.0
 """Standard errors of a mean by which a force is different."""
 _BLOCKS = 100
@@ -67,12 +74,13 @@ class AtRest:
     ahead : m, by which the clamp is ahead of the tip early in the first loading; NaN where the
         test has no travel of the clamp
     sag : m, of the tip below the axis of the clamp at rest; NaN where the test has no shape
-    reach : m, deflection at which the force is that of the counterweight, or the largest
-    weight : N, of the counterweight
+    reach : m, deflection at which the force is the load at the tip, or the largest
+    weight : N, load at the tip: the counterweight and 3/8 of the wire's weight
     lowest : N, lowest force after the first loading, against that at rest; NaN where not seen
     slackened : N, force while the string is slack after the first loading, against that at rest;
         NaN where it never is
     error : N, standard error of these two
+    own : N, part of the load that is the wire's weight
     """
 
     ahead: float
@@ -82,6 +90,20 @@ class AtRest:
     lowest: float = float("nan")
     slackened: float = float("nan")
     error: float = 0.0
+    own: float = 0.0
+
+    @property
+    def load(self) -> str:
+        """The load at the tip in words, with its numbers."""
+        if self.own == 0.0:
+            return f"the counterweight of {1e3 * self.weight:.3g} mN"
+        parts = f"counterweight {1e3 * (self.weight - self.own):.3g} mN, 3/8 of the wire's weight"
+        return f"the load at its tip of {1e3 * self.weight:.3g} mN ({parts})"
+
+    @property
+    def load_alone(self) -> str:
+        """What the load is called once it has been said."""
+        return "the counterweight" if self.own == 0.0 else "that load"
 
     @property
     def is_known(self) -> bool:
@@ -90,7 +112,7 @@ class AtRest:
 
     @property
     def share(self) -> float:
-        """Sag as a share of that under the counterweight; NaN where this is unknown."""
+        """Sag as a share of that under the load at the tip; NaN where this is unknown."""
         return self.sag / self.reach if self.reach >= LEAST_REACH else float("nan")
 
     @property
@@ -127,8 +149,8 @@ class AtRest:
         found = []
         if np.isfinite(self.sag):
             found.append(
-                f"its tip stood {1e3 * self.sag:.2g} mm below the axis of the clamp, where the "
-                f"counterweight bends it by {1e3 * self.reach:.3g} mm"
+                f"its tip stood {1e3 * self.sag:.2g} mm below the axis of the clamp, where "
+                f"{self.load_alone} bends it by {1e3 * self.reach:.3g} mm"
             )
         if np.isfinite(self.ahead):
             found.append(
@@ -150,26 +172,29 @@ class AtRest:
         if state in ("taut", "off the wire"):
             return ""
         below = "" if np.isnan(self.sag) else f", its tip {1e3 * self.sag:.3g} mm below"
-        weight = f"{1e3 * self.weight:.3g} mN"
         if self.ahead > SLACK:
             return (
                 f"its string was slack at rest: the clamp travels {1e3 * self.ahead:.3g} mm before "
-                f"the tip follows, and until then the wire hung under the counterweight of "
-                f"{weight}{below}; a first loading begins with a straight wire that the string "
-                "holds"
+                f"the tip follows, and until then the wire hung under {self.load}{below}; a first "
+                "loading begins with a straight wire that the string holds"
             )
         if state != "unknown" or self.share > HANGS:
             return (
                 f"its wire hung at rest: the tip stood {1e3 * self.sag:.3g} mm below the axis of "
-                f"the clamp, where the counterweight of {weight} bends the wire by about "
-                f"{1e3 * self.reach:.3g} mm; a first loading begins with a straight wire that the "
-                "string holds"
+                f"the clamp, where {self.load} bends the wire by about {1e3 * self.reach:.3g} mm; "
+                "a first loading begins with a straight wire that the string holds"
             )
         return ""
 
 
 def at_rest(
-    aligned: Aligned | None, shape: Shape | None, curve: Curve, first: Branch, weight: float
+    aligned: Aligned | None,
+    shape: Shape | None,
+    curve: Curve,
+    first: Branch,
+    weight: float,
+    *,
+    own: float = 0.0,
 ) -> AtRest:
     """Look at the string and the wire before a test, and at what the force tells of it later.
 
@@ -178,7 +203,9 @@ def at_rest(
     aligned, shape : None where the test has none
     curve, first : of the test, and its first loading branch
     weight : N, of the counterweight
+    own : N, of the wire's weight, what a prop at its tip carries: `held_at_rest`
     """
+    weight += own
     part = slice(first.start, first.stop)
     deflection = block_means(curve.displacement[part], _BLOCKS)
     force = block_means(curve.force[part], _BLOCKS)
@@ -202,6 +229,7 @@ def at_rest(
         lowest=_lowest(curve.force[first.stop :]),
         slackened=_median(slackened),
         error=scatter / float(np.sqrt(min(len(rest), _FEW) or 1)),
+        own=own,
     )
 
 
@@ -216,7 +244,7 @@ def notes_of(test: str, rest: AtRest) -> Iterator[QualityNote]:
     elif rest.sag > LEANS * rest.reach:
         message = (
             f"at rest the tip stood {1e3 * rest.sag:.3g} mm below the axis of the clamp: the wire "
-            "is taken as straight, and its string as carrying all of the counterweight"
+            f"is taken as straight, and its string as carrying all of {rest.load_alone}"
         )
         yield QualityNote("wire_not_straight", Severity.WARNING, test, message)
 
@@ -273,7 +301,7 @@ class Held:
 
     Parameters
     ----------
-    state : ``taut``: it carried all of the counterweight; ``slack``: nothing, and the wire hung;
+    state : ``taut``: it carried all of the load; ``slack``: nothing, and the wire hung;
         ``off the wire``: nothing, and the wire did not hang all the same; ``part``: some of it, as
         measured; ``unknown``: the test does not tell
     tension : N, in the string at rest
@@ -306,13 +334,13 @@ def held(rest: AtRest) -> Held:
     -------
     Tension, weight, and the alternative where the evidence does not tell.
     """
-    weight, state = rest.weight, rest.state
-    said = f"{1e3 * weight:.3g} mN"
+    load, state = rest.weight, rest.state
+    weight = load - rest.own
     if state == "taut":
-        why = f"the string was taut at rest and carried the counterweight of {said}"
-        return Held(state, weight, weight, None, f"{why}: {rest.facts}")
+        why = f"the string was taut at rest and carried {rest.load}"
+        return Held(state, load, weight, None, f"{why}: {rest.facts}")
     if state == "slack":
-        why = f"the string carried nothing at rest: the wire hung under the counterweight of {said}"
+        why = f"the string carried nothing at rest: the wire hung under {rest.load}"
         return Held(state, 0.0, weight, None, f"{why}: {rest.facts}")
     if state == "off the wire":
         why = (
@@ -322,12 +350,12 @@ def held(rest: AtRest) -> Held:
         return Held(state, 0.0, 0.0, None, f"{why}: {rest.facts}")
     if state == "part":
         tension = rest.carries
-        why = f"the string carried {1e3 * tension:.3g} mN of the counterweight of {said} at rest"
+        why = f"the string carried {1e3 * tension:.3g} mN of {rest.load} at rest"
         other = tension - sqrt(3.0) * rest.error  # a rectangle counts by 1 / sqrt(3)
         return Held(state, tension, weight, other, f"{why}: {rest.facts}")
-    taken, other = (0.0, weight) if rest.ahead > SLACK else (weight, 0.0)
+    taken, other = (0.0, load) if rest.ahead > SLACK else (load, 0.0)
     why = (
-        f"it is not known whether the string carried the counterweight of {said} at rest; it is "
+        f"it is not known whether the string carried {rest.load} at rest; it is "
         f"taken to have carried {'nothing' if taken == 0.0 else 'all of it'}, and the other is in "
         f"the intervals: {rest.facts}. If you know, write "
         f"{in_test_sheet('rig.string.at_rest', 'taut')}, or slack"
@@ -335,16 +363,18 @@ def held(rest: AtRest) -> Held:
     return Held(state, taken, weight, other, why)
 
 
-def stated(at_rest: Literal["taut", "slack"], weight: float) -> Held:
+def stated(at_rest: Literal["taut", "slack"], weight: float, own: float = 0.0) -> Held:
     """Take a string at rest as the protocol states it.
 
     Parameters
     ----------
     at_rest : key of ``rig.string``
     weight : N, of the counterweight
+    own : N, of the wire's weight, what a prop at its tip carries
     """
-    tension = weight if at_rest == "taut" else 0.0
-    carried = "the counterweight" if at_rest == "taut" else "nothing"
+    tension = weight + own if at_rest == "taut" else 0.0
+    held_up = "the counterweight" + " and 3/8 of the wire's weight" * (own > 0.0)
+    carried = held_up if at_rest == "taut" else "nothing"
     return Held(
         at_rest,
         tension,
@@ -418,21 +448,23 @@ def _pull(
     """What pulls at the tip, and another tension at rest that is as likely."""
     still, string = np.nanmean(shape.coefficients[rest], axis=0)[None], test.setup.string
     tip = float(curves_at(still, shape.length, np.array([shape.length])).x[0, 0])
+    self_weight = GRAVITY * (test.setup.mass_per_length or 0.0)
+    own = held_at_rest(self_weight, shape.length)
     if string is None:
         message = (
             "rig.string is not stated: the force is taken normal to the clamped axis, with nothing "
             "hanging at the tip"
         )
         note = worth_knowing("force_taken_normal", "rig.string", message)
-        return TipPull(None, 0.0, 0.0, tip), None, [note]
-    if string.counterweight == 0.0:
-        return TipPull(string.length, 0.0, 0.0, tip), None, []
+        return TipPull(None, 0.0, own, tip, self_weight), None, [note]
     weight = GRAVITY * string.counterweight
+    if weight + own == 0.0:
+        return TipPull(string.length, 0.0, 0.0, tip), None, []
     if string.at_rest != "by-data":
-        before = stated(string.at_rest, weight)
+        before = stated(string.at_rest, weight, own)
     else:
-        before = held(at_rest(test.aligned, test.shape, curve, first, weight))
-    pull = TipPull(string.length, before.weight, before.tension, tip)
+        before = held(at_rest(test.aligned, test.shape, curve, first, weight, own=own))
+    pull = TipPull(string.length, before.weight, before.tension, tip, self_weight)
     return pull, before.other, [Finding(before.note)]
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import Polynomial
 
+from labpipe.bending.bent_frames import held_at_rest
 from labpipe.errors import LabpipeError
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Protocol
@@ -34,6 +35,10 @@ from labpipe.wire.cantilever import StringRig
 
 _ALIKE, _OWN = (SHAPE, SCALE_OF_DISPLACEMENT), (GRIP, PULL, CENTRE)
 """Causes that stretch deflections in proportion: of all tests of a rig, and of each its own."""
+
+
+_SAME_MASS = 4.0 / 3.0
+"""Ratio of two masses of one wire, beyond which one of them is a slip."""
 
 
 def force_zero_error(protocol: Protocol, curve: Curve, first: Branch) -> float:
@@ -272,6 +277,7 @@ def first_loading(
         place_error=place_error(result, protocol, curve, branch),
         scale_error=common,
         own_scale_error=own,
+        self_weight=_self_weight(protocol),
     )
     notes = (*_doubts(result), *rest_notes, *_cut(result.test, deflection[usable], limit))
     return FirstLoading(measured, _gain(protocol), notes)
@@ -302,14 +308,48 @@ def _noise(deflection: Floats, force: Floats) -> Floats:
 def _rest_notes(
     result: TestResult, curve: Curve, branch: Branch, protocol: Protocol
 ) -> tuple[QualityNote, ...]:
-    """Refuse a wire that hung under its counterweight at rest; say what is not known of it."""
+    """Refuse a wire that hung at rest; say what is not known of it."""
     string = protocol.rig.string
-    if string is None or string.counterweight == 0.0 or string.at_rest == "taut":
+    if string is None or string.at_rest == "taut":
         return ()
-    rest = at_rest(result.aligned, result.shape, curve, branch, GRAVITY * string.counterweight)
+    weight, length = GRAVITY * string.counterweight, protocol.specimen.length
+    own = held_at_rest(_self_weight(protocol), length or 0.0)
+    if weight + own == 0.0:
+        return ()
+    rest = at_rest(result.aligned, result.shape, curve, branch, weight, own=own)
     if rest.why_not_straight:
         raise NotUsableError(rest.why_not_straight)
     return tuple(notes_of(result.test, rest))
+
+
+def _self_weight(protocol: Protocol) -> float:
+    """Weight per length as protocol or test sheet says, N/m; 0 where they do not."""
+    return GRAVITY * (protocol.specimen.mass_per_length or 0.0)
+
+
+def with_weight(loading: FirstLoading, self_weight: float) -> FirstLoading:
+    """Give a test the weight of its wire where its own sheet does not say one.
+
+    Parameters
+    ----------
+    loading : of a test
+    self_weight : N/m, of the wire by its row in the sheet of wires
+
+    Returns
+    -------
+    The same with a note ``mass_contradicts`` where both are said and differ by more than a third.
+    """
+    said, curve = loading.curve.self_weight, loading.curve
+    if said == 0.0:
+        return replace(loading, curve=replace(curve, self_weight=self_weight))
+    if 1.0 / _SAME_MASS <= said / self_weight <= _SAME_MASS:
+        return loading
+    message = (
+        f"its sheet says {1e3 * said / GRAVITY:.4g} g/m (specimen.mass_per_length), the sheet of "
+        f"wires {1e3 * self_weight / GRAVITY:.4g} g/m for {curve.wire}: that of the test is taken"
+    )
+    note = QualityNote("mass_contradicts", Severity.WARNING, curve.test, message)
+    return replace(loading, notes=(*loading.notes, note))
 
 
 def _require_cantilever(protocol: Protocol) -> None:

@@ -20,12 +20,19 @@ from labpipe.report.calibration_shown import BentShape, ValidationGroup
 from labpipe.statistics.mean_curves import block_means, common_curves, mean_band
 from labpipe.store.read import read_result
 from labpipe.studies.first_loadings import FirstLoading
+from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import play_law
 from labpipe.wire.calibration.calibrate_wire import Wire
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, curve_errors
 from labpipe.wire.calibration.prediction import predict
-from labpipe.wire.cantilever import StringRig, bend_to_deflection, bend_to_travel, straight
-from labpipe.wire.wire_table import build
+from labpipe.wire.cantilever import (
+    StringRig,
+    bend_to_deflection,
+    bend_to_travel,
+    held_level,
+    straight,
+)
+from labpipe.wire.wire_table import build, mass_per_length
 
 STEPS = 6
 """Deflections that are shown."""
@@ -85,7 +92,7 @@ def _fit(shape: Shape, frame: int) -> Floats:
 
 
 def _model_shape(wire: Wire, length: float, rig: StringRig | None, deflection: float) -> Floats:
-    """Axis of the model with its tip at a deflection, from straight."""
+    """Axis of the model with its tip at a deflection, from rest."""
     share = min(deflection / length, 0.9)
     law = play_law(
         wire.section,
@@ -93,12 +100,14 @@ def _model_shape(wire: Wire, length: float, rig: StringRig | None, deflection: f
         largest_curvature=8.0 * share / (1.0 - share**2) / length,
         orientation=wire.orientation,
     )
+    weight = wire.self_weight
     if rig is None:
-        bent = bend_to_deflection(law, straight(law), length, deflection)
+        bent = bend_to_deflection(law, held_level(law, length, weight).state, length, deflection)
         return np.column_stack([bent.x, bent.y])
-    travel = deflection
+    travel, level = deflection, straight(law, self_weight=weight)
+    rest = bend_to_travel(law, level, length, rig, 0.0).state
     for _ in range(_MOST_TRIES):  # the string leans, so that the tip follows the clamp not quite
-        bent = bend_to_travel(law, straight(law), length, rig, travel)
+        bent = bend_to_travel(law, rest, length, rig, travel)
         missing = deflection - float(bent.y[-1])
         if abs(missing) < _CLOSE:
             break
@@ -247,7 +256,8 @@ def built_wire(spec: WireSpec, wires: Path) -> Wire:
             remedy="Check its row against the wire.",
         )
         raise ProcessingError(message) from error
-    return Wire(made.section, made.contacts, spec.orientation)
+    weight = GRAVITY * mass_per_length(spec, made.section)
+    return Wire(made.section, made.contacts, spec.orientation, weight)
 
 
 _GRID = np.linspace(0.0, 1.0, 200) ** 1.5
@@ -292,9 +302,8 @@ def _compared(
     prediction, errors, reason = None, None, None
     try:
         deflection = deepest * _GRID
-        prediction = predict(
-            calibration, wire, first.length, deflection, rig=first.rig, noise=noise
-        )
+        own = replace(wire, self_weight=first.self_weight)
+        prediction = predict(calibration, own, first.length, deflection, rig=first.rig, noise=noise)
     except ValueError as error:
         reason = Reason("no_prediction", str(error))
     else:

@@ -117,6 +117,11 @@ class BundleModel:
         slid = max(0.0, bent * self.radius / self.glue_strain - 1.0)
         return max(_LEAST_HELD, 1.0 - self.slide_loss * slid)
 
+    @property
+    def mass_per_length(self) -> float:
+        """Mass per length of the wires, kg/m; tape and conduit are left out."""
+        return sum(number * WIRES[name].mass_per_length for name, number in self.wires)
+
     def scaled(self, factor: float) -> BundleModel:
         """The same bundle with all moments at a given curvature multiplied by `factor`."""
         return replace(self, factor=self.factor * factor)

@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from labpipe.law.plays import MomentLaw
 from labpipe.records.arrays import Floats
 from labpipe.virtual_lab.bundles import BundleModel
-from labpipe.virtual_lab.cantilever_scenarios import GRAVITY, MechanicalTest
+from labpipe.virtual_lab.cantilever_scenarios import MechanicalTest
 from labpipe.wire.cantilever import (
     CantileverShape,
     StringRig,
@@ -169,8 +169,8 @@ def solve_path(test: MechanicalTest) -> MechanicalPath:
 
 def _set_up(test: MechanicalTest) -> tuple[StringRig, CantileverShape]:
     """Hang the string and find the rest before the motion."""
-    law, weight = test.wire.law(), GRAVITY * test.counterweight
-    unbent = straight(law, test.n_stations)
+    law, weight = test.wire.law(), test.gravity * test.counterweight
+    unbent = straight(law, test.n_stations, self_weight=test.self_weight)
     level = StringRig(test.string_length, weight, test.length, test.string_length)
     if test.slack is None:
         return level, bend_to_travel(law, unbent, test.length, level, 0.0)

@@ -15,10 +15,10 @@ from typing import TypeAlias
 import numpy as np
 
 from labpipe.records.arrays import Floats
+from labpipe.units import GRAVITY
 from labpipe.virtual_lab.bundles import TAPED_TYPES, BundleModel
 from labpipe.virtual_lab.specimens import StrandedWire, WireModel
 
-GRAVITY = 9.80665
 TAPED_LENGTH = 0.1143
 MARKER_SPACING = 0.0127
 
@@ -45,6 +45,8 @@ class MechanicalTest:
     crowding : 1 for even positions; above, they lie closer at the start of each branch, where a
         wire that begins to slip gives way fastest: travel goes with this power of their number
     n_stations : along the wire
+    weighs : whether the wire's own weight bends it, too: it lies level
+    gravity : m/s^2, that pulls at wire and counterweight
     """
 
     wire: VirtualWire = field(default_factory=WireModel)
@@ -57,6 +59,18 @@ class MechanicalTest:
     steps_per_branch: int = 150
     crowding: float = 1.0
     n_stations: int = 64
+    weighs: bool = True
+    gravity: float = GRAVITY
+
+    @property
+    def mass_per_length(self) -> float:
+        """Mass per length of the wire that acts, kg/m."""
+        return self.wire.mass_per_length if self.weighs else 0.0
+
+    @property
+    def self_weight(self) -> float:
+        """Weight of the wire per length that acts, N/m."""
+        return self.gravity * self.mass_per_length
 
 
 @dataclass(frozen=True, slots=True)

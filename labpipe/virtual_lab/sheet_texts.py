@@ -132,6 +132,9 @@ def _specimen(scenario: Scenario) -> Iterator[str]:
         case CantileverScenario():
             bundle = scenario.mechanics.wire
             entries["length"] = _millimetres(scenario.mechanics.length)
+            if scenario.mechanics.mass_per_length:
+                mass = 1e3 * scenario.mechanics.mass_per_length
+                entries["mass_per_length"] = f"{mass:.6g} g/m"
     if isinstance(bundle, BundleModel):
         yield "specimen:"
         yield from (f"  {key}: {value}" for key, value in entries.items())

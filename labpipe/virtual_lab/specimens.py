@@ -49,9 +49,16 @@ def scaled_law(law: PlayLaw, factor: float, later_slip: float = 1.0) -> PlayLaw:
 
 @dataclass(frozen=True, slots=True)
 class ElasticModel:
-    """A bar of constant stiffness, N m^2, to compare the rig with textbooks."""
+    """A bar to compare the rig with textbooks.
+
+    Parameters
+    ----------
+    stiffness : N m^2
+    mass_per_length : kg/m
+    """
 
     stiffness: float
+    mass_per_length: float = 0.0
 
     def law(self) -> LinearLaw:
         """Build the law."""
@@ -71,6 +78,7 @@ class WireModel:
     hardening : exponent, 0 to 1
     last_moment : N m, up to which the law is followed
     n_plays : number of plays
+    mass_per_length : kg/m
     """
 
     stick_stiffness: float = 5.0e-3
@@ -80,10 +88,13 @@ class WireModel:
     hardening: float = 0.5
     last_moment: float = 0.3
     n_plays: int = 40
+    mass_per_length: float = 0.0
 
     def law(self) -> PlayLaw:
         """Build the law."""
-        return stick_slip_law(**asdict(self))
+        numbers = asdict(self)
+        del numbers["mass_per_length"]
+        return stick_slip_law(**numbers)
 
     def scaled(self, factor: float) -> WireModel:
         """The same wire with all moments at a given curvature multiplied by `factor`."""
@@ -176,6 +187,11 @@ class StrandedWire:
     def scaled(self, factor: float) -> StrandedWire:
         """The same wire with all moments at a given curvature multiplied by `factor`."""
         return replace(self, factor=self.factor * factor)
+
+    @property
+    def mass_per_length(self) -> float:
+        """Mass per length, kg/m: copper over the strands' length, and PVC."""
+        return self.section().mass_per_length()
 
     @property
     def parameters(self) -> Mapping[str, float]:

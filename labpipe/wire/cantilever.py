@@ -2,9 +2,10 @@
 
 The frame is that of the clamp: x along the undeformed axis from the clamped end, y in the plane of
 bending towards the pull; theta is the angle of the tangent from x. With the force (Px, Py) at the
-tip,
+tip and the wire's own weight w per length,
 
-    M(s) = integral from s to L of (Py cos theta - Px sin theta),   theta(s) = integral of kappa(M),
+    M(s) = integral from s to L of ((Py - w (L - s)) cos theta - Px sin theta),
+    theta(s) = integral of kappa(M),
 
 at Chebyshev-Lobatto stations, every station with its own history. Newton's method with the exact
 Jacobian solves it; one more unknown (an end load, the tension of the string) is bordered on by the
@@ -13,6 +14,9 @@ and no single stiffness for the whole wire, both of which the source uses.
 
 The clamp is driven down, which in its own frame lifts the anchor of the string. The string pulls or
 is slack; the counterweight always hangs at the tip.
+
+A wire with weight lies level and has been bent by its weight before anything is measured: its path
+starts from rest, with the history that rest left, not from zero moment (PHYSICS 8).
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ import numpy as np
 from labpipe.law.plays import (
     MomentLaw,
     require_finite,
+    require_not_negative,
     require_positive,
     require_within,
     respond,
@@ -61,6 +66,7 @@ class WireState:
     force : shape (2,), N, at the tip
     load : the unknown of the last solution, N: the string's tension or the end load
     travel : m, where the path stands: travel of the clamp, or tip deflection
+    self_weight : N/m, of the wire, along -y
     """
 
     moment: Floats
@@ -68,6 +74,7 @@ class WireState:
     force: Floats
     load: float = 0.0
     travel: float = 0.0
+    self_weight: float = 0.0
 
     def __post_init__(self) -> None:
         stations = len(self.moment)
@@ -129,9 +136,42 @@ class StringRig:
 Step: TypeAlias = Callable[[WireState, float], WireState | None]
 
 
-def straight(law: MomentLaw, n_stations: int = DEFAULT_STATIONS) -> WireState:
-    """State of a straight wire that was never bent."""
-    return WireState(np.zeros(n_stations), virgin_plays(law, n_stations), np.zeros(2))
+def straight(
+    law: MomentLaw, n_stations: int = DEFAULT_STATIONS, *, self_weight: float = 0.0
+) -> WireState:
+    """State of a straight wire that was never bent.
+
+    Parameters
+    ----------
+    law : of the wire
+    n_stations : along it
+    self_weight : N/m, of the wire; it acts from the first step on, and is kept from state to state
+    """
+    require_not_negative("self_weight", self_weight)
+    unbent = virgin_plays(law, n_stations)
+    return WireState(np.zeros(n_stations), unbent, np.zeros(2), self_weight=self_weight)
+
+
+def held_level(law: MomentLaw, length: float, self_weight: float) -> CantileverShape:
+    """Rest of a wire that lies level, held at its tip by a force across the clamped axis.
+
+    Parameters
+    ----------
+    law : of the wire
+    length : m
+    self_weight : N/m
+
+    Returns
+    -------
+    The shape; ``force[1]`` is P0, which a zeroed load cell hides: 3 w L / 8 for a small sag of a
+    linear wire, with a moment of - w L^2 / 8 at the clamp.
+
+    Raises
+    ------
+    ValueError
+        As `bend_to_deflection`.
+    """
+    return bend_to_deflection(law, straight(law, self_weight=self_weight), length, 0.0)
 
 
 def bend_under_force(
@@ -303,10 +343,13 @@ def settle(
     The state; None also for an equilibrium far from the guess, as a curl: there are many.
     """
     near = Unknowns(state.moment, state.load) if guess is None else guess
-    found = solve(law, state.plays, length, condition, near, tolerance=tolerance)
+    weight = state.self_weight
+    found = solve(
+        law, state.plays, length, condition, near, tolerance=tolerance, self_weight=weight
+    )
     if found is None or _turns_far(found, length):
         return None
-    return WireState(found.moment, found.plays, found.force, found.load, travel)
+    return WireState(found.moment, found.plays, found.force, found.load, travel, weight)
 
 
 def _turns_far(found: Equilibrium, length: float) -> bool:

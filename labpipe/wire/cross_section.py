@@ -19,6 +19,8 @@ from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.wire.materials import ANNEALED_COPPER, Material
 
+COPPER_DENSITY, PVC_DENSITY = 8960.0, 1400.0
+"""kg/m^3, of strands and insulation where nothing else is known."""
 TOLERANCE = 1e-3
 """Overlap that is let pass, as a share of the bore's radius."""
 
@@ -87,10 +89,15 @@ class Insulation:
         return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
 
     @property
+    def area(self) -> float:
+        """Area of the tube, m^2."""
+        outer = self.bore_radius + self.thickness
+        return float(np.pi * (outer**2 - self.bore_radius**2))
+
+    @property
     def axial_stiffness(self) -> float:
         """E times the area of the tube, N."""
-        outer = self.bore_radius + self.thickness
-        return float(self.modulus * np.pi * (outer**2 - self.bore_radius**2))
+        return self.modulus * self.area
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,6 +147,20 @@ class CrossSection:
     def angle(self) -> Floats:
         """Angle of the strands from the x axis, shape (strands,), rad."""
         return np.arctan2(self.y, self.x)
+
+    def mass_per_length(
+        self, conductor: float = COPPER_DENSITY, insulation: float = PVC_DENSITY
+    ) -> float:
+        """Mass per length of the wire, kg/m, by the densities of strands and insulation, kg/m^3.
+
+        Notes
+        -----
+        A helical strand is longer than the wire by 1 / cos(lay angle). PVC for cables has 1300 to
+        1500 kg/m^3, by its fillers.
+        """
+        strands = sum(layer.count * layer.area / np.cos(layer.lay_angle) for layer in self.layers)
+        tube = self.insulation.area if self.insulation else 0.0
+        return float(conductor * strands + insulation * tube)
 
 
 def strand_diameter(conductor_area: float, n_strands: int) -> float:

@@ -1,4 +1,8 @@
-"""Newton's method for the clamped wire at Chebyshev-Lobatto stations along it."""
+"""Newton's method for the clamped wire at Chebyshev-Lobatto stations along it.
+
+The wire's own weight w per length acts along -y, so that at s the force (Px, Py - w (L - s)) is
+passed on.
+"""
 
 from __future__ import annotations
 
@@ -116,12 +120,13 @@ class Equilibrium:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Problem:
-    """Stations are those of the whole length, m."""
+    """Stations are those of the whole length, m; `beyond` is the weight beyond each of them, N."""
 
     law: MomentLaw
     plays: Floats
     condition: Condition
     stations: Stations
+    beyond: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,6 +152,7 @@ def solve(
     start: Unknowns,
     *,
     tolerance: float = TOLERANCE,
+    self_weight: float = 0.0,
 ) -> Equilibrium | None:
     """Find the equilibrium next to a start, or None if the iteration does not settle.
 
@@ -158,10 +164,12 @@ def solve(
     condition : what fixes the end force
     start : first guess
     tolerance : last change of the moments, as a share of the largest; the next is of its square
+    self_weight : N/m, of the wire
     """
     unit = chebyshev_stations(len(start.moment))
     stations = Stations(*(length * part for part in (unit.position, unit.from_clamp, unit.to_tip)))
-    problem = _Problem(law, plays, condition, stations)
+    beyond = self_weight * (length - stations.position)
+    problem = _Problem(law, plays, condition, stations, beyond)
     moment, load = start.moment, start.load
     first = None
     for _ in range(_ITERATIONS):
@@ -207,7 +215,7 @@ def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
     to_tip, weights = problem.stations.to_tip, problem.stations.weights
     tip_by_moment = np.stack([-weights * sin, weights * cos]) @ angle_by_moment
     levers = np.stack([-to_tip @ sin, to_tip @ cos], axis=1)
-    lateral = -wanted.force[1] * sin - wanted.force[0] * cos
+    lateral = (problem.beyond - wanted.force[1]) * sin - wanted.force[0] * cos
     n = len(moment)
     jacobian = np.empty((n + 1, n + 1))
     jacobian[:n, :n] = -((to_tip * lateral) @ angle_by_moment)
@@ -217,7 +225,8 @@ def _linearise(problem: _Problem, moment: Floats, load: float) -> _Linearised:
     jacobian[:n, n] = -levers @ wanted.force_by_load
     jacobian[n, :n] = wanted.gap_by_tip @ tip_by_moment
     jacobian[n, n] = wanted.gap_by_load
-    residual = np.append(moment - levers @ wanted.force, wanted.gap)
+    bending = levers @ wanted.force - to_tip @ (problem.beyond * cos)
+    residual = np.append(moment - bending, wanted.gap)
     return _Linearised(residual, jacobian, bent.response)
 
 

@@ -109,6 +109,13 @@ def layout_of(section: CrossSection) -> WireLayout:
     )
 
 
+def mass_per_length(spec: WireSpec, section: CrossSection) -> float:
+    """Mass per length of a wire, kg/m: as its sheet says, else of its section by the densities."""
+    if spec.mass_per_length is not None:
+        return spec.mass_per_length
+    return section.mass_per_length(spec.conductor_density, spec.insulation_density)
+
+
 def axial_stiffness(section: CrossSection) -> float:
     """Axial stiffness of a wire that does not turn about its axis, N.
 

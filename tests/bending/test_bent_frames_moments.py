@@ -11,6 +11,7 @@ from labpipe.bending.bent_frames import (
     TipPull,
     curvature_gain,
     curves_at,
+    held_at_rest,
     marker_layout,
     mean_frames,
     moments,
@@ -19,12 +20,14 @@ from labpipe.law.plays import LinearLaw
 from labpipe.records.arrays import Floats
 from labpipe.records.curve import PointFlag
 from tests.builders.bent_tests import (
+    HEAVY,
     HEIGHT,
     LENGTH,
     RESTING,
     STRING,
     WEIGHT,
     bending_test,
+    lifted,
     pulled,
 )
 
@@ -61,6 +64,20 @@ def test_the_force_at_the_tip_is_that_of_the_mechanics() -> None:
     pull = TipPull(STRING, WEIGHT, 0.0, LENGTH)
     force = pull.force(np.array([last.tension]), last.x[-1:])
     assert force[0] == pytest.approx(last.force, abs=1e-6)
+
+
+def test_moments_of_a_wire_with_weight_are_those_of_the_mechanics() -> None:
+    shapes = lifted(LinearLaw(5e-3), travel=0.05, frames=24)
+    held = held_at_rest(HEAVY, LENGTH)
+    assert shapes[0].tension == pytest.approx(WEIGHT + held, rel=1e-5)
+    pull = TipPull(STRING, WEIGHT, WEIGHT + held, LENGTH, HEAVY)
+    test, last = bending_test(shapes, pull=pull), shapes[-1]
+    frame = len(test.shape.time) - 1
+    coefficients = test.shape.coefficients[frame][None]
+    found = test.moments(coefficients, test.force[-1:], last.arc_length)[0]
+    assert found == pytest.approx(last.moment, abs=2e-4 * last.moment[0])
+    rest = test.moments(test.standing.coefficients, np.zeros(1), np.zeros(1))[0, 0]
+    assert rest == pytest.approx(-HEAVY * LENGTH**2 / 8.0, rel=1e-3)
 
 
 def test_moments_are_those_of_the_mechanics() -> None:

@@ -7,12 +7,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from labpipe.bending.bent_frames import BendingErrors, BendingTest
+from labpipe.bending.bent_frames import BendingErrors, BendingTest, TipPull, held_at_rest
 from labpipe.bending.law_table import measure_bending
 from labpipe.law.plays import LinearLaw, MomentLaw
 from labpipe.records.curve import MeasuredLaw
 from labpipe.virtual_lab.specimens import WireModel
-from tests.builders.bent_tests import bending_test, law_moment, loaded, pulled
+from tests.builders.bent_tests import (
+    HEAVY,
+    LENGTH,
+    STRING,
+    WEIGHT,
+    bending_test,
+    law_moment,
+    lifted,
+    loaded,
+    pulled,
+)
 from tests.builders.bilinear_laws import bilinear_law
 
 LAWS: dict[str, tuple[MomentLaw, float]] = {
@@ -35,6 +45,21 @@ def test_an_exact_loading_gives_its_law(law: MomentLaw, share: float) -> None:
     true = law_moment(law, measured.curvature)
     assert measured.moment[above] == pytest.approx(true[above], rel=share)
     assert measured.curvature[-1] > 20.0
+
+
+@pytest.mark.parametrize(("weighs", "off"), [(True, 0.002), (False, 0.02)])
+def test_a_wire_with_weight_gives_its_law_from_rest_on(*, weighs: bool, off: float) -> None:
+    """It lies level, bent by its weight before anything is measured; left out, it shows."""
+    law = replace(WireModel(), stick_moment=2e-4).scaled(0.2).law()
+    shapes = lifted(law, travel=0.05, frames=201)
+    own = HEAVY if weighs else 0.0
+    pull = TipPull(STRING, WEIGHT, WEIGHT + held_at_rest(own, LENGTH), LENGTH, own)
+    measured = measure_bending(bending_test(shapes, pull=pull)).law
+    assert measured is not None
+    above = (measured.curvature > 0.5) & (measured.curvature < 10.0)
+    true = law_moment(law, measured.curvature, most=0.05)
+    error = np.max(np.abs(measured.moment[above] / true[above] - 1.0))
+    assert error < off if weighs else error > off
 
 
 def test_without_a_string_the_load_is_normal() -> None:

@@ -41,6 +41,20 @@ def pulled(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShap
     return shapes
 
 
+HEAVY = 0.3
+"""N/m, of a wire with weight: twelve per cent of the load at a millimetre."""
+
+
+def lifted(law: MomentLaw, *, travel: float, frames: int) -> list[CantileverShape]:
+    """Shapes of a wire that weighs `HEAVY`, lies level at rest, and is pulled by its string."""
+    shapes, state = [], straight(law, 48, self_weight=HEAVY)
+    rig = StringRig(STRING, WEIGHT, LENGTH, STRING)
+    for at in np.linspace(0.0, travel, frames):
+        shapes.append(bend_to_travel(law, state, LENGTH, rig, float(at)))
+        state = shapes[-1].state
+    return shapes
+
+
 def loaded(law: MomentLaw, *, force: float, frames: int) -> list[CantileverShape]:
     """Shapes of a straight wire under a growing end load normal to the clamped axis."""
     shapes, state = [], straight(law, 48)
@@ -73,10 +87,12 @@ def bending_test(
     noise: float = 0.0,
     seed: int = 1,
     terms: int = 7,
+    pull: TipPull | None = None,
 ) -> BendingTest:
     """Lay out shapes as a test: at rest for `RESTING` frames, then one frame for each shape.
 
-    The string carries nothing at rest; without one the force is the end load.
+    The string carries nothing at rest unless `pull` says so: then the force is what it carries
+    more; without one the force is the end load.
     """
     rng = np.random.default_rng(seed)
     rows = [0] * RESTING + list(range(len(shapes)))
@@ -99,7 +115,9 @@ def bending_test(
     )
     force = [shape.tension if has_string else float(shape.force[1]) for shape in shapes]
     anchor = float(shapes[0].x[-1]) if has_string else 0.0
-    pull = TipPull(STRING, WEIGHT, 0.0, anchor) if has_string else TipPull(None, 0.0, 0.0, 0.0)
+    if pull is None:
+        pull = TipPull(STRING, WEIGHT, 0.0, anchor) if has_string else TipPull(None, 0.0, 0.0, 0.0)
+    force = [each - pull.tension_at_rest for each in force]
     return BendingTest(
         shape=fit.shape,
         force=np.array(force)[rows],

@@ -70,7 +70,7 @@ def test_a_heading_however_it_is_written() -> None:
 def test_a_misspelt_column_is_told_once_with_the_nearest() -> None:
     [(number, expected, found, remedy)] = told(*HEADING[:5], "insulation_thicknes_mm")
     assert (number, found) == (5, "'insulation_thicknes_mm'")
-    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_modulus_mpa', ")
+    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_density_kg_per_m3', ")
     assert remedy == "Did you mean 'insulation_thickness_mm'?"
 
 
@@ -193,3 +193,18 @@ def test_every_column_with_its_range_and_default_is_documented(repository: Path)
 def test_a_size_is_needed_once() -> None:
     assert fault(strand_diameter_mm="").path == ("strand_diameter_mm",)
     assert {name for name in SIZES if name in HEADING} == {"strand_diameter_mm"}
+
+
+def test_a_mass_that_is_not_that_of_strands_and_wall() -> None:
+    """Copper 0.563 mm^2, five sixths of its strands 1 / cos(12 deg) longer, and PVC 1.225 mm^2."""
+    found = fault(mass_per_length_g_per_m="20")
+    assert (found.path, found.found) == (("mass_per_length_g_per_m",), "20 g/m")
+    assert found.expected == (
+        "within a third of the 6.856 g/m of the section (strands of 8960 kg/m^3, wall of "
+        "1400 kg/m^3)"
+    )
+    assert "g/m, which is kg/km" in found.remedy
+    assert row(mass_per_length_g_per_m="9").has_mass
+    assert row(mass_per_length_g_per_m="5.2", conductor_density_kg_per_m3="8900").has_mass
+    light = fault(mass_per_length_g_per_m="6.8", conductor_density_kg_per_m3="2700")
+    assert light.expected.startswith("within a third of the 3.264 g/m")

@@ -324,3 +324,25 @@ def test_a_tip_that_follows_by_a_third_of_the_way_is_pulled(
     found = _while_slack(travel, one, branches[0])
     assert bool(len(found)) is is_slack
     assert found == pytest.approx(np.full(len(found), -0.01))
+
+
+def test_the_load_at_the_tip_holds_some_of_the_wire() -> None:
+    """A taut string carried what a prop carries; a slack one left the wire to hang."""
+    own = replace(TAUT, weight=0.0309, own=0.0044)
+    found = held(own)
+    assert (found.state, found.tension) == ("taut", 0.0309)
+    assert found.weight == pytest.approx(0.0265)
+    assert found.why.startswith(
+        "the string was taut at rest and carried the load at its tip of 30.9 mN (counterweight "
+        "26.5 mN, 3/8 of the wire's weight): its tip stood 0.01 mm below the axis of the clamp, "
+        "where that load bends it by 5 mm"
+    )
+    slack = held(replace(own, ahead=1.2e-3, sag=5.5e-3, lowest=0.0, slackened=-1e-5))
+    assert (slack.state, slack.tension) == ("slack", 0.0)
+    assert slack.weight == pytest.approx(0.0265)
+
+
+def test_a_taut_string_that_is_stated_carries_both() -> None:
+    found = stated("taut", 0.0265, 0.0044)
+    assert (found.tension, found.weight) == pytest.approx((0.0309, 0.0265))
+    assert "carried the counterweight and 3/8 of the wire's weight" in found.why

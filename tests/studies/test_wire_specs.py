@@ -75,6 +75,8 @@ def test_a_short_row_and_what_is_taken_besides(sheet: Path) -> None:
         "friction_strand": "friction strand 0.21",
         "friction_insulation": "friction insulation 0.1",
         "radial_force": "radial force 0.15 N",
+        "conductor_density": "conductor density 8960 kg/m^3",
+        "insulation_density": "insulation density 1400 kg/m^3",
         "length": "length 85 mm",
         "tension": "tension 0 N",
         "orientation": "orientation 0 deg",
@@ -102,6 +104,7 @@ def test_a_row_that_says_everything(sheet: Path) -> None:
         "friction_insulation": 0,
         "radial_force_n": 0.2,
         "layout": "Compressed",
+        "mass_per_length_g_per_m": 10,
         "length_mm": 100,
         "tension_n": 5,
         "orientation_deg": 90,
@@ -118,7 +121,7 @@ def test_a_row_that_says_everything(sheet: Path) -> None:
     assert (spec.friction_strand, spec.friction_insulation, spec.radial_force) == (0.3, 0.0, 0.2)
     assert (spec.length, spec.tension, spec.largest_curvature) == (0.1, 5.0, 60.0)
     assert spec.orientation == pytest.approx(np.pi / 2.0, rel=1e-11)
-    assert spec.defaults == {}
+    assert (spec.mass_per_length, spec.defaults) == (0.01, {})
 
 
 def test_the_sheet_named_wires_is_read_or_else_the_first(sheet: Path) -> None:
@@ -429,7 +432,8 @@ def test_the_example_sheet_holds_the_wires_of_the_source(repository: Path) -> No
         assert np.degrees(spec.lay_angles) == pytest.approx(angles, rel=1e-10)
         assert spec.insulation_thickness == pytest.approx(wall * 1e-3, rel=1e-12)
         assert spec.layout == ("compressed" if spec.name.startswith("B") else "auto")
-        assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"}
+        densities = {"conductor_density", "insulation_density"}
+        assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"} | densities
 
 
 def test_names_that_share_a_file_are_told_with_both_cells(sheet: Path) -> None:

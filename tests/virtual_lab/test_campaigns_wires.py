@@ -77,7 +77,8 @@ def test_on_disk_and_in_memory(tmp_path: Path) -> None:
     assert truth["cycles"][0]["peak_force"] == seen.truth.cycles[0].peak_force
     assert 0.015 < truth["cycles"][0]["peak_force"] < 0.05
     sheet = yaml.safe_load((folders[-1] / "test.yaml").read_text("utf-8"))
-    assert sheet["specimen"] == {"type": "B2", "spool": "B2-s1", "sample": 2, "length": "100 mm"}
+    named = {"type": "B2", "spool": "B2-s1", "sample": 2}
+    assert sheet["specimen"] == {**named, "length": "100 mm", "mass_per_length": "5.3981 g/m"}
     values = {key: entry["value"] for key, entry in sheet["overrides"].items()}
     assert values == {
         "sources.force.calibration.gain": "0.05 N/V",

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from labpipe.units import GRAVITY
 from labpipe.virtual_lab.cantilever_path import MechanicalPath, solve_path
-from labpipe.virtual_lab.cantilever_scenarios import GRAVITY, CantileverScenario, MechanicalTest
+from labpipe.virtual_lab.cantilever_scenarios import CantileverScenario, MechanicalTest
 from labpipe.wire.cantilever import bend_to_travel
 
 TEST = MechanicalTest(cycles=2)

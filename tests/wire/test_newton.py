@@ -29,7 +29,8 @@ CONDITIONS = [
 def test_jacobian_against_central_differences(condition: Condition) -> None:
     n, law, h = 12, LinearLaw(1.0), 1e-6
     stations = chebyshev_stations(n)
-    problem = _Problem(law, virgin_plays(law, n), condition, stations)
+    beyond = 0.8 * (1.0 - stations.position)
+    problem = _Problem(law, virgin_plays(law, n), condition, stations, beyond)
     moment, load = 1.2 * (1.0 - stations.position), 0.9
     exact = _linearise(problem, moment, load).jacobian
     for column in range(n + 1):

@@ -41,11 +41,13 @@ class Wire:
     section : strands in place, with copper and insulation: nominal values
     contacts : friction coefficients, whose ratios are kept, and nominal radial force
     orientation : rad, of the section against the neutral axis
+    self_weight : N/m
     """
 
     section: CrossSection
     contacts: Contacts
     orientation: float = 0.0
+    self_weight: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -41,6 +41,7 @@ class MeasuredCurve:
     scale_error : standard error of the deflection's scale, as a ratio; all curves of a calibration
         are off alike
     own_scale_error : the same of this curve alone
+    self_weight : N/m, of the wire, which lies level at rest
     """
 
     wire: str
@@ -55,6 +56,7 @@ class MeasuredCurve:
     place_error: float = 0.0
     scale_error: float = 0.0
     own_scale_error: float = 0.0
+    self_weight: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "deflection", frozen(self.deflection, shape=(None,)))

@@ -35,8 +35,8 @@ def predict(
     Parameters
     ----------
     calibration : of this wire or another
-    wire : its geometry, materials and friction coefficients; phi, the modulus of the insulation
-        and the copper scale are those of the calibration, where it has them
+    wire : its geometry, materials, friction coefficients and weight; phi, the modulus of the
+        insulation and the copper scale are those of the calibration, where it has them
     length : m
     deflection : shape (n,), m
     rig : the string; None for an end load normal to the axis
@@ -70,7 +70,7 @@ def predict(
     forces, bands = [], []
     for solution in (each for each in calibration.solutions if each.is_allowed):
         values = np.where(np.isnan(solution.values), parts.given, solution.values)
-        curve = loading_curve(parts, values, length, rig, deepest)
+        curve = loading_curve(parts, values, length, rig, deepest, self_weight=wire.self_weight)
         force, change = force_at(curve, deflection)
         gain_slope = force if other_gain is None else np.zeros_like(force)
         slopes = np.vstack([change, gain_slope]).T

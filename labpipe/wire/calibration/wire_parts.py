@@ -23,6 +23,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.law.loading_panels import NODES, LoadingLaw, panel_rule
+from labpipe.law.loading_table import LoadingTable
 from labpipe.records.arrays import Floats, Ints
 from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.wire.bending_law import moment_curvature
@@ -31,6 +32,7 @@ from labpipe.wire.cantilever import StringRig
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
 from labpipe.wire.friction import Contacts, slip_onsets
+from labpipe.wire.heavy_loading import load_heavy
 from labpipe.wire.materials import RambergOsgood
 from labpipe.wire.strand_bending import elastic_share, helix_factor
 
@@ -42,6 +44,7 @@ _STRAIGHT = 1e-9  # of the first slope: a smaller change of slope is no corner
 _POINTS = 44  # of a loading curve
 _REACH, _CROWDED = 8.0, 1.5  # logarithm of last over first curvature; closer towards the last
 _SAME = 1e-6
+_FINER, _BESIDE = 4, 1e-9  # of a table: knots in each panel, and how far beside a corner it is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -216,6 +219,50 @@ def loading_law(parts: WireParts, values: Floats, largest_curvature: float) -> L
     )
 
 
+def loading_table(parts: WireParts, values: Floats, largest_curvature: float) -> LoadingTable:
+    """The same law as curvature over moment, for a wire that has weight.
+
+    Parameters
+    ----------
+    parts, values : as for `loading_law`
+    largest_curvature : 1/m, up to which the table goes
+
+    Raises
+    ------
+    ValueError
+        If a strand is bent beyond the known part of its material's curve.
+    """
+    edges, _ = _edges(parts, values, largest_curvature)
+    shares = np.arange(_FINER) / _FINER
+    fine = (edges[:-1, None] + np.diff(edges)[:, None] * shares).ravel()
+    curvature = np.append(fine, edges[-1])
+    slopes, changes = [], []
+    for side in (curvature[:-1] * (1.0 + _BESIDE), curvature[1:] * (1.0 - _BESIDE)):
+        slopes.append(1.0 / _bend(parts, values, side).slope)  # strands begin to slip at edges
+        changes.append(-_moment_change(parts, values, side) * slopes[-1])
+    moment = _bend(parts, values, curvature).moment
+    return LoadingTable(moment, curvature, *slopes, *changes)
+
+
+def _moment_change(parts: WireParts, values: Floats, curvature: Floats) -> Floats:
+    """Derivatives of the moment at constant curvature by logarithms, shape (3, n), N m.
+
+    Friction and copper scale: F f(kappa / F) becomes F f - kappa f' per logarithm of F.
+    """
+    change = np.zeros((len(PARAMETERS), len(curvature)))
+    if parts.friction is not None:
+        force = values[0] / parts.friction.coefficients
+        moment, slope, _ = _rub(parts.friction, force, curvature)
+        change[0] = moment - curvature * slope
+    if parts.inertia > 0.0:
+        change[1] = values[1] * parts.inertia * curvature
+    for copper in parts.copper:
+        if copper.exponent > 0.0:
+            moment, slope, _ = _yield(copper, values[2], curvature)
+            change[2] += (moment - curvature * slope) / (1.0 - copper.exponent)
+    return change
+
+
 def _edges(parts: WireParts, values: Floats, largest: float) -> tuple[Floats, Ints]:
     """Panels between the corners of friction and between even points; the points are wanted."""
     even = largest * np.exp(-_REACH * np.linspace(1.0, 0.0, _POINTS) ** _CROWDED)
@@ -281,7 +328,7 @@ def _yield(part: CopperPart, scale: float, curvature: Floats) -> tuple[Floats, F
     return secant * curvature, slope, energy * curvature**2
 
 
-_MARGIN, _WIDER = 1.5, 1.5
+_MARGIN, _WIDER, _FARTHER = 1.5, 1.5, 2.0
 _J, _M, _R = slice(0, len(PARAMETERS)), len(PARAMETERS), len(PARAMETERS) + 1
 COLUMNS = len(PARAMETERS) + 2
 """Of a Gram matrix: the derivatives by the parameters, the model's force, the residual."""
@@ -297,7 +344,13 @@ class ModelForce:
 
 
 def loading_curve(
-    parts: WireParts, values: Floats, length: float, rig: StringRig | None, deflection: float
+    parts: WireParts,
+    values: Floats,
+    length: float,
+    rig: StringRig | None,
+    deflection: float,
+    *,
+    self_weight: float = 0.0,
 ) -> LoadingCurve:
     """Loading curve that reaches a deflection.
 
@@ -307,6 +360,7 @@ def loading_curve(
     values : shape (3,), of its parameters
     length, deflection : m
     rig : as for `load_cantilever`
+    self_weight : N/m, of the wire; the deflection is then from rest
 
     Raises
     ------
@@ -315,6 +369,9 @@ def loading_curve(
     """
     share = min(deflection / length, 0.9)
     largest = _MARGIN * 3.0 * share / (1.0 - share**2) / length
+    if self_weight > 0.0:
+        table = loading_table(parts, values, _FARTHER * largest)
+        return load_heavy(table, length, rig, self_weight, deflection)
     curve = load_cantilever(loading_law(parts, values, largest), length, rig)
     while curve.deflection[-1] < deflection and curve.clamp_curvature[-1] >= largest:
         largest *= _WIDER
@@ -339,7 +396,8 @@ def model_forces(
         every = np.concatenate([curves[i].deflection for i in numbers])
         first = curves[numbers[0]]
         deepest = float(np.max(np.abs(every)))
-        curve = loading_curve(parts, values, first.length, first.rig, deepest)
+        weight = first.self_weight
+        curve = loading_curve(parts, values, first.length, first.rig, deepest, self_weight=weight)
         force, change = force_at(curve, every)
         ends = np.cumsum([len(curves[i].deflection) for i in numbers])[:-1]
         rise = np.interp(np.abs(every), curve.deflection, curve.stiffness)
@@ -350,10 +408,10 @@ def model_forces(
 
 
 def _place(curve: MeasuredCurve) -> tuple[float, ...]:
-    rig = curve.rig
+    rig, place = curve.rig, (curve.length, curve.self_weight)
     if rig is None:
-        return (curve.length,)
-    return (curve.length, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
+        return place
+    return (*place, rig.string_length, rig.weight, rig.anchor_x, rig.anchor_height)
 
 
 def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: float) -> Floats:
