@@ -14,6 +14,7 @@ function known(test) {
 
 /** What holds in this page: what was decided here, else what decisions.json says. */
 function decided(test) {
+  if (!test) return null;
   const draft = drafts.get(test.t);
   return draft?.decision ? draft : known(test).decision ? known(test) : null;
 }
@@ -108,7 +109,7 @@ function missing() {
 
 function save() {
   const lacking = missing();
-  if (lacking) { say(lacking); return; }
+  if (lacking) { say(lacking, true); return; }
   if (isServed) post();
   else download();
 }
@@ -127,7 +128,7 @@ function download() {
   keep();
   showTools();
   say(`${several(own.length, "decision")} saved in decisions.json. `
-    + "Take it in with: labpipe campaign decide FOLDER --from decisions.json; then make the report again.");
+    + "Take it in with: labpipe campaign decide FOLDER --from decisions.json; then make the report again.", true);
 }
 
 async function post() {
@@ -136,28 +137,28 @@ async function post() {
     const answer = await fetch("decisions", { method: "POST", headers: { "Content-Type": "application/json" },
       body: JSON.stringify({ schema: 1, campaign: pageData.campaign ?? "", decisions: own }) });
     const told = await answer.json();
-    if (!answer.ok) { say(told.error); return; }
+    if (!answer.ok) { say(told.error, true); return; }
     pageData.decisions = told.decisions;
     for (const test of tests.values()) delete test.known;
     for (const test of tests.values()) if (drafts.has(test.t) && isSaved(test, drafts.get(test.t))) drafts.delete(test.t);
     keep();
     showAll();
-    say(told.said);
+    say(told.said, true);
     again.hidden = false;
   } catch {
-    say("labpipe serve does not answer: start it again. Your decisions are kept in this page.");
+    say("labpipe serve does not answer: start it again. Your decisions are kept in this page.", true);
   }
 }
 
 async function makeAgain() {
-  say("The report is being made again ...");
+  say("The report is being made again ...", true);
   again.disabled = true;
   try {
     const answer = await fetch("report", { method: "POST" });
     if (answer.ok) { location.reload(); return; }
-    say((await answer.json()).error);
+    say((await answer.json()).error, true);
   } catch {
-    say("labpipe serve does not answer: start it again.");
+    say("labpipe serve does not answer: start it again.", true);
   }
   again.disabled = false;
 }
@@ -285,7 +286,6 @@ function resetActive(list) {
 }
 
 // ---- the bar: whose decisions, how many, save ----
-const tools = document.getElementById("tools");
 const nameField = make("input", { type: "text", class: "by", autocomplete: "name", maxlength: "100",
   oninput: () => { who = nameField.value; keep(); } });
 const count = make("output", { class: "count" });
@@ -299,7 +299,7 @@ const forget = make("button", { type: "button", class: "forget", onclick: () => 
 } }, "Forget");
 const again = make("button", { type: "button", class: "again", hidden: true, onclick: makeAgain },
   "Make the report again");
-const keys = make("details", { class: "keys" }, make("summary", {}, "Keys"),
+const keys = make("details", { class: "shortcuts" }, make("summary", {}, "Keys"),
   "On a test: a accepts, r rejects, c goes to the reason, \u2191 \u2193 to the next test, Enter back. "
   + "On a figure: \u2190 \u2192 along a curve, \u2191 \u2193 to the next one, + \u2212 0 zoom, Shift and arrows move the view, "
   + "Shift and click in the legend shows one curve alone.");
@@ -334,7 +334,7 @@ if (isServed) {
 if (tools && tests.size) {
   recall();
   for (const place of all(".decision[data-t]")) addControls(place);
-  tools.append(make("label", {}, "Decided by ", nameField), saveButton, forget, again, count, keys);
+  tools.append(make("label", {}, "Decided by ", nameField), saveButton, forget, again, count, keys, said ?? "");
   tools.hidden = false;
   for (const list of new Set([...controls.keys()].map(listOf))) {
     resetActive(list);

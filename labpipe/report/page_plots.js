@@ -6,7 +6,7 @@ const CLOSEST = FULL / 100; // beyond it a step of the drawing would be seen
 const FEW = 12; // points of a curve in view, below which its corners are drawing
 const NEAR = 40; // px
 const SVG = "http://www.w3.org/2000/svg";
-const LINES = ".curve, .unloading, .mean, .rejected";
+const LINES = ["curve", "unloading", "mean", "rejected", "measured", "shape"].map((kind) => `path.${kind}`).join(", ");
 
 function pointsOf(path) {
   const xs = [], ys = [];
@@ -40,6 +40,21 @@ function ticksBetween(low, high, most) {
   return ticks;
 }
 
+/** Buttons that are one stop of the Tab key; left and right go from one to the next. */
+function oneStop(buttons) {
+  buttons.forEach((button, at) => {
+    button.setAttribute("tabindex", at ? "-1" : "0");
+    button.addEventListener("keydown", (event) => {
+      const next = buttons[at + { ArrowRight: 1, ArrowLeft: -1 }[event.key]];
+      if (!next) return;
+      button.setAttribute("tabindex", "-1");
+      next.setAttribute("tabindex", "0");
+      next.focus();
+      event.preventDefault();
+    });
+  });
+}
+
 class Plot {
   constructor(figure, area) {
     this.figure = figure;
@@ -68,7 +83,7 @@ class Plot {
 
   tools() {
     const button = (words, sign, act) =>
-      make("button", { type: "button", "aria-label": words, title: words, onclick: act }, sign);
+      make("button", { type: "button", tabindex: "-1", "aria-label": words, title: words, onclick: act }, sign);
     this.readout = make("output", { class: "readout" });
     this.note = make("p", { class: "zoom-note", hidden: true });
     const tools = make("div", { class: "plot-tools" },
@@ -94,12 +109,12 @@ class Plot {
       });
       return { item, button };
     });
-    if (toggles.length < 3) return;
-    for (const [words, isOn] of [["all", true], ["none", false]]) {
-      const button = make("button", { type: "button", class: "legend-all" }, words);
+    for (const [words, isOn] of toggles.length < 3 ? [] : [["all", true], ["none", false]]) {
+      const button = make("button", { type: "button" }, words);
       button.addEventListener("click", () => { for (const each of toggles) this.turn(each, isOn); });
-      items[0].parentElement.append(make("li", {}, button));
+      items[0].parentElement.append(make("li", { class: "legend-all" }, button));
     }
+    oneStop(all(".legend button", this.figure));
   }
 
   turn({ item, button }, isOn) {
@@ -145,8 +160,10 @@ class Plot {
 
   words({ line, x, y }) {
     const { path } = line;
-    const kind = ["mean", "unloading"].find((each) => path.classList.contains(each)) ?? "";
-    const who = [nameOf(path.dataset.t), kind].filter(Boolean).join(", ");
+    const kind = { mean: "mean", unloading: "unloading", measured: "as measured" };
+    const own = Object.keys(kind).find((each) => path.classList.contains(each));
+    const item = path.dataset.group && this.figure.querySelector(`.legend li[data-group="${CSS.escape(path.dataset.group)}"]`);
+    const who = [nameOf(path.dataset.t) || item?.textContent.trim(), kind[own]].filter(Boolean).join(", ");
     const isRejected = path.classList.contains("rejected") || path.classList.contains("is-rejected");
     const write = (value, low, high, unit) => {
       const places = Math.min(6, Math.max(0, 3 - Math.floor(Math.log10(Math.abs(high - low) || 1))));
@@ -206,9 +223,10 @@ class Plot {
       for (const { value, text } of ticksBetween(low, high, 6)) {
         const share = (value - low) / (high - low);
         const tick = first[0].cloneNode(true);
+        const [left, top] = first[0].getAttribute("transform").match(/-?[\d.]+/g);
         tick.setAttribute("transform", axis === "x"
-          ? `translate(${this.box.x + share * this.box.width} 0)`
-          : `translate(0 ${this.box.y + (1 - share) * this.box.height})`);
+          ? `translate(${this.box.x + share * this.box.width} ${top})`
+          : `translate(${left} ${this.box.y + (1 - share) * this.box.height})`);
         tick.querySelector("text").textContent = text;
         parent.append(tick);
       }

@@ -15,9 +15,15 @@ function make(tag, attributes = {}, ...children) {
   return element;
 }
 
+const tools = document.getElementById("tools");
 const said = document.getElementById("said");
-function say(text) {
-  if (said) said.textContent = text;
+
+/** Tell a screen reader what was done, and everybody what they must know. */
+function say(text, isForAll = false) {
+  if (!said) return;
+  said.textContent = text;
+  said.classList.toggle("is-quiet", !isForAll);
+  tools?.classList.toggle("has-word", isForAll);
 }
 
 const policy = document.querySelector('meta[http-equiv="Content-Security-Policy"]');
@@ -36,11 +42,12 @@ const nameOf = (t) => tests.get(t)?.test ?? "";
 const collator = new Intl.Collator("en", { numeric: true, sensitivity: "base" });
 
 function numberIn(text) {
-  const found = /[-+\u2212]?\d[\d\u2009]*(\.\d+)?(e[-+\u2212]?\d+)?/i.exec(text);
+  const found = /^\s*[-+\u2212]?\d[\d\u2009]*(\.\d+)?(e[-+\u2212]?\d+)?/i.exec(text);
   return found ? Number(found[0].replaceAll("\u2212", "-").replaceAll("\u2009", "")) : NaN;
 }
 
 function sortKey(cell, isNumber) {
+  if (cell?.classList.contains("decision")) return decided(tests.get(cell.dataset.t))?.decision ?? "";
   const text = cell?.dataset.v ?? cell?.textContent.trim() ?? "";
   return isNumber ? numberIn(text) : text;
 }
@@ -126,3 +133,15 @@ function addFinder(table) {
   place.before(make("div", { class: "finder", role: "search", "aria-label": name }, input, ...buttons, shown));
   apply();
 }
+
+// ---- what scrolls sideways can be reached by keyboard, and only that ----
+function reach(box) {
+  const scrolls = box.scrollWidth > box.clientWidth;
+  const name = box.querySelector("caption, th")?.textContent.trim() || "table";
+  for (const [key, value] of Object.entries({ tabindex: "0", role: "region", "aria-label": name })) {
+    if (scrolls) box.setAttribute(key, value);
+    else box.removeAttribute(key);
+  }
+}
+const widths = new ResizeObserver((changes) => { for (const { target } of changes) reach(target); });
+for (const box of all(".wide")) widths.observe(box);
