@@ -188,6 +188,10 @@ function addControls(place) {
 function decide(test, decision) {
   const draft = drafts.get(test.t) ?? { decision: "", because: "" };
   const isOff = draft.decision === decision;
+  if (!draft.decision && known(test).decision === decision) {
+    say(`${test.test} is ${DONE[decision]} already: ${known(test).because} (${known(test).by})`, true);
+    return;
+  }
   drafts.set(test.t, { because: draft.because, decision: isOff ? "" : decision, when: now() });
   if (isOff && !draft.because) drafts.delete(test.t);
   changed(test);

@@ -80,7 +80,7 @@ for (const table of all("table.sortable")) {
 }
 
 // ---- tables: filter by words and states ----
-const STATES = ["ok", "doubtful", "failed", "rejected"];
+const STATES = ["ok", "doubtful", "failed", "rejected", "unread"];
 
 function wordsOf(row) {
   const cells = [...row.cells].filter((cell) => !cell.classList.contains("decision"));
@@ -98,7 +98,9 @@ function addFinder(table) {
   const name = table.caption?.textContent.trim() || "rows";
   const input = make("input", { type: "search", "aria-label": `Find in ${name}`, placeholder: "find" });
   const shown = make("output", {});
-  const states = STATES.filter((state) => rows.some((row) => row.dataset.state === state));
+  const canReject = table.querySelector(".decision") !== null;
+  const states = STATES.filter((state) => rows.some((row) => row.dataset.state === state)
+    || (state === "rejected" && canReject));
   const wanted = new Set();
   const buttons = (states.length > 1 ? states : []).map((state) =>
     make("button", { type: "button", "aria-pressed": "false", "data-state": state }, state));
