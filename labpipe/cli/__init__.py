@@ -348,7 +348,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
 
 
 def _bundle(parser: argparse.ArgumentParser) -> None:
-    what = 'wires, such as "10 B1 + 9 B2", or the test.yaml of a harness bundle'
+    what = 'wires, such as "10 B1 + 9 B2", or the test.yaml or processed folder of a harness bundle'
     parser.add_argument("bundle", metavar="BUNDLE", help=what)
     sheet = "wire sheet with the types of the bundle as its wires (default: %(default)s)"
     parser.add_argument(

@@ -14,6 +14,7 @@ from labpipe.units import parse_quantity
 from labpipe.wire.bundle_packing import WANTED
 
 _WIDTH = 44
+_WIDE = 52
 
 
 def run(options: argparse.Namespace) -> int:
@@ -76,6 +77,7 @@ def bundle_table(modelled: ModelledBundle) -> str:
         f"{1e3 * model.smallest_bore:>12.5g} mm",
         *_conduits(modelled),
     ]
+    lines += [*_friction(modelled)]
     lines += [f"  {note.severity}: {note.message}" for note in model.notes]
     return "\n".join([*lines, f"results: {from_here(modelled.folder)}"])
 
@@ -83,6 +85,24 @@ def bundle_table(modelled: ModelledBundle) -> str:
 def _stiffness(words: str, value: float) -> str:
     digits = float(f"{1e6 * value:.5g}")  # never as a power of ten
     return f"  {words:<{_WIDTH}}{digits:>12.10g} N mm^2"
+
+
+def _friction(modelled: ModelledBundle) -> Iterator[str]:
+    if modelled.no_friction:
+        yield f"  no loop is predicted: {modelled.no_friction}"
+    fit = modelled.friction
+    if fit is None:
+        return
+    shares = {
+        "share of the wires' axial stiffness that takes part": fit.composite_share,
+        "share of it still held once they slip (fitted)": fit.held,
+        "error where it was fitted, of the peak force": fit.error_fitted,
+        "error of what was left out, of the peak force": fit.error_held_out,
+    }
+    for words, share in shares.items():
+        yield f"  {words:<{_WIDE}}{100.0 * share:>6.2g} %"
+    loss = f"{1e3 * fit.loss:.3g} mJ measured, {1e3 * fit.predicted_loss:.3g} mJ predicted"
+    yield f"  {'work lost over the cycles left out':<{_WIDE}}{loss}"
 
 
 def _direction(modelled: ModelledBundle) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
-from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 PACKED = "packed"
@@ -157,3 +157,60 @@ class BundleModel(ArrayRecord):
     moment_slip: Vector
     moment_stick: Vector
     notes: tuple[QualityNote, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BundleLoop(ArrayRecord):
+    """Cycles of a bundle that was bent as a cantilever; arrays of shape (n,), in order of travel.
+
+    A bundle on two supports is two cantilevers back to back, of half the span under half the force.
+
+    Parameters
+    ----------
+    length : m, of the cantilever
+    deflection : m, of its tip
+    force : N, at its tip
+    branch : counted from 0, loading and unloading in turns
+    kink : deflection, m, and force, N, at which the wires begin to slip
+    slide : m, deflection from which the tape slides; infinite where it never does
+    """
+
+    length: float
+    deflection: Vector
+    force: Vector
+    branch: Annotated[Ints, "n"]
+    kink: tuple[float, float]
+    slide: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrictionFit(ArrayRecord):
+    """Friction between the bounds of a bundle, and how it predicts cycles left out of the fit.
+
+    Parameters
+    ----------
+    composite_share : of the axial stiffness of the wires, that takes part before they slip
+    slip_curvature : 1/m, at which a wire at the mean distance from the neutral axis slips
+    slide_curvature : 1/m, at which what holds the wires after that slides; infinite where nothing
+        does
+    held : share of `composite_share` that is still held once the wires slip; the parameter fitted
+    loop : measured cycles
+    predicted : shape (n,), N, at the deflections of `loop`
+    is_held_out : shape (n,), whether a point was left out of the fit
+    error_fitted, error_held_out : root of the mean square of predicted - measured force over the
+        points of the fit and over those left out, as shares of the largest measured force
+    loss, predicted_loss : J, work over the cycles that were left out; over the one cycle where
+        only its unloading was
+    """
+
+    composite_share: float
+    slip_curvature: float
+    slide_curvature: float
+    held: float
+    loop: BundleLoop
+    predicted: Vector
+    is_held_out: Annotated[Flags, "n"]
+    error_fitted: float
+    error_held_out: float
+    loss: float
+    predicted_loss: float

@@ -17,12 +17,22 @@ from labpipe.protocol.load import load_test_sheet
 from labpipe.protocol.sheet_grammar import SHEET_NAME, bundle_in_words
 from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Group, Sample
-from labpipe.records.harness_bundle import ARRANGEMENTS, PACKED, Bundle, BundleModel
+from labpipe.records.harness_bundle import (
+    ARRANGEMENTS,
+    PACKED,
+    Bundle,
+    BundleModel,
+    FrictionFit,
+)
 from labpipe.records.quality import Reason
+from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.report.bundle_figures import save_bundle_figure
+from labpipe.report.bundle_loop_figure import save_loop_figure
 from labpipe.store.replace import locked, replacing_together, storing
+from labpipe.studies.bundle_loops import friction_as_json, loop_of, processed_test
 from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.wire.bundle_friction import fit_friction
 from labpipe.wire.bundle_model import bundle_model, share_of_bounds
 from labpipe.wire.bundle_packing import WANTED, bore_for, choose_bore, fits, packing_fraction
 from labpipe.wire.wire_table import wire_table
@@ -185,6 +195,8 @@ class ModelledBundle:
     wanted_bore : m, of a conduit that the wires would fill by 0.7
     folder : of the results
     files : that were written
+    friction : fitted to the cycles of a processed test; None for anything else
+    no_friction : why a processed test has none
     """
 
     name: str
@@ -193,6 +205,8 @@ class ModelledBundle:
     wanted_bore: float
     folder: Path
     files: tuple[Path, ...] = ()
+    friction: FrictionFit | None = None
+    no_friction: str = ""
 
 
 def model_bundle(
@@ -208,7 +222,8 @@ def model_bundle(
 
     Parameters
     ----------
-    what : a test sheet, the folder of one, or words such as ``10 B1 + 9 B2``
+    what : a processed test (its folder or ``result.h5``), a test sheet, the folder of one, or words
+        such as ``10 B1 + 9 B2``
     wires : wire sheet that has the types of the bundle as its wires
     arrangement : overrides that of the test sheet
     bores : m, inner diameters of conduits to choose from; override that of the test sheet
@@ -217,7 +232,8 @@ def model_bundle(
 
     Returns
     -------
-    The model, with the bore chosen among those that were offered.
+    The model, with the bore chosen among those that were offered; of a processed test, with the
+    friction that its first cycle says and the prediction of the others.
 
     Raises
     ------
@@ -234,7 +250,8 @@ def model_bundle(
             remedy="Choose one, or leave it out.",
         )
         raise UsageError(message)
-    name, bundle = _bundle(what, arrangement)
+    test = processed_test(what)
+    name, bundle = _bundle(what, arrangement) if test is None else _of_test(test, what, arrangement)
     tables = _tables(bundle, wires)
     offered = list(bores) or [bore for bore in (bundle.conduit_bore,) if bore is not None]
     try:
@@ -255,7 +272,25 @@ def model_bundle(
         for bore in offered
     ]
     modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
+    if test is not None:
+        modelled = _with_friction(modelled, test, [tables[wire.type] for wire in bundle.wires])
     return _write(modelled, figures=figures)
+
+
+def _of_test(test: TestResult, what: str, arrangement: str | None) -> tuple[str, Bundle]:
+    found = test.specimen.bundle
+    if found is None:
+        raise UsageError(_no_bundle(what))
+    return test.test, replace(found, arrangement=arrangement or found.arrangement)
+
+
+def _with_friction(
+    modelled: ModelledBundle, test: TestResult, tables: Sequence[WireTable]
+) -> ModelledBundle:
+    try:
+        return replace(modelled, friction=fit_friction(modelled.model, tables, loop_of(test)))
+    except ValueError as error:
+        return replace(modelled, no_friction=str(error))
 
 
 def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
@@ -270,15 +305,18 @@ def _bundle(what: str, arrangement: str | None) -> tuple[str, Bundle]:
     sheet = load_test_sheet(path)
     found = sheet.specimen.record.bundle
     if found is None:
-        message = complaint(
-            path,
-            "specimen",
-            expected="a bundle",
-            found="none",
-            remedy="Write what the bundle is made of, such as 'bundle: {wires: {B1: 7}}'.",
-        )
-        raise UsageError(message)
+        raise UsageError(_no_bundle(path))
     return sheet.test, replace(found, arrangement=arrangement or found.arrangement)
+
+
+def _no_bundle(file: Path | str) -> str:
+    return complaint(
+        file,
+        "specimen",
+        expected="a bundle",
+        found="none",
+        remedy="Write what the bundle is made of, such as 'bundle: {wires: {B1: 7}}'.",
+    )
 
 
 def _tables(bundle: Bundle, wires: Path) -> dict[str, WireTable]:
@@ -329,6 +367,9 @@ def _write(modelled: ModelledBundle, *, figures: bool) -> ModelledBundle:
         written = [stage / BUNDLE_FILE]
         if figures:
             written += save_bundle_figure(modelled.model, stage / FIGURES_FOLDER)
+            if modelled.friction is not None:
+                drawn = modelled.name, modelled.friction
+                written += save_loop_figure(*drawn, stage / FIGURES_FOLDER)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
 
@@ -369,4 +410,6 @@ def as_json(modelled: ModelledBundle) -> dict[str, object]:
             "radius": layout.radius,
         },
         "notes": [asdict(note) for note in model.notes],
+        "friction": None if modelled.friction is None else friction_as_json(modelled.friction),
+        "no_friction": modelled.no_friction,
     }

@@ -1,0 +1,115 @@
+"""Cycles of a processed bundle, as the friction between its bounds is fitted to them."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+
+from labpipe.process.targets import RESULT_FILE
+from labpipe.records.arrays import Ints
+from labpipe.records.curve import Curve
+from labpipe.records.harness_bundle import BundleLoop, FrictionFit
+from labpipe.records.result import TestResult
+from labpipe.store.read import read_outcome
+
+_PER_BRANCH = 30
+"""Points of a branch that friction is fitted to."""
+_FIRST_POINT = 1e-3
+"""Of the length: smaller deflections are those of the zero."""
+
+
+def processed_test(what: str) -> TestResult | None:
+    """Read the processed test that is meant, if one is.
+
+    Parameters
+    ----------
+    what : a folder with a ``result.h5``, that file, or anything else
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be read.
+    """
+    path = Path(what)
+    with suppress(OSError):  # words that are too long for a name
+        path = path / RESULT_FILE if path.is_dir() and (path / RESULT_FILE).exists() else path
+    return read_outcome(path) if path.suffix == ".h5" else None
+
+
+def loop_of(test: TestResult) -> BundleLoop:
+    """Take the cycles of a processed test for those of a cantilever.
+
+    Parameters
+    ----------
+    test : of a bundle, with the specimen's `length` (a cantilever) or `span` (bent between two
+        supports)
+
+    Raises
+    ------
+    ValueError
+        If the test has no curve, neither length nor span, or no kink.
+    """
+    curve, dimensions = test.curve, test.specimen.dimensions
+    values = {each.name: each.value for each in test.results}
+    kink = values.get("kink_displacement"), values.get("kink_force")
+    if curve is None or not curve.branches:
+        message = "the test has no curve with branches"
+        raise ValueError(message)
+    if kink[0] is None or kink[1] is None:
+        message = "the test has no kink (kink_displacement, kink_force): where its wires slip"
+        raise ValueError(message)
+    if "length" not in dimensions and "span" not in dimensions:
+        message = "the test sheet has neither length nor span"
+        raise ValueError(message)
+    length = dimensions.get("length", dimensions.get("span", 0.0) / 2.0)
+    share = 1.0 if "length" in dimensions else 0.5  # two halves carry the force between supports
+    rows, branch = _thinned(curve, _FIRST_POINT * length)
+    slide = values.get("plateau_displacement")
+    return BundleLoop(
+        length=length,
+        deflection=curve.displacement[rows],
+        force=share * curve.force[rows],
+        branch=branch,
+        kink=(kink[0], share * kink[1]),
+        slide=np.inf if slide is None else slide,
+    )
+
+
+def _thinned(curve: Curve, least: float) -> tuple[Ints, Ints]:
+    """Rows of some points of each branch, and the number of its branch."""
+    rows, branches = [], []
+    for number, branch in enumerate(curve.branches):
+        inside = np.arange(branch.start, branch.stop)
+        inside = inside[(curve.displacement[inside] > least) & np.isfinite(curve.force[inside])]
+        every = np.linspace(0.0, len(inside) - 1.0, min(_PER_BRANCH, len(inside)))
+        rows.append(inside[np.round(every).astype(np.int64)])
+        branches.append(np.full(len(every), number, dtype=np.int64))
+    return np.concatenate(rows), np.concatenate(branches)
+
+
+_FRICTION = (
+    *("composite_share", "slip_curvature", "held", "error_fitted", "error_held_out"),
+    *("loss", "predicted_loss"),
+)
+
+
+def friction_as_json(fit: FrictionFit) -> dict[str, object]:
+    """Friction of a bundle in lists and plain numbers, SI units.
+
+    Parameters
+    ----------
+    fit : of a processed test; a `slide_curvature` that is infinite becomes None
+    """
+    slide = fit.slide_curvature
+    return {
+        **{name: getattr(fit, name) for name in _FRICTION},
+        "slide_curvature": slide if np.isfinite(slide) else None,
+        "length": fit.loop.length,
+        "deflection": fit.loop.deflection.tolist(),
+        "force": fit.loop.force.tolist(),
+        "branch": fit.loop.branch.tolist(),
+        "predicted": fit.predicted.tolist(),
+        "is_held_out": fit.is_held_out.tolist(),
+    }
