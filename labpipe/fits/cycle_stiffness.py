@@ -14,8 +14,8 @@ from labpipe.records.estimates import Failure
 from labpipe.signal.filters import moving_average
 
 _LEAST = 8
-_BEGIN = 0.02
-"""Share of a window that is its begin."""
+_BEGIN, _BEGUN = 0.02, 0.1
+"""Share of a window that is its begin; up to which the machine is taken for as fast."""
 _FILTER = 11
 """Samples that a path is averaged over before a window is cut from it."""
 
@@ -247,6 +247,7 @@ def loading_slope(
     *,
     over: float,
     like: LoadingSlope | None = None,
+    steps: int = 1,
 ) -> LoadingSlope | Failure:
     """Decide from where the stiffness of a loading branch is read.
 
@@ -256,6 +257,7 @@ def loading_slope(
     over : m, the length behind the take-up
     like : how it was decided on the branch as measured: given where the curve at hand is without
         noise
+    steps : that each sampling step has been divided into
 
     Returns
     -------
@@ -265,22 +267,33 @@ def loading_slope(
     -----
     A branch counts as taut from the first sample whose force is beyond its noise. Without noise
     that is when the line through the foot of the force is zero; what the difference makes of the
-    stiffness is part of what noise does to it.
+    stiffness is part of what noise does to it. Between samples it is not before the machine moves:
+    samples at rest, where the force is further from zero than its noise, pull the line.
     """
     limit = None if like is None else like.take_up.limit
-    begin = take_up(displacement, force, limit=limit)
+    begin = take_up(displacement, force, limit=limit, steps=steps)
     if isinstance(begin, Failure):
         return begin
     start, first = float(begin.of(displacement, force)), begin.sample
     if like is not None and begin.is_line:
         at = float(zero_of_line(time[begin.foot], force[begin.foot]))
         first = min(int(np.searchsorted(time, at)), first)
+    if steps > 1:
+        first = max(first, _moves(time, displacement, start, over))
     taut = slice(first, None)
     path = displacement[taut]
     slope = window_slope(time[taut], path, force[taut], path, low=start, high=start + over)
     if isinstance(slope, Failure):
         return slope
     return LoadingSlope(begin, first, slope, float(path[slope.window].mean()) - start)
+
+
+def _moves(time: Floats, displacement: Floats, start: float, over: float) -> int:
+    """Sample at which a machine that has moved at one speed since passed a place; 0 if unknown."""
+    ahead = displacement - start
+    part = np.flatnonzero((ahead >= _BEGIN * over) & (ahead <= _BEGUN * over))
+    at = float(zero_of_line(time[part], ahead[part])) if len(part) > 1 else np.nan
+    return 0 if np.isnan(at) else int(np.searchsorted(time, at))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

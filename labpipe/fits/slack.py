@@ -148,7 +148,9 @@ class TakeUp:
         return np.where(np.isnan(at), begins, at), samples
 
 
-def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) -> TakeUp | Failure:
+def take_up(
+    displacement: Floats, force: Floats, *, limit: float | None = None, steps: int = 1
+) -> TakeUp | Failure:
     """Decide from which samples of a loading branch it is read where the force begins.
 
     Parameters
@@ -157,6 +159,7 @@ def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) 
         in either are passed over
     limit : N, up to which a force passes for zero; None for what the noise of the force says, which
         a curve without noise does not show
+    steps : that each sampling step has been divided into: the foot holds as many times more samples
 
     Returns
     -------
@@ -192,7 +195,8 @@ def take_up(displacement: Floats, force: Floats, *, limit: float | None = None) 
     within = np.flatnonzero(f[:top] <= limit)
     first = int(within[-1]) + 1 if len(within) else 0
     beyond = np.flatnonzero(f[first:] > _FOOT * limit)
-    last = first + max(_LEAST_AT_FOOT, int(beyond[0]) if len(beyond) else len(f) - first)
+    least = steps * _LEAST_AT_FOOT
+    last = first + max(least, int(beyond[0]) if len(beyond) else len(f) - first)
     at = float(zero_of_line(d[first:last], f[first:last]))
     is_line = not np.isnan(at)
     if not len(within) and not (is_line and at >= d[0] - _BACK * float(np.ptp(d))):

@@ -151,7 +151,8 @@ class LoadingStiffness(OfCycle):
         """Slope over the first stretch behind the take-up."""
         del test
         part = cycle_of(trace, number)[0]
-        found = loading_slope(*on_branch(trace, part), over=self.over, like=like)
+        parts, steps = on_branch(trace, part), trace.steps
+        found = loading_slope(*parts, over=self.over, like=like, steps=steps)
         if isinstance(found, Failure):
             return found
         branch = slice(part.start, part.stop)
@@ -162,7 +163,7 @@ class LoadingStiffness(OfCycle):
         def in_noise(trace: Trace) -> tuple[Floats]:
             return (found.of_each(trace.displacement[..., branch], trace.force[..., branch]),)
 
-        return Reading(numbers, found.slope.n, in_noise)
+        return Reading(numbers, found.slope.n, in_noise, is_cut=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -31,6 +31,7 @@ class Trace:
     sizes : m (an area m^2), of specimen and rig by the keys of the protocol
     beyond : share of a sampling step by which the specimen failed, or turned, behind the last
         sample before it
+    steps : that each sampling step has been divided into
     """
 
     time: Floats
@@ -40,6 +41,7 @@ class Trace:
     failed_at: int | None = None
     sizes: Mapping[str, float] = field(default_factory=dict)
     beyond: float = 0.0
+    steps: int = 1
 
     def finer(self, times: int) -> Trace:
         """The same curve, with straight lines from sample to sample divided into so many steps.
@@ -68,6 +70,7 @@ class Trace:
             force=force,
             branches=branches,
             failed_at=failed,
+            steps=times * self.steps,
         )
 
 

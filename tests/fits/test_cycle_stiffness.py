@@ -260,3 +260,26 @@ def test_a_branch_of_fewer_samples_than_the_path_is_averaged_over(count: int) ->
     found = window_slope(path, path, 2.0 * path, path, low=0.0, high=count - 1.5)
     assert not isinstance(found, Failure)
     assert float(found.of(path, 2.0 * path)) == pytest.approx(2.0)
+
+
+def test_between_samples_the_window_begins_with_the_motion() -> None:
+    """Six samples at rest under 2 mN, which are beyond the noise, lie in the window by samples.
+
+    The force then rises by 60 N/m, less and less: over its first 5 mm by 52.5 N/m (by hand: the
+    slope of a least-squares parabola in its middle).
+    """
+    way = 1e-3 * np.maximum(np.arange(400.0) * 0.05 - 0.301, 0.0)
+    force = 60.0 * way - 1.5e3 * way**2
+    force += np.where(way > 0.0, 0.0, 2e-3) * (np.arange(400) > 0)
+    time = 0.05 * np.arange(400.0)
+    found = loading_slope(time, way, force, over=0.005)
+    assert isinstance(found, LoadingSlope)
+    assert found.first == 1
+    assert float(found.of(way, force)) > 52.8
+    at = np.arange(16 * 399 + 1) / 16.0
+    fine = [np.interp(at, np.arange(400), each) for each in (time, way, force)]
+    between = loading_slope(*fine, over=0.005, like=found, steps=16)
+    assert isinstance(between, LoadingSlope)
+    # The line through the foot is zero 53 um before the motion, a sample at this speed.
+    assert between.first / 16 == pytest.approx(6.02 - 1.06, abs=0.1)
+    assert float(between.of(*fine[1:])) == pytest.approx(52.5, abs=0.1)

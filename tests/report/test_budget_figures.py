@@ -76,7 +76,10 @@ def test_a_test_without_budgets_says_so(result: TestResult) -> None:
 
 def test_small_causes_stand_together_at_the_end() -> None:
     axes = Figure().subplots()
-    bars = [Bar("a", {"slack": 0.01, "noise": 0.975, "pull offset": 0.015}), Bar("b", {"span": 1})]
+    bars = [
+        Bar("a", {"slack": 0.01, "noise": 0.975, "pull offset": 0.015}),
+        Bar("b", {"length": 1}),
+    ]
     plot_bars(bars, axes)
     assert pieces(axes) == [(0.0, 97.5, False), (97.5, 2.5, False), (0.0, 100.0, False)]
     assert axes.get_ylim() == (1.5, -0.5)

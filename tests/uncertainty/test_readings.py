@@ -42,6 +42,7 @@ def test_a_finer_curve_is_the_same_curve() -> None:
     assert [(each.start, each.stop) for each in finer.branches] == [(0, 5), (4, 7)]
     assert finer.failed_at == 4
     assert trace.finer(1) is trace
+    assert (trace.steps, finer.steps, finer.finer(3).steps) == (1, 2, 6)
 
 
 def test_a_number_of_parts_is_cut_if_all_of_them_are() -> None:
