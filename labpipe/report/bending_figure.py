@@ -30,7 +30,12 @@ if TYPE_CHECKING:
 
 _MOST_POINTS = 4000
 """Points of a cloud that a figure shows; more hide one another."""
-_LAW, _BAND, _NOISE = "black", "#999999", "#e6e6e6"
+_LAW, _NOISE = "black", "#e6e6e6"
+_BAND: dict[str, Any] = {"color": "black", "alpha": 0.18, "lw": 0}
+_TANGENT: dict[str, Any] = {
+    "color": "#D55E00", "linestyle": "", "marker": "o", "markersize": 3.2, "capsize": 1.5,
+    "markerfacecolor": "white", "linewidth": 0.7, "elinewidth": 0.7,
+}  # fmt: skip
 _LEAST_SHOWN = 1e-3
 """Of the largest curvature: where the axis of stiffnesses begins if nothing is noise."""
 
@@ -91,10 +96,11 @@ def _points(bending: Bending) -> tuple[Floats, Floats]:
 
 def _draw_law(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> None:
     x = law.curvature * across.factor
-    axes.axvspan(-law.floor * across.factor, law.floor * across.factor, color=_NOISE, lw=0)
-    axes.fill_between(
-        x, law.moment_lower * up.factor, law.moment_upper * up.factor, color=_BAND, lw=0, zorder=3
+    axes.axvspan(
+        -law.floor * across.factor, law.floor * across.factor, color=_NOISE, lw=0, zorder=0
     )
+    ends = [end * up.factor for end in (law.moment_lower, law.moment_upper)]
+    axes.fill_between(x, ends[0], ends[1], zorder=3, **_BAND)  # the points show through
     axes.plot(x, law.moment * up.factor, color=_LAW, zorder=4)
 
 
@@ -104,7 +110,7 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     Parameters
     ----------
     result : its law is drawn from where curvature is above its noise; the grey stripe is where it
-        is not
+        is not; the tangent at the knots of the law, with its interval
     axes : to draw on, curvature on a logarithmic axis; a sentence if there is no law
     """
     law = result.bending.law if result.bending is not None else None
@@ -115,10 +121,12 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
 
     across, up = _curvature(result), _shown(scale(result, "bending_stiffness", "N*m^2"))
     x = law.curvature[1:] * across.factor
-    for name, look in _STIFFNESSES.items():
-        ends = [getattr(law, f"{name}_{end}")[1:] * up.factor for end in ("lower", "upper")]
-        axes.fill_between(x, ends[0], ends[1], color=_BAND, lw=0)
-        axes.plot(x, getattr(law, name)[1:] * up.factor, color=_LAW, **look)
+    lower, middle, upper = (
+        getattr(law, f"secant{end}")[1:] * up.factor for end in ("_lower", "", "_upper")
+    )
+    axes.fill_between(x, lower, upper, **_BAND)
+    axes.plot(x, middle, color=_LAW)
+    _draw_tangents(axes, law, across, up)
     start = max(0.5 * law.floor, _LEAST_SHOWN * law.curvature[-1]) * across.factor
     axes.axvspan(start, max(law.floor * across.factor, start), color=_NOISE, lw=0)
     axes.set_xscale("log")
@@ -130,10 +138,19 @@ def plot_stiffness(result: TestResult, axes: Axes) -> None:
     axes.set_ylabel(up.label("Bending stiffness"))
 
 
-_STIFFNESSES: dict[str, dict[str, Any]] = {
-    "secant": {"linestyle": "-"},
-    "tangent": {"linestyle": (0, (4, 1.6))},
-}
+def _draw_tangents(axes: Axes, law: MeasuredLaw, across: Scale, up: Scale) -> None:
+    """Draw the slope of the law where it is given, at its knots, with its interval.
+
+    Between knots it is no measurement: a line through all places would show noise as zigzags.
+    """
+    at = np.unique(np.searchsorted(law.moment, law.knots).clip(1, len(law.moment) - 1))
+    at = at[np.isfinite(law.tangent[at])]
+    middle = law.tangent[at]
+    ends = np.stack([middle - law.tangent_lower[at], law.tangent_upper[at] - middle])
+    axes.errorbar(
+        law.curvature[at] * across.factor, middle * up.factor, yerr=ends.clip(0.0) * up.factor,
+        **_TANGENT,
+    )  # fmt: skip
 
 
 def _plain(value: float, _place: object) -> str:
@@ -181,10 +198,13 @@ def _handles(bending: Bending) -> list[Any]:
         *cycles,
         *ways,
         line_key("law, secant", color=_LAW),
-        line_key("tangent", color=_LAW, linestyle=(0, (4, 1.6))),
-        area_key("95 %", color=_BAND, lw=0),
+        line_key("tangent, 95 %", **{k: v for k, v in _TANGENT.items() if k in _OF_LINES}),
+        area_key("95 % of the law", **_BAND),
         area_key("below noise", color=_NOISE, lw=0),
     ]
+
+
+_OF_LINES = {"color", "linestyle", "marker", "markersize", "markerfacecolor"}
 
 
 def _curvature(result: TestResult) -> Scale:

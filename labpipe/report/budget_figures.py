@@ -55,6 +55,8 @@ from labpipe.report.wording import (
     footnote,
     in_words,
     is_main,
+    place_of,
+    rounded,
     shown_in,
     title,
     unit_words,
@@ -67,6 +69,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_FINEST = -6
+"""Last place of a number beyond which it has a power of ten."""
 _THICK = 0.74
 """Of a bar, as a share of its row."""
 _ROW, _FRAME = 6.0, 22.0
@@ -177,7 +181,9 @@ def half_width(interval: Interval | None, scale: Scale) -> str:
     if interval is None:
         return ""
     half = 0.5 * abs(scale.factor) * (interval.upper - interval.lower)
-    return f"\u00b1 {write_number(half, None, digits=2).value} {unit_words(scale.unit)}".strip()
+    place = place_of(half, None, digits=2)
+    words = write_number(half, None, digits=2).value if place < _FINEST else rounded(half, place)
+    return f"\u00b1 {words} {unit_words(scale.unit)}".strip()
 
 
 def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
@@ -201,10 +207,10 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
             if share >= _LEAST_WRITTEN:
                 _write(axes, 100 * (start + share / 2), height, share, cause)
             start += share
-        axes.text(1.01, height, bar.words, transform=beside, size=8, va="center")
-        axes.text(-0.01, height, bar.name, transform=beside, size=8, va="center", ha="right")
+        axes.text(1.01, height, bar.words, transform=beside, va="center")
+        axes.text(-0.01, height, bar.name, transform=beside, va="center", ha="right")
     if any(bar.words for bar in bars):
-        axes.text(1.01, -0.8, "95 %", transform=beside, size=7, color=GREY, va="center")
+        axes.text(1.01, -0.8, "95 %", transform=beside, color=GREY, va="center")
     axes.set_yticks([])
     axes.set_ylim(len(bars) - 0.5, -0.5)
     axes.set_xlim(0.0, 100.0)
@@ -221,7 +227,7 @@ def _write(axes: Axes, at: float, height: float, share: float, cause: str) -> No
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
     is_hatched = IS_COMMON.get(cause, False)
     words = axes.text(
-        at, height, f"{100 * share:.0f}", ha="center", va="center", size=7,
+        at, height, f"{100 * share:.0f}", ha="center", va="center",
         color="white" if is_dark else "black",
         bbox={"facecolor": ground, "edgecolor": "none", "pad": 1.0} if is_hatched else None,
     )  # fmt: skip

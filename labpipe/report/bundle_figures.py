@@ -181,7 +181,7 @@ def draw_places(places: Sequence[BundlePlace], scale: Scale) -> Figure:
     axes.set_yticks(
         range(len(places)), [place.test or f"mean of {place.group}" for place in places]
     )
-    axes.tick_params(axis="y", length=0, labelsize=7)
+    axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(places) - 0.4, -0.6)
     axes.set_xlabel(f"Bending stiffness ({unit_words(scale.unit)})")
     number_log(axes.xaxis)

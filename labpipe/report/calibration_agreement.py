@@ -104,7 +104,7 @@ def plot_group(group: ValidationGroup, axes: Axes) -> None:
     if group.prediction is not None:
         _draw_prediction(group.prediction, axes)
     axes.text(
-        0.03, 0.98, agreement_words(group), transform=axes.transAxes, va="top", size=8, zorder=6,
+        0.03, 0.98, agreement_words(group), transform=axes.transAxes, va="top", zorder=6,
         linespacing=1.25,
     )  # fmt: skip
     axes.set_xlim(left=0.0)
@@ -297,7 +297,7 @@ def plot_external(panel: ExternalPanel, axes: Axes) -> None:
     axes.set_xlim(left=0.0)
     room = _ROOM + _ROOM_PER_ROW * max(0, _key_rows(panel) - _FREE_ROWS)
     axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]), top=room * axes.get_ylim()[1])
-    axes.legend(handles=lines, loc="upper left", fontsize=7, handlelength=2.2, borderaxespad=0.4)
+    axes.legend(handles=lines, loc="upper left", handlelength=2.2, borderaxespad=0.4)
     axes.set_xlabel(DEFLECTION.label("Tip deflection"))
     axes.set_ylabel(FORCE.label("Force"))
 

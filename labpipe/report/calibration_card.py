@@ -99,7 +99,7 @@ def plot_loadings(
         axes.plot(x, y, **MODEL_LINE)
         axes.annotate(
             length_words(length), (x[-1], y[-1]), (3, 0), textcoords="offset points",
-            va="center", size=8, annotation_clip=False,
+            va="center", annotation_clip=False,
         )  # fmt: skip
         if predictions and length in predictions:
             _draw_band(axes, predictions[length], deepest)
@@ -472,7 +472,7 @@ def _write(axes: Axes, rows: Sequence[Sequence[str]], lines: Sequence[str]) -> N
 def _put(axes: Axes, text: str, at: float, line: float, **look: Any) -> None:
     axes.annotate(
         text, (_LEFT + at, 1.0), (0.0, -line * _LINE * _POINTS_PER_MM), textcoords="offset points",
-        xycoords=("figure fraction", "axes fraction"), va="top", size=8, annotation_clip=False,
+        xycoords=("figure fraction", "axes fraction"), va="top", annotation_clip=False,
         **look,
     ).set_in_layout(False)  # fmt: skip
 

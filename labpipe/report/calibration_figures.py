@@ -99,7 +99,7 @@ def _name(shape: BentShape, axes: Axes) -> None:
     at = DEFLECTION.factor * np.max(ends, axis=0)
     axes.annotate(
         length_words(shape.deflection), (float(at[0]), float(at[1])), (5, 0),
-        textcoords="offset points", va="center", size=8,
+        textcoords="offset points", va="center",
     )  # fmt: skip
 
 

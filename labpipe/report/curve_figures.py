@@ -1,4 +1,4 @@
-"""A test's curve: force against displacement, with its fitted lines, and both against time."""
+"""A test's curve: force against displacement, and with its fitted lines."""
 
 from __future__ import annotations
 
@@ -8,23 +8,35 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import Branch, ClockFit, Curve, Direction
+from labpipe.records.curve import Branch, Curve, Direction, FittedLine
 from labpipe.records.result import Result, TestResult
 from labpipe.report.drawn_points import extremes
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
+    WIDTH,
+    Words,
+    keyed_page,
     line_key,
+    line_looks_of_fits,
     new_page,
     panel_letter,
     put_key,
     say,
-    side_key,
-    titled_page,
 )
-from labpipe.report.wording import Scale, footnote, scale, title, why_missing
+from labpipe.report.wording import (
+    Scale,
+    footnote,
+    in_words,
+    scale,
+    title,
+    unit_words,
+    why_missing,
+    write_number,
+)
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -109,21 +121,31 @@ _STYLES: dict[Direction, Literal["-"] | tuple[float, tuple[float, float]]] = {
 
 
 def draw_force_displacement(result: TestResult) -> Figure:
-    """Draw (a) the calibrated samples as recorded and (b) the curve that numbers come from."""
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=82, has_key=True)
-    raw, filtered = page.subplots(1, 2, sharex=True, sharey=True)
-    plot_raw(result, raw)
-    plot_filtered(result, filtered)
-    filtered.set_ylabel("")
-    panel_letter(raw, "a", "Raw")
-    panel_letter(filtered, "b", treatment(result).value.capitalize())
+    """Draw (a) the calibrated samples as recorded and (b) the curve that numbers come from.
+
+    Where nothing was done to the samples, there is one panel.
+    """
+    done = treatment(result)
+    if done is Treatment.NONE:
+        page = new_page(result, width_mm=WIDTH, height_mm=82, has_key=True)
+        panels = [page.subplots()]
+        panels[0].set_title(f"As recorded, {done.value}", loc="left")
+    else:
+        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=82, has_key=True)
+        panels = list(page.subplots(1, 2, sharex=True, sharey=True))
+        plot_raw(result, panels[0])
+        panel_letter(panels[0], "a", "As recorded")
+        panel_letter(panels[1], "b", done.value.capitalize())
+    plot_filtered(result, panels[-1])
+    if len(panels) > 1:
+        panels[-1].set_ylabel("")
     if result.curve is not None and result.curve.branches:
-        _explain(page, [raw, filtered], result.curve)
+        _explain(page, panels, result.curve)
     return page
 
 
 def plot_raw(result: TestResult, axes: Axes) -> None:
-    """Draw the unfiltered force against the unfiltered displacement.
+    """Draw the unfiltered force against the unfiltered displacement, unloading dashed.
 
     Parameters
     ----------
@@ -142,7 +164,8 @@ def plot_raw(result: TestResult, axes: Axes) -> None:
     for branch, colour in zip(branches, _branch_colours(branches), strict=True):
         ends = np.searchsorted(result.aligned.time, [branch.start_time, branch.stop_time])
         part = slice(ends[0], ends[1] + 1)
-        _plot_thinned(result, axes, pair[0][part], pair[1][part], color=colour, linewidth=0.5)
+        look: dict[str, Any] = {"color": colour, "linestyle": _STYLES[branch.direction]}
+        _plot_thinned(result, axes, pair[0][part], pair[1][part], linewidth=0.5, **look)
     _label(result, axes)
 
 
@@ -218,14 +241,16 @@ def _explain(page: Figure, panels: list[Axes], curve: Curve) -> None:
     few = count <= MOST_COLOURS
     cycles = [
         line_key(f"cycle {number}", color=colour)
-        for number, colour in enumerate(cycle_colours(count) if few else (), start=1)
+        for number, colour in enumerate(cycle_colours(count) if count > 1 and few else (), start=1)
     ]
+    colour = GREY if count > 1 else cycle_colours(1)[0]
+    ways = {branch.direction for branch in curve.branches}
     others = [
-        line_key(str(direction), color=GREY, linestyle=look)
+        line_key(str(direction), color=colour, linestyle=look)
         for direction, look in _STYLES.items()
-        if any(branch.direction is direction for branch in curve.branches)
+        if direction in ways and (count > 1 or len(ways) > 1)
     ]
-    peak = line_key("peak", color=GREY, marker="v", markerfacecolor="white", linestyle="")
+    peak = line_key("peak", color=colour, marker="v", markerfacecolor="white", linestyle="")
     handles = [*cycles, *others, peak]
     put_key(page, handles)
     if not few:
@@ -245,10 +270,8 @@ def _colour_bar(page: Figure, panels: list[Axes], count: int) -> None:
 
 
 _LOADING_BINS = 1500
-_COLUMNS = 3
-_MOST_OTHERS = 4
-"""Entries of the key beside the lines: loading, as measured, break point or slip, failure."""
-_PLACES = {
+_RED = "#b2182b"
+_PLACES: dict[str, tuple[str, Any]] = {
     "break_point": ("break point", ":"),
     "kink_displacement": ("kink", ":"),
     "plateau_displacement": ("onset of the plateau", (0, (8, 2))),
@@ -258,28 +281,24 @@ _PLACES = {
 
 def draw_stiffness_lines(result: TestResult) -> Figure:
     """Draw the first loading branch with the lines that stiffnesses were read from."""
-    bundle = [
-        name for name in _PLACES if name != "break_point" and _value(result, name) is not None
-    ]
-    rows = -(-(_MOST_OTHERS + len(bundle) + len(result.lines)) // _COLUMNS)
-    page = titled_page(
-        title(result),
-        footnote(result),
-        width_mm=DOUBLE_COLUMN,
-        height_mm=92 + 4 * rows,
-        key_rows=rows,
-    )
-    axes = page.subplots()
     branches = result.curve.branches if result.curve is not None else ()
     if not any(each.direction is Direction.LOADING for each in branches):
-        say(axes, why_missing(result, "loading branch"))
+        page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
+        say(page.subplots(), why_missing(result, "loading branch"))
         return page
+    keys = [*_branch_keys(result), *_line_keys(result), *_point_keys(result)]
+    words = Words(title(result), footnote(result), keys)
+    page = keyed_page(words, height_mm=92, width_mm=DOUBLE_COLUMN)
+    axes = page.subplots()
     plot_branch(result, axes)
     plot_lines(result, axes)
     mark_points(result, axes)
     _label(result, axes)
-    put_key(page, axes.get_legend_handles_labels()[0], columns=_COLUMNS)
     return page
+
+
+_LOADING: dict[str, Any] = {"color": "C0", "linewidth": 0.9}
+_AS_MEASURED: dict[str, Any] = {"color": GREY, "linestyle": (0, (4, 1.6)), "linewidth": 0.6}
 
 
 def plot_branch(result: TestResult, axes: Axes) -> None:
@@ -296,36 +315,56 @@ def plot_branch(result: TestResult, axes: Axes) -> None:
     first = next(each for each in curve.branches if each.direction is Direction.LOADING)
     part = slice(first.start, first.stop)
     across, up = _scales(result)
-    if result.aligned is not None and any(slip.decision == "repaired" for slip in result.slips):
+    if result.aligned is not None and _is_repaired(result):
         measured = result.aligned.series["force"].values[part]
         kept = extremes(measured, bins=_LOADING_BINS)
         x, y = curve.displacement[part][kept] * across.factor, measured[kept] * up.factor
-        axes.plot(x, y, color=GREY, linestyle=(0, (4, 1.6)), linewidth=0.6, label="as measured")
+        axes.plot(x, y, **_AS_MEASURED)
     force = curve.force[part]
     kept = extremes(force, bins=_LOADING_BINS)
     x, y = curve.displacement[part][kept] * across.factor, force[kept] * up.factor
-    axes.plot(x, y, linewidth=0.8, label="loading")
+    axes.plot(x, y, **_LOADING)
+
+
+def _is_repaired(result: TestResult) -> bool:
+    return any(slip.decision == "repaired" for slip in result.slips)
+
+
+def _branch_keys(result: TestResult) -> list[Artist]:
+    measured = [line_key("as measured", **_AS_MEASURED)] if _is_repaired(result) else []
+    return [line_key("loading", **_LOADING), *measured]
 
 
 def plot_lines(result: TestResult, axes: Axes) -> None:
-    """Draw each fitted line over its window, with its slope in the key.
+    """Draw each fitted line over its window.
 
     Parameters
     ----------
-    result : its lines and the results of their names are drawn
+    result : its lines are drawn
     axes : to draw on
     """
     across, up = _scales(result)
-    stiffness = scale(result, "stiffness", "N/m")
+    looks = line_looks_of_fits(line.result for line in result.lines)
     for line in result.lines:
         x = np.array([line.start, line.stop])
         y = line.level + line.slope * (x - line.start)
-        style = (0, (1, 1)) if line.result.startswith("segment") else "-"
-        name = line.result.replace("_", " ")
-        words = f"{name} {line.slope * stiffness.factor:.4g} {stiffness.unit}"
-        axes.plot(
-            x * across.factor, y * up.factor, linestyle=style, linewidth=1.8, alpha=0.8, label=words
-        )
+        axes.plot(x * across.factor, y * up.factor, **looks[line.result])
+
+
+def _line_keys(result: TestResult) -> list[Artist]:
+    looks = line_looks_of_fits(line.result for line in result.lines)
+    return [line_key(_slope_words(result, line), **looks[line.result]) for line in result.lines]
+
+
+def _slope_words(result: TestResult, line: FittedLine) -> str:
+    """Name of a line and its slope, with the interval of the result of that name, if any."""
+    stiffness = scale(result, "stiffness", "N/m")
+    found = next((each for each in result.results if each.name == line.result), None)
+    is_it = found is not None and found.unit == "N/m" and found.value is not None
+    value, ends = (found.value, found.interval) if found is not None and is_it else (None, None)
+    slope = line.slope if value is None else value
+    words = write_number(slope, ends, stiffness.factor).text
+    return f"{in_words(line.result)}: {words} {unit_words(stiffness.unit)}"
 
 
 def mark_points(result: TestResult, axes: Axes) -> None:
@@ -337,22 +376,34 @@ def mark_points(result: TestResult, axes: Axes) -> None:
     axes : to draw on
     """
     across, up = _scales(result)
-    for name, (words, dashes) in _PLACES.items():
+    for name, (_, dashes) in _PLACES.items():
         place = _value(result, name)
         if place is not None:
-            x = place * across.factor
-            axes.axvline(x, color=GREY, linewidth=0.6, linestyle=dashes, label=words)
-    for number, slip in enumerate(result.slips):
-        axes.axvline(
-            slip.position * across.factor,
-            color="#b2182b",
-            linewidth=0.6,
-            linestyle=(0, (5, 2)),
-            label=f"slip, {slip.decision}" if number == 0 else None,
-        )
+            axes.axvline(place * across.factor, **_place_look(dashes))
+    for slip in result.slips:
+        axes.axvline(slip.position * across.factor, **_SLIP)
     at, force = _value(result, "failure_displacement"), _value(result, "failure_force")
     if at is not None and force is not None:
-        axes.plot(at * across.factor, force * up.factor, "x", color="#b2182b", label="failure")
+        axes.plot(at * across.factor, force * up.factor, **_FAILURE)
+
+
+_SLIP: dict[str, Any] = {"color": _RED, "linewidth": 0.6, "linestyle": (0, (5, 2))}
+_FAILURE: dict[str, Any] = {"color": _RED, "marker": "x", "linestyle": ""}
+
+
+def _place_look(dashes: Any) -> dict[str, Any]:
+    return {"color": GREY, "linewidth": 0.6, "linestyle": dashes}
+
+
+def _point_keys(result: TestResult) -> list[Artist]:
+    places = [
+        line_key(words, **_place_look(dashes))
+        for name, (words, dashes) in _PLACES.items()
+        if _value(result, name) is not None
+    ]
+    slips = [line_key(f"slip, {each.decision}", **_SLIP) for each in result.slips[:1]]
+    failed = [line_key("failure", **_FAILURE)] if _value(result, "failure_force") else []
+    return [*places, *slips, *failed]
 
 
 def _value(result: TestResult, name: str) -> float | None:
@@ -362,130 +413,3 @@ def _value(result: TestResult, name: str) -> float | None:
 
 def _scales(result: TestResult) -> tuple[Scale, Scale]:
     return scale(result, "displacement", "m"), scale(result, "force", "N")
-
-
-_TIME_BINS = 900
-_MOTIONS = {"travel": "Travel", "displacement": "Displacement"}
-"""Series that show the motion, the better one first, and the word on the axis."""
-_AS_RECORDED: dict[str, Any] = {"color": "#9a9a9a", "linewidth": 0.6}
-_CURVE: dict[str, Any] = {"color": "C0", "linewidth": 0.8}
-_TWO_SIDED_95 = 1.96
-
-
-def draw_timeline(result: TestResult) -> Figure:
-    """Draw force and motion on one time axis, and the alignment residuals where there are any."""
-    fit = result.aligned.clock_fit if result.aligned is not None else None
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=110 if fit else 80)
-    ratios = [3, 3, 2] if fit else [1, 1]
-    panels = page.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
-    plot_force(result, panels[0])
-    plot_motion(result, panels[1])
-    if fit is not None:
-        plot_residuals(result, panels[2])
-    panels[-1].set_xlabel(scale(result, "time", "s").label("Time"))
-    for axes in panels:
-        axes.locator_params(axis="y", nbins=5)
-    page.align_ylabels(list(panels))
-    return page
-
-
-def plot_force(result: TestResult, axes: Axes) -> None:
-    """Draw the force against time: samples as recorded in grey, the curve over them."""
-    up = scale(result, "force", "N")
-    aligned, curve = result.aligned, result.curve
-    if aligned is not None and "force" in aligned.series:
-        shown = up.factor * aligned.series["force"].values
-        _plot_over_time(result, axes, aligned.time, shown, label="raw", **_AS_RECORDED)
-    if curve is not None:
-        words = treatment_of_force(result).value
-        _plot_over_time(result, axes, curve.time, up.factor * curve.force, label=words, **_CURVE)
-    if not axes.lines:
-        say(axes, why_missing(result, "force"))
-        return
-    axes.set_ylabel(up.label("Force"))
-    side_key(axes, axes.lines)
-
-
-def plot_motion(result: TestResult, axes: Axes) -> None:
-    """Draw travel, or displacement where there is no travel, with the turning points on it."""
-    found = motion(result)
-    if found is None:
-        say(axes, why_missing(result, "motion"))
-        return
-    word, time, values = found
-    up, along = scale(result, "displacement", "m"), scale(result, "time", "s")
-    _plot_over_time(result, axes, time, values * up.factor, color="C0", label="motion")
-    turns = turning_points(result)
-    if len(turns):
-        heights = np.interp(turns, time, values, left=np.nan, right=np.nan) * up.factor
-        axes.plot(
-            turns * along.factor, heights, "o", color="C1", mfc="white", label="turning point"
-        )
-        side_key(axes, axes.lines[-1:])
-    axes.set_ylabel(up.label(word))
-
-
-def motion(result: TestResult) -> tuple[str, Floats, Floats] | None:
-    """Find the motion of a test: the word for it, its time in s, its values in m."""
-    aligned, curve = result.aligned, result.curve
-    for name, word in _MOTIONS.items():
-        if aligned is not None and name in aligned.series:
-            return word, aligned.time, aligned.series[name].values
-    return None if curve is None else ("Displacement", curve.time, curve.displacement)
-
-
-def turning_points(result: TestResult) -> Floats:
-    """Times at which branches begin or end, s, each once."""
-    branches = result.curve.branches if result.curve is not None else ()
-    times = [time for branch in branches for time in (branch.start_time, branch.stop_time)]
-    return np.unique(np.array(times, dtype=np.float64))
-
-
-def plot_residuals(result: TestResult, axes: Axes) -> None:
-    """Draw what the straight line between the clocks leaves over at each event.
-
-    Parameters
-    ----------
-    result : its clock fit is drawn; bars are 95 % of the error of each event
-    axes : to draw on; an explaining sentence if there is no clock fit
-    """
-    fit = result.aligned.clock_fit if result.aligned is not None else None
-    if fit is None:
-        say(axes, why_missing(result, "clock fit"))
-        return
-    along = scale(result, "time", "s").factor
-    over = (fit.event_times_force - fit.to_force_time(fit.event_times_motion)) * 1e3
-    axes.axhline(0.0, color=GREY, linewidth=0.6)
-    axes.errorbar(
-        fit.event_times_motion * along,
-        over,
-        yerr=_TWO_SIDED_95 * fit.event_errors * 1e3,
-        fmt="o",
-        color="C1",
-        markerfacecolor="white",
-        elinewidth=0.7,
-        capsize=1.5,
-        label="95 %",
-    )
-    axes.set_ylabel("Residual (ms)")
-    axes.set_title(_words(fit), loc="right", size=8, color=GREY)
-
-
-def _words(fit: ClockFit) -> str:
-    """Offset and drift with half the width of their intervals, and the residual."""
-    ends = fit.offset_interval, fit.drift_interval
-    half_offset, half_drift = ((end.upper - end.lower) / 2 for end in ends)
-    return (
-        f"offset {fit.offset:.4f} ± {half_offset:.4f} s,  "
-        f"drift {fit.drift * 1e6:.1f} ± {half_drift * 1e6:.1f} ppm,  "
-        f"residual {fit.residual * 1e3:.2f} ms (rms); bars: 95 %"
-    )
-
-
-def _plot_over_time(
-    result: TestResult, axes: Axes, time: Floats, shown: Floats, **look: Any
-) -> None:
-    kept = extremes(shown, bins=_TIME_BINS)
-    along = scale(result, "time", "s").factor
-    axes.plot(time[kept] * along, shown[kept], **look)
-    axes.margins(x=0.01)

@@ -6,7 +6,7 @@ import gc
 import math
 import textwrap
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache, partial
 from io import BytesIO
@@ -142,9 +142,9 @@ def titled_page(
 
     figure = Figure(figsize=(width_mm / _MM_PER_INCH, height_mm / _MM_PER_INCH))
     line = _LINE_MM / height_mm
-    figure.text(_EDGE, 1 - 0.3 * line, words, va="top", size=8, color=GREY)
+    figure.text(_EDGE, 1 - 0.3 * line, words, va="top", color=GREY)
     if note:
-        figure.text(_EDGE, 0.3 * line, note, va="bottom", size=7, color=GREY)
+        figure.text(_EDGE, 0.3 * line, note, va="bottom", color=GREY)
     low = line * (0.1 + 0.9 * (note.count("\n") + 1)) if note else 0.0
     high = 1 - (1.3 + 1.1 * key_rows) * line
     pad = 1.2 / _MM_PER_INCH
@@ -379,6 +379,30 @@ def line_looks(count: int) -> list[Look]:
     ]
 
 
+_WINDOW: dict[str, Any] = {
+    "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 2
+}  # fmt: skip
+_SEGMENT: dict[str, Any] = {
+    "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.6)), "zorder": 4
+}  # fmt: skip
+
+
+def line_looks_of_fits(names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Broad and pale for lines over set windows, thin and dotted upon them for fitted segments.
+
+    Parameters
+    ----------
+    names : of the results that were read from the lines; one may come several times
+    """
+    own = style_colours()[1:]  # the first is that of curves
+    known = dict.fromkeys(names)
+    windows = [name for name in known if not name.startswith("segment")]
+    looks: dict[str, dict[str, Any]] = dict.fromkeys(known, _SEGMENT)
+    return looks | {
+        name: {**_WINDOW, "color": own[number % len(own)]} for number, name in enumerate(windows)
+    }
+
+
 def dash_of(number: int) -> Any:
     """Dash of a line by its number, from 0; they begin anew after four."""
     return _DASHES[number % len(_DASHES)]
@@ -420,17 +444,18 @@ def require_room(count: int, most: int, what: str) -> None:
         raise ValueError(message)
 
 
-def keep_in_view(values: Sequence[float], axes: Axes) -> None:
+def keep_in_view(values: Sequence[float], axes: Axes, least: float = 0.0) -> None:
     """Let the axis cut intervals that would press the values into one place.
 
     Parameters
     ----------
     values : in the unit of the axis; NaN for none
     axes : with all that is drawn
+    least : that stays in view, in the unit of the axis
     """
     known = [value for value in values if not math.isnan(value)]
     low, high = min(known), max(known)
-    room = _ROOM_FOR_INTERVALS * (high - low)
+    room = max(_ROOM_FOR_INTERVALS * (high - low), 0.55 * (least - (high - low)))
     if room > 0.0:
         now = axes.get_xlim()
         axes.set_xlim(max(now[0], low - room), min(now[1], high + room))

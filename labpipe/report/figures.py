@@ -10,14 +10,11 @@ from typing import TYPE_CHECKING
 from labpipe.records.result import TestResult
 from labpipe.report.bending_figure import draw_moment_curvature
 from labpipe.report.budget_figures import draw_budget
-from labpipe.report.curve_figures import (
-    draw_force_displacement,
-    draw_stiffness_lines,
-    draw_timeline,
-)
+from labpipe.report.curve_figures import draw_force_displacement, draw_stiffness_lines
 from labpipe.report.figure_page import finish_layout, style, with_own_fonts
 from labpipe.report.marker_figures import draw_marker_quality, draw_wire_shapes
 from labpipe.report.saving import FigureToSave, save_pages
+from labpipe.report.timeline_figure import draw_timeline
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Figure  # noqa: PLC0414 - the door takes it from here

@@ -211,11 +211,11 @@ def plot_dots(group: Group, number: GroupNumber, axes: Axes) -> None:
         _plot_row(row, shown.factor, axes)
     labels = {math.floor(row.height + 0.5): row.label for row in rows}
     axes.set_yticks(list(labels), list(labels.values()))
-    axes.tick_params(axis="y", length=0, labelsize=7)
+    axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(labels) - 0.4, -0.6)
-    axes.set_title(in_words(number.name), loc="left", size=8)
+    axes.set_title(in_words(number.name), loc="left")
     axes.set_xlabel(unit_words(shown.unit))
-    keep_in_view([shown.factor * row.value for row in rows], axes)
+    keep_in_view([shown.factor * row.value for row in rows], axes, _least_width(rows, shown.factor))
     axes.locator_params(axis="x", nbins=5)
 
 
@@ -232,14 +232,23 @@ def rows_of(group: Group, number: GroupNumber) -> list[Row]:
     of a spool share a row, beside each other and without intervals.
     """
     rows: list[Row] = []
-    for spool, look in spool_looks(group).items():
+    looks = spool_looks(group)
+    for spool, look in looks.items():
         own = [sample.test for sample in group.samples if sample.specimen.spool == spool]
         rows += _sample_rows(number, own, _next(rows), look.colour, len(group.samples) > MOST_ROWS)
+        if len(looks) == 1:
+            break  # its mean is that of all
         mean = number.mean.spool_means.get(spool) if number.mean is not None else None
         label = f"mean of {spool}"
         rows.append(_mean_row(_next(rows), label, mean, look.colour))
     chosen = number.mean.chosen if number.mean is not None else None
     return [*rows, _mean_row(_next(rows), "mean", chosen, "black")]
+
+
+def _least_width(rows: list[Row], factor: float) -> float:
+    """Width of the narrowest interval: with less in view, dots would seem to differ that do not."""
+    widths = [row.interval.upper - row.interval.lower for row in rows if row.interval is not None]
+    return abs(factor) * min(widths, default=0.0)
 
 
 def _next(rows: list[Row]) -> float:
@@ -277,7 +286,7 @@ def _plot_row(row: Row, factor: float, axes: Axes) -> None:
     if math.isnan(row.value):
         axes.text(
             0.5, row.height, row.note, transform=axes.get_yaxis_transform(), ha="center",
-            va="center", size=7, color=GREY,
+            va="center", color=GREY,
         )  # fmt: skip
         return
     if row.interval is not None:
@@ -297,9 +306,11 @@ def _is_first(name: str) -> bool:
 
 def _keys(numbers: list[GroupNumber]) -> list[Artist]:
     rings = [line_key("marked as outlier", **_RING)]
+    doubts = [line_key("doubtful", color=GREY, marker="o", markerfacecolor="white")]
+    results = [result for number in numbers for result in number.values.values()]
     return [
         line_key("sample, 95 %", color=GREY, marker="o"),
-        line_key("doubtful", color=GREY, marker="o", markerfacecolor="white"),
+        *(doubts if any(each.status is Status.DOUBTFUL for each in results) else []),
         line_key("mean, 95 %", color=GREY, marker="D", linewidth=1.6),
         *(rings if any(number.outliers for number in numbers) else []),
     ]

@@ -19,8 +19,8 @@ from labpipe.report.figure_page import (
     keyed_page,
     line_key,
     line_looks,
+    line_looks_of_fits,
     say,
-    style_colours,
 )
 from labpipe.report.wording import (
     Scale,
@@ -343,12 +343,6 @@ def _others(sample: Sample) -> list[SampleCurve]:
 
 _LINES_HEIGHT = 82.0
 _CURVES = "#9a9a9a"
-_WINDOW: dict[str, Any] = {
-    "linewidth": 4.0, "alpha": 0.4, "solid_capstyle": "butt", "zorder": 2
-}  # fmt: skip
-_SEGMENT: dict[str, Any] = {
-    "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.6)), "zorder": 4
-}  # fmt: skip
 _BEYOND = 1.5
 """How far the axis goes on behind the last window, in lengths up to its end."""
 
@@ -380,7 +374,7 @@ def plot_lines(group: Group, axes: Axes) -> None:
     group : lines of one result have one look
     axes : to draw on
     """
-    looks = _looks(group)
+    looks = line_looks_of_fits(_names_of_lines(group))
     across = group_scale(group, "displacement").factor
     up = group_scale(group, "force").factor
     end = _BEYOND * max(line.stop for sample in group.samples for line in sample.lines)
@@ -396,19 +390,13 @@ def plot_lines(group: Group, axes: Axes) -> None:
             axes.plot(ends * across, height * up, **looks[line.result])
 
 
-def _looks(group: Group) -> dict[str, dict[str, Any]]:
-    """Broad and pale for lines over set windows, thin and dotted upon them for fitted segments."""
-    own = style_colours()
-    names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
-    windows = [name for name in names if not name.startswith("segment")]
-    looks: dict[str, dict[str, Any]] = dict.fromkeys(names, _SEGMENT)
-    return looks | {
-        name: {**_WINDOW, "color": own[number % len(own)]} for number, name in enumerate(windows)
-    }
+def _names_of_lines(group: Group) -> list[str]:
+    return [line.result for sample in group.samples for line in sample.lines]
 
 
 def _line_keys(group: Group) -> list[Artist]:
-    return [line_key(_slope(group, name), **look) for name, look in _looks(group).items()]
+    looks = line_looks_of_fits(_names_of_lines(group))
+    return [line_key(_slope(group, name), **look) for name, look in looks.items()]
 
 
 def _slope(group: Group, name: str) -> str:

@@ -13,18 +13,20 @@ from labpipe.records.curve import Direction, PointFlag, Shape
 from labpipe.records.recording import RigidBody
 from labpipe.records.result import TestResult
 from labpipe.report.drawn_points import extremes, worst
+from labpipe.report.drawn_rig import Rig, rig_of
 from labpipe.report.figure_page import (
     DOUBLE_COLUMN,
     GREY,
+    Words,
     area_key,
+    keyed_page,
     line_key,
     new_page,
     panel_letter,
-    put_key,
     say,
     side_key,
 )
-from labpipe.report.wording import scale, why_missing
+from labpipe.report.wording import footnote, scale, title, why_missing
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -62,17 +64,18 @@ def draw_wire_shapes(result: TestResult) -> Figure:
         page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=60)
         say(page.subplots(), why_missing(result, "shape"))
         return page
-    steps = choose_frames(result, shape)
+    steps, rig = choose_frames(result, shape), rig_of(result)
     planes = [1] if _first_loading(result) is not None else [1, 2]
-    heights = [_WIDTH_MM * _proportion(shape, steps, plane) for plane in planes]
-    total = sum(heights) + 24.0 + 14.0 * (len(planes) - 1)
-    page = new_page(result, width_mm=DOUBLE_COLUMN, height_mm=total, has_key=True)
+    heights = [_WIDTH_MM * _proportion(shape, steps, plane, rig) for plane in planes]
+    total = sum(heights) + 17.0 + 14.0 * (len(planes) - 1)
+    note = " ".join(filter(None, (_beside_words(result, shape, rig), footnote(result))))
+    words = Words(title(result), note, _sign_keys(shape, steps, rig))
+    page = keyed_page(words, height_mm=total, width_mm=DOUBLE_COLUMN)
     panels = page.subplots(len(planes), 1, squeeze=False, height_ratios=heights)[:, 0]
     for letter, axes, plane in zip("ab", panels, planes, strict=False):
         plot_shapes(result, axes, plane=plane)
         if len(planes) > 1:
             panel_letter(axes, letter, f"x-{'xyz'[plane]} view")
-    _name_signs(page, shape, steps)
     _name_steps(result, panels[0], steps)
     return page
 
@@ -142,20 +145,75 @@ def _round_step(step: float) -> float:
     return float(candidates[np.argmin(np.abs(np.log(candidates / step)))])
 
 
-def _limits(shape: Shape, steps: Steps, axis: int) -> tuple[float, float]:
+def _limits(shape: Shape, steps: Steps, axis: int, rig: Rig) -> tuple[float, float]:
     """Ends of an axis, m: all that is drawn with a margin, and never less than a flat strip."""
     curves = [_fitted(shape, int(frame))[axis] for frame in steps.frames]
-    drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves])
+    rollers = [
+        centre[axis] + side * rig.roller_radius
+        for centre in (*_supports(rig), *_loads(shape, steps, rig))
+        for side in (-1.0, 1.0)
+        if axis < len(centre)
+    ]
+    drawn = np.concatenate([shape.positions[steps.frames, :, axis].ravel(), *curves, rollers])
     drawn = drawn[np.isfinite(drawn)] if np.isfinite(drawn).any() else np.zeros(1)
     middle, half = (drawn.max() + drawn.min()) / 2, np.ptp(drawn) / 2
     half = max(half, _FLATTEST * shape.length / 2) + _MARGIN * shape.length
     return float(middle - half), float(middle + half)
 
 
-def _proportion(shape: Shape, steps: Steps, plane: int) -> float:
+def _proportion(shape: Shape, steps: Steps, plane: int, rig: Rig) -> float:
     """Height of a panel over its width, at equal axis scale."""
-    (left, right), (low, high) = _limits(shape, steps, 0), _limits(shape, steps, plane)
+    (left, right), (low, high) = (_limits(shape, steps, axis, rig) for axis in (0, plane))
     return (high - low) / (right - left)
+
+
+def _supports(rig: Rig) -> list[tuple[float, float]]:
+    """Centres of the rollers that hold a specimen, m: on the side to which it is pushed."""
+    if not rig.span or not rig.roller_radius:
+        return []
+    return [(-0.5 * rig.span, rig.reach), (0.5 * rig.span, rig.reach)]
+
+
+def _loads(shape: Shape, steps: Steps, rig: Rig) -> list[tuple[float, float]]:
+    """Centres of the roller that pushes at mid-span, m, at each step where a curve is known."""
+    if not _supports(rig):
+        return []
+    found = []
+    for frame in steps.frames:
+        x, y = _fitted(shape, int(frame))[:2]
+        if len(x) and np.isfinite(y).all():
+            found.append((0.0, float(np.interp(0.0, x, y)) - rig.reach))
+    return found
+
+
+def _draw_rollers(axes: Axes, shape: Shape, steps: Steps, rig: Rig, factor: float) -> None:
+    from matplotlib.patches import Circle
+
+    load = _loads(shape, steps, rig)
+    for centres, look in ((_supports(rig), _SUPPORT), ([*load[:1], *load[-1:]], _LOAD)):
+        for x, y in centres:
+            place = (x * factor, y * factor)
+            axes.add_patch(Circle(place, rig.roller_radius * factor, zorder=0.5, **look))
+
+
+_SUPPORT: dict[str, Any] = {"facecolor": "#d9d9d9", "edgecolor": GREY, "linewidth": 0.6}
+_LOAD: dict[str, Any] = {
+    "facecolor": "none", "edgecolor": GREY, "linewidth": 0.8, "linestyle": (0, (3, 1.5))
+}  # fmt: skip
+_LEAST_BESIDE = 1e-5
+"""Distance of markers from the axis that is worth a word, m."""
+
+
+def _beside_words(result: TestResult, shape: Shape, rig: Rig) -> str:
+    """Say that markers lie beside the curve, which is the axis of a clamped specimen."""
+    is_clamped = bool((shape.flags[:, 0] == PointFlag.CONSTRUCTED).any())
+    if not is_clamped or abs(rig.centre_offset) < _LEAST_BESIDE or not shape.coefficients.shape[2]:
+        return ""
+    way = scale(result, "displacement", "m")
+    return (
+        f"Centres of markers lie {abs(rig.centre_offset) * way.factor:.3g} {way.unit} beside the"
+        " axis, which is the curve."
+    )
 
 
 def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
@@ -171,8 +229,10 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
     if shape is None or not len(shape.time):
         say(axes, why_missing(result, "shape"))
         return
-    steps = choose_frames(result, shape)
+    steps, rig = choose_frames(result, shape), rig_of(result)
     way = scale(result, "displacement", "m")
+    if plane == 1:
+        _draw_rollers(axes, shape, steps, rig, way.factor)
     for frame, colour in zip(steps.frames, _colours(len(steps.frames)), strict=True):
         x, up = _fitted(shape, int(frame))[[0, plane]] * way.factor
         axes.plot(x, up, color=colour, linewidth=0.9, zorder=1)
@@ -182,8 +242,8 @@ def plot_shapes(result: TestResult, axes: Axes, *, plane: int = 1) -> None:
                 continue
             x, up = shape.positions[frame][mine][:, [0, plane]].T * way.factor
             axes.plot(x, up, color=colour, **_look(flag, colour))
-    axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0)))
-    axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane)))
+    axes.set_xlim(*(end * way.factor for end in _limits(shape, steps, 0, rig)))
+    axes.set_ylim(*(end * way.factor for end in _limits(shape, steps, plane, rig)))
     axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set_xlabel(way.label("x"))
     axes.set_ylabel(way.label("xyz"[plane]))
@@ -216,8 +276,8 @@ def _colours(count: int) -> list[str]:
     return [to_hex(colour_map(0.85 * place)) for place in np.linspace(0, 1, count)]
 
 
-def _name_signs(page: Figure, shape: Shape, steps: Steps) -> None:
-    """Name the signs that are drawn, above the panels."""
+def _sign_keys(shape: Shape, steps: Steps, rig: Rig) -> list[Artist]:
+    """Name the signs that are drawn."""
     from matplotlib.lines import Line2D
 
     present = set(np.unique(shape.flags[steps.frames]))
@@ -226,7 +286,10 @@ def _name_signs(page: Figure, shape: Shape, steps: Steps) -> None:
     ]
     if shape.coefficients.shape[2]:
         handles.append(line_key("fitted curve", color=GREY, linewidth=0.9))
-    put_key(page, handles)
+    if _supports(rig):
+        handles.append(area_key("supports", **_SUPPORT))
+        handles.append(area_key("load, first and last", **_LOAD))
+    return handles
 
 
 def _name_steps(result: TestResult, axes: Axes, steps: Steps) -> None:
@@ -241,7 +304,6 @@ def _name_steps(result: TestResult, axes: Axes, steps: Steps) -> None:
         loc="upper left",
         bbox_to_anchor=(1.01, 1.0),
         title=steps.word,
-        title_fontsize=8,
         alignment="left",
     )
 

@@ -246,7 +246,7 @@ def plot_means(family: Family, name: str, axes: Axes) -> None:
         axes.plot(values, [row + 0.22] * len(values), ".", color=look.colour, markersize=3)
         every += [*values, shown.factor * _plot_mean(number, row, (look, sign), shown.factor, axes)]
     axes.set_yticks(range(len(numbers)), [shortened(word, _LONGEST) for word in family.words])
-    axes.tick_params(axis="y", length=0, labelsize=7)
+    axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(numbers) - 0.4, -0.6)
     axes.set_xlabel(heading(name, shown.unit))
     axes.locator_params(axis="x", nbins=4)

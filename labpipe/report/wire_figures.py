@@ -134,7 +134,7 @@ def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
         names = {slip: f"all stick\n{_digits(stick)}\nall slip\n{_digits(slip)}"}
     beside = axes.get_yaxis_transform()
     for level, words in names.items():
-        axes.text(1.01, level, words, transform=beside, va="center", fontsize=8)
+        axes.text(1.01, level, words, transform=beside, va="center")
 
 
 def _digits(value: float) -> str:

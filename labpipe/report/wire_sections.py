@@ -179,7 +179,7 @@ def plot_section(
     axes.set_xlim(-edge, edge)
     axes.set_ylim(-1.22 * edge, edge)
     axes.set_axis_off()
-    axes.set_title(_about(table, unit or stiffness_scale([table])), fontsize=8, linespacing=1.25)
+    axes.set_title(_about(table, unit or stiffness_scale([table])), linespacing=1.25)
     _draw_bar(axes, edge)
 
 
@@ -262,9 +262,7 @@ def _draw_bar(axes: Axes, edge: float) -> None:
     length = max(step * power for step in (1.0, 2.0, 5.0) if step * power <= edge)
     level = -1.1 * edge
     axes.plot([-edge, length - edge], [level, level], color="black", solid_capstyle="butt")
-    axes.text(
-        length - edge + 0.05 * edge, level, f"{length:g} {LENGTH.unit}", va="center", fontsize=7
-    )
+    axes.text(length - edge + 0.05 * edge, level, f"{length:g} {LENGTH.unit}", va="center")
 
 
 def _reaches(tables: Sequence[WireTable]) -> list[float]:

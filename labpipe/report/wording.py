@@ -112,6 +112,8 @@ _WORDS: Mapping[str, str] = {
     "stiffness": "Stiffness",
     "stiffness_first": "Stiffness, first region",
     "stiffness_second": "Stiffness, second region",
+    "modulus_thin_wall": "Modulus, thin wall",
+    "modulus_annulus": "Modulus, annulus",
 }
 """Names of results in words: as the kinds of results have them, and names that protocols choose."""
 _QUANTITIES = {
@@ -128,6 +130,8 @@ _QUANTITIES = {
 }
 """The quantity whose display unit a result of this SI unit takes."""
 _PER_PEAK = "_per_peak_force"
+_AT_CURVATURE = re.compile(r"(bending_stiffness)_at_(\d+)")
+"""What the shipped protocols call a stiffness at a curvature."""
 _ONE_BY_ONE = ("slip_position", "slip_drop")
 _DIGITS_ALONE = 4
 _DIGITS_OF_INTERVAL = 2
@@ -156,12 +160,16 @@ def in_words(name: str) -> str:
     'Peak force, cycle 2'
     >>> in_words("stiffness_first_per_peak_force")
     'Stiffness, first region, per peak force'
+    >>> in_words("bending_stiffness_at_3")
+    'Bending stiffness at 3 1/m'
     >>> in_words("slip_drop.1")
     'Force lost in slip 1'
     """
     stem, _, part = name.partition(".")
     if stem.endswith(_PER_PEAK):
         words = f"{in_words(stem.removesuffix(_PER_PEAK))}, per peak force"
+    elif at := _AT_CURVATURE.fullmatch(stem):
+        words = f"{in_words(at[1])} at {at[2]} 1/m"
     else:
         words = _WORDS.get(stem) or stem.replace("_", " ").capitalize()
     if not part:
@@ -388,12 +396,13 @@ def _alike(numbers: Iterable[float], place: int) -> list[str]:
     several = list(numbers)
     largest = max(map(abs, several))
     if _PLAIN[0] <= largest < _PLAIN[1] or largest == 0.0 or not math.isfinite(largest):
-        return [_rounded(number, place) for number in several]
+        return [rounded(number, place) for number in several]
     power = math.floor(math.log10(largest))
     tail = f" \u00d7 10{str(power).translate(SUPERSCRIPTS)}"
-    return [_rounded(number / 10.0**power, place - power) + tail for number in several]
+    return [rounded(number / 10.0**power, place - power) + tail for number in several]
 
 
-def _rounded(number: float, place: int) -> str:
-    rounded = round(number, -place)
-    return f"{rounded + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero
+def rounded(number: float, place: int) -> str:
+    """Write a number down to a power of ten, such as ``52.3`` for the place -1."""
+    near = round(number, -place)
+    return f"{near + 0.0:.{max(-place, 0)}f}"  # + 0.0: no minus zero

@@ -187,9 +187,9 @@ class MidSpan(Window):
     result: ClassVar = "mid-span"
     outputs: ClassVar = (
         Output(
-            "mid_span_bending_stiffness", "N*m^2", "Mid span bending stiffness", (*CURVE, _SPAN)
+            "mid_span_bending_stiffness", "N*m^2", "Mid-span bending stiffness", (*CURVE, _SPAN)
         ),
-        Output("mid_span_curvature", "1/m", "Mid span curvature", ("displacement", "clock", _SPAN)),
+        Output("mid_span_curvature", "1/m", "Mid-span curvature", ("displacement", "clock", _SPAN)),
     )
     needs: ClassVar = Needs(branches=True, shape="three-point-shape")
     corrections: Annotated[

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -51,12 +52,29 @@ def test_noise_is_shaded(result: TestResult) -> None:
 def test_stiffnesses_begin_above_the_noise(result: TestResult) -> None:
     axes = Figure().subplots()
     plot_stiffness(result, axes)
-    secant, tangent = axes.lines
+    secant = axes.lines[0]
     np.testing.assert_allclose(np.asarray(secant.get_ydata()), 1e6 * some_law().secant[1:])
-    np.testing.assert_allclose(np.asarray(tangent.get_ydata()), 1e6 * some_law().tangent[1:])
     assert axes.get_xscale() == "log"
     assert axes.get_xlim() == pytest.approx((0.06, 10.0))
     assert axes.get_ylabel() == "Bending stiffness (N·mm²)"
+
+
+def test_tangents_stand_at_the_knots_of_the_law_with_their_intervals(result: TestResult) -> None:
+    axes = Figure().subplots()
+    plot_stiffness(result, axes)
+    bars: Any = axes.containers[0]
+    drawn = np.asarray(bars.lines[0].get_ydata(), dtype=np.float64)
+    law = some_law()
+    assert 1 <= len(drawn) <= len(law.knots)
+    assert set(drawn.round(9)) <= set((1e6 * law.tangent).round(9))
+    assert bars.lines[0].get_linestyle() == "None"
+
+
+def test_the_band_lets_the_points_show_through(result: TestResult) -> None:
+    axes = Figure().subplots()
+    plot_cloud(result, axes)
+    (band,) = axes.collections
+    assert (band.get_alpha() or 1.0) < 0.5
 
 
 def test_without_a_law_the_points_stay_and_a_sentence_says_why(result: TestResult) -> None:
@@ -83,5 +101,5 @@ def test_the_key_names_what_is_drawn(result: TestResult) -> None:
     named = [text.get_text() for text in page.legends[0].get_texts()]
     assert named == [
         *("cycle 1", "loading", "unloading"),
-        *("law, secant", "tangent", "95 %", "below noise"),
+        *("law, secant", "tangent, 95 %", "95 % of the law", "below noise"),
     ]

@@ -101,7 +101,19 @@ def test_key_names_no_unloading_where_there_is_none(result: TestResult) -> None:
     assert result.curve is not None
     pulled = replace(result, curve=replace(result.curve, branches=result.curve.branches[:1]))
     names = [text.get_text() for text in draw_force_displacement(pulled).legends[0].get_texts()]
-    assert names == ["cycle 1", "loading", "peak"]
+    assert names == ["peak"]
+    once = replace(result, curve=replace(result.curve, branches=result.curve.branches[:2]))
+    page = draw_force_displacement(once)
+    names = [text.get_text() for text in page.legends[0].get_texts()]
+    assert names == ["loading", "unloading", "peak"]
+
+
+def test_unloading_is_dashed_in_both_panels(result: TestResult) -> None:
+    with style():
+        page = draw_force_displacement(result)
+    for axes in page.axes:
+        lines = [line for line in axes.lines if line.get_marker() == "None"]
+        assert [line.get_linestyle() for line in lines] == ["-", "--"] * 3
 
 
 def test_panel_b_says_whether_anything_was_filtered(result: TestResult) -> None:
@@ -113,10 +125,17 @@ def test_panel_b_says_whether_anything_was_filtered(result: TestResult) -> None:
     )
     slack = replace(plain, displacement=plain.displacement - 1e-3)
     titles = [
-        draw_force_displacement(replace(result, curve=curve)).axes[1].get_title(loc="left")
+        [
+            axes.get_title(loc="left")
+            for axes in draw_force_displacement(replace(result, curve=curve)).axes
+        ]
         for curve in (result.curve, plain, slack)
     ]
-    assert titles == ["(b) Filtered", "(b) Not filtered", "(b) Corrected, not filtered"]
+    assert titles == [
+        ["(a) As recorded", "(b) Filtered"],
+        ["As recorded, not filtered"],  # one panel: a second would be the same
+        ["(a) As recorded", "(b) Corrected, not filtered"],
+    ]
 
 
 @pytest.mark.parametrize("count", [0, 1, 6, 7, 40])

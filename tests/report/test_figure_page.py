@@ -34,7 +34,7 @@ def test_style_is_given_back() -> None:
     before = dict(mpl.rcParams)
     with style():
         assert mpl.rcParams["svg.hashsalt"] == "labpipe"
-        assert mpl.rcParams["font.size"] == 9
+        assert mpl.rcParams["font.size"] == 8
     assert dict(mpl.rcParams) == before
 
 

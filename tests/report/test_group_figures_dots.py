@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from matplotlib.figure import Figure
 
+from labpipe.records.curve import Interval
 from labpipe.records.group import Outlier
 from labpipe.report.figure_page import style
 from labpipe.report.group_figures import (
@@ -42,6 +43,33 @@ def test_panels_in_display_units_with_the_rest_named() -> None:
         page = draw_dots(group)
     assert [axes.get_xlabel() for axes in page.axes] == ["N", "N/mm", "N/mm", "1/m", "mm", "mm"]
     assert page.texts[1].get_text() == "In the tables only: Force at failure."
+
+
+def test_one_spool_has_no_mean_of_its_own() -> None:
+    group = build_group("A", six_samples()[:3])
+    assert [row.label for row in rows_of(group, group.numbers[0])][-2:] == ["tt-s1c", "mean"]
+
+
+def test_doubtful_is_in_the_key_where_a_sample_is() -> None:
+    for samples, words in ((six_samples(), 2), (troubled_samples(), 3)):
+        with style():
+            page = draw_dots(build_group("A", samples))
+        assert len(page.legends[0].get_texts()) == words
+
+
+def test_dots_that_differ_by_less_than_their_intervals_stay_close() -> None:
+    group = build_group("A", six_samples())
+    ends = Interval(4999.0, 5001.0)
+    values = {
+        test: replace(result, value=5000.0 + 1e-3 * at, interval=ends)
+        for at, (test, result) in enumerate(group.numbers[1].values.items())
+    }
+    number = replace(group.numbers[1], values=values, mean=None)
+    axes = Figure().subplots()
+    plot_dots(group, number, axes)
+    low, high = axes.get_xlim()
+    assert high - low >= 2e-3
+    assert not axes.xaxis.get_offset_text().get_text()
 
 
 def test_outliers_have_a_ring() -> None:

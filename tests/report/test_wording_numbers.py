@@ -78,7 +78,7 @@ def test_display_units() -> None:
 
 def test_words() -> None:
     assert in_words("peak_force.1") == "Peak force, cycle 1"
-    assert in_words("modulus_thin_wall") == "Modulus thin wall"
+    assert in_words("modulus_thin_wall") == "Modulus, thin wall"
     assert heading("stiffness_first", "N/mm") == "Stiffness, first region (N/mm)"
     assert heading("ratio", "1") == "Ratio"
     assert unit_words("N*mm^2") == "N\u00b7mm\u00b2"

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from labpipe.records.curve import Aligned
 from labpipe.records.result import TestResult
-from labpipe.report.curve_figures import (
+from labpipe.report.timeline_figure import (
     draw_timeline,
     motion,
     plot_force,
@@ -41,17 +41,18 @@ def test_force_raw_and_filtered(result: TestResult) -> None:
     axes = Figure().subplots()
     plot_force(result, axes)
     assert result.curve is not None
-    assert [line.get_label() for line in axes.lines] == ["raw", "filtered"]
+    assert [line.get_label() for line in axes.lines] == ["as recorded", "filtered"]
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), result.curve.force)
 
 
-def test_a_force_that_was_not_filtered_is_not_called_so(result: TestResult) -> None:
+def test_a_force_to_which_nothing_was_done_is_one_line(result: TestResult) -> None:
     axes = Figure().subplots()
     assert result.curve is not None
     assert result.aligned is not None
     plain = replace(result.curve, force=result.aligned.series["force"].values)
     plot_force(replace(result, curve=plain), axes)
-    assert [line.get_label() for line in axes.lines] == ["raw", "not filtered"]
+    assert [line.get_label() for line in axes.lines] == ["as recorded"]
+    np.testing.assert_array_equal(axes.lines[0].get_ydata(), plain.force)
 
 
 def test_turning_points_lie_on_the_motion(result: TestResult) -> None:
@@ -85,7 +86,26 @@ def test_residuals_are_what_the_line_leaves_over(result: TestResult) -> None:
     np.testing.assert_allclose(lengths, 2 * 1.96 * fit.event_errors * 1e3)
     words = axes.get_title(loc="right")
     assert words.startswith("offset 3.2170 ± 0.0020 s,  drift 48.0 ± 9.0 ppm")
-    assert "residual 1.20 ms" in words
+    assert f"residual 1.2 ms (rms of {len(fit.event_times_motion)})" in words
+
+
+def test_two_events_leave_nothing_over_and_signs_are_minus(result: TestResult) -> None:
+    assert result.aligned is not None
+    fit = result.aligned.clock_fit
+    assert fit is not None
+    two = replace(
+        fit,
+        drift=-fit.drift,
+        event_times_motion=fit.event_times_motion[:2],
+        event_times_force=fit.event_times_force[:2],
+        event_errors=fit.event_errors[:2],
+    )
+    axes = Figure().subplots()
+    plot_residuals(replace(result, aligned=replace(result.aligned, clock_fit=two)), axes)
+    words = axes.get_title(loc="right")
+    assert "2 events for two unknowns: nothing is left over" in words
+    assert "residual" not in words
+    assert "drift \u221248.0 ± 9.0 ppm" in words
 
 
 def test_missing_stages_are_said(result: TestResult) -> None:
