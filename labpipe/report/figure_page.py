@@ -40,7 +40,7 @@ _DASHES: tuple[Any, ...] = ("-", (0, (5, 1.5)), (0, (1.5, 1.2)), (0, (5, 1.5, 1.
 _FEW_DECADES = 500.0
 _ROOM_FOR_INTERVALS = 1.5
 """Beside the values of an axis, as a share of their range."""
-_NOTE_CHARACTERS = 0.8
+_NOTE_CHARACTERS = 0.7
 """Characters of a footnote for each mm of the page's width."""
 _KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
 """mm of a key's line, and of each character behind it."""
@@ -145,7 +145,7 @@ def titled_page(
     figure.text(_EDGE, 1 - 0.3 * line, words, va="top", color=GREY)
     if note:
         figure.text(_EDGE, 0.3 * line, note, va="bottom", color=GREY)
-    low = line * (0.1 + 0.9 * (note.count("\n") + 1)) if note else 0.0
+    low = line * (0.4 + 0.9 * (note.count("\n") + 1)) if note else 0.0
     high = 1 - (1.3 + 1.1 * key_rows) * line
     pad = 1.2 / _MM_PER_INCH
     figure.set_layout_engine("constrained", rect=(0.0, low, 1.0, high - low), w_pad=pad, h_pad=pad)

@@ -33,6 +33,12 @@ from labpipe.report.group_plots import (
     spool_looks,
     thin,
 )
+from labpipe.report.group_shapes import (
+    draw_group_laws,
+    draw_group_shapes,
+    has_laws,
+    has_shapes,
+)
 from labpipe.report.saving import FigureToSave, SavedFigure, save_report_figures
 from labpipe.report.wording import display_of, in_words, shortened, shown_in, unit_words
 
@@ -325,7 +331,8 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
 
     Yields
     ------
-    Curves, normalised curves, slips, fitted lines, numbers, budgets, by names without
+    Curves, normalised curves, shapes, measured laws, slips, fitted lines, numbers, budgets, by
+    names without
     that of the group.
     """
     about = f"{group.name}, {count_words(group)}"
@@ -339,6 +346,12 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
         )
         alt = f"Force over peak force against displacement of {about}."
         yield FigureToSave("scaled", partial(draw_scaled, group), caption, alt)
+    if has_shapes(group):
+        alt = f"Shapes of {about} at equal steps of deflection."
+        yield FigureToSave("shapes", partial(draw_group_shapes, group), _SHAPES, alt)
+    if has_laws(group):
+        alt = f"Measured bending moment against curvature of {about}."
+        yield FigureToSave("moment", partial(draw_group_laws, group), _LAWS, alt)
     if with_slips(group):
         caption = (
             "Samples that slid in their grips, first loading. Grey and dashed: the force as it was"
@@ -362,6 +375,15 @@ def drawings(group: Group) -> Iterator[FigureToSave]:
         yield FigureToSave("budgets", partial(draw_group_budgets, group), _BUDGETS, alt)
 
 
+_SHAPES = (
+    "Where cameras saw the samples at equal steps of the first loading, at equal axis scale; a"
+    " colour is a deflection. Dots are markers, which lie beside the axis, or sections of markers;"
+    " of a clamped sample the first and the last dot are on the axis. Lines only join them."
+)
+_LAWS = (
+    "Bending moment against curvature on first loading, as measured by load cell and cameras, a"
+    " line for each sample."
+)
 _LINES = (
     "Straight lines over the windows that they were fitted in, on the first loading of each"
     " sample (grey). The slopes in the key are those of the table of means. Broad and pale: the"

@@ -238,6 +238,16 @@ def plot_marks(
         axes.plot([x, x], [up * band.lower[at], up * band.upper[at]], color=color, **MARK)
 
 
+def interval_key(words: str, *, color: str) -> Artist:
+    """Sample of an interval as it is drawn, upright with two ends, for a key."""
+    from matplotlib.path import Path
+
+    ends = [(-0.5, -1.0), (0.5, -1.0), (0.0, -1.0), (0.0, 1.0), (-0.5, 1.0), (0.5, 1.0)]
+    beam = Path(ends, [1, 2, 1, 2, 1, 2])
+    look = {"marker": beam, "markersize": 8, "linestyle": "", "markeredgewidth": 1.0}
+    return line_key(words, color=color, markerfacecolor="none", **look)
+
+
 def seen(group: Group, band: Band, *, is_scaled: bool = False) -> tuple[float, float]:
     """Find the forces that the figure of the curves shows, in N or as a share of the peak force.
 
@@ -318,7 +328,7 @@ def _keys(group: Group, band: Band, *, is_scaled: bool) -> list[Artist]:
         if band.has_area:
             keys.append(area_key("95 % band, point by point", **_POINTWISE))
         elif len(band.marks):
-            keys.append(line_key("95 % interval of the mean", color="black", **MARK))
+            keys.append(interval_key("95 % interval of the mean", color="black"))
         if _is_known(band.lower_all):
             keys.append(line_key("95 % band, whole curve", **_ALL))
     faint = "" if is_scaled else _faint_words(group)

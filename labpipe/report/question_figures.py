@@ -25,7 +25,7 @@ from labpipe.report.figure_page import (
     style_colours,
 )
 from labpipe.report.group_figures import stems
-from labpipe.report.group_plots import MARK, group_scale, plot_marks
+from labpipe.report.group_plots import group_scale, interval_key, plot_marks
 from labpipe.report.questions import Family, context_words, equal_words, families, field_words
 from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import display_of, heading, in_words, shortened, shown_in
@@ -287,7 +287,7 @@ def _keys(family: Family) -> list[Artist]:
         for look, word, group in zip(_looks(family), family.words, family.groups, strict=True)
     ]
     if any(len(group.band.marks) for group in family.groups):
-        keys.append(line_key("95 % interval of the mean", color=GREY, **MARK))
+        keys.append(interval_key("95 % interval of the mean", color=GREY))
     if any(group.band.has_area for group in family.groups):
         keys.append(area_key("95 % band, point by point", color=GREY, **_BAND_LOOK))
     return keys
