@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo demo-full notebooks golden test test-slow coverage coverage-status coverage-page check bench reference clean
+.PHONY: demo demo-full docs notebooks golden test test-slow coverage coverage-status coverage-page check bench reference clean
 
 .venv/.ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -14,6 +14,15 @@ demo: .venv/.ready  ## a synthetic test of each kind in real vendor formats, pro
 
 demo-full: .venv/.ready  ## whole synthetic campaigns, processed, with reports and a calibration: some minutes
 	$(BIN)/labpipe demo --full
+
+.venv/.docs-ready: .venv/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
+	touch $@
+
+docs: .venv/.docs-ready  ## the documentation as a site, in build/site: its examples run, a warning is an error
+	rm -rf build/site docs/site/_made
+	$(BIN)/python -m sphinx --quiet --fail-on-warning --keep-going --builder html \
+		--conf-dir docs/site --doctree-dir build/doctrees --fresh-env . build/site
 
 notebooks: .venv/.ready  ## run the notebooks of the documentation and keep their output
 	$(BIN)/python -m tests.notebooks

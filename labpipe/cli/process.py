@@ -15,6 +15,7 @@ from labpipe.cli.terminal import from_here, name_width, progress, result_line
 from labpipe.process.attempts import Refused
 from labpipe.process.run import Processed
 from labpipe.process.targets import find_tests
+from labpipe.records.quality import QualityNote
 from labpipe.records.result import Result, Status
 from labpipe.report.wording import shown_in
 from labpipe.store.summaries import summary
@@ -110,8 +111,14 @@ def table(processed: Processed) -> str:
             reasons.setdefault(f"{each.status}: {each.why}", []).append(each.name)
     lines += [f"  {reason}  [{', '.join(names)}]" for reason, names in reasons.items()]
     warnings = [note for note in result.quality if note.severity != "info"]
-    lines += [f"  {note.severity}: {note.where}: {note.message}" for note in warnings]
+    lines += [f"  {note.severity}: {_placed(note)}" for note in warnings]
     return "\n".join(lines)
+
+
+def _placed(note: QualityNote) -> str:
+    """What a note says, and where, unless it begins with that."""
+    is_said = note.message.startswith(note.where.partition(",")[0])
+    return note.message if is_said else f"{note.where}: {note.message}"
 
 
 def headline(processed: Processed) -> str:

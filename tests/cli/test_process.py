@@ -32,7 +32,7 @@ def test_doubtful_results_are_status_0_and_told(run: Run, lab: Lab) -> None:
     assert ran.status == 0
     assert "? peak_displacement.1 " in ran.out
     assert "doubtful: out_of_plane: " in ran.out
-    assert "warning: markers: " in ran.out
+    assert "warning: markers leave their plane by " in ran.out
 
 
 def test_out(run: Run, lab: Lab) -> None:

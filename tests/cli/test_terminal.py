@@ -73,6 +73,18 @@ def test_notes_that_matter() -> None:
     ]
 
 
+def test_the_place_of_a_note_stands_once() -> None:
+    of_marker = "W:M2: no position, frames 1 to 3"
+    notes = (
+        QualityNote("c", Severity.WARNING, "W:M2, frames 1 to 3", of_marker),
+        QualityNote("c", Severity.WARNING, "W:M3, frames 1 to 3", "no position"),
+    )
+    assert told(quality=notes)[1:] == [
+        f"  warning: {of_marker}",
+        "  warning: W:M3, frames 1 to 3: no position",
+    ]
+
+
 def test_the_largest_share_stands_beside_the_interval() -> None:
     budget = (Contribution("noise", 0.3), Contribution("pull offset", -0.4))
     found = Result("a", 53.43, "mm", Interval(53.32, 53.54), budget=budget)
