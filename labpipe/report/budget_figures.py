@@ -82,9 +82,9 @@ _LEAST_SHOWN = 0.02
 """Share from which a cause has a colour of its own in one of the bars."""
 _LEAST_WRITTEN = 0.10
 """Share from which a bar has room for its number."""
-_SMALLER = "causes under 2 % in every bar"
+SMALLER = "causes under 2 % in every bar"
 _HATCH = "////"
-_COLOURS: Mapping[str, str] = {
+COLOURS_OF_CAUSES: Mapping[str, str] = {
     SCATTER: "#4d4d4d",
     NOISE: "#8c8c8c",
     FIT: "#c9bfae",
@@ -197,11 +197,11 @@ def plot_bars(bars: Sequence[Bar], axes: Axes, *, of: str = "variance") -> None:
     """
     from matplotlib.patches import Rectangle
 
-    named = set(_named(bars))
+    named = set(named_causes([bar.shares for bar in bars]))
     beside = axes.get_yaxis_transform()
     for height, bar in enumerate(bars):
         start = 0.0
-        for cause, share in _parts(bar.shares, named).items():
+        for cause, share in parts_of(bar.shares, named).items():
             corner = 100 * start, height - _THICK / 2
             axes.add_artist(Rectangle(corner, 100 * share, _THICK, **_look(cause)))
             if share >= _LEAST_WRITTEN:
@@ -222,7 +222,7 @@ def _write(axes: Axes, at: float, height: float, share: float, cause: str) -> No
     """Put a share on its colour; on hatched ground it has a patch below it."""
     from matplotlib.colors import to_rgb
 
-    ground = _COLOURS.get(cause, _OTHER)
+    ground = COLOURS_OF_CAUSES.get(cause, _OTHER)
     red, green, blue = to_rgb(ground)
     is_dark = 0.3 * red + 0.59 * green + 0.11 * blue < _DARK
     is_hatched = IS_COMMON.get(cause, False)
@@ -234,12 +234,18 @@ def _write(axes: Axes, at: float, height: float, share: float, cause: str) -> No
     words.set_in_layout(False)  # it lies on its bar
 
 
-def _parts(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
-    """Shares in the order of the key; what has no colour of its own in one piece at the end."""
+def parts_of(shares: Mapping[str, float], named: set[str]) -> dict[str, float]:
+    """Put shares in the order of the key; what is not named stands in one piece at the end.
+
+    Parameters
+    ----------
+    shares : by cause
+    named : causes that have a colour of their own
+    """
     ordered = {cause: shares[cause] for cause in _listed(shares)}
     parts = {cause: share for cause, share in ordered.items() if cause in named}
     rest = sum(share for cause, share in ordered.items() if cause not in named)
-    return {**parts, **({_SMALLER: rest} if rest > 0.0 else {})}
+    return {**parts, **({SMALLER: rest} if rest > 0.0 else {})}
 
 
 def _listed(causes: Iterable[str]) -> list[str]:
@@ -247,22 +253,27 @@ def _listed(causes: Iterable[str]) -> list[str]:
     return [*([SCATTER] if SCATTER in every else []), *in_order(every - {SCATTER})]
 
 
-def _named(bars: Sequence[Bar]) -> list[str]:
-    """Causes that have a share worth seeing in one of the bars."""
-    every = {cause for bar in bars for cause, share in bar.shares.items() if share >= _LEAST_SHOWN}
+def named_causes(bars: Sequence[Mapping[str, float]]) -> list[str]:
+    """List the causes that have a share worth seeing in one of the bars.
+
+    Parameters
+    ----------
+    bars : shares by cause
+    """
+    every = {cause for shares in bars for cause, share in shares.items() if share >= _LEAST_SHOWN}
     return _listed(every)
 
 
 def _look(cause: str) -> dict[str, Any]:
     is_common = IS_COMMON.get(cause, False)
-    look = {"facecolor": _COLOURS.get(cause, _OTHER), "edgecolor": "white", "linewidth": 0.6}
+    look = {"facecolor": COLOURS_OF_CAUSES.get(cause, _OTHER), "edgecolor": "white", "linewidth": 0.6}
     return {**look, "hatch": _HATCH} if is_common else look
 
 
 def _keys(bars: Sequence[Bar]) -> list[Artist]:
-    named = _named(bars)
-    rest = any(_SMALLER in _parts(bar.shares, set(named)) for bar in bars)
-    causes = [*named, *([_SMALLER] if rest else [])]
+    named = named_causes([bar.shares for bar in bars])
+    rest = any(SMALLER in parts_of(bar.shares, set(named)) for bar in bars)
+    causes = [*named, *([SMALLER] if rest else [])]
     keys = [area_key(cause, **_look(cause)) for cause in causes]
     if any(IS_COMMON.get(cause, False) for cause in named):
         hatched = {"facecolor": "#999999", "edgecolor": "white", "linewidth": 0.6, "hatch": _HATCH}

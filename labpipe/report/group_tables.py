@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from labpipe.records.group import Campaign, Decision, Group, GroupNumber, NestedMean, Sample
 from labpipe.records.quality import Reason
@@ -28,6 +29,9 @@ from labpipe.report.wording import (
     write_number,
 )
 
+if TYPE_CHECKING:
+    from markupsafe import Markup
+
 DASH = "\u2013"
 _COLUMNS = 4
 """Numbers side by side in a table of samples: as many as a page and a phone can take."""
@@ -42,11 +46,21 @@ class Cell:
     text : large
     small : below it
     mark : behind it: ``?`` for doubtful
+    tip : sentence or code that is shown when somebody points at it
+    sort : what the column is sorted by, in SI; None for the text
+    drawing : in place of the text
+    link : address on the page
+    test : number of the test that it decides on; None for none
     """
 
     text: str
     small: str = ""
     mark: str = ""
+    tip: str = ""
+    sort: float | None = None
+    drawing: Markup | None = None
+    link: str = ""
+    test: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

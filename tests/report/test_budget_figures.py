@@ -14,7 +14,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Group
 from labpipe.records.result import Contribution, Result, TestResult
 from labpipe.report.budget_figures import (
-    _COLOURS,
+    COLOURS_OF_CAUSES,
     Bar,
     budgets_to_draw,
     draw_budget,
@@ -92,7 +92,7 @@ def test_half_widths_in_the_display_unit() -> None:
 
 
 def test_every_cause_has_a_colour() -> None:
-    assert set(IS_COMMON) <= set(_COLOURS)
+    assert set(IS_COMMON) <= set(COLOURS_OF_CAUSES)
 
 
 def group(count: int = 6) -> Group:
