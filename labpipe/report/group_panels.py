@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.curve import SlipDecision
+from labpipe.records.curve import FittedLine, SlipDecision
 from labpipe.records.group import Band, Group, Sample, SampleCurve
 from labpipe.report.concerns import sentence
 from labpipe.report.drawn_points import bends
@@ -19,14 +19,14 @@ from labpipe.report.wording import Scale, count_of, display_of, shown_in, unit_w
 
 COLOURS = 8
 """Colours of the page for spools and groups; they begin anew after so many."""
-_POINTS, _OTHER_POINTS, _SCALED_POINTS = 120, 60, 40
+_POINTS, _OTHER_POINTS, _SCALED_POINTS = 100, 45, 30
 """Points of a first loading, of all other branches of a test together, and of its copy over the
 peak force: so many that a test is below 3 kB."""
 _UNSEEN = 0.001
 _BAND_POINTS = 80
 _MOST_WITH_INTERVALS = 6
-_SMALL = (262, 190)
-_FLATTEST, _HIGHEST = 70, 230
+_SMALL = (262, 150)
+_FLATTEST, _HIGHEST = 60, 190
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +96,7 @@ def _curves(drawn: _Drawn) -> Plot | None:
     )
     title = f"Force against displacement of {count_of(len(group.samples), 'sample')}: {group.name}."
     return Plot(
-        "curves", drawn.stem, title, _caption(group), x, y, lines, _keys(drawn, lines), (660, 270)
+        "curves", drawn.stem, title, _caption(group), x, y, lines, _keys(drawn, lines), (660, 240)
     )
 
 
@@ -137,12 +137,19 @@ def _rejected(drawn: _Drawn) -> Iterator[Line]:
 def _windows(drawn: _Drawn) -> Iterator[Line]:
     """Straight lines over the windows that stiffnesses were read from."""
     for sample in drawn.group.samples:
+        test = drawn.number(sample)
+        parts: dict[str, list[FittedLine]] = {}
         for line in sample.lines:
-            ends = np.array([line.start, line.stop])
-            force = line.level + line.slope * (ends - line.start)
             look = "segment" if line.result.startswith("segment") else "window"
-            x, y = ends * drawn.across.factor, force * drawn.up.factor
-            yield Line(look, x, y, drawn.number(sample))
+            parts.setdefault(look, []).append(line)
+        for look, lines in parts.items():
+            x = np.array([part for each in lines for part in (each.start, each.stop, np.nan)])
+            y = np.array([part for each in lines for part in (*_heights(each), np.nan)])
+            yield Line(look, x * drawn.across.factor, y * drawn.up.factor, test)
+
+
+def _heights(line: FittedLine) -> tuple[float, float]:
+    return line.level, line.level + line.slope * (line.stop - line.start)
 
 
 def _events(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
@@ -262,13 +269,8 @@ _WORDS = {
 
 
 def _caption(group: Group) -> str:
-    """Why there is no band, if there is none; what zoom cannot show."""
-    band = group.band
-    why = sentence(band.reason.message) if band.reason else ""
-    return (
-        f"{why} Curves are thinned to {_POINTS} points that keep corners and steps to"
-        f" {100 * _UNSEEN:.1f} % of the range: finer detail is in result.h5."
-    ).strip()
+    """Why there is no band, if there is none."""
+    return sentence(group.band.reason.message) if group.band.reason else ""
 
 
 def _shapes(drawn: _Drawn) -> Plot | None:

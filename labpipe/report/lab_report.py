@@ -1,10 +1,11 @@
-"""The report of a campaign: one page, figures and a workbook, written into a folder."""
+"""The report of a campaign: one page, a workbook, on request figures, written into a folder."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,187 +13,229 @@ from labpipe.records.group import Campaign, Group
 from labpipe.records.quality import Severity
 from labpipe.report.bundle_figures import has_bundles, place_figures, place_table
 from labpipe.report.concerns import sentences
-from labpipe.report.group_figures import save_drawings, stems
-from labpipe.report.group_plots import count_words
+from labpipe.report.first_screen import KeyBlock, answers, count_words, fold, key_blocks, to_decide
+from labpipe.report.group_figures import drawings, stems
+from labpipe.report.group_panels import group_panels
 from labpipe.report.group_tables import (
     cause_lines,
-    key_number_tables,
-    means_of,
     method_tables,
     note_table,
-    sample_tables,
     slip_table,
     spool_means,
-    table_of_tests,
 )
+from labpipe.report.page_comparisons import questions
+from labpipe.report.page_facts import (
+    PageTests,
+    days_words,
+    instrument_lines,
+    operators_words,
+    report_id,
+    roles_words,
+    samples_of,
+)
+from labpipe.report.page_groups import (
+    about_group,
+    budget_causes,
+    budget_drawing,
+    number_table,
+    samples_tables,
+)
+from labpipe.report.page_parts import page_data, page_script, page_style
+from labpipe.report.page_plots import svg
+from labpipe.report.page_tests import export_table, test_rows
 from labpipe.report.question_figures import figures_of_families
-from labpipe.report.questions import (
-    answer_table,
-    answering_pairs,
-    field_words,
-    question_table,
-    remarks_on_pairs,
-)
+from labpipe.report.questions import remarks_on_pairs
 from labpipe.report.ranked_causes import find_causes
 from labpipe.report.report_workbook import save_workbook
-from labpipe.report.saving import SavedFigure, save_report_figures, written_to
-from labpipe.report.wording import count_of, printable, with_names_in_words
+from labpipe.report.saving import save_report_figures, written_to
+from labpipe.report.wording import printable, with_names_in_words
 
 if TYPE_CHECKING:
     from markupsafe import Markup
 
-
-_TEMPLATE = "lab_report.html"
+_TEMPLATE, _LOOKS = "lab_report.html", "page_looks.css"
+_NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
 
 
 @dataclass(frozen=True, slots=True)
-class FiguresBetween:
-    """Figures over several groups.
+class Letterhead:
+    """Who a report is from and for; all of it may be empty.
 
     Parameters
     ----------
-    questions : by the field that the groups differ in
-    places : of bundles between slipping and sticking
+    facts : such as laboratory, customer, order: name and words
+    logo : a picture as a ``data:`` address
     """
 
-    questions: Mapping[str, Sequence[SavedFigure]] = field(default_factory=dict)
-    places: Sequence[SavedFigure] = ()
+    facts: tuple[tuple[str, str], ...] = ()
+    logo: str = ""
 
-    @property
-    def every(self) -> list[SavedFigure]:
-        """All of them, in the order of the page."""
-        return [*self.places, *(each for own in self.questions.values() for each in own)]
+
+PLAIN = Letterhead()
 
 
 def render_page(
-    campaign: Campaign,
-    stems: Sequence[str],
-    figures: Sequence[Sequence[SavedFigure]],
-    between: FiguresBetween | None = None,
+    campaign: Campaign, *, letterhead: Letterhead = PLAIN, has_test_pages: bool = False
 ) -> str:
     """Write the page of a campaign.
 
     Parameters
     ----------
     campaign : all that is shown
-    stems : one per group: its name in links
-    figures : of each group
-    between : over several groups
+    letterhead : who it is from and for
+    has_test_pages : whether there is a page for each test, to be linked to
 
     Returns
     -------
-    An HTML document that needs no other file, no network and no script. Every text of the campaign
-    is escaped.
+    An HTML document that needs no other file and no network, and can be read and printed without
+    its script. Every text of the campaign is escaped.
     """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-    between = between or FiguresBetween()
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
     )
-    groups = [_group(*each) for each in zip(campaign.groups, stems, figures, strict=True)]
+    environment.filters["svg"] = svg
+    names = stems(group.name for group in campaign.groups)
+    report, script = report_id(campaign), page_script()
+    style = _style(campaign, report)
     return environment.get_template(_TEMPLATE).render(
         campaign=campaign,
-        summary=_summary(campaign),
-        causes=cause_lines(find_causes(campaign)),
-        notes=note_table(campaign),
-        groups=groups,
-        answers=answer_table(campaign),
-        key_numbers=key_number_tables(campaign),
-        questions=_questions(campaign, between.questions),
-        remarks_on_pairs=remarks_on_pairs(campaign),
-        has_bundles=has_bundles(campaign),
-        places=place_table(campaign),
-        place_figures=_inline(between.places),
-        protocols=", ".join(sorted({group.protocol for group in campaign.groups})) or "none",
-        methods=method_tables(campaign),
-        tests=table_of_tests(campaign),
-        classes=_classes([*figures, between.every]),
+        report=report,
+        style=style,
+        style_hash=_fingerprint(style),
+        script=script,
+        script_hash=_fingerprint(script),
+        page_data=page_data(campaign, report=report),
+        pages=has_test_pages,
+        logo=letterhead.logo,
+        **_first(campaign, names, letterhead),
+        **_rest(campaign, names),
     )
 
 
-def _classes(figures: Sequence[Sequence[SavedFigure]]) -> Markup:
-    """The looks of all drawings, each once; made by matplotlib, none of it said by a person."""
+def _fingerprint(text: str) -> Markup:
+    """What a page's policy calls a text that may count: its SHA-256."""
     from markupsafe import Markup
 
-    every = {
-        name: look
-        for group in figures
-        for each in group
-        for name, look in each.drawing.classes.items()
+    digest = hashlib.sha256(printable(text).encode()).digest()
+    return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
+
+
+def _style(campaign: Campaign, report: str) -> Markup:
+    """Looks of the page, with title and report in the footer of its sheets."""
+    from markupsafe import Markup
+
+    looks = (Path(__file__).parent / _LOOKS).read_text(encoding="utf-8")
+    words = _quoted(f"{campaign.title}  \u00b7  report {report}")
+    return Markup(f"{looks.replace('var(--footer)', words)}{page_style()}")
+
+
+def _quoted(text: str) -> str:
+    """Write a text for a style sheet, such that nothing in it can end the text or the sheet."""
+    plain = printable(text)
+    return '"' + "".join(each if each.isalnum() else f"\\{ord(each):x} " for each in plain) + '"'
+
+
+def _first(campaign: Campaign, names: Sequence[str], letterhead: Letterhead) -> dict[str, Any]:
+    """What stands on page one."""
+    tests, causes = PageTests(campaign, names), find_causes(campaign)
+    open_ones = to_decide(causes, tests)
+    own, blocks = answers(campaign), key_blocks(campaign, names)
+    folds = fold(len(own), blocks, len(open_ones))
+    samples = samples_of(campaign)
+    recorded = roles_words(samples)
+    return {
+        "counts": count_words(campaign, open_ones),
+        "facts": _facts(campaign, letterhead),
+        "instruments": instrument_lines(samples),
+        "no_instruments": f"{recorded}; {_NO_INSTRUMENTS}" if recorded else _NO_INSTRUMENTS,
+        "answers": own,
+        "blocks": _cut(blocks, folds.groups),
+        "open_ones": open_ones,
+        "folds": folds,
+        "causes": cause_lines(causes),
     }
-    return Markup("\n".join(f".{name} {{{look}}}" for name, look in every.items()))
 
 
-def _summary(campaign: Campaign) -> str:
-    """What was tested, in one sentence."""
-    samples = [sample for group in campaign.groups for sample in group.samples]
-    spools = {(sample.specimen.type, sample.specimen.spool) for sample in samples}
-    protocols = sorted({group.protocol for group in campaign.groups})
-    words = (
-        f"{count_of(len(samples), 'sample')} from {count_of(len(spools), 'spool')} in"
-        f" {count_of(len(campaign.groups), 'group')}, tested by"
-        f" {', '.join(protocols) or 'no protocol'}."
-    )
-    if campaign.left_out:
-        words += f" {count_of(len(campaign.left_out), 'test')} could not be read."
-    if campaign.rejected:
-        were = "was" if len(campaign.rejected) == 1 else "were"
-        words += f" {count_of(len(campaign.rejected), 'test')} {were} rejected."
-    return words
+def _facts(campaign: Campaign, letterhead: Letterhead) -> list[tuple[str, str]]:
+    samples = samples_of(campaign)
+    made = str(campaign.made_on) if campaign.made_on else ""
+    by = f"labpipe {campaign.labpipe_version}".strip()
+    return [
+        *letterhead.facts,
+        ("Tested", f"{days_words(samples)} by {operators_words(samples)}"),
+        ("Report", ", ".join(filter(None, [report_id(campaign), made, by]))),
+        ("Protocols", _protocols(campaign)),
+    ]
 
 
-def _group(group: Group, stem: str, figures: Sequence[SavedFigure]) -> dict[str, Any]:
+def _protocols(campaign: Campaign) -> str:
+    return ", ".join(sorted({group.protocol for group in campaign.groups})) or "none"
+
+
+def _cut(blocks: Sequence[KeyBlock], most: int) -> list[tuple[KeyBlock, int]]:
+    """How many groups of each block are shown at once."""
+    shown = []
+    for block in blocks:
+        count = min(len(block.rows), max(most, 0))
+        shown.append((block, count))
+        most -= count
+    return shown
+
+
+def _rest(campaign: Campaign, names: Sequence[str]) -> dict[str, Any]:
+    """What stands below page one."""
+    tests = PageTests(campaign, names)
+    groups = list(zip(campaign.groups, names, strict=True))
+    by_stem = {stem: group.name for group, stem in groups}
+    return {
+        "groups": [_group(group, stem, tests) for group, stem in groups],
+        "has_bundles": has_bundles(campaign),
+        "places": place_table(campaign),
+        "questions": questions(campaign, {group.name: stem for group, stem in groups}),
+        "remarks_on_pairs": remarks_on_pairs(campaign),
+        "notes": note_table(campaign),
+        "rows": test_rows(campaign, tests, by_stem),
+        "methods": method_tables(campaign),
+        "protocols": _protocols(campaign),
+        "exports": export_table(tests),
+    }
+
+
+def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
     return {
         "name": group.name,
         "stem": stem,
-        "about": count_words(group),
-        "protocol": group.protocol,
+        "about": about_group(group) if group.samples else "",
         "is_empty": not group.samples,
         "why_empty": sentences([group.band.reason]) or "The group has no sample.",
-        "means": means_of(group),
-        "spools": spool_means(group),
-        "samples": sample_tables(group),
+        "rejected": tests.rejected(stem),
+        "plots": group_panels(group, stem, tests),
+        "numbers": number_table(group, tests),
+        "budget": budget_drawing(group),
+        "causes": budget_causes(group),
+        "samples": samples_tables(group, tests),
         "slips": slip_table(group),
-        "figures": _inline(figures),
+        "spools": spool_means(group) if _spools(group) > 1 else None,
         "remarks": _remarks(group),
     }
 
 
-def _inline(figures: Sequence[SavedFigure]) -> list[dict[str, Any]]:
-    """Drawings made by matplotlib, with every text escaped: not text to be shown."""
-    from markupsafe import Markup
-
-    return [{"svg": Markup(each.drawing.element), "caption": each.caption} for each in figures]
-
-
-def _questions(
-    campaign: Campaign, figures: Mapping[str, Sequence[SavedFigure]]
-) -> list[dict[str, Any]]:
-    """What groups that differ in one field tell of it, field by field."""
-    pairs = groupby(answering_pairs(campaign), key=lambda pair: pair.field)
-    return [
-        {
-            "name": field_words(name),
-            "figures": _inline(figures.get(name, ())),
-            "tables": [question_table(pair) for pair in own],
-        }
-        for name, own in pairs
-    ]
+def _spools(group: Group) -> int:
+    return len({sample.specimen.spool for sample in group.samples})
 
 
 def _remarks(group: Group) -> list[str]:
-    """Notes that change nothing; those of several samples that say the same stand once."""
-    said: dict[str, list[str]] = {}
-    notes = [(sample.test, note) for sample in group.samples for note in sample.quality]
-    for test, note in (*notes, *(("", note) for note in group.notes)):
-        if note.severity is Severity.INFO:
-            words = with_names_in_words(f"{note.where}: {note.message}")
-            said.setdefault(words, []).append(test)
-    return [f"{', '.join(filter(None, tests))} \u00b7 {words}" for words, tests in said.items()]
+    """Notes on the group that change nothing; those on single tests stand on their own pages."""
+    return [
+        with_names_in_words(f"{note.where}: {note.message}")
+        for note in group.notes
+        if note.severity is Severity.INFO
+    ]
 
 
 PAGE_FILE = "report.html"
@@ -200,46 +243,71 @@ TABLES_FILE = "tables.xlsx"
 FIGURES_FOLDER = "figures"
 
 
-def write_report(campaign: Campaign, folder: Path) -> list[Path]:
+@dataclass(frozen=True, slots=True)
+class Extras:
+    """What a report is to have beside the page and the workbook.
+
+    Parameters
+    ----------
+    letterhead : of the page
+    formats : of the figures as files: ``svg``, ``png``, ``pdf``; none for no files
+    test_pages : by address below the report, the page of each test
+    """
+
+    letterhead: Letterhead = PLAIN
+    formats: tuple[str, ...] = ()
+    test_pages: Mapping[str, str] = field(default_factory=dict)
+
+
+NOTHING_MORE = Extras()
+
+
+def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE) -> list[Path]:
     """Write the report of a campaign.
 
     Parameters
     ----------
     campaign : groups with their statistics; groups may be empty
     folder : made if it is not there; files of other names stay
+    extras : letterhead, figures as files, pages of single tests
 
     Returns
     -------
-    The page, the workbook, then as SVG, PNG and PDF the figures of each group, and those that
-    compare groups.
+    The page, the workbook, then the pages of tests and the figures.
 
     Raises
     ------
     StoreError
         If a file cannot be written.
     """
-    figures = folder / FIGURES_FOLDER
-    names = stems(group.name for group in campaign.groups)
     with written_to(folder, "a report", again="make the report"):
-        figures.mkdir(parents=True, exist_ok=True)
-        drawn = [
-            save_drawings(group, figures, stem=name)
-            for group, name in zip(campaign.groups, names, strict=True)
-        ]
+        folder.mkdir(parents=True, exist_ok=True)
         page, tables = folder / PAGE_FILE, folder / TABLES_FILE
-        between = _between(campaign, figures)
-        text = printable(render_page(campaign, names, drawn, between))
-        page.write_text(text, encoding="utf-8")
+        text = render_page(
+            campaign, letterhead=extras.letterhead, has_test_pages=bool(extras.test_pages)
+        )
+        page.write_text(printable(text), encoding="utf-8")
         save_workbook(campaign, tables)
-    every = [*(figure for each in drawn for figure in each), *between.every]
-    return [page, tables, *(file for figure in every for file in figure.files)]
+        single = [_save_page(folder / name, text) for name, text in extras.test_pages.items()]
+        figures = _save_figures(campaign, folder / FIGURES_FOLDER) if extras.formats else []
+    return [page, tables, *single, *figures]
 
 
-def _between(campaign: Campaign, folder: Path) -> FiguresBetween:
-    """Draw what compares groups."""
-    questions: dict[str, list[SavedFigure]] = {}
-    wanted = list(figures_of_families(campaign))
-    saved = save_report_figures([figure for _, figure in wanted], folder)
-    for (name, _), figure in zip(wanted, saved, strict=True):
-        questions.setdefault(name, []).append(figure)
-    return FiguresBetween(questions, save_report_figures(place_figures(campaign), folder))
+def _save_page(path: Path, text: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(printable(text), encoding="utf-8")
+    return path
+
+
+def _save_figures(campaign: Campaign, folder: Path) -> list[Path]:
+    """Draw the figures of each group and those that compare groups, for papers and slides."""
+    folder.mkdir(parents=True, exist_ok=True)
+    names = stems(group.name for group in campaign.groups)
+    wanted = [
+        each._replace(name=f"{stem}-{each.name}")
+        for group, stem in zip(campaign.groups, names, strict=True)
+        for each in drawings(group)
+    ]
+    wanted += [figure for _, figure in figures_of_families(campaign)]
+    wanted += place_figures(campaign)
+    return [file for saved in save_report_figures(wanted, folder) for file in saved.files]

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 MOST_COLUMNS = 4
 """Samples that stand as columns of the table of numbers; of larger groups they have rows."""
 _NUMBERS_PER_TABLE = 6
-_MOST_BARS = 6
+_MOST_BARS, _MOST_STRIPS = 6, 8
 
 
 def about_group(group: Group) -> str:
@@ -52,12 +52,15 @@ def number_table(group: Group, tests: PageTests) -> Table:
     """
     columns = group.samples if len(group.samples) <= MOST_COLUMNS else ()
     heads = ("Number", "", "Mean, 95 %", "n", "s", *(each.test for each in columns))
-    rows = tuple(_number_row(group, number, columns) for number in group.numbers)
-    return Table(f"{group.name}: means", heads, rows, tuple(_notes(group)))
+    rows = tuple(
+        _number_row(group, number, columns, is_drawn=row < _MOST_STRIPS)
+        for row, number in enumerate(group.numbers)
+    )
+    return Table("", heads, rows, tuple(_notes(group)))
 
 
 def _number_row(
-    group: Group, number: GroupNumber, columns: Sequence[Sample]
+    group: Group, number: GroupNumber, columns: Sequence[Sample], *, is_drawn: bool
 ) -> tuple[Cell, ...]:
     shown = shown_in(number.name, number.unit, display_of(group))
     head = Cell(heading(number.name, shown.unit), tip=number.name)
@@ -69,9 +72,9 @@ def _number_row(
     deviation = write_number(chosen.deviation, None, shown.factor, digits=2).value
     return (
         head,
-        Cell("", drawing=number_strip(number)),
-        Cell(mean_with_interval(chosen, shown.factor), tip=none, sort=chosen.mean),
-        Cell(_over(number, len(group.samples)), tip=str(number.mean.decision)),
+        Cell("", drawing=number_strip(number) if is_drawn else None),
+        Cell(mean_with_interval(chosen, shown.factor), tip=none),
+        Cell(_over(number, len(group.samples)), tip=_decision(number)),
         Cell(deviation),
         *samples,
     )
@@ -85,6 +88,12 @@ def _over(number: GroupNumber, samples: int) -> str:
     if not mean.is_pooled:
         return count_of(mean.chosen.n, "spool")
     return f"{mean.chosen.n}" if mean.chosen.n == samples else f"{mean.chosen.n} of {samples}"
+
+
+def _decision(number: GroupNumber) -> str:
+    """How samples of several spools were averaged, and why."""
+    mean = number.mean
+    return str(mean.decision) if mean is not None and len(mean.spool_means) > 1 else ""
 
 
 def number_strip(number: GroupNumber) -> Markup:
@@ -112,7 +121,7 @@ def _result(sample: Sample, name: str) -> Result | None:
 
 
 def result_cell(result: Result | None, factor: float, *, is_outlier: bool = False) -> Cell:
-    """Write the number of one test; why it is doubtful or missing stands in its tooltip.
+    """Write the number of one test: ``?`` behind a doubtful one, ``!`` behind an outlier.
 
     Parameters
     ----------
@@ -122,13 +131,11 @@ def result_cell(result: Result | None, factor: float, *, is_outlier: bool = Fals
     """
     if result is None:
         return Cell(DASH, tip="not asked for")
-    why = sentences(result.reasons)
     if result.value is None:
-        return Cell(DASH, tip=why)
+        return Cell(DASH)
     mark = ("?" if result.status is Status.DOUBTFUL else "") + ("!" if is_outlier else "")
-    tip = why or ("stands apart: marked as an outlier" if is_outlier else "")
     words = with_interval(result.value, result.interval, factor, apart=result.apart)
-    return Cell(words, mark=mark, tip=tip, sort=result.value)
+    return Cell(words, mark=mark)
 
 
 def _notes(group: Group) -> Iterator[str]:
@@ -141,6 +148,9 @@ def _notes(group: Group) -> Iterator[str]:
     if any(number.is_set_by_rig for number in group.numbers):
         names = [in_words(each.name).lower() for each in group.numbers if each.is_set_by_rig]
         yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
+    spools = {sample.specimen.spool for sample in group.samples}
+    if len(spools) == 1 and len(group.samples) > 1:
+        yield "One spool: how spools differ is not known; the intervals hold for this spool."
     yield from _why_not(group)
 
 
@@ -230,21 +240,17 @@ def budget_drawing(group: Group) -> Markup | None:
 
 _BAR = 20
 _BAR_LEFT, _BAR_WIDTH = 202, 404
-_LEAST_WRITTEN = 0.08
+_LEAST_WRITTEN, _LEAST_DRAWN = 0.08, 0.004
 
 
 def _bar(shares: Mapping[str, float]) -> Iterator[str]:
-    from markupsafe import escape
-
     start = 0.0
     for cause, share in shares.items():
         x, width = _BAR_LEFT + _BAR_WIDTH * start, _BAR_WIDTH * share
         colour = COLOURS_OF_CAUSES.get(cause, "#ededed")
         hatch = ' class="shared"' if IS_COMMON.get(cause, False) else ""
-        yield (
-            f'<rect{hatch} x="{x:.1f}" y="2" width="{width:.1f}" height="16" fill="{colour}">'
-            f"<title>{escape(cause)} {100 * share:.0f} %</title></rect>"
-        )
+        if share >= _LEAST_DRAWN:
+            yield f'<rect{hatch} x="{x:.0f}" y="2" width="{width:.1f}" height="16" fill="{colour}"/>'
         if share >= _LEAST_WRITTEN:
             middle = x + width / 2
             yield f'<text class="share" x="{middle:.0f}" y="14">{100 * share:.0f}</text>'

@@ -214,7 +214,7 @@ def _ends(plot: Plot) -> str:
 def _x_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     from markupsafe import escape
 
-    values = ticks(axis, max(2, width // 70))
+    values = ticks(axis, max(2, width // 80))
     yield '<g class="x-axis">'
     for value, words in zip(values, tick_words(values), strict=True):
         at = LEFT + width * (value - axis.low) / (axis.high - axis.low)
@@ -228,7 +228,7 @@ def _x_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
 def _y_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     from markupsafe import escape
 
-    values = [] if axis.is_bare else ticks(axis, max(2, height // 40))
+    values = [] if axis.is_bare else ticks(axis, max(2, height // 46))
     yield '<g class="y-axis">'
     for value, words in zip(values, tick_words(values), strict=True):
         at = TOP + height * (axis.high - value) / (axis.high - axis.low)

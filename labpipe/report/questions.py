@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import groupby
 from math import nan
 
 from labpipe.records.curve import Interval
-from labpipe.records.group import Campaign, Difference, Group, Verdict
+from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
 from labpipe.report.concerns import sentences
 from labpipe.report.group_tables import DASH, Cell, Table
@@ -20,12 +20,10 @@ from labpipe.report.wording import (
     unit_words,
     write_number,
 )
-from labpipe.statistics.group_fields import BORE, OF_SECTION, TYPE, in_order, varying_fields
+from labpipe.statistics.group_fields import BORE, OF_SECTION, in_order, varying_fields
 
 MOST_TOGETHER = 6
 """Groups that are compared in one figure: more curves could not be told apart."""
-MOST_TYPES = 12
-"""Pairs of types that the answers at the top of a page name one by one."""
 _MOST_SHARE = 10.0
 """End of an interval beyond which it says nothing of interest: +1000 %."""
 
@@ -226,7 +224,7 @@ def _in_conduit(alike: Mapping[str, str]) -> str:
     return "" if word == NONE else word
 
 
-_HEADS = ("Number", "Difference", "95 % interval, corrected", "Does not matter below", "In words")
+_HEADS = ("Number", "Difference", "95 % interval, corrected", "Does not matter below", "Verdict")
 
 
 def question_table(pair: Pair) -> Table:
@@ -238,65 +236,30 @@ def question_table(pair: Pair) -> Table:
 
     Returns
     -------
-    A row per number, with the difference in its unit below a percentage. What is said against the
-    comparison of every number, stands once, below the table.
+    A row per number, with the difference in its unit below a percentage. What speaks against
+    comparing stands once, below the table.
     """
-    caveats = [each.caveats for each in pair.differences]
-    shared = [each for each in caveats[0] if all(each in own for own in caveats)]
-    rows = [_row(_without(each, shared), display_of(pair.first)) for each in pair.differences]
-    notes = [f"Every number: {'; '.join(shared)}."] if shared else []
-    return Table(question_words(pair), _HEADS, tuple(rows), tuple(notes))
+    rows = tuple(_row(each, display_of(pair.first)) for each in pair.differences)
+    caveats = dict.fromkeys(caveat for each in pair.differences for caveat in each.caveats)
+    return Table(question_words(pair), _HEADS, rows, tuple(f"{each}." for each in caveats))
 
 
-def _without(difference: Difference, caveats: Sequence[str]) -> Difference:
-    kept = tuple(each for each in difference.caveats if each not in caveats)
-    return replace(difference, caveats=kept)
-
-
-def answer_table(campaign: Campaign) -> Table | None:
-    """Make the table of answers for the top of a page: a row per question.
+def answer_cells(pair: Pair) -> tuple[Cell, ...]:
+    """Say what a pair answers by its first main number: question, verdict, difference, counts.
 
     Parameters
     ----------
-    campaign : its differences in the first main number of pairs that differ in one field alone
-
-    Returns
-    -------
-    None where there is no such pair. Pairs of types that are more than `MOST_TYPES` are counted.
+    pair : that differs in one field alone
     """
-    pairs = answering_pairs(campaign)
-    of_types = [pair for pair in pairs if pair.field == TYPE]
-    shown = [pair for pair in pairs if pair.field != TYPE or len(of_types) <= MOST_TYPES]
-    if not pairs:
-        return None
-    hidden = len(pairs) - len(shown)
-    notes = [] if not hidden else [f"{hidden} pairs of types stand in 'Differences' alone."]
-    heads = ("Question", "Answer", "Difference, 95 % interval", "n")
-    rows = tuple(_answer_row(pair) for pair in shown)
-    if any(each.verdict is Verdict.EQUIVALENT for pair in shown for each in pair.differences[:1]):
-        notes.append(
-            "Equivalence rests on two one-sided tests, which look at a narrower interval (of one"
-            " question alone 90 %): the one shown may reach a little beyond the margin."
-        )
-    notes.append(
-        "Intervals and verdicts are corrected for the number of questions: in 5 % of reports at the"
-        " most any of those called different is not."
-    )
-    return Table("Answers", heads, rows, tuple(notes))
-
-
-def _answer_row(pair: Pair) -> tuple[Cell, ...]:
     asked = pair.differences[0]
     before, after = asked.fields[pair.field]
     alike = context_words((pair.first, pair.second), pair.field)
     written = _written(asked, display_of(pair.first))
+    ends = f"({written.interval})" if written.interval else sentences([asked.difference.reason])
     return (
         Cell(f"{field_words(pair.field)}: {after} against {before}", alike),
         Cell(str(asked.verdict).upper(), asked.why),
-        Cell(
-            f"{heading(asked.name, '1')} {written.value}",
-            written.interval or sentences([asked.difference.reason]),
-        ),
+        Cell(f"{heading(asked.name, '1')} {written.value} {ends}".strip()),
         Cell(" v ".join(str(_count(each, asked.name)) for each in (pair.second, pair.first))),
     )
 
@@ -344,7 +307,7 @@ def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]
         Cell(written.value, in_unit),
         Cell(written.interval or none),
         Cell(matters),
-        Cell(difference.words),
+        Cell(str(difference.verdict)),
     )
 
 

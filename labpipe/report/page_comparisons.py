@@ -1,0 +1,175 @@
+"""Comparisons on the page: mean curves and main number of groups that differ in one field."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from math import isfinite
+
+import numpy as np
+
+from labpipe.records.group import Band, Campaign, Group, GroupNumber
+from labpipe.report.group_panels import COLOURS, band_lines, mean_lines
+from labpipe.report.group_plots import group_scale
+from labpipe.report.group_tables import Table
+from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
+from labpipe.report.question_figures import caption, main_number
+from labpipe.report.questions import (
+    Family,
+    Pair,
+    answer_cells,
+    answering_pairs,
+    context_words,
+    families,
+    field_words,
+    question_table,
+)
+from labpipe.report.wording import count_of, display_of, in_words, shown_in, unit_words
+
+_CURVES, _MEANS = (392, 200), (180, 200)
+_ROOM = 0.5
+"""Room for intervals beside the means of a plot, as a share of the range of all values."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """Groups of which any two differ in one field alone.
+
+    Parameters
+    ----------
+    heading : what they have alike
+    plots : mean curves, and the main number of each
+    caption : how to read them
+    """
+
+    heading: str
+    plots: tuple[Plot, ...]
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """All that a campaign says about one field.
+
+    Parameters
+    ----------
+    field : name
+    name : in words
+    answers : a row per pair: the first main number
+    comparisons : with plots
+    tables : of each pair, all main numbers
+    """
+
+    field: str
+    name: str
+    answers: Table
+    comparisons: tuple[Comparison, ...]
+    tables: tuple[Table, ...]
+
+
+def questions(campaign: Campaign, stems: Mapping[str, str]) -> list[Question]:
+    """Say what groups that differ in one field tell of it, field by field.
+
+    Parameters
+    ----------
+    campaign : with its differences
+    stems : names of groups in links, by name
+    """
+    drawn: dict[str, list[Comparison]] = {}
+    for family in families(campaign):
+        drawn.setdefault(family.field, []).append(_comparison(family, stems))
+    return [
+        _question(field, list(pairs), drawn.get(field, []))
+        for field, pairs in groupby(answering_pairs(campaign), key=lambda pair: pair.field)
+    ]
+
+
+def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) -> Question:
+    heads = ("Question", "Answer", "Difference (95 %, corrected)", "n")
+    table = Table(f"Answers: {field_words(field)}", heads, tuple(map(answer_cells, pairs)))
+    tables = tuple(question_table(pair) for pair in pairs)
+    return Question(field, field_words(field), table, tuple(drawn), tables)
+
+
+def _comparison(family: Family, stems: Mapping[str, str]) -> Comparison:
+    plots = [plot for plot in (_curves(family, stems), _means(family, stems)) if plot is not None]
+    return Comparison(context_words(family.groups, family.field), tuple(plots), caption(family))
+
+
+def _looks(family: Family) -> Iterator[tuple[Group, str, str]]:
+    """Each group with its word and the class of its colour."""
+    for at, (group, word) in enumerate(zip(family.groups, family.words, strict=True)):
+        yield group, word, f"c{at % COLOURS}"
+
+
+def _curves(family: Family, stems: Mapping[str, str]) -> Plot | None:
+    """Mean first loading of each group, with what is known of the mean."""
+    first = family.groups[0]
+    across, up = group_scale(first, "displacement"), group_scale(first, "force")
+    drawn = [(group.band, look, stems[group.name]) for group, _, look in _looks(family)]
+    lines = [
+        line
+        for band, look, stem in drawn
+        for line in (
+            *band_lines(band, across.factor, up.factor, look, stem),
+            *mean_lines(band, across.factor, up.factor, look, stem),
+        )
+    ]
+    if not lines:
+        return None
+    keys = [
+        Key(f"mean {look}", f"{word} (n = {group.band.n})", "group", stems[group.name])
+        for group, word, look in _looks(family)
+    ]
+    x = axis_over("Displacement", unit_words(across.unit), [line.x for line in lines])
+    y = _force_axis([band for band, _, _ in drawn], up.factor, unit_words(up.unit))
+    title = f"Mean force against displacement of {count_of(len(family.groups), 'group')}."
+    return Plot("means", "", title, "", x, y, lines, keys, _CURVES)
+
+
+def _force_axis(bands: Sequence[Band], factor: float, unit: str) -> Axis:
+    """Means in full, and as much of their intervals as leaves the means apart."""
+    means = axis_over("Force", unit, [factor * band.mean for band in bands])
+    edges = [factor * edge for band in bands for edge in (band.lower, band.upper)]
+    whole = axis_over("Force", unit, edges) if any(map(np.size, edges)) else means
+    room = 0.4 * (means.high - means.low)
+    low, high = max(whole.low, means.low - room), min(whole.high, means.high + room)
+    return Axis("Force", unit, min(low, means.low), max(high, means.high))
+
+
+def _means(family: Family, stems: Mapping[str, str]) -> Plot | None:
+    """The main number: a row per group with its mean, its interval and its samples."""
+    name = main_number(family)
+    if not name:
+        return None
+    numbers = [next(each for each in group.numbers if each.name == name) for group in family.groups]
+    shown = shown_in(name, numbers[0].unit, display_of(family.groups[0]))
+    lines = []
+    rows = zip(numbers, _looks(family), strict=True)
+    for row, (number, (group, _, look)) in enumerate(rows):
+        lines += list(_row(number, -float(row), shown.factor, look, stems[group.name]))
+    values = [line.x for line in lines if not line.look.startswith("interval")]
+    every = axis_over("", "", [line.x for line in lines])
+    tight = axis_over("", "", values)
+    room = _ROOM * (tight.high - tight.low)
+    low, high = max(every.low, tight.low - room), min(every.high, tight.high + room)
+    x = Axis(in_words(name), unit_words(shown.unit), low, high)
+    y = Axis("", "", 0.5 - len(numbers), 0.5, is_bare=True)
+    title = f"{in_words(name)} of {count_of(len(numbers), 'group')}, with 95 % intervals."
+    return Plot("numbers", "", title, "", x, y, lines, (), _MEANS)
+
+
+def _row(
+    number: GroupNumber, height: float, factor: float, look: str, stem: str
+) -> Iterator[Line]:
+    values = [each.value for each in number.values.values() if each.value is not None]
+    x = np.array([part for value in values for part in (factor * value, np.nan)])
+    yield Line(f"sample {look}", x, np.full(len(x), height - 0.22), group=stem)
+    if number.mean is None:
+        return
+    chosen = number.mean.chosen
+    if chosen.interval is not None and isfinite(chosen.interval.upper - chosen.interval.lower):
+        ends = factor * np.array([chosen.interval.lower, chosen.interval.upper])
+        yield Line(f"interval {look}", ends, np.full(2, height), group=stem)
+    yield Line(f"dot {look}", np.array([factor * chosen.mean]), np.array([height]), group=stem)
