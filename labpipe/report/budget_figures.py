@@ -266,7 +266,11 @@ def named_causes(bars: Sequence[Mapping[str, float]]) -> list[str]:
 
 def _look(cause: str) -> dict[str, Any]:
     is_common = IS_COMMON.get(cause, False)
-    look = {"facecolor": COLOURS_OF_CAUSES.get(cause, _OTHER), "edgecolor": "white", "linewidth": 0.6}
+    look = {
+        "facecolor": COLOURS_OF_CAUSES.get(cause, _OTHER),
+        "edgecolor": "white",
+        "linewidth": 0.6,
+    }
     return {**look, "hatch": _HATCH} if is_common else look
 
 

@@ -180,9 +180,7 @@ def _ends(numbers: Sequence[GroupNumber]) -> tuple[float, float]:
     return max(min([low, *ends]), low - room), min(max([high, *ends]), high + room)
 
 
-def _key_row(
-    group: Group, stem: str, names: Sequence[str], ends: tuple[float, float]
-) -> KeyRow:
+def _key_row(group: Group, stem: str, names: Sequence[str], ends: tuple[float, float]) -> KeyRow:
     first = _number(group, names[:1])
     drawn = None
     if first is not None and first.mean is not None:
@@ -240,7 +238,8 @@ def to_decide(causes: Sequence[Cause], tests: PageTests) -> list[ToDecide]:
         if cause.kind in _TO_DECIDE:
             own = tuple(dict.fromkeys(_undecided(cause, tests)))
             if own:
-                found.append(ToDecide(*cause_lines([cause]), own))
+                (line,) = cause_lines([cause])
+                found.append(ToDecide(line, own))
     return found
 
 

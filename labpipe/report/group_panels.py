@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Floats, Ints
 from labpipe.records.curve import FittedLine, SlipDecision
 from labpipe.records.group import Band, Group, Sample, SampleCurve
 from labpipe.report.concerns import sentence
@@ -19,14 +19,14 @@ from labpipe.report.wording import Scale, count_of, display_of, shown_in, unit_w
 
 COLOURS = 8
 """Colours of the page for spools and groups; they begin anew after so many."""
-_POINTS, _OTHER_POINTS, _SCALED_POINTS = 100, 45, 30
+_POINTS, _OTHER_POINTS, _SCALED_POINTS = 90, 40, 24
 """Points of a first loading, of all other branches of a test together, and of its copy over the
 peak force: so many that a test is below 3 kB."""
 _UNSEEN = 0.001
-_BAND_POINTS = 80
+_BAND_POINTS = 40
 _MOST_WITH_INTERVALS = 6
 _SMALL = (262, 150)
-_FLATTEST, _HIGHEST = 60, 190
+_FLATTEST, _HIGHEST = 88, 190
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,9 +91,7 @@ def _curves(drawn: _Drawn) -> Plot | None:
         *(line for sample in group.samples for line in _events(drawn, sample)),
     ]
     x = axis_over("Displacement", unit_words(drawn.across.unit), [line.x for line in lines])
-    y = Axis(
-        "Force", unit_words(drawn.up.unit), low * drawn.up.factor, high * drawn.up.factor
-    )
+    y = Axis("Force", unit_words(drawn.up.unit), low * drawn.up.factor, high * drawn.up.factor)
     title = f"Force against displacement of {count_of(len(group.samples), 'sample')}: {group.name}."
     return Plot(
         "curves", drawn.stem, title, _caption(group), x, y, lines, _keys(drawn, lines), (660, 240)
@@ -111,19 +109,21 @@ def _sample_lines(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
     ]
     for each in others:
         points = max(_OTHER_POINTS // len(others), 12)
-        yield _line(drawn, f"unloading {colour}", each, each.force, points, test)
+        yield _line(drawn, f"unloading {colour}", test, (each, each.force), points=points)
     if first is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        yield _line(drawn, "measured", first, first.as_measured, _OTHER_POINTS, test)
-    yield _line(drawn, f"curve {colour}", first, first.force, _POINTS, test)
+        yield _line(drawn, "measured", test, (first, first.as_measured), points=_OTHER_POINTS)
+    yield _line(drawn, f"curve {colour}", test, (first, first.force), points=_POINTS)
 
 
 def _line(
-    drawn: _Drawn, look: str, curve: SampleCurve, force: Floats, points: int, test: int
+    drawn: _Drawn, look: str, test: int, curve: tuple[SampleCurve, Floats], *, points: int
 ) -> Line:
-    kept = bends(curve.displacement, force, points=points, tolerance=_UNSEEN)
-    x, y = curve.displacement[kept] * drawn.across.factor, force[kept] * drawn.up.factor
+    """A branch, with the force that is drawn of it, at so many points at the most."""
+    branch, force = curve
+    kept = bends(branch.displacement, force, points=points, tolerance=_UNSEEN)
+    x, y = branch.displacement[kept] * drawn.across.factor, force[kept] * drawn.up.factor
     return Line(look, x, y, test)
 
 
@@ -131,7 +131,7 @@ def _rejected(drawn: _Drawn) -> Iterator[Line]:
     for test in drawn.tests.rejected(drawn.stem):
         first = first_loading(test.sample)
         if first is not None:
-            yield _line(drawn, "rejected", first, first.force, _OTHER_POINTS, test.number)
+            yield _line(drawn, "rejected", test.number, (first, first.force), points=_OTHER_POINTS)
 
 
 def _windows(drawn: _Drawn) -> Iterator[Line]:
@@ -202,10 +202,9 @@ def band_lines(
             yield Line("whole", x, all_of_it[kept] * up)
 
 
-def _thinned(band: Band) -> Floats:
-    count = len(band.displacement)
-    kept: Floats = np.unique(np.linspace(0, count - 1, _BAND_POINTS).round().astype(np.int64))
-    return kept
+def _thinned(band: Band) -> Ints:
+    """Points that all edges of a band are drawn with."""
+    return bends(band.displacement, band.upper, points=_BAND_POINTS, tolerance=_UNSEEN)
 
 
 def mean_lines(
@@ -302,7 +301,9 @@ def _shapes(drawn: _Drawn) -> Plot | None:
 
 
 def _steps(samples: Sequence[Sample]) -> Floats:
-    most = max((each.shapes for each in samples if each.shapes), key=lambda own: len(own.deflection))
+    most = max(
+        (each.shapes for each in samples if each.shapes), key=lambda own: len(own.deflection)
+    )
     return np.round(most.deflection, 4) + 0.0
 
 
@@ -377,5 +378,3 @@ def _share(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
     kept = bends(first.displacement, first.force, points=_SCALED_POINTS, tolerance=_UNSEEN)
     x, y = first.displacement[kept] * drawn.across.factor, first.force[kept] / peak
     yield Line(f"curve {drawn.colours[sample.specimen.spool]}", x, y, drawn.number(sample))
-
-

@@ -215,7 +215,7 @@ def _group(group: Group, stem: str, tests: PageTests) -> dict[str, Any]:
         "why_empty": sentences([group.band.reason]) or "The group has no sample.",
         "rejected": tests.rejected(stem),
         "plots": group_panels(group, stem, tests),
-        "numbers": number_table(group, tests),
+        "numbers": number_table(group),
         "budget": budget_drawing(group),
         "causes": budget_causes(group),
         "samples": samples_tables(group, tests),

@@ -160,9 +160,7 @@ def _means(family: Family, stems: Mapping[str, str]) -> Plot | None:
     return Plot("numbers", "", title, "", x, y, lines, (), _MEANS)
 
 
-def _row(
-    number: GroupNumber, height: float, factor: float, look: str, stem: str
-) -> Iterator[Line]:
+def _row(number: GroupNumber, height: float, factor: float, look: str, stem: str) -> Iterator[Line]:
     values = [each.value for each in number.values.values() if each.value is not None]
     x = np.array([part for value in values for part in (factor * value, np.nan)])
     yield Line(f"sample {look}", x, np.full(len(x), height - 0.22), group=stem)

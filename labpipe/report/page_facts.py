@@ -198,9 +198,7 @@ def instrument_lines(samples: Sequence[Sample]) -> list[InstrumentLine]:
 
 def _instrument_line(instrument: Instrument, tests: Sequence[Sample]) -> InstrumentLine:
     due = instrument.due
-    late = [
-        test for test in tests if due is not None and test.date is not None and test.date > due
-    ]
+    late = [test for test in tests if due is not None and test.date is not None and test.date > due]
     words = "no due date stated" if due is None else f"calibration due {due}"
     if late:
         words = f"calibration OVERDUE since {due} in {count_of(len(late), 'test')}"

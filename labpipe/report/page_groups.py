@@ -6,7 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite, nan
 from typing import TYPE_CHECKING
 
+from labpipe.records.causes import IS_COMMON
 from labpipe.records.group import Group, GroupNumber, Sample
+from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
 from labpipe.report.budget_figures import COLOURS_OF_CAUSES, SMALLER, named_causes, parts_of
 from labpipe.report.concerns import sentences
@@ -25,7 +27,7 @@ from labpipe.report.wording import (
     unit_words,
     write_number,
 )
-from labpipe.statistics.group_budgets import IS_COMMON, group_budget
+from labpipe.statistics.group_budgets import group_budget
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -42,13 +44,12 @@ def about_group(group: Group) -> str:
     return f"{count_words(group)}, protocol {group.protocol}, {tested}."
 
 
-def number_table(group: Group, tests: PageTests) -> Table:
+def number_table(group: Group) -> Table:
     """Make the table of a group: a row per number, its mean and interval, few samples beside it.
 
     Parameters
     ----------
     group : with samples
-    tests : all of the page
     """
     columns = group.samples if len(group.samples) <= MOST_COLUMNS else ()
     heads = ("Number", "", "Mean, 95 %", "n", "s", *(each.test for each in columns))
@@ -68,12 +69,11 @@ def _number_row(
     if number.mean is None:
         return head, Cell(""), Cell(DASH, tip="no sample has it"), Cell("0"), Cell(DASH), *samples
     chosen = number.mean.chosen
-    none = "" if chosen.interval is not None else sentences([chosen.reason])
     deviation = write_number(chosen.deviation, None, shown.factor, digits=2).value
     return (
         head,
         Cell("", drawing=number_strip(number) if is_drawn else None),
-        Cell(mean_with_interval(chosen, shown.factor), tip=none),
+        Cell(mean_with_interval(chosen, shown.factor)),
         Cell(_over(number, len(group.samples)), tip=_decision(number)),
         Cell(deviation),
         *samples,
@@ -141,17 +141,36 @@ def result_cell(result: Result | None, factor: float, *, is_outlier: bool = Fals
 def _notes(group: Group) -> Iterator[str]:
     """What a sign in the table means, where there is one; what was averaged."""
     if any(not number.mean.is_pooled for number in group.numbers if number.mean):
-        yield (
-            "n in spools: the spools differ, so that the mean is over their means, each of which"
-            " counts once."
-        )
+        yield "n in spools: the mean is over the means of the spools, each of which counts once."
     if any(number.is_set_by_rig for number in group.numbers):
         names = [in_words(each.name).lower() for each in group.numbers if each.is_set_by_rig]
         yield f"Set by the rig, not tested for outliers: {'; '.join(names)}."
     spools = {sample.specimen.spool for sample in group.samples}
     if len(spools) == 1 and len(group.samples) > 1:
         yield "One spool: how spools differ is not known; the intervals hold for this spool."
+    yield from _no_intervals(group)
     yield from _why_not(group)
+
+
+def _no_intervals(group: Group) -> Iterator[str]:
+    """Why means have no interval, numbers that share a reason together; why some are so wide."""
+    reasons: dict[Reason, list[str]] = {}
+    for each in group.numbers:
+        if each.mean is not None and each.mean.chosen.reason:
+            reasons.setdefault(each.mean.chosen.reason, []).append(in_words(each.name))
+    for why, names in reasons.items():
+        of = "all numbers" if len(names) == len(group.numbers) else "; ".join(names)
+        yield f"No interval of the mean: {sentences([why])} ({of})"
+    if any(not each.mean.is_pooled and each.mean.chosen.n == _TWO for each in group.numbers
+           if each.mean is not None):  # fmt: skip
+        yield (
+            "Intervals over two spool means are wide because two values leave one degree of"
+            " freedom, where Student's t is 12.7. More samples of these spools would hardly help;"
+            " a third spool brings t down to 4.3, a fourth to 3.2."
+        )
+
+
+_TWO = 2
 
 
 def _why_not(group: Group) -> Iterator[str]:
@@ -246,13 +265,13 @@ _LEAST_WRITTEN, _LEAST_DRAWN = 0.08, 0.004
 def _bar(shares: Mapping[str, float]) -> Iterator[str]:
     start = 0.0
     for cause, share in shares.items():
-        x, width = _BAR_LEFT + _BAR_WIDTH * start, _BAR_WIDTH * share
+        x, width = _BAR_LEFT + _BAR_WIDTH * start, f"{_BAR_WIDTH * share:.1f}"
         colour = COLOURS_OF_CAUSES.get(cause, "#ededed")
         hatch = ' class="shared"' if IS_COMMON.get(cause, False) else ""
         if share >= _LEAST_DRAWN:
-            yield f'<rect{hatch} x="{x:.0f}" y="2" width="{width:.1f}" height="16" fill="{colour}"/>'
+            yield f'<rect{hatch} x="{x:.0f}" y="2" width="{width}" height="16" fill="{colour}"/>'
         if share >= _LEAST_WRITTEN:
-            middle = x + width / 2
+            middle = x + _BAR_WIDTH * share / 2
             yield f'<text class="share" x="{middle:.0f}" y="14">{100 * share:.0f}</text>'
         start += share
 

@@ -215,27 +215,25 @@ def _x_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     from markupsafe import escape
 
     values = ticks(axis, max(2, width // 80))
-    yield '<g class="x-axis">'
+    yield f'<g class="x-axis" transform="translate(0 {TOP + height})">'
     for value, words in zip(values, tick_words(values), strict=True):
         at = LEFT + width * (value - axis.low) / (axis.high - axis.low)
-        yield f'<g class="tick" transform="translate({at:.1f} {TOP + height})">'
+        yield f'<g class="tick" transform="translate({at:.1f} 0)">'
         yield f'<path d="M0 0V{-height}"/><text y="14">{words}</text></g>'
-    middle = LEFT + width / 2
-    yield f'<text class="label" x="{middle:.0f}" y="{TOP + height + 31}">'
-    yield f"{escape(axis.label)}</text></g>"
+    yield f'<text class="label" x="{LEFT + width / 2:.0f}" y="31">{escape(axis.label)}</text></g>'
 
 
 def _y_axis(axis: Axis, width: int, height: int) -> Iterator[str]:
     from markupsafe import escape
 
     values = [] if axis.is_bare else ticks(axis, max(2, height // 46))
-    yield '<g class="y-axis">'
+    yield f'<g class="y-axis" transform="translate({LEFT} 0)">'
     for value, words in zip(values, tick_words(values), strict=True):
         at = TOP + height * (axis.high - value) / (axis.high - axis.low)
-        yield f'<g class="tick" transform="translate({LEFT} {at:.1f})">'
+        yield f'<g class="tick" transform="translate(0 {at:.1f})">'
         yield f'<path d="M0 0H{width}"/><text x="-5" y="4">{words}</text></g>'
     middle = TOP + height / 2
-    yield f'<text class="label" transform="translate(13 {middle:.0f}) rotate(-90)">'
+    yield f'<text class="label" transform="translate({13 - LEFT} {middle:.0f}) rotate(-90)">'
     yield f"{escape(axis.label)}</text></g>"
 
 

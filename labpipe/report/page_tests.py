@@ -13,6 +13,7 @@ from labpipe.report.page_facts import PageTest, PageTests
 from labpipe.report.page_groups import result_cell
 from labpipe.report.wording import heading, is_main, shown_in
 
+
 @dataclass(frozen=True, slots=True)
 class TestRow:
     """A test in the table of tests.
@@ -127,9 +128,8 @@ def export_table(tests: PageTests) -> Table:
         (
             Cell(test.sample.test, tip=test.sample.source),
             Cell("; ".join(f"{each.file}: {each.sha256}" for each in test.sample.inputs) or DASH),
-            Cell(test.sample.run or DASH),
         )
         for test in tests.every
     )
-    heads = ("Test", "Exports with their SHA-256", "Key of the run")
+    heads = ("Test", "Exports with their SHA-256")
     return Table("Where the numbers come from", heads, rows)

@@ -11,7 +11,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign, Difference, Group
 from labpipe.records.harness_bundle import NONE
 from labpipe.report.concerns import sentences
-from labpipe.report.group_tables import DASH, Cell, Table
+from labpipe.report.group_tables import Cell, Table
 from labpipe.report.wording import (
     Written,
     display_of,
@@ -224,7 +224,7 @@ def _in_conduit(alike: Mapping[str, str]) -> str:
     return "" if word == NONE else word
 
 
-_HEADS = ("Number", "Difference", "95 % interval, corrected", "Does not matter below", "Verdict")
+_HEADS = ("Number", "Difference (95 %, corrected)", "Does not matter below", "Verdict")
 
 
 def question_table(pair: Pair) -> Table:
@@ -236,8 +236,7 @@ def question_table(pair: Pair) -> Table:
 
     Returns
     -------
-    A row per number, with the difference in its unit below a percentage. What speaks against
-    comparing stands once, below the table.
+    A row per number. What speaks against comparing stands once, below the table.
     """
     rows = tuple(_row(each, display_of(pair.first)) for each in pair.differences)
     caveats = dict.fromkeys(caveat for each in pair.differences for caveat in each.caveats)
@@ -296,16 +295,15 @@ def _signed(number: str) -> str:
 
 def _row(difference: Difference, display: Mapping[str, str]) -> tuple[Cell, ...]:
     shown = shown_in(difference.name, difference.unit, display)
-    found = difference.difference
     written = _written(difference, display)
-    in_unit = "" if difference.share is None else write_number(found.mean, None, shown.factor).value
-    none = sentences([found.reason]) or DASH
+    ends = (
+        f"({written.interval})" if written.interval else sentences([difference.difference.reason])
+    )
     margin = nan if difference.margin is None else difference.margin
     matters = write_number(margin, None, shown.factor, digits=3).value
     return (
         Cell(heading(difference.name, shown.unit)),
-        Cell(written.value, in_unit),
-        Cell(written.interval or none),
+        Cell(f"{written.value} {ends}".strip()),
         Cell(matters),
         Cell(str(difference.verdict)),
     )

@@ -9,7 +9,6 @@ from labpipe.report.group_tables import (
     cause_lines,
     method_tables,
     note_table,
-    table_of_tests,
 )
 from labpipe.report.ranked_causes import Cause, find_causes
 from tests.builders.campaigns import build_campaign, build_group, build_sample
@@ -49,15 +48,9 @@ def test_notes_of_which_nothing_follows_are_one_table() -> None:
     assert note_table(Campaign("Synthetic", ())) is None
 
 
-def test_methods_and_tests() -> None:
+def test_methods() -> None:
     campaign = build_campaign()
     (methods,) = method_tables(campaign)
     assert methods.caption == "Protocol twist-tube: how each number was made"
     ways = {cells[0].text: cells[1].text for cells in methods.rows}
     assert ways["Peak force, cycle 1"] == "parabola through the top of the curve"
-    tests = table_of_tests(campaign)
-    assert len(tests.rows) == 7
-    assert [cell.text for cell in tests.rows[0]] == [
-        "tt-s1a", "twist-tube-10", "length 75 mm", "twist-tube",
-        "processed/synthetic/tt-s1a/result.h5",
-    ]  # fmt: skip

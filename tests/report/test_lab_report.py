@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import html
-import re
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
@@ -13,7 +11,7 @@ from openpyxl import load_workbook
 from labpipe.errors import StoreError
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import QualityNote, Severity
-from labpipe.report.lab_report import write_report
+from labpipe.report.lab_report import Extras, write_report
 from labpipe.report.wording import printable
 from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample
@@ -27,29 +25,29 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Path]]
 
 def test_files(written: tuple[Path, list[Path]]) -> None:
     folder, files = written
-    assert [path.relative_to(folder).as_posix() for path in files[:3]] == [
-        "report.html", "tables.xlsx", "figures/twist-tube-10-curves.svg",
-    ]  # fmt: skip
+    assert [path.name for path in files] == ["report.html", "tables.xlsx"]
     assert {path for path in folder.rglob("*") if path.is_file()} == set(files)
-    kinds = Counter(path.suffix for path in files[2:])
-    assert kinds == {".svg": 8, ".png": 8, ".pdf": 8}
 
 
-def test_every_figure_stands_in_the_page_with_ids_of_its_own(
-    written: tuple[Path, list[Path]],
-) -> None:
-    page = written[1][0].read_text(encoding="utf-8")
-    assert page.count('role="img" aria-label="') == page.count("<svg") == 8
-    ids = re.findall(r' id="([^"]+)"', page)
-    assert len(ids) == len(set(ids))
-    assert set(re.findall(r"url\(#([^)]+)\)", page)) <= set(ids)
-    assert not re.findall(r"https?://(?!www\.w3\.org/)", page)
+def test_figures_are_files_on_request(tmp_path: Path) -> None:
+    files = write_report(build_campaign(), tmp_path, Extras(formats=("svg",)))
+    assert files[2].relative_to(tmp_path).as_posix() == "figures/twist-tube-10-curves.svg"
+    assert ".svg" in {path.suffix for path in files[2:]}
+    assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(files)
 
 
-@pytest.mark.parametrize("samples", [1, 15])
-def test_page_of_thirty_tests_is_below_a_megabyte(samples: int, tmp_path: Path) -> None:
-    groups = 30 // samples
-    shown = 1 if samples > 1 else 3  # groups that are drawn; the others are as large
+def test_pages_of_tests_stand_beside_it(tmp_path: Path) -> None:
+    extras = Extras(test_pages={"tests/tt-s1a.html": "<p>one</p>"})
+    files = write_report(build_campaign(), tmp_path, extras)
+    assert files[2].read_text(encoding="utf-8") == "<p>one</p>"
+    assert '<a class="test-page" href="tests/tt-s1a.html">' in files[0].read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("samples", [3, 15])
+def test_a_page_is_as_small_as_it_should_be(samples: int, tmp_path: Path) -> None:
+    """At most 0.3 MB and 3 kB a test, as few groups of 60 tests show."""
+    groups = 60 // samples
+    shown = 1 if samples > 3 else 3  # groups that are made; the others are as large
     made = [
         build_group(
             f"type {number}",
@@ -60,7 +58,7 @@ def test_page_of_thirty_tests_is_below_a_megabyte(samples: int, tmp_path: Path) 
     page = write_report(Campaign("Synthetic", tuple(made)), tmp_path)[0]
     empty = write_report(Campaign("Synthetic", ()), tmp_path / "empty")[0]
     own = (page.stat().st_size - empty.stat().st_size) / shown
-    assert groups * own + empty.stat().st_size < 1e6
+    assert groups * own + empty.stat().st_size < 0.3e6 + 60 * 3e3
 
 
 def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
@@ -69,19 +67,18 @@ def test_folder_that_cannot_be_made(tmp_path: Path) -> None:
         write_report(Campaign("Synthetic", ()), tmp_path / "x")
 
 
-def test_figures_over_groups_are_saved_and_stand_on_the_page(tmp_path: Path) -> None:
+def test_figures_over_groups_are_saved(tmp_path: Path) -> None:
     bundles = [bundle_of("7 B1"), bundle_of("7 B2")]
     campaign = bundle_campaign([each for bundle in bundles for each in three_of(bundle)])
     place = BundlePlace(campaign.groups[0].name, "t-1", 0.006, None, 0.001, 0.004, 0.1, (0.1, 0.1))
-    files = write_report(replace(campaign, places=(place,)), tmp_path)
+    extras = Extras(formats=("svg", "pdf"))
+    files = write_report(replace(campaign, places=(place,)), tmp_path, extras)
     names = {file.name for file in files}
     assert {
         "difference-wire-7-wires-half-lap-pvc-length-114-3-mm.svg",
         "between-slipping-and-sticking.pdf",
     } <= names
-    page = files[0].read_text(encoding="utf-8")
-    assert page.count("<svg") == 2 * 3 + 2
-    assert len(files) == 2 + 3 * page.count("<svg")
+    assert len({name.rpartition(".")[0] for name in names if name.endswith(".svg")}) == 8
 
 
 @pytest.mark.parametrize(
@@ -97,7 +94,7 @@ def test_any_name_is_reported(name: str, tmp_path: Path) -> None:
     ]
     groups = (build_group(name, odd), build_group("plain", samples))
     campaign = replace(build_campaign(), title=name, groups=groups, differences=())
-    files = write_report(campaign, tmp_path)
+    files = write_report(campaign, tmp_path, Extras(formats=("svg",)))
     page = files[0].read_text(encoding="utf-8")
     assert html.escape(printable(name)).replace("&#x27;", "&#39;") in page
     for drawing in tmp_path.rglob("*.svg"):
