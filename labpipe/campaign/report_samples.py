@@ -16,7 +16,7 @@ from labpipe.store.read import Drawable
 _POINTS = 2000
 """Points of a branch that a report keeps, each the mean of its samples: so many that a slip or a
 corner is smeared over less than a line is thick."""
-_STEPS = 4
+_STEPS = 6
 """Shapes of a test that are drawn, beside the first."""
 
 

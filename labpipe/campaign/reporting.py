@@ -32,6 +32,7 @@ from labpipe.campaign.grouping import (
 )
 from labpipe.campaign.report_samples import frames_at_steps, sample_of
 from labpipe.campaign.stated import NumberKinds, number_kinds, with_sizes
+from labpipe.campaign.test_pages import pages_of
 from labpipe.errors import LabpipeError, UsageError
 from labpipe.process.targets import (
     find_copies,
@@ -43,7 +44,7 @@ from labpipe.process.targets import (
 from labpipe.protocol.load import parse_protocol
 from labpipe.protocol.schema import Groups
 from labpipe.records.group import Campaign, Group, Sample
-from labpipe.report.lab_report import write_report
+from labpipe.report.lab_report import PLAIN, Extras, Letterhead, write_report
 from labpipe.report.wording import is_main
 from labpipe.statistics.group_fields import TYPE
 from labpipe.statistics.group_notes import PROTOCOLS_DIFFER, grouping_notes
@@ -75,13 +76,32 @@ class Wanted:
 AS_SHEETS_DIFFER = Wanted()
 
 
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """What a report has beside groups and comparisons.
+
+    Parameters
+    ----------
+    letterhead : who it is from and for
+    formats : of figures as files: ``svg``, ``png``, ``pdf``; none for no files
+    has_test_pages : a page for each test
+    """
+
+    letterhead: Letterhead = PLAIN
+    formats: tuple[str, ...] = ()
+    has_test_pages: bool = False
+
+
+NOTHING_BESIDE = Beside()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Reported:
     """A report and where it was written.
 
     Parameters
     ----------
-    folder : holds report.html, tables.xlsx and figures
+    folder : holds report.html and tables.xlsx; figures and pages of tests where they are wanted
     campaign : what it shows
     files : all of them, the page first
     """
@@ -98,6 +118,7 @@ def report_tests(
     title: str = "",
     say: Callable[[str], None] = lambda _: None,
     wanted: Wanted = AS_SHEETS_DIFFER,
+    beside: Beside = NOTHING_BESIDE,
 ) -> Reported:
     """Put processed tests together into one report.
 
@@ -108,6 +129,7 @@ def report_tests(
     title : of the report; the name of that folder if empty
     say : is given the name of each test as it is read
     wanted : groups and comparisons
+    beside : letterhead, figures as files, pages of tests
 
     Returns
     -------
@@ -126,7 +148,9 @@ def report_tests(
     folder = shared / "report" if out is None else out
     with locked(folder), replacing_together(folder) as stage:
         say("report")
-        written = write_report(campaign, stage)
+        pages = pages_of(campaign) if beside.has_test_pages else {}
+        extras = Extras(beside.letterhead, beside.formats, pages)
+        written = write_report(campaign, stage, extras)
     return Reported(folder, campaign, tuple(folder / path.relative_to(stage) for path in written))
 
 

@@ -228,8 +228,16 @@ def _count(text: str) -> int:
     return int(text)
 
 
+_LETTERHEAD = {"lab": "name of the laboratory", "customer": "who it is for", "order": "its number"}
+
+
 def _report(parser: argparse.ArgumentParser) -> None:
     _what_is_reported(parser)
+    parser.add_argument("--pages", action="store_true", help="make a page for each test, too")
+    figures = "save every figure as a file: svg, png, pdf, or several of them (default: svg)"
+    parser.add_argument(
+        "--figures", nargs="?", const="svg", default="", metavar="FORMAT[,FORMAT...]", help=figures
+    )
 
 
 def _what_is_reported(parser: argparse.ArgumentParser) -> None:
@@ -238,6 +246,10 @@ def _what_is_reported(parser: argparse.ArgumentParser) -> None:
     where = "folder of the report (default: report, beside the tests)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
     parser.add_argument("--title", default="", help="of the report (default: the folder's name)")
+    for name, what in _LETTERHEAD.items():
+        parser.add_argument(f"--{name}", default="", metavar="WORDS", help=f"{what}, for page one")
+    logo = "a picture for page one, PNG or JPEG, at most 200 kB"
+    parser.add_argument("--logo", type=_path, metavar="PICTURE", help=logo)
     fields = (
         "fields of the test sheets that groups are made by, such as wire,taping (default: type, "
         "and all else of the specimen that differs within a type)"

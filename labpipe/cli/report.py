@@ -8,20 +8,28 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from labpipe.campaign.queries import escaped
-from labpipe.campaign.reporting import Reported, Wanted, report_tests
+from labpipe.campaign.reporting import Beside, Reported, Wanted, report_tests
 from labpipe.cli.terminal import from_here, name_width, reading, result_line
+from labpipe.errors import UsageError, complaint, nearest
 from labpipe.process.targets import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
+from labpipe.report.lab_report import FORMATS, Letterhead
+from labpipe.report.logo import read_logo
 
 
 def run(options: argparse.Namespace) -> int:
     """Put processed tests together into a page, figures and a workbook."""
-    files = find_results(options.paths)
+    files, beside = find_results(options.paths), _beside(options)
     with reading(len(files)) as say:
         reported = report_tests(
-            files, out=options.out, title=options.title, say=say, wanted=wanted_by(options)
+            files,
+            out=options.out,
+            title=options.title,
+            say=say,
+            wanted=wanted_by(options),
+            beside=beside,
         )
     print(report_table(reported))
     return status_of(reported)
@@ -36,6 +44,39 @@ def wanted_by(options: argparse.Namespace) -> Wanted:
     """
     by = tuple(dict.fromkeys(filter(None, map(str.strip, options.by.split(",")))))
     return Wanted(by, options.compare, options.wire)
+
+
+def letterhead_of(options: argparse.Namespace) -> Letterhead:
+    """Who a report is from and for, as it was typed.
+
+    Parameters
+    ----------
+    options : with lab, customer, order and logo
+
+    Raises
+    ------
+    UsageError
+        If the logo is no picture that a page can show.
+    """
+    words = {"Lab": options.lab, "Customer": options.customer, "Order": options.order}
+    logo = "" if options.logo is None else read_logo(options.logo)
+    return Letterhead(tuple((name, said) for name, said in words.items() if said), logo)
+
+
+def _beside(options: argparse.Namespace) -> Beside:
+    """Letterhead, figures as files and pages of tests, as they were typed."""
+    wanted = tuple(dict.fromkeys(filter(None, map(str.strip, options.figures.split(",")))))
+    unknown = [each for each in wanted if each not in FORMATS]
+    if unknown:
+        message = complaint(
+            "--figures",
+            "",
+            expected=f"some of {', '.join(FORMATS)}",
+            found=", ".join(map(repr, unknown)),
+            remedy=f"Write {nearest(unknown[0], list(FORMATS), most=1)[0]}, or another of them.",
+        )
+        raise UsageError(message)
+    return Beside(letterhead_of(options), wanted, options.pages)
 
 
 def status_of(reported: Reported) -> int:

@@ -6,9 +6,10 @@ import argparse
 import webbrowser
 
 from labpipe.campaign.campaign_folders import name_of_campaign
-from labpipe.campaign.reporting import report_tests
+from labpipe.campaign.reporting import Beside, report_tests
 from labpipe.campaign.serving import REPORT, ReportServer, Site
-from labpipe.cli.report import wanted_by
+from labpipe.campaign.test_pages import page_of_test
+from labpipe.cli.report import letterhead_of, wanted_by
 from labpipe.cli.terminal import reading
 from labpipe.process.targets import find_results, shared_folder
 from labpipe.report.lab_report import PAGE_FILE
@@ -18,7 +19,7 @@ def run(options: argparse.Namespace) -> int:
     """Serve a report until it is interrupted; makes it where there is none yet."""
     folder = shared_folder(find_results(options.paths))
     report = folder / REPORT if options.out is None else options.out
-    site = Site(folder, name_of_campaign(folder), report, lambda: _make(options))
+    site = Site(folder, name_of_campaign(folder), report, lambda: _make(options), page_of_test)
     with ReportServer(site, options.port) as server:
         if not (report / PAGE_FILE).is_file():
             _make(options)
@@ -37,5 +38,10 @@ def _make(options: argparse.Namespace) -> None:
     files = find_results(options.paths)
     with reading(len(files)) as say:
         report_tests(
-            files, out=options.out, title=options.title, say=say, wanted=wanted_by(options)
+            files,
+            out=options.out,
+            title=options.title,
+            say=say,
+            wanted=wanted_by(options),
+            beside=Beside(letterhead_of(options)),
         )

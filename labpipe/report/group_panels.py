@@ -50,11 +50,13 @@ class _Drawn:
         """Number of a test on the page."""
         return self.tests.number[key_of(sample)]
 
-    @property
-    def colours(self) -> Mapping[str, str]:
-        """Class of each spool's colour."""
-        spools = dict.fromkeys(sample.specimen.spool for sample in self.group.samples)
-        return {spool: f"c{at % COLOURS}" for at, spool in enumerate(spools)}
+    def colour(self, sample: Sample) -> str:
+        """Class of the colour of a sample: that of its spool; of one spool, its own."""
+        spools = list(dict.fromkeys(each.specimen.spool for each in self.group.samples))
+        at = spools.index(sample.specimen.spool)
+        if len(spools) == 1 and len(self.group.samples) <= _MOST_WITH_INTERVALS:
+            at = [key_of(each) for each in self.group.samples].index(key_of(sample))
+        return f"c{at % COLOURS}"
 
 
 def group_panels(group: Group, stem: str, tests: PageTests) -> list[Plot]:
@@ -100,7 +102,7 @@ def _curves(drawn: _Drawn) -> Plot | None:
 
 def _sample_lines(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
     """First loading, all else fainter, and the force as measured where slips were repaired."""
-    test, colour = drawn.number(sample), drawn.colours[sample.specimen.spool]
+    test, colour = drawn.number(sample), drawn.colour(sample)
     first = first_loading(sample)
     others = [
         each
@@ -236,7 +238,7 @@ def _keys(drawn: _Drawn, lines: Sequence[Line]) -> list[Key]:
     if len(group.samples) <= _MOST_WITH_INTERVALS:
         keys = [
             Key(
-                f"curve {drawn.colours[each.specimen.spool]}",
+                f"curve {drawn.colour(each)}",
                 each.test,
                 "t",
                 str(drawn.number(each)),
@@ -246,7 +248,9 @@ def _keys(drawn: _Drawn, lines: Sequence[Line]) -> list[Key]:
     else:
         keys = [
             Key(f"curve {colour}", f"spool {spool}", "class", colour)
-            for spool, colour in drawn.colours.items()
+            for spool, colour in {
+                each.specimen.spool: drawn.colour(each) for each in group.samples
+            }.items()
         ]
     over = f"mean of {group.band.n} {group.band.over}"
     words = {"mean": over, **_WORDS}
@@ -283,7 +287,7 @@ def _shapes(drawn: _Drawn) -> Plot | None:
         gaps = np.full((len(shapes.deflection), 1), np.nan)
         x = np.column_stack([shapes.positions[:, :, 0], gaps]).ravel() * drawn.across.factor
         y = np.column_stack([shapes.positions[:, :, 1], gaps]).ravel() * drawn.across.factor
-        look = f"shape {drawn.colours[sample.specimen.spool]}"
+        look = f"shape {drawn.colour(sample)}"
         lines.append(Line(look, x, y, drawn.number(sample)))
     if not lines:
         return None
@@ -293,7 +297,7 @@ def _shapes(drawn: _Drawn) -> Plot | None:
     width = _SMALL[0]
     height = min(max(even(width, x_axis, y_axis), _FLATTEST), _HIGHEST)
     x_axis, y_axis = _alike(x_axis, y_axis, width, height)
-    steps = ", ".join(f"{way * drawn.across.factor:.3g}" for way in _steps(own))
+    steps = ", ".join(f"{way * drawn.across.factor:.2g}" for way in _steps(own))
     caption = f"Markers at {steps} {unit} of the first loading, both axes at one scale."
     title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."
     size = (width, height)
@@ -327,7 +331,7 @@ def _moments(drawn: _Drawn) -> Plot | None:
         return None
     areas, lines = [], []
     for sample, law in own:
-        colour, test = drawn.colours[sample.specimen.spool], drawn.number(sample)
+        colour, test = drawn.colour(sample), drawn.number(sample)
         x = law.curvature * across.factor
         if len(own) <= _MOST_WITH_INTERVALS:
             outline = np.concatenate([x, x[::-1]])
@@ -377,4 +381,4 @@ def _share(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
         return
     kept = bends(first.displacement, first.force, points=_SCALED_POINTS, tolerance=_UNSEEN)
     x, y = first.displacement[kept] * drawn.across.factor, first.force[kept] / peak
-    yield Line(f"curve {drawn.colours[sample.specimen.spool]}", x, y, drawn.number(sample))
+    yield Line(f"curve {drawn.colour(sample)}", x, y, drawn.number(sample))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -40,8 +38,15 @@ from labpipe.report.page_groups import (
     number_table,
     samples_tables,
 )
-from labpipe.report.page_parts import page_data, page_script, page_style
-from labpipe.report.page_plots import svg
+from labpipe.report.page_parts import (
+    filled,
+    page_data,
+    page_script,
+    page_style,
+    quoted,
+    style_hash,
+    style_of,
+)
 from labpipe.report.page_tests import export_table, test_rows
 from labpipe.report.question_figures import figures_of_families
 from labpipe.report.questions import remarks_on_pairs
@@ -51,9 +56,9 @@ from labpipe.report.saving import save_report_figures, written_to
 from labpipe.report.wording import printable, with_names_in_words
 
 if TYPE_CHECKING:
-    from markupsafe import Markup
+    pass
 
-_TEMPLATE, _LOOKS = "lab_report.html", "page_looks.css"
+_TEMPLATE = "lab_report.html"
 _NO_INSTRUMENTS = "no calibration certificate stated in the protocols"
 
 
@@ -90,54 +95,23 @@ def render_page(
     An HTML document that needs no other file and no network, and can be read and printed without
     its script. Every text of the campaign is escaped.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined
-
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-    )
-    environment.filters["svg"] = svg
     names = stems(group.name for group in campaign.groups)
     report, script = report_id(campaign), page_script()
-    style = _style(campaign, report)
-    return environment.get_template(_TEMPLATE).render(
+    style = style_of(quoted(f"{campaign.title}  \u00b7  report {report}"), page_style())
+    return filled(
+        _TEMPLATE,
         campaign=campaign,
         report=report,
         style=style,
-        style_hash=_fingerprint(style),
+        style_hash=style_hash(style),
         script=script,
-        script_hash=_fingerprint(script),
+        script_hash=style_hash(script),
         page_data=page_data(campaign, report=report),
         pages=has_test_pages,
         logo=letterhead.logo,
         **_first(campaign, names, letterhead),
         **_rest(campaign, names),
     )
-
-
-def _fingerprint(text: str) -> Markup:
-    """What a page's policy calls a text that may count: its SHA-256."""
-    from markupsafe import Markup
-
-    digest = hashlib.sha256(printable(text).encode()).digest()
-    return Markup(f"'sha256-{base64.b64encode(digest).decode()}'")
-
-
-def _style(campaign: Campaign, report: str) -> Markup:
-    """Looks of the page, with title and report in the footer of its sheets."""
-    from markupsafe import Markup
-
-    looks = (Path(__file__).parent / _LOOKS).read_text(encoding="utf-8")
-    words = _quoted(f"{campaign.title}  \u00b7  report {report}")
-    return Markup(f"{looks.replace('var(--footer)', words)}{page_style()}")
-
-
-def _quoted(text: str) -> str:
-    """Write a text for a style sheet, such that nothing in it can end the text or the sheet."""
-    plain = printable(text)
-    return '"' + "".join(each if each.isalnum() else f"\\{ord(each):x} " for each in plain) + '"'
 
 
 def _first(campaign: Campaign, names: Sequence[str], letterhead: Letterhead) -> dict[str, Any]:
@@ -241,6 +215,8 @@ def _remarks(group: Group) -> list[str]:
 PAGE_FILE = "report.html"
 TABLES_FILE = "tables.xlsx"
 FIGURES_FOLDER = "figures"
+FORMATS = ("svg", "png", "pdf")
+"""Of figures as files."""
 
 
 @dataclass(frozen=True, slots=True)
