@@ -43,7 +43,7 @@ def test_pages_of_tests_stand_beside_it(tmp_path: Path) -> None:
     assert '<a class="test-page" href="tests/tt-s1a.html">' in files[0].read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("samples", [3, 15])
+@pytest.mark.parametrize("samples", [6, 15])
 def test_a_page_is_as_small_as_it_should_be(samples: int, tmp_path: Path) -> None:
     """At most 0.3 MB and 3 kB a test, as few groups of 60 tests show."""
     groups = 60 // samples
