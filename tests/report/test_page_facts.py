@@ -21,8 +21,8 @@ CELL = Instrument("force", ("force",), "LC-500", date(2025, 1, 1), date(2026, 1,
 
 def test_tests_are_numbered_group_by_group_and_rejected_ones_last() -> None:
     samples = six_samples(slips=0)
-    groups = (build_group("A", samples[:2]), build_group("B", samples[3:]))
-    groups = tuple(replace(each, fields={"type": "twist-tube-10"}) for each in groups)
+    made = (build_group("A", samples[:2]), build_group("B", samples[3:]))
+    groups = tuple(replace(each, fields={"type": "twist-tube-10"}) for each in made)
     out = samples[2]
     campaign = Campaign("S", groups, rejected={out.source: "bent"}, rejected_samples=(out,))
     tests = PageTests(campaign, ["a", "b"])
