@@ -101,6 +101,24 @@ class WireLayout(ArrayRecord):
     wire_radius: float
 
 
+@dataclass(frozen=True, slots=True)
+class WireAtRest:
+    """A cantilever that is bent by its own weight alone, its tip held level.
+
+    Parameters
+    ----------
+    force : N, that holds the tip: a zeroed load cell hides it
+    moment : N m, at the clamp, negative: it bends away from the pull
+    curvature : 1/m, at the clamp
+    sag : m, lowest point below the axis
+    """
+
+    force: float
+    moment: float
+    curvature: float
+    sag: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class WireTable(ArrayRecord):
     """The law of a wire on first loading, and what else simulation wants; arrays of shape (n,).
@@ -121,7 +139,9 @@ class WireTable(ArrayRecord):
         strands slip as soon as the wire bends
     lowest_moment, highest_moment : N m, over a full turn of the section
     tip_deflection, tip_force : shape (m,), m and N, of the cantilever of `spec.length` under an
-        end load normal to the clamped axis
+        end load normal to the clamped axis, both from rest
+    mass_per_length : kg/m
+    rest : of that cantilever, which lies level, its tip held; None where its weight is left out
     notes : defaults taken, limits met
     """
 
@@ -146,6 +166,8 @@ class WireTable(ArrayRecord):
     highest_moment: Vector
     tip_deflection: Annotated[Floats, "points"]
     tip_force: Annotated[Floats, "points"]
+    mass_per_length: float
+    rest: WireAtRest | None
     notes: tuple[QualityNote, ...] = ()
 
     @property

@@ -1,7 +1,8 @@
 """The end load of the cantilever at a row of tip deflections, from straight (PHYSICS 5).
 
-As long as nothing unloads by the first integral of `wire.end_load`, all at once; from there on
-station by station as in `wire.cantilever`, each point from the trend of those before.
+As long as nothing unloads by the first integral of `wire.end_load`, all at once, or with the wire's
+own weight as in `wire.heavy_loading`; from there on station by station as in `wire.cantilever`,
+each point from the trend of those before.
 """
 
 from __future__ import annotations
@@ -10,17 +11,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from labpipe.law.loading_table import LoadingTable
 from labpipe.law.plays import (
     MomentLaw,
     is_within,
     require_finite,
+    require_not_negative,
     require_positive,
+    respond,
+    virgin_plays,
 )
 from labpipe.records.arrays import Floats
-from labpipe.wire.cantilever import DEFAULT_STATIONS, WireState, deflect, settle, straight
+from labpipe.wire.cantilever import (
+    DEFAULT_STATIONS,
+    CantileverShape,
+    WireState,
+    deflect,
+    settle,
+    shape_of,
+    straight,
+)
 from labpipe.wire.end_load import EndLoads, end_loads
+from labpipe.wire.heavy_loading import heavy_states
 from labpipe.wire.newton import EndLoad, Unknowns, chebyshev_stations
 
+HEAVY_STATIONS = 48
+"""Along a wire with weight: loads are within 3e-5 of those of 160 stations."""
+_STEEPEST = 1.0  # rad, at rest: a wire that hangs so does not lie level, and has other equilibria
+_AT_ONCE = 0.7  # of the length: about where something begins to unload
 _FARTHEST_TREND = 2.0  # steps ahead that the last one is taken to go on
 _TOLERANCE = 1e-5  # of Newton's method from a good guess: its next change would be 1e-10
 
@@ -31,22 +49,29 @@ class EndLoadPath:
 
     Parameters
     ----------
-    load : N, normal to the clamped axis
+    load : N, normal to the clamped axis, above that which holds the tip level at rest
     clamp_moment : N m
+    rest : of a wire with weight; None without
     """
 
     load: Floats
     clamp_moment: Floats
+    rest: CantileverShape | None = None
 
     def part(self, start: int, stop: int | None = None) -> EndLoadPath:
         """The path from a point on, up to another, with the same arrays."""
-        return EndLoadPath(self.load[start:stop], self.clamp_moment[start:stop])
+        return replace(self, load=self.load[start:stop], clamp_moment=self.clamp_moment[start:stop])
 
 
 def end_load_path(
-    law: MomentLaw, length: float, deflections: Floats, *, n_stations: int = DEFAULT_STATIONS
+    law: MomentLaw,
+    length: float,
+    deflections: Floats,
+    *,
+    n_stations: int = DEFAULT_STATIONS,
+    self_weight: float = 0.0,
 ) -> EndLoadPath:
-    """End load and clamp moment at each of a row of tip deflections, from straight.
+    """End load and clamp moment at each of a row of tip deflections, from straight, or from rest.
 
     Parameters
     ----------
@@ -54,6 +79,7 @@ def end_load_path(
     length : m
     deflections : shape (n,), m, in the order in which they are reached
     n_stations : along the wire, where it is gone through station by station
+    self_weight : N/m, of the wire; with weight it lies level at rest, its tip held by the load
 
     Returns
     -------
@@ -71,6 +97,9 @@ def end_load_path(
     """
     require_positive("length", length)
     require_finite("deflections", deflections)
+    require_not_negative("self_weight", self_weight)
+    if self_weight > 0.0:
+        return _from_rest(law, length, deflections, self_weight)
     grows = np.diff(deflections, prepend=0.0) > 0.0
     n_growing = len(grows) if grows.all() else int(np.argmin(grows))
     path = EndLoadPath(*np.empty((2, len(deflections))))
@@ -88,6 +117,42 @@ def end_load_path(
             state = _last_state(law, state, length, first)
     rest = _go_on(law, (before, state), length, deflections[done:], path.part(done))
     return path.part(0, done + rest)
+
+
+def _from_rest(
+    law: MomentLaw, length: float, deflections: Floats, self_weight: float
+) -> EndLoadPath:
+    """The same of a wire with weight: all at once from rest, then station by station."""
+    goes_on = (np.diff(deflections, prepend=0.0) > 0.0) & (deflections <= _AT_ONCE * length)
+    count = len(goes_on) if goes_on.all() else int(np.argmin(goes_on))
+    table, wanted = LoadingTable.of_plays(law), deflections[:count]
+    at = heavy_states(table, length, None, self_weight, wanted, n_stations=HEAVY_STATIONS)
+    done = at.count_loading()
+    plays = respond(law, at.rest, virgin_plays(law, len(at.rest))).plays
+    force = np.array([0.0, at.rest_tension])
+    rest = WireState(at.rest, plays, force, at.rest_tension, self_weight=self_weight)
+    still = shape_of(law, rest, length)
+    hangs = float(np.max(np.abs(still.angle)))
+    if hangs > _STEEPEST:
+        message = f"by its weight it hangs at {np.degrees(hangs):.3g} deg between clamp and tip"
+        raise ValueError(message)
+    load, clamp = np.empty((2, len(deflections)))
+    load[:done], clamp[:done] = at.tension[:done], at.moment[:done, 0]
+    path = EndLoadPath(load, clamp, still)
+    outside = [not is_within(law, moment) for moment in clamp[:done].tolist()]
+    if any(outside):
+        done = outside.index(True)
+    elif done < len(deflections):
+        states = [rest]
+        for row in range(max(done - 2, 0), done):
+            bent, tension = at.moment[row], float(at.tension[row])
+            plays = respond(law, bent, rest.plays).plays
+            force, travel = np.array([0.0, tension]), float(wanted[row])
+            states.append(WireState(bent, plays, force, tension, travel, self_weight))
+        first = (states[-2] if done else rest, states[-1])
+        done += _go_on(law, first, length, deflections[done:], path.part(done))
+    load -= at.rest_tension
+    return path.part(0, done)
 
 
 def _guess(virgin: WireState, length: float, first: EndLoads, row: int) -> WireState:

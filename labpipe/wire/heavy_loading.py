@@ -26,6 +26,7 @@ POINTS, CROWDING = 32, 2.0
 """Of a loading curve, and how they are crowded towards rest, where strands begin to slip."""
 _ITERATIONS = 40
 _TOLERANCE = 1e-7  # of the largest moment, the last change: the next would be 1e-13
+_TURNS = 1e-5  # of the largest moment: less is rounding
 _LARGEST_TURN = 0.7  # rad, of any part of the wire in one step of Newton's method
 
 
@@ -58,6 +59,19 @@ class HeavyStates:
     tip_angle: Floats
     curvature: Floats
     tension_change: Floats
+
+    def count_loading(self) -> int:
+        """Number of deflections, from rest on, up to which no part of the wire turns back.
+
+        Beyond about 0.7 of the length the moments near the tip fall; those of a limp wire that
+        sags may do so before.
+        """
+        before = np.vstack([self.rest, self.moment[:-1]])
+        step, way = self.moment - before, before - self.rest
+        small = _TURNS * np.max(np.abs(self.moment), axis=1, keepdims=True)
+        turns = ((step * way < 0.0) & (np.abs(step) > small)).any(axis=1)
+        turns[1:] |= np.diff(self.across) <= 0.0
+        return int(np.argmax(turns)) if turns.any() else len(turns)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -128,8 +142,8 @@ def load_heavy(
 
     Returns
     -------
-    The curve: rest, then `POINTS` points up to the deflection, or until the force across the wire
-    at its tip is largest, where this is no longer a first loading. Its derivatives by parameters
+    The curve: rest, then `POINTS` points up to the deflection, or until a part of the wire turns
+    back, where this is no longer a first loading. Its derivatives by parameters
     are those of the force above that at rest.
 
     Raises
@@ -139,8 +153,7 @@ def load_heavy(
     """
     wanted = deflection * (np.arange(1, POINTS + 1) / POINTS) ** CROWDING
     at = heavy_states(table, length, rig, self_weight, wanted)
-    falls = np.flatnonzero(np.diff(at.across) <= 0.0)
-    stop = int(falls[0]) + 1 if len(falls) else len(wanted)
+    stop = at.count_loading()
     at_rest = _rest_slope(at)
 
     def from_rest(rest: float, values: Floats) -> Floats:
@@ -269,7 +282,8 @@ def _settle(
         largest = np.max(np.abs(moment), axis=1)
         if np.all(np.max(np.abs(step[:, :-1]), axis=1) <= _TOLERANCE * largest):
             return moment, tension
-    message = f"length={length:.6g} m, up to {deflections[-1]:.6g} m: no equilibrium found"
+    where = "at rest" if rest is None else f"up to a deflection of {deflections[-1]:.6g} m"
+    message = f"length={length:.6g} m: no equilibrium found {where}"
     raise ValueError(message)
 
 

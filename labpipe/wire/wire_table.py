@@ -7,21 +7,20 @@ from typing import cast
 
 import numpy as np
 
-from labpipe.law.play_fits import concave_law
 from labpipe.law.plays import require_finite, require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.quality import QualityNote, Severity
 from labpipe.records.wire import AUTO, WireLayout, WireSpec, WireTable
+from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import (
     MomentCurve,
     moment_curvature,
     orientation_range,
     stick_stiffness,
 )
+from labpipe.wire.cantilever_curve import cantilever_of
 from labpipe.wire.cross_section import TOLERANCE, CrossSection, Insulation, Layer, compressed
 from labpipe.wire.cross_section import hexagonal as as_hexagon
-from labpipe.wire.end_load import deflection_at
-from labpipe.wire.end_load_path import end_load_path
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, lay_out
@@ -30,10 +29,6 @@ GRID_POINTS = 200
 _DECADES = 4.0  # of curvature below the largest
 _DISTINCT = 1e-4  # of a curvature: nearer points are one
 _AT_ONCE = 1e-6  # of the largest curvature: strands that slip before stick to nothing
-DEFLECTIONS = 49
-"""Points of the cantilever's curve, zero included."""
-FARTHEST = 0.8
-"""Tip deflection at its end, as a share of the length."""
 
 
 def wire_table(spec: WireSpec) -> WireTable:
@@ -48,7 +43,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
     the end of the range, and those at which strands begin to slip; an onset below a millionth of
     the range is reported as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
-    ``tension``, ``slips_at_once``, ``cantilever_cut``.
+    ``tension``, ``slips_at_once``, ``cantilever_cut``, ``weight_left_out``.
 
     Raises
     ------
@@ -59,14 +54,16 @@ def wire_table(spec: WireSpec) -> WireTable:
     Notes
     -----
     The law is that of `wire.bending_law`. The cantilever is clamped at one end, with an end
-    load normal to the clamped axis, and starts straight.
+    load normal to the clamped axis; it starts from rest, where it lies level under its own weight,
+    its tip held.
     """
     built = build(spec)
     largest, shortened = range_of(spec, strain=built.axial_strain)
     onsets = _onsets(built, spec, largest)
     curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
     lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
-    deflection, force, cut = _cantilever(spec, curve)
+    mass = mass_per_length(spec, built.section)
+    bent = cantilever_of(spec, curve, GRAVITY * mass)
     return WireTable(
         name=spec.name,
         spec=spec,
@@ -87,11 +84,13 @@ def wire_table(spec: WireSpec) -> WireTable:
         slip_onsets=onsets,
         lowest_moment=np.minimum(lowest, curve.moment),
         highest_moment=np.maximum(highest, curve.moment),
-        tip_deflection=deflection,
-        tip_force=force,
+        tip_deflection=bent.deflection,
+        tip_force=bent.force,
+        mass_per_length=mass,
+        rest=bent.rest,
         notes=(
             *(*_defaults(spec), *built.notes, *shortened, *_tension(spec)),
-            *(*_slips_at_once(spec, onsets, curve), *cut),
+            *(*_slips_at_once(spec, onsets, curve), *bent.notes),
         ),
     )
 
@@ -205,36 +204,6 @@ def _curve(built: BuiltWire, spec: WireSpec, curvature: Floats) -> MomentCurve:
         )
         raise WireError(message)
     return curve
-
-
-def _cantilever(
-    spec: WireSpec, curve: MomentCurve
-) -> tuple[Floats, Floats, tuple[QualityNote, ...]]:
-    """Deflections and end loads of the cantilever, and why they end early where they do."""
-    try:
-        law = concave_law(curve.curvature[1:], curve.moment[1:])
-    except ValueError as error:
-        message = f"no curve of the cantilever: {error}"
-        note = QualityNote("cantilever_cut", Severity.WARNING, spec.place, message)
-        return np.zeros(1), np.zeros(1), (note,)
-    last = float(curve.moment[-1])
-    wanted = FARTHEST * spec.length
-    end = min(wanted, deflection_at(law, spec.length, last))
-    deflection = np.linspace(0.0, end, DEFLECTIONS)
-    path = end_load_path(law, spec.length, deflection[1:])
-    deflection, force = deflection[: len(path.load) + 1], np.append(0.0, path.load)
-    if deflection[-1] == wanted:
-        return deflection, force, ()
-    message = (
-        f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
-        f"{deflection[-1] * 1e3:.4g} mm, not {wanted * 1e3:.4g} mm: beyond, the curvature at the "
-        f"clamp leaves the range of the law, {curve.curvature[-1]:.4g} 1/m"
-    )
-    return (
-        deflection,
-        force,
-        (QualityNote("cantilever_cut", Severity.WARNING, spec.place, message),),
-    )
 
 
 def _defaults(spec: WireSpec) -> tuple[QualityNote, ...]:

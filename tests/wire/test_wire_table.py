@@ -10,8 +10,9 @@ import pytest
 from labpipe.law.play_fits import concave_law
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.studies.wire_specs import read_wire_sheet
+from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.cantilever import bend_to_deflection, straight
+from labpipe.wire.cantilever import bend_to_deflection, held_level, straight
 from labpipe.wire.cross_section import CrossSection, Layer, concentric
 from labpipe.wire.materials import Elastic
 from labpipe.wire.wire_table import (
@@ -79,12 +80,15 @@ def test_the_table_resolves_the_law(examples: dict[str, WireTable]) -> None:
 def test_the_cantilever_is_that_of_the_law(examples: dict[str, WireTable]) -> None:
     table = examples["A2"]
     law = concave_law(table.curvature[1:], table.moment[1:])
-    state = straight(law)
+    state = held_level(law, table.spec.length, GRAVITY * table.mass_per_length).state
+    assert table.rest is not None
+    assert state.force[1] == pytest.approx(table.rest.force, rel=1e-5)
     for number in (12, 24):
         deflection = float(table.tip_deflection[number])
         shape = bend_to_deflection(law, state, table.spec.length, deflection)
         state = shape.state
-        assert shape.force[1] == pytest.approx(table.tip_force[number], rel=1e-4)
+        force = shape.force[1] - table.rest.force
+        assert force == pytest.approx(table.tip_force[number], rel=1e-4)
 
 
 def test_defaults_are_said_in_one_note() -> None:
@@ -107,7 +111,36 @@ def test_a_cantilever_that_leaves_the_range_is_cut_and_said() -> None:
     assert end.moment[0] == pytest.approx(table.moment[-1], rel=1e-3)
 
 
-@pytest.mark.parametrize(("length", "largest"), [(0.5, None), (0.085, 1000.0), (3.0, None)])
+def test_a_wire_at_rest_is_that_of_the_textbook() -> None:
+    """A stiff one, of which nothing slips: 3 w L / 8, w L^2 / 8 and w L^4 / 185 EI."""
+    table = wire_table(replace(A2, length=0.03))
+    weight, rest = GRAVITY * table.mass_per_length, table.rest
+    assert table.mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
+    assert rest is not None
+    assert rest.force == pytest.approx(3.0 * weight * 0.03 / 8.0, rel=1e-4)
+    assert rest.moment == pytest.approx(-weight * 0.03**2 / 8.0, rel=1e-3)
+    assert rest.curvature == pytest.approx(rest.moment / table.stick_stiffness, rel=1e-3)
+    sag = weight * 0.03**4 / 184.6 / table.stick_stiffness
+    assert rest.sag == pytest.approx(sag, rel=5e-3)
+
+
+def test_a_mass_that_the_sheet_states_is_taken() -> None:
+    table = wire_table(replace(A2, mass_per_length=8e-3))
+    assert table.mass_per_length == 8e-3
+    assert wire_table(replace(A2, insulation_density=0.0)).mass_per_length < 6e-3
+
+
+def test_a_wire_too_limp_to_lie_level_is_bent_without_its_weight() -> None:
+    table = wire_table(replace(A2, length=3.0))
+    [note] = table.notes
+    assert (note.code, table.rest) == ("weight_left_out", None)
+    assert note.message.startswith(
+        "the curve of the cantilever of 3000 mm is without the wire's own weight, 201.7 mN: "
+    )
+    assert table.tip_deflection[-1] == pytest.approx(2.4, rel=1e-12)
+
+
+@pytest.mark.parametrize(("length", "largest"), [(0.3, None), (0.085, 1000.0)])
 def test_a_long_wire_or_a_long_law_is_told_to_the_end(length: float, largest: float | None) -> None:
     table = wire_table(replace(A2, length=length, largest_curvature=largest))
     assert not codes(table)

@@ -1,0 +1,105 @@
+"""The cantilever of a wire's table: end load against deflection, from rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from labpipe.law.play_fits import concave_law
+from labpipe.law.plays import PlayLaw
+from labpipe.records.arrays import Floats
+from labpipe.records.quality import QualityNote, Severity
+from labpipe.records.wire import WireAtRest, WireSpec
+from labpipe.wire.bending_law import MomentCurve
+from labpipe.wire.cantilever import CantileverShape
+from labpipe.wire.end_load import deflection_at
+from labpipe.wire.end_load_path import end_load_path
+
+DEFLECTIONS = 49
+"""Points of the cantilever's curve, zero included."""
+FARTHEST = 0.8
+"""Tip deflection at its end, as a share of the length."""
+_SHY = 0.98  # of the way to the end of the law, which is found by a straight line
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CantileverCurve:
+    """The cantilever of a wire.
+
+    Parameters
+    ----------
+    deflection, force : shape (n,), m and N, of the tip, from rest
+    rest : None where the wire's weight is left out
+    notes : why it ends early, or leaves something out
+    """
+
+    deflection: Floats
+    force: Floats
+    rest: WireAtRest | None
+    notes: tuple[QualityNote, ...]
+
+
+def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
+    """Bend the cantilever of a wire as far as its law goes.
+
+    Parameters
+    ----------
+    spec : of the wire: its free length
+    curve : its law
+    self_weight : N/m
+    """
+    try:
+        law = concave_law(curve.curvature[1:], curve.moment[1:])
+    except ValueError as error:
+        message = f"no curve of the cantilever: {error}"
+        note = QualityNote("cantilever_cut", Severity.WARNING, spec.place, message)
+        return CantileverCurve(np.zeros(1), np.zeros(1), None, (note,))
+    wanted = FARTHEST * spec.length
+    end = min(wanted, deflection_at(law, spec.length, float(curve.moment[-1])))
+    notes = []
+    try:
+        bent = _bent(law, spec.length, end, self_weight)
+    except ValueError as error:
+        message = (
+            f"the curve of the cantilever of {spec.length * 1e3:.4g} mm is without the wire's own "
+            f"weight, {1e3 * self_weight * spec.length:.4g} mN: {error}"
+        )
+        notes.append(QualityNote("weight_left_out", Severity.WARNING, spec.place, message))
+        bent = _bent(law, spec.length, end, 0.0)
+    if bent.deflection[-1] < wanted:
+        message = (
+            f"the cantilever of {spec.length * 1e3:.4g} mm is reported up to a tip deflection of "
+            f"{bent.deflection[-1] * 1e3:.4g} mm, not {wanted * 1e3:.4g} mm: beyond, the curvature "
+            f"at the clamp leaves the range of the law, {curve.curvature[-1]:.4g} 1/m"
+        )
+        notes.append(QualityNote("cantilever_cut", Severity.WARNING, spec.place, message))
+    return replace(bent, notes=tuple(notes))
+
+
+def _bent(law: PlayLaw, length: float, end: float, self_weight: float) -> CantileverCurve:
+    """The curve up to an end, or to where the law ends.
+
+    With weight the clamp reaches the end of the law at a slightly other deflection than without,
+    for which the end was found; the curve then goes that far.
+    """
+    deflection = np.linspace(0.0, end, DEFLECTIONS)
+    path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
+    last = len(path.load)
+    if last == DEFLECTIONS - 2 and path.rest is not None:
+        clamp = np.append(path.rest.moment[0], path.clamp_moment)
+        slope = (clamp[-1] - clamp[-2]) / deflection[1]
+        ahead = (law.largest_moment - clamp[-1]) / slope
+        deflection = np.linspace(0.0, deflection[last] + _SHY * ahead, DEFLECTIONS)
+        path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
+        last = len(path.load)
+    force = np.append(0.0, path.load)
+    return CantileverCurve(deflection[: last + 1], force, _at_rest(path.rest), ())
+
+
+def _at_rest(shape: CantileverShape | None) -> WireAtRest | None:
+    if shape is None:
+        return None
+    sag = -float(np.min(shape.y))
+    rest = float(shape.force[1]), float(shape.moment[0]), float(shape.curvature[0])
+    return WireAtRest(*rest, sag)
