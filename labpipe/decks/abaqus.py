@@ -10,12 +10,10 @@ origin.
 from __future__ import annotations
 
 from labpipe.decks.deck_law import (
-    NO_MASS,
     Thinned,
     abaqus_label,
     facts,
     on_one_line,
-    require_mass,
     second_moment,
     skew_excess,
     solid_area,
@@ -26,16 +24,13 @@ from labpipe.records.wire import WireTable
 _WIDEST_NAME = 100  # of a wire in a comment: lines end at 256 characters
 
 
-def abaqus_deck(
-    table: WireTable, *, most_points: int | None = None, mass_per_length: float | None = None
-) -> str:
+def abaqus_deck(table: WireTable, *, most_points: int | None = None) -> str:
     """Write the beam section of a wire; the element set has the wire's label.
 
     Parameters
     ----------
     table : law of the wire
     most_points : of the law, zero and the end included; None for all of its corners
-    mass_per_length : kg/m; None if it is not known, which leaves out the density
 
     Returns
     -------
@@ -44,19 +39,18 @@ def abaqus_deck(
     Raises
     ------
     ValueError
-        As `thin`; or if the mass per length is not a positive number.
+        As `thin`.
 
     Notes
     -----
     Area and second moments are those of strands and insulation: in a nonlinear general section they
     serve mass and rotary inertia only. Density is mass per length over area.
     """
-    require_mass(mass_per_length)
     most = len(table.curvature) if most_points is None else most_points
     law = thin(table.curvature, table.moment, most=most)
     label = abaqus_label(table.name)
-    lines = [f"** {line}" for line in _comments(table, law, label, mass_per_length)]
-    lines += [_keyword(table, label, mass_per_length), _geometry(table), "0., 0., -1."]
+    lines = [f"** {line}" for line in _comments(table, law, label)]
+    lines += [_keyword(table, label), _geometry(table), "0., 0., -1."]
     lines += ["*AXIAL, LINEAR", f"{table.axial_stiffness:.9g}"]
     pairs = _pairs(law)
     lines += ["*M1", *pairs, "*M2", *pairs]
@@ -64,10 +58,7 @@ def abaqus_deck(
     return "\n".join(lines) + "\n"
 
 
-def _comments(
-    table: WireTable, law: Thinned, label: str, mass_per_length: float | None
-) -> tuple[str, ...]:
-    mass = () if mass_per_length else (f"No DENSITY: {NO_MASS}. Statics only.",)
+def _comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
         f"*M1, *M2: {len(law.curvature)} points; the straight lines between them are within "
@@ -76,20 +67,20 @@ def _comments(
         "The guide does not say what follows the last point: hold SK1, SK2 against the range.",
         f"M1 and M2 do not know of each other: bent askew, the wire is up to "
         f"{100.0 * skew_excess(table):.2g} % too stiff.",
-        "*AXIAL: strands and insulation elastic. *TORQUE: strands that do not grip each other, a",
-        "lower bound. Both without yielding.",
+        "*AXIAL: of a wire that does not turn. *TORQUE: of one that does not lengthen. The section",
+        f"has no place for their coupling, {table.stretch_twist_coupling:.6g} N m; a wire that is "
+        f"free to lengthen",
+        f"has a torsional stiffness of {table.free_torsional_stiffness:.6g} N m^2. Both without "
+        f"yielding.",
         "Euler-Bernoulli elements (B33, B23): the wire's transverse shear is not known.",
         f"Element set {label}; first axis of the section in the global -z direction.",
-        *mass,
     )
 
 
-def _keyword(table: WireTable, label: str, mass_per_length: float | None) -> str:
+def _keyword(table: WireTable, label: str) -> str:
     line = f"*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL, ELSET={label}"
-    if mass_per_length is None:
-        return line
     # a keyword line goes on after a comma
-    return f"{line},\nDENSITY={mass_per_length / solid_area(table):.9g}"
+    return f"{line},\nDENSITY={table.mass_per_length / solid_area(table):.9g}"
 
 
 def _geometry(table: WireTable) -> str:

@@ -11,12 +11,10 @@ from __future__ import annotations
 
 from labpipe.decks.deck_law import (
     COMMENT_MOST,
-    NO_MASS,
     Thinned,
     ansys_name,
     facts,
     on_one_line,
-    require_mass,
     skew_excess,
     thin,
 )
@@ -36,14 +34,13 @@ _SHORTEST = 10.0  # wire diameters: free lengths on which shear is to add nothin
 _SHEAR_SHARE = 1e-3  # of the deflection under an end load, at most, that shear adds there
 
 
-def ansys_deck(table: WireTable, *, section: int = 1, mass_per_length: float | None = None) -> str:
+def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     """Write the beam section of a wire as commands of the preprocessor.
 
     Parameters
     ----------
     table : law of the wire
     section : number of the section
-    mass_per_length : kg/m; None if it is not known, which leaves out ``BSMD``
 
     Returns
     -------
@@ -52,7 +49,7 @@ def ansys_deck(table: WireTable, *, section: int = 1, mass_per_length: float | N
     Raises
     ------
     ValueError
-        As `thin`; if the section's number is below 1; if the mass is not a positive number.
+        As `thin`; if the section's number is below 1.
 
     Notes
     -----
@@ -60,12 +57,11 @@ def ansys_deck(table: WireTable, *, section: int = 1, mass_per_length: float | N
     (0.001 (10 d)^2) adds a thousandth to the deflection P L^3 / 3 EI of a free length of ten wire
     diameters d, and less to a longer one.
     """
-    require_mass(mass_per_length)
     if section < 1:
         message = f"section={section}: allowed are whole numbers >= 1"
         raise ValueError(message)
     law = thin(table.curvature, table.moment, most=MOST_POINTS + 1)
-    lines = [f"! {line}" for line in _comments(table, law, mass_per_length)]
+    lines = [f"! {line}" for line in _comments(table, law)]
     lines += [f"SECTYPE,{section},GENB,PLASTIC,{ansys_name(table.name)}"]
     lines += _linear("BSAX", LARGEST_STRAIN, table.axial_stiffness)
     points = _points(law)
@@ -73,7 +69,7 @@ def ansys_deck(table: WireTable, *, section: int = 1, mass_per_length: float | N
     lines += _linear("BSTQ", LARGEST_TWIST, table.torsional_stiffness)
     for command in ("BSS1", "BSS2"):
         lines += _linear(command, LARGEST_SHEAR, shear_stiffness(table))
-    lines += [] if mass_per_length is None else [f"BSMD,{mass_per_length:.9g}"]
+    lines += [f"BSMD,{table.mass_per_length:.9g}"]
     return "\n".join(lines) + "\n"
 
 
@@ -83,8 +79,7 @@ def shear_stiffness(table: WireTable) -> float:
     return 3.0 * table.stick_stiffness / (_SHEAR_SHARE * length**2)
 
 
-def _comments(table: WireTable, law: Thinned, mass_per_length: float | None) -> tuple[str, ...]:
-    mass = () if mass_per_length else (f"No BSMD: {NO_MASS}. Statics only.",)
+def _comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
     return (
         *facts(table, on_one_line(table.name, COMMENT_MOST)),
         "Beyond the last point the program has no stiffness: look at the curvatures.",
@@ -95,12 +90,13 @@ def _comments(table: WireTable, law: Thinned, mass_per_length: float | None) -> 
         "where a wire follows Masing's rule. Not for loops.",
         "BSM1 and BSM2 do not know of each other: bent askew, the wire is",
         f"up to {100.0 * skew_excess(table):.2g} % too stiff.",
-        f"BSAX: elastic, to a strain of {LARGEST_STRAIN:g}. BSTQ: strands that do not grip",
-        f"each other, a lower bound, to {LARGEST_TWIST:g} rad/m.",
+        f"BSAX: of a wire that does not turn, to a strain of {LARGEST_STRAIN:g}.",
+        f"BSTQ: of one that does not lengthen, to {LARGEST_TWIST:g} rad/m. No place is there",
+        f"for their coupling, {table.stretch_twist_coupling:.4g} N m; free to lengthen, the wire",
+        f"has a torsional stiffness of {table.free_torsional_stiffness:.6g} N m^2.",
         "BSS1, BSS2: not the wire's, which is not known: stiff enough to add",
         "less than 0.1 % to the deflection of ten wire diameters and more.",
         "BEAM188 or BEAM189, NLGEOM,ON.",
-        *mass,
     )
 
 

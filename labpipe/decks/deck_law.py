@@ -154,12 +154,8 @@ def _error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
     return float(np.max(np.abs(lines / moment[1:] - 1.0)))
 
 
-COPPER_DENSITY = 8960.0
-"""kg/m^3, of pure copper at 20 deg C (CRC Handbook of Chemistry and Physics)."""
-
 UNITS = "Units: m, N, kg, s, rad; curvature and twist 1/m, moment N m, stiffness N m^2."
 FIRST_LOADING = "The law is that of the first loading of a wire that was never bent before."
-NO_MASS = "the sheet of wires gives no mass per length"
 
 
 _NEAR = 0.05  # of the moment, within which a linear law is as good as the wire's
@@ -257,25 +253,6 @@ def second_moment(table: WireTable) -> float:
     area = np.pi / 4.0 * layout.diameter**2
     arms = 0.5 * (layout.x**2 + layout.y**2)
     return float(np.sum(np.pi / 64.0 * layout.diameter**4 + area * arms) + tube)
-
-
-def copper_mass(table: WireTable) -> float:
-    """Mass per length of the strands if they are of copper, without the insulation, kg/m."""
-    return float(COPPER_DENSITY * np.sum(np.pi / 4.0 * table.layout.diameter**2))
-
-
-def require_mass(mass_per_length: float | None) -> None:
-    """Refuse a mass per length that is not a positive number.
-
-    Raises
-    ------
-    ValueError
-        With the value and what is allowed.
-    """
-    if mass_per_length is None or (np.isfinite(mass_per_length) and mass_per_length > 0.0):
-        return
-    message = f"mass_per_length={mass_per_length!r}: allowed are finite numbers > 0, or none"
-    raise ValueError(message)
 
 
 ABAQUS_MOST = 80

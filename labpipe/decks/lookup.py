@@ -5,11 +5,17 @@ from __future__ import annotations
 import json
 
 from labpipe import __version__
-from labpipe.decks.deck_law import FIRST_LOADING, NO_MASS, facts, on_one_line, require_mass
+from labpipe.decks.deck_law import FIRST_LOADING, facts, on_one_line
 from labpipe.records.wire import WireTable
 
-SCHEMA = 1
+SCHEMA = 2
 """Version of the JSON table."""
+
+TORSION = (
+    "pull and torque are [EA, C; C, GJ] times strain and twist: axial_stiffness EA is of a wire "
+    "that does not turn, torsional_stiffness GJ for one that does not lengthen, "
+    "free_torsional_stiffness GJ - C^2 / EA for one that may"
+)
 
 COLUMNS = {
     "curvature": "1/m",
@@ -33,6 +39,8 @@ _UNITS = {
     "slip_stiffness": "N*m^2",
     "axial_stiffness": "N",
     "torsional_stiffness": "N*m^2",
+    "free_torsional_stiffness": "N*m^2",
+    "stretch_twist_coupling": "N*m",
     "diameter": "m",
     "length": "m",
     "mass_per_length": "kg/m",
@@ -54,9 +62,11 @@ def lookup_csv(table: WireTable) -> str:
     lines = [f"# {line}" for line in facts(table, on_one_line(table.name, _WIDEST_NAME))]
     lines += [
         f"# Stick stiffness {table.stick_stiffness:.9g} N m^2, slip stiffness "
-        f"{table.slip_stiffness:.9g} N m^2, axial stiffness {table.axial_stiffness:.9g} N,",
-        f"# torsional stiffness {table.torsional_stiffness:.9g} N m^2 (strands that do not grip "
-        f"each other: a lower bound).",
+        f"{table.slip_stiffness:.9g} N m^2, mass {table.mass_per_length:.9g} kg/m.",
+        f"# Axial stiffness EA {table.axial_stiffness:.9g} N (does not turn), torsional stiffness "
+        f"GJ {table.torsional_stiffness:.9g} N m^2",
+        f"# (does not lengthen; {table.free_torsional_stiffness:.9g} where it may), coupling C "
+        f"{table.stretch_twist_coupling:.9g} N m.",
         "# moment = stick + slip + bending + plastic + insulation; lowest and highest over a full "
         "turn of the section.",
         ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items()),
@@ -66,24 +76,17 @@ def lookup_csv(table: WireTable) -> str:
     return "\n".join(lines) + "\n"
 
 
-def lookup_json(table: WireTable, *, mass_per_length: float | None = None) -> str:
+def lookup_json(table: WireTable) -> str:
     """Write pairs of curvature and moment, and the constant stiffnesses.
 
     Parameters
     ----------
     table : law of the wire
-    mass_per_length : kg/m; None if it is not known: then the key is absent, and ``absent`` says why
 
     Returns
     -------
     JSON text; units of all numbers stand under ``units``.
-
-    Raises
-    ------
-    ValueError
-        If the mass per length is not a positive number.
     """
-    require_mass(mass_per_length)
     numbers: dict[str, object] = {
         "curvature": table.curvature.tolist(),
         "moment": table.moment.tolist(),
@@ -91,14 +94,14 @@ def lookup_json(table: WireTable, *, mass_per_length: float | None = None) -> st
         "slip_stiffness": table.slip_stiffness,
         "axial_stiffness": table.axial_stiffness,
         "torsional_stiffness": table.torsional_stiffness,
+        "free_torsional_stiffness": table.free_torsional_stiffness,
+        "stretch_twist_coupling": table.stretch_twist_coupling,
         "diameter": 2.0 * table.layout.wire_radius,
         "length": table.spec.length,
+        "mass_per_length": table.mass_per_length,
     }
-    absent = {"mass_per_length": NO_MASS}
-    if mass_per_length is not None:
-        numbers["mass_per_length"], absent = mass_per_length, {}
     whole = {**_about(table), **numbers, "units": {name: _UNITS[name] for name in numbers}}
-    return json.dumps({**whole, "absent": absent}, indent=1) + "\n"
+    return json.dumps(whole, indent=1) + "\n"
 
 
 def _about(table: WireTable) -> dict[str, object]:
@@ -108,5 +111,5 @@ def _about(table: WireTable) -> dict[str, object]:
         "wire": table.name,
         "range": {"curvature": [0.0, float(table.curvature[-1])], "beyond": "not valid"},
         "law": FIRST_LOADING,
-        "torsion": "of strands that do not grip each other: a lower bound",
+        "torsion": TORSION,
     }

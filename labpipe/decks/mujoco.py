@@ -25,12 +25,9 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 
 from labpipe.decks.deck_law import (
-    COPPER_DENSITY,
-    copper_mass,
     facts,
     linear_range,
     on_one_line,
-    require_mass,
 )
 from labpipe.records.wire import WireTable
 
@@ -97,7 +94,6 @@ def mujoco_deck(
     stiffness: float | None = None,
     length: float | None = None,
     edges: int = 40,
-    mass_per_length: float | None = None,
 ) -> str:
     """Write a clamped cable of constant bending stiffness, along x, without gravity.
 
@@ -108,7 +104,6 @@ def mujoco_deck(
         stick, or the first secant of the table where strands slip at once. The deck says which
     length : free length, m; None for that of the wire's cantilever
     edges : of the cable, at least 3
-    mass_per_length : kg/m; None for that of the strands as if of copper, which the deck says
 
     Returns
     -------
@@ -125,19 +120,18 @@ def mujoco_deck(
     The deck says at which curvatures the constant stiffness is within 5 % of the wire's law
     (`linear_range`).
     """
-    require_mass(mass_per_length)
     cable = _Cable(
         _slope_at_zero(table) if stiffness is None else stiffness,
         table.torsional_stiffness,
         table.spec.length if length is None else length,
         table.layout.wire_radius,
-        copper_mass(table) if mass_per_length is None else mass_per_length,
+        table.mass_per_length,
         edges,
     )
     _require_cable(cable)
     root = Xml.Element("mujoco", model=on_one_line(table.name, _WIDEST_NAME))
     origin = _origin(table) if stiffness is None else "as given"
-    for line in _comments(table, cable, origin, is_assumed=mass_per_length is None):
+    for line in _comments(table, cable, origin):
         # two hyphens would end an XML comment
         root.append(Xml.Comment(f" {line.replace('--', '- -')} "))
     _describe(root, cable)
@@ -168,7 +162,7 @@ def _origin(table: WireTable) -> str:
     return "the slope of the law at zero, while all strands stick"
 
 
-def _comments(table: WireTable, cable: _Cable, origin: str, *, is_assumed: bool) -> tuple[str, ...]:
+def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
     close = linear_range(table, cable.stiffness)
     if close is None:
         validity = "nowhere within 5 % of the wire's law"
@@ -176,19 +170,17 @@ def _comments(table: WireTable, cable: _Cable, origin: str, *, is_assumed: bool)
         validity = (
             f"within 5 % of the wire's law at curvatures from {close[0]:.4g} to {close[1]:.4g} 1/m"
         )
-    density = f"strands of {COPPER_DENSITY:g} kg/m3 (copper, assumed), no insulation"
-    mass = density if is_assumed else "as given"
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
         f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
         f"{validity}. Nothing in the model stops there.",
-        f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of strands that do not grip "
-        f"each other, a lower bound. The cable does not stretch.",
+        f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of a wire that does not "
+        f"lengthen: the cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",
         f"Free length {cable.length:.6g} m, {cable.edges} edges; the first begins half an edge "
         f"inside the clamp, whose face is at x = 0.",
-        f"Mass {cable.mass_per_length:.4g} kg/m, {mass}: for the way to rest only, as there is no "
-        "gravity.",
+        f"Mass {cable.mass_per_length:.4g} kg/m, strands and insulation: for the way to rest only, "
+        "as there is no gravity.",
         f"Damping is critical in the first mode: at rest after {cable.steps_to_rest} steps.",
         "For MuJoCo 4.0 and later: a flex as a cable, integrator discrete.",
     )

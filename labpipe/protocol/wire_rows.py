@@ -154,7 +154,8 @@ class WireRow(Block):
     layer_radii_mm: Annotated[Numbers, Column("mm", 0.0, 100.0, several=True)] = ()
     insulation_modulus_mpa: Annotated[float | None, Column("MPa", 0.1, 1e7)] = None
     conductor_modulus_gpa: Annotated[float | None, Column("GPa", 0.1, 1000.0)] = None
-    poisson: Annotated[float | None, Column("", -0.5, 0.5)] = None
+    poisson: Annotated[float | None, Column("", -0.99, 0.5)] = None
+    insulation_poisson: Annotated[float | None, Column("", -0.99, 0.5)] = None
     copper_k_mpa: Annotated[float | None, Column("MPa", 1.0, 1e4)] = None
     copper_n: Annotated[float | None, Column("", 0.01, 0.99)] = None
     friction_strand: Annotated[float | None, Column("", 0.0, 10.0)] = None
@@ -383,7 +384,8 @@ def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | N
 
 
 _WITH_DEFAULT = (
-    *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson", "copper_k_mpa", "copper_n"),
+    *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson"),
+    *("insulation_poisson", "copper_k_mpa", "copper_n"),
     *("friction_strand", "friction_insulation", "radial_force_n"),
     *(*_DENSITIES, "length_mm", "tension_n"),
     *("orientation_deg", "largest_curvature_per_m", "layout"),

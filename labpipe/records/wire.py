@@ -32,7 +32,7 @@ class WireSpec:
     lay_angles : rad, signed, one per ring (the core has none)
     insulation_thickness : wall, m
     insulation_modulus, conductor_modulus : Pa
-    poisson : of the strands
+    poisson, insulation_poisson : of the strands, and of the insulation
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : its exponent
     stress_table : strains and stresses (Pa) in place of the Ramberg-Osgood curve
@@ -60,6 +60,7 @@ class WireSpec:
     insulation_modulus: float = 1.0e9
     conductor_modulus: float = 110.0e9
     poisson: float = 0.34
+    insulation_poisson: float = 0.4
     copper_k: float = 530.0e6
     copper_n: float = 0.44
     stress_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
@@ -133,8 +134,10 @@ class WireTable(ArrayRecord):
     stick, slip, bending, plastic, insulation : N m, parts of the moment
     tangent_stiffness, secant_stiffness : N m^2
     stick_stiffness, slip_stiffness : N m^2
-    axial_stiffness : N
-    torsional_stiffness : N m^2 / rad, of strands that do not grip each other (a lower bound)
+    axial_stiffness : EA, N, of a wire that does not turn about its axis
+    torsional_stiffness : GJ, N m^2, of a wire that does not lengthen
+    free_torsional_stiffness : N m^2, of one that may: GJ - C^2 / EA
+    stretch_twist_coupling : C, N m: torque per strain, and pull per twist in rad/m
     slip_onsets : 1/m, curvatures at which strands begin to slip, increasing; the first is 0 where
         strands slip as soon as the wire bends
     lowest_moment, highest_moment : N m, over a full turn of the section
@@ -161,6 +164,8 @@ class WireTable(ArrayRecord):
     slip_stiffness: float
     axial_stiffness: float
     torsional_stiffness: float
+    free_torsional_stiffness: float
+    stretch_twist_coupling: float
     slip_onsets: Annotated[Floats, "onsets"]
     lowest_moment: Vector
     highest_moment: Vector

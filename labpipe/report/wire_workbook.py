@@ -61,6 +61,11 @@ def _onset(table: WireTable, which: int) -> float | str:
     return onset if isinstance(onset, str) else CURVATURE.factor * onset
 
 
+def _rest(table: WireTable, name: str, factor: float) -> float | None:
+    """A number of the cantilever at rest; None where its weight is left out."""
+    return None if table.rest is None else factor * float(getattr(table.rest, name))
+
+
 def orientation_spread(table: WireTable) -> float | None:
     """Largest difference of the moments of all orientations, in per cent of the moment.
 
@@ -167,11 +172,22 @@ SUMMARY = (
         lambda table: STIFFNESS.factor * float(table.tangent_stiffness[-1]),
     ),
     Column("spread over orientations, largest (%)", orientation_spread),
-    Column("axial stiffness (N)", lambda table: table.axial_stiffness),
+    Column("axial stiffness, not turning (N)", lambda table: table.axial_stiffness),
     Column(
-        "torsional stiffness (N·mm²/rad)",
+        "torsional stiffness, fixed length (N·mm²)",
         lambda table: STIFFNESS.factor * table.torsional_stiffness,
     ),
+    Column(
+        "torsional stiffness, free length (N·mm²)",
+        lambda table: STIFFNESS.factor * table.free_torsional_stiffness,
+    ),
+    Column(
+        "coupling of stretch and twist (N·mm)",
+        lambda table: MOMENT.factor * table.stretch_twist_coupling,
+    ),
+    Column("mass per length (g/m)", lambda table: 1e3 * table.mass_per_length),
+    Column("sag at rest (mm)", lambda table: _rest(table, "sag", LENGTH.factor)),
+    Column("force that holds the tip at rest (mN)", lambda table: _rest(table, "force", 1e3)),
     Column("cantilever length (mm)", lambda table: LENGTH.factor * table.spec.length),
     *(_force_column(deflection) for deflection in DEFLECTIONS),
     Column("warnings", warnings_of),

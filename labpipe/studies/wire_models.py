@@ -273,11 +273,15 @@ def _wire(table: WireTable) -> dict[str, object]:
         "slip_stiffness": table.slip_stiffness,
         "axial_stiffness": table.axial_stiffness,
         "torsional_stiffness": table.torsional_stiffness,
+        "free_torsional_stiffness": table.free_torsional_stiffness,
+        "stretch_twist_coupling": table.stretch_twist_coupling,
+        "mass_per_length": table.mass_per_length,
         **{name: getattr(table, name).tolist() for name in _ARRAYS},
         "cantilever": {
             "length": table.spec.length,
             "tip_deflection": table.tip_deflection.tolist(),
             "force": table.tip_force.tolist(),
+            "rest": None if table.rest is None else asdict(table.rest),
         },
         "layout": {
             "kind": layout.kind,

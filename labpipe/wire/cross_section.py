@@ -20,7 +20,7 @@ from labpipe.records.arrays import Floats, Ints, frozen
 from labpipe.wire.materials import ANNEALED_COPPER, Material
 
 COPPER_DENSITY, PVC_DENSITY = 8960.0, 1400.0
-"""kg/m^3, of strands and insulation where nothing else is known."""
+"""kg/m^3, where nothing else is known: pure copper at 20 deg C (CRC Handbook), filled PVC."""
 TOLERANCE = 1e-3
 """Overlap that is let pass, as a share of the bore's radius."""
 
@@ -53,14 +53,18 @@ class Layer:
             degrees = np.degrees(self.lay_angle)
             message = f"lay_angle={degrees:.6g} deg: allowed are angles between -90 and 90 deg"
             raise ValueError(message)
-        if not -1.0 < self.poisson <= 0.5:
-            message = f"poisson={self.poisson!r}: allowed are numbers above -1, up to 0.5"
-            raise ValueError(message)
+        _require_poisson(self.poisson)
 
     @property
     def area(self) -> float:
         """Area of one strand across its own axis, m^2."""
         return float(np.pi * self.diameter**2 / 4.0)
+
+
+def _require_poisson(poisson: float) -> None:
+    if not -1.0 < poisson <= 0.5:
+        message = f"poisson={poisson!r}: allowed are numbers above -1, up to 0.5"
+        raise ValueError(message)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,15 +76,18 @@ class Insulation:
     bore_radius : R, m, wire diameter / 2 - wall
     thickness : wall, m
     modulus : Pa
+    poisson : Poisson's ratio
     """
 
     bore_radius: float
     thickness: float
     modulus: float
+    poisson: float = 0.4
 
     def __post_init__(self) -> None:
         for name in ("bore_radius", "thickness", "modulus"):
             require_positive(name, getattr(self, name))
+        _require_poisson(self.poisson)
 
     @property
     def bending_stiffness(self) -> float:
@@ -98,6 +105,11 @@ class Insulation:
     def axial_stiffness(self) -> float:
         """E times the area of the tube, N."""
         return self.modulus * self.area
+
+    @property
+    def torsional_stiffness(self) -> float:
+        """G pi / 2 (R_o^4 - R_i^4) with G = E / (2 (1 + nu)), N m^2: two thirds of E I and more."""
+        return self.bending_stiffness / (1.0 + self.poisson)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,7 @@ from labpipe.wire.cross_section import hexagonal as as_hexagon
 from labpipe.wire.friction import Contacts, axial_strain, insulated, slip_onsets
 from labpipe.wire.materials import Material, RambergOsgood, StressTable
 from labpipe.wire.packing import Kind, lay_out
+from labpipe.wire.stretch_torsion import stretch_torsion
 
 GRID_POINTS = 200
 _DECADES = 4.0  # of curvature below the largest
@@ -62,7 +63,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     onsets = _onsets(built, spec, largest)
     curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
     lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
-    mass = mass_per_length(spec, built.section)
+    mass, pair = mass_per_length(spec, built.section), stretch_torsion(built.section)
     bent = cantilever_of(spec, curve, GRAVITY * mass)
     return WireTable(
         name=spec.name,
@@ -79,8 +80,10 @@ def wire_table(spec: WireSpec) -> WireTable:
         secant_stiffness=curve.secant_stiffness,
         stick_stiffness=curve.stick_stiffness,
         slip_stiffness=curve.slip_stiffness,
-        axial_stiffness=axial_stiffness(built.section),
-        torsional_stiffness=torsional_stiffness(built.section),
+        axial_stiffness=pair.axial,
+        torsional_stiffness=pair.torsional,
+        free_torsional_stiffness=pair.torsional_free,
+        stretch_twist_coupling=pair.coupling,
         slip_onsets=onsets,
         lowest_moment=np.minimum(lowest, curve.moment),
         highest_moment=np.maximum(highest, curve.moment),
@@ -113,46 +116,6 @@ def mass_per_length(spec: WireSpec, section: CrossSection) -> float:
     if spec.mass_per_length is not None:
         return spec.mass_per_length
     return section.mass_per_length(spec.conductor_density, spec.insulation_density)
-
-
-def axial_stiffness(section: CrossSection) -> float:
-    """Axial stiffness of a wire that does not turn about its axis, N.
-
-    Notes
-    -----
-    sum of E A cos^3(alpha) + E A of the insulation: a helical strand strained along the wire by e
-    is strained by e cos^2(alpha), pulls with cos(alpha) of its force, and keeps its radius
-    (Costello, *Theory of Wire Rope*, 1997). Strands that bed down make a real wire softer.
-    """
-    strands = sum(
-        layer.count * layer.material.modulus * layer.area * np.cos(layer.lay_angle) ** 3
-        for layer in section.layers
-    )
-    tube = section.insulation.axial_stiffness if section.insulation else 0.0
-    return float(strands + tube)
-
-
-def torsional_stiffness(section: CrossSection) -> float:
-    """Torsional stiffness of elastic strands that do not grip each other, N m^2 / rad.
-
-    Notes
-    -----
-    sum of E I cos(alpha) (cos^2(alpha) / (1 + nu) + sin^2(alpha)), I = pi d^4 / 64: a turn of the
-    wire about its axis twists a strand by its part along the strand (G J = E I / (1 + nu)) and
-    bends it by the part across (Love's thin rod; the energy argument of the helix factor, eq.
-    (3.18) of the source). A lower bound: strands that grip each other are stiffer, and the
-    insulation, whose shear modulus no sheet tells, is left out.
-    """
-    return float(
-        sum(
-            layer.count
-            * layer.material.modulus
-            * (np.pi * layer.diameter**4 / 64.0)
-            * np.cos(layer.lay_angle)
-            * (np.cos(layer.lay_angle) ** 2 / (1.0 + layer.poisson) + np.sin(layer.lay_angle) ** 2)
-            for layer in section.layers
-        )
-    )
 
 
 def curvature_grid(largest: float, onsets: Floats) -> Floats:
@@ -349,7 +312,9 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
 
 def _section(spec: WireSpec) -> tuple[CrossSection, tuple[QualityNote, ...]]:
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    tube = Insulation(bore, spec.insulation_thickness, spec.insulation_modulus)
+    tube = Insulation(
+        bore, spec.insulation_thickness, spec.insulation_modulus, spec.insulation_poisson
+    )
     layers = layers_of(spec)
     match spec.layout:
         case "compressed":

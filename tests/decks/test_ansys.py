@@ -85,11 +85,11 @@ def test_shear_adds_a_thousandth_to_ten_diameters() -> None:
     assert length / shear_stiffness(table) == pytest.approx(1e-3 * bending)
 
 
-def test_mass_stands_there_only_if_it_is_known() -> None:
-    without, given = ansys_deck(wire_table()), ansys_deck(wire_table(), mass_per_length=6.5e-3)
-    assert "BSMD" not in [name for name, _ in parsed(without)]
-    assert "! No BSMD: the sheet of wires gives no mass per length." in without
-    assert parsed(given)[-1] == ("BSMD", ["0.0065"])
+def test_the_mass_stands_at_the_end() -> None:
+    table = wire_table()
+    name, (value,) = parsed(ansys_deck(table))[-1]
+    assert name == "BSMD"
+    assert float(value) == pytest.approx(table.mass_per_length, rel=1e-8)
 
 
 def test_the_comments_say_range_and_limits() -> None:

@@ -111,10 +111,3 @@ def test_area_and_second_moment_are_those_of_the_section() -> None:
     own = 7 * np.pi / 64.0 * 0.32e-3**4 + 3.0 * np.pi / 4.0 * 0.32e-3**4
     ring = np.pi / 4.0 * (0.8e-3**4 - 0.5e-3**4)
     assert deck_facts.second_moment(table) == pytest.approx(own + ring)
-    assert deck_facts.copper_mass(table) == pytest.approx(8960.0 * strands)
-
-
-@pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_mass_is_positive(mass: float) -> None:
-    with pytest.raises(ValueError, match=r"mass_per_length=.*: allowed are finite numbers > 0"):
-        deck_facts.require_mass(mass)

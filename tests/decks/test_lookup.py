@@ -46,26 +46,16 @@ def test_the_json_table() -> None:
     assert read["range"] == {"curvature": [0.0, table.curvature[-1]], "beyond": "not valid"}
     assert read["curvature"] == table.curvature.tolist()
     assert read["moment"] == table.moment.tolist()
-    for name in ("stick_stiffness", "axial_stiffness", "torsional_stiffness"):
+    for name in (
+        *("stick_stiffness", "axial_stiffness", "torsional_stiffness", "mass_per_length"),
+        *("free_torsional_stiffness", "stretch_twist_coupling"),
+    ):
         assert read[name] == getattr(table, name)
     assert read["diameter"] == pytest.approx(table.spec.wire_diameter)
     assert read["length"] == table.spec.length
 
 
 def test_every_number_of_the_json_has_a_unit() -> None:
-    read = json.loads(lookup_json(wire_table(), mass_per_length=5e-3))
-    words = {"schema", "labpipe", "wire", "range", "law", "torsion", "units", "absent"}
-    assert set(read["units"]) == set(read) - words
-
-
-def test_an_unknown_mass_is_absent_with_a_reason() -> None:
     read = json.loads(lookup_json(wire_table()))
-    assert "mass_per_length" not in read
-    assert read["absent"] == {"mass_per_length": "the sheet of wires gives no mass per length"}
-
-
-def test_a_known_mass_is_there() -> None:
-    read = json.loads(lookup_json(wire_table(), mass_per_length=5e-3))
-    assert (read["mass_per_length"], read["absent"]) == (5e-3, {})
-    with pytest.raises(ValueError, match="mass_per_length=0"):
-        lookup_json(wire_table(), mass_per_length=0)
+    words = {"schema", "labpipe", "wire", "range", "law", "torsion", "units"}
+    assert set(read["units"]) == set(read) - words

@@ -70,7 +70,7 @@ def test_a_heading_however_it_is_written() -> None:
 def test_a_misspelt_column_is_told_once_with_the_nearest() -> None:
     [(number, expected, found, remedy)] = told(*HEADING[:5], "insulation_thicknes_mm")
     assert (number, found) == (5, "'insulation_thicknes_mm'")
-    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_density_kg_per_m3', ")
+    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_poisson', ")
     assert remedy == "Did you mean 'insulation_thickness_mm'?"
 
 
@@ -119,7 +119,9 @@ def test_numbers_keep_their_unit_until_they_become_si() -> None:
 @pytest.mark.parametrize(
     ("column", "text", "expected", "remedy"),
     [
-        ("poisson", "x", "a number from -0.5 to 0.5", "Correct"),
+        ("poisson", "x", "a number from -0.99 to 0.5", "Correct"),
+        ("insulation_poisson", "0.51", "a number from -0.99 to 0.5", "Correct"),
+        ("poisson", "-1", "a number from -0.99 to 0.5", "Correct"),
         ("length_mm", "nan", "a number from 1 to 100000 mm", "Correct"),
         ("length_mm", "inf", "a number from 1 to 100000 mm", "Correct"),
         ("length_mm", "1e999", "a number from 1 to 100000 mm", "Correct"),

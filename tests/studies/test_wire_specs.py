@@ -70,6 +70,7 @@ def test_a_short_row_and_what_is_taken_besides(sheet: Path) -> None:
         "insulation_modulus": "insulation modulus 1000 MPa",
         "conductor_modulus": "conductor modulus 110 GPa",
         "poisson": "poisson 0.34",
+        "insulation_poisson": "insulation poisson 0.4",
         "copper_k": "copper k 530 MPa",
         "copper_n": "copper n 0.44",
         "friction_strand": "friction strand 0.21",
@@ -98,6 +99,7 @@ def test_a_row_that_says_everything(sheet: Path) -> None:
         "insulation_modulus_mpa": 800,
         "conductor_modulus_gpa": 70,
         "poisson": 0.33,
+        "insulation_poisson": 0.45,
         "copper_k_mpa": 300,
         "copper_n": 0.2,
         "friction_strand": 0.3,
@@ -432,8 +434,8 @@ def test_the_example_sheet_holds_the_wires_of_the_source(repository: Path) -> No
         assert np.degrees(spec.lay_angles) == pytest.approx(angles, rel=1e-10)
         assert spec.insulation_thickness == pytest.approx(wall * 1e-3, rel=1e-12)
         assert spec.layout == ("compressed" if spec.name.startswith("B") else "auto")
-        densities = {"conductor_density", "insulation_density"}
-        assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"} | densities
+        others = {"conductor_density", "insulation_density", "insulation_poisson"}
+        assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"} | others
 
 
 def test_names_that_share_a_file_are_told_with_both_cells(sheet: Path) -> None:

@@ -1,0 +1,114 @@
+"""Stretch, torsion and their coupling: limits, and the strain energy of helices by differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from labpipe.wire.cross_section import CrossSection, Insulation, Layer, concentric, hexagonal
+from labpipe.wire.materials import Elastic
+from labpipe.wire.stretch_torsion import StretchTorsion, stretch_torsion
+from tests.builders.stranded_wires import wire
+
+MODULUS, DIAMETER = 1e11, 1e-3
+AREA, SECOND = np.pi * DIAMETER**2 / 4.0, np.pi * DIAMETER**4 / 64.0
+
+
+def rope(angle: float, tube: Insulation | None = None) -> CrossSection:
+    copper = Elastic(MODULUS)
+    return concentric((Layer(1, DIAMETER, 0.0, copper), Layer(6, DIAMETER, angle, copper)), tube)
+
+
+def test_straight_strands() -> None:
+    found = stretch_torsion(rope(0.0))
+    assert found.axial == pytest.approx(7.0 * MODULUS * AREA)
+    assert found.torsional == pytest.approx(7.0 * MODULUS * SECOND / 1.34)
+    assert found.coupling == 0.0
+    assert (found.torsional_free, found.axial_free) == (found.torsional, found.axial)
+
+
+def test_a_solid_rod_in_a_tube() -> None:
+    tube = Insulation(0.5e-3, 0.3e-3, 1e9, 0.45)
+    found = stretch_torsion(concentric((Layer(1, DIAMETER, 0.0, Elastic(MODULUS)),), tube))
+    rod = MODULUS / 2.68 * np.pi * DIAMETER**4 / 32.0
+    wall = 1e9 / 2.9 * np.pi / 2.0 * (0.8e-3**4 - 0.5e-3**4)
+    assert found.torsional == pytest.approx(rod + wall)
+    assert found.axial == pytest.approx(MODULUS * AREA + 1e9 * np.pi * (0.8e-3**2 - 0.5e-3**2))
+    assert found.coupling == 0.0
+
+
+def stored(angle: float, strain: float, twist: float) -> float:
+    """Energy per length of six helices that are stretched as a whole, by their true lengths."""
+    before = np.hypot(1.0, np.tan(angle))
+    after = np.hypot(1.0 + strain, np.tan(angle) + DIAMETER * twist)  # at the radius of a diameter
+    return float(6.0 * 0.5 * MODULUS * AREA * (after / before - 1.0) ** 2 * before)
+
+
+@pytest.mark.parametrize("angle", [0.3, -0.2])
+def test_helices_by_their_strain_energy(angle: float) -> None:
+    e, t = 1e-5, 1e-2
+
+    def mixed(strain: float, twist: float) -> float:
+        corners = [(a, b) for a in (1.0, -1.0) for b in (1.0, -1.0)]
+        return sum(a * b * stored(angle, a * strain, b * twist) for a, b in corners)
+
+    found, straight = stretch_torsion(rope(angle)), MODULUS * AREA
+    pull = (stored(angle, e, 0.0) + stored(angle, -e, 0.0)) / e**2
+    assert found.axial == pytest.approx(straight + pull, rel=1e-5)
+    assert found.coupling == pytest.approx(mixed(e, t) / (4.0 * e * t), rel=1e-4)
+    torque = (stored(angle, 0.0, t) + stored(angle, 0.0, -t)) / t**2
+    assert found.torsional == pytest.approx(torque + own(angle), rel=1e-5)
+    assert found.torsional_free == pytest.approx(found.torsional - found.coupling**2 / found.axial)
+    assert found.axial_free == pytest.approx(found.axial - found.coupling**2 / found.torsional)
+    assert np.sign(found.coupling) == np.sign(angle)
+
+
+def own(angle: float) -> float:
+    """What strands store by their own twist and bending, for 1 rad/m of the wire, times two."""
+    along = 1.0 / np.cos(angle)  # length of strand per length of wire
+    tangent = np.array([0.0, np.sin(angle), np.cos(angle)])
+    turn = np.array([0.0, 0.0, 1.0]) / along  # of the section per length of strand
+    twist = float(turn @ tangent)
+    bend = float(np.linalg.norm(turn - twist * tangent))
+    helix = MODULUS * SECOND * (twist**2 / 1.34 + bend**2) * along
+    return float(MODULUS * SECOND / 1.34 + 6.0 * helix)
+
+
+def test_layers_laid_both_ways_turn_less() -> None:
+    """What cross-laid layers do to each other: the coupling is a difference."""
+    same = two_rings(0.2, 0.2)
+    crossed = two_rings(0.2, -0.2)
+    assert abs(crossed.coupling) < 0.6 * same.coupling
+    assert crossed.coupling < 0.0 < same.coupling  # the outer layer has more strands, farther out
+    assert crossed.torsional == pytest.approx(same.torsional)
+    assert crossed.torsional_free > same.torsional_free
+
+
+def two_rings(first: float, second: float) -> StretchTorsion:
+    copper = Elastic(MODULUS)
+    layers = (Layer(1, 1e-3, 0.0, copper), Layer(6, 1e-3, first, copper))
+    return stretch_torsion(hexagonal((*layers, Layer(12, 1e-3, second, copper))))
+
+
+@pytest.mark.parametrize(
+    ("name", "fixed", "free"),
+    [("A1", 2.7, 2.1), ("A2", 2.4, 1.8), ("A3", 5.6, 4.4), ("C1", 6.8, 5.7), ("C4", 7.9, 7.4)],
+)
+def test_strands_that_are_only_bent_and_twisted_are_far_softer(
+    name: str, fixed: float, free: float
+) -> None:
+    """What an examination by another implementation found that stretch and tube add."""
+    section = wire(name)
+    before = sum(
+        layer.count
+        * layer.material.modulus
+        * np.pi
+        * layer.diameter**4
+        / 64.0
+        * np.cos(layer.lay_angle)
+        * (np.cos(layer.lay_angle) ** 2 / (1.0 + layer.poisson) + np.sin(layer.lay_angle) ** 2)
+        for layer in section.layers
+    )
+    found = stretch_torsion(section)
+    assert found.torsional / before == pytest.approx(fixed, rel=0.03)
+    assert found.torsional_free / before == pytest.approx(free, rel=0.03)
