@@ -1,7 +1,9 @@
 """Count how often intervals hold the truth.
 
 ``run`` goes on where it stopped, for some minutes, and may be killed at any time; ``status`` says
-whether the page still holds; ``publish`` puts what was counted on the page.
+whether the page still holds; ``publish`` puts what was counted on the page. With
+``--calibrations`` it is the study of calibrations, whose kinds are chosen by words of their names,
+such as ``foreign A2``.
 """
 
 from __future__ import annotations
@@ -10,6 +12,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from tests.coverage import wire_judgement, wire_study
 from tests.coverage.page import PAGE, publish, published_digest, tables
 from tests.coverage.study import FILE, KINDS, carry_on, missing, read, rests_on
 
@@ -23,9 +26,11 @@ def main() -> int:
     parser.add_argument("--minutes", type=float, default=50.0, help="no test begins after them")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--rounds", type=int, help="only the first so many seeds of each kind")
-    parser.add_argument("--file", type=Path, default=FILE, help="of the lines")
+    parser.add_argument("--file", type=Path, help="of the lines")
+    parser.add_argument("--calibrations", action="store_true", help="the study of calibrations")
     options = parser.parse_args()
-    return TASKS[options.task](options)
+    options.file = options.file or (wire_study.FILE if options.calibrations else FILE)
+    return (WIRE_TASKS if options.calibrations else TASKS)[options.task](options)
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -63,7 +68,41 @@ def _publish(options: argparse.Namespace) -> int:
     return 0
 
 
+def _run_wires(options: argparse.Namespace) -> int:
+    words = set(options.kinds)
+    chosen = [kind for kind in wire_study.KINDS if words <= set(kind.name.split())]
+    left = wire_study.carry_on(
+        options.file, minutes=options.minutes, jobs=options.jobs, kinds=chosen
+    )
+    print(f"{left} campaigns are left" if left else "all campaigns were made")
+    return 0
+
+
+def _status_of_wires(options: argparse.Namespace) -> int:
+    now = wire_study.rests_on()
+    holds = f"`{now}`" in wire_judgement.PAGE.read_text(encoding="utf-8")
+    print(f"{wire_judgement.PAGE.name} {'holds' if holds else 'is out of date'}: the code is {now}")
+    print(f"{options.file.name}: {len(wire_study.missing(options.file))} campaigns are missing")
+    return 0 if holds else 1
+
+
+def _show_wires(options: argparse.Namespace) -> int:
+    print(wire_judgement.tables(wire_study.read(options.file), wire_study.rests_on()))
+    return 0
+
+
+def _publish_wires(options: argparse.Namespace) -> int:
+    wire_judgement.publish(wire_study.read(options.file), wire_study.rests_on())
+    return 0
+
+
 TASKS = {"run": _run, "status": _status, "show": _show, "publish": _publish}
+WIRE_TASKS = {
+    "run": _run_wires,
+    "status": _status_of_wires,
+    "show": _show_wires,
+    "publish": _publish_wires,
+}
 
 if __name__ == "__main__":
     sys.exit(main())

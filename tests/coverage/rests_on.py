@@ -37,6 +37,11 @@ def digest(simulator: str, protocol: str) -> str:
     return _short("\n".join(parts))
 
 
+def digest_of(*starts: str) -> str:
+    """Of modules with all that they import."""
+    return _short("\n".join(f"{name} {_plain(name)}" for name in sorted(modules(*starts))))
+
+
 def together(digests: list[str]) -> str:
     """One digest for several."""
     return _short(" ".join(sorted(set(digests))))

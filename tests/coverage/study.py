@@ -74,14 +74,15 @@ def read(file: Path) -> dict[tuple[Kind, int], Line]:
     """The tests of a study that still hold, in the order of the kinds; a torn line is left out."""
     found: dict[tuple[Kind, int], Line] = {}
     for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
-        line = _whole(text)
+        line = whole(text)
         kind = Kind(line["simulator"], line["kind"]) if line else None
         if line and kind in KINDS and line["rests_on"] == kind.rests_on:
             found[kind, line["seed"]] = line
     return dict(sorted(found.items(), key=lambda each: (KINDS.index(each[0][0]), each[0][1])))
 
 
-def _whole(text: str) -> Line | None:
+def whole(text: str) -> Line | None:
+    """Read a line; None for a torn one."""
     try:
         line = json.loads(text)
     except json.JSONDecodeError:

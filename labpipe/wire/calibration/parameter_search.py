@@ -25,6 +25,7 @@ _MOST_STEPS = 60
 _LONGEST_STEP = 1.5
 _SETTLED = 1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
 _IDLE, _MOST_IDLE = 1e-3, 3  # gains of the objective in a row that end a walk along a flat valley
+_JITTER = 1e-2  # a step that promised less and did not keep it: the curves are tabulated
 _DAMPING = (1e-6, 10.0, 1e8)  # first, growth, last
 
 
@@ -137,6 +138,8 @@ def search(
         if ahead is not None and ahead.objective <= here.objective:
             idle = idle + 1 if here.objective - ahead.objective <= _IDLE else 0
             here, damping = ahead, max(damping / _DAMPING[1] ** 2, _DAMPING[0])
+        elif float(step @ pull) <= _JITTER:
+            return replace(here, steps=steps, settled=True)
         else:
             damping *= _DAMPING[1]
     return replace(here, steps=steps, settled=steps < _MOST_STEPS)

@@ -31,6 +31,7 @@ from labpipe.wire.calibration.valleys import Valley
 
 _NORMAL, _LEAST_ROOT = 1.96, 0.5
 _CLOSE = 0.01  # of the root of the threshold
+_ENOUGH = 1e-3  # of the objective, to which the others are fitted
 _MOST_LOOKS = 24
 _FARTHER = 2.5  # at most, times the last distance
 
@@ -194,7 +195,8 @@ class _Walk:
         best = float(self.fit.point.logs[self.number])
         target = best + self.sign * distance
         shift = (target - float(start.point.logs[self.number])) * self.direction
-        found = search(self.problem, self.levels, _shifted(self, start, shift, target), self.others)
+        there = _shifted(self, start, shift, target)
+        found = search(self.problem, self.levels, there, self.others, enough=_ENOUGH)
         return float(np.sqrt(max(found.objective - self.fit.objective, 0.0))), found
 
 

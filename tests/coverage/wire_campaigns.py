@@ -1,0 +1,189 @@
+"""Campaigns of cantilever tests that the study of calibrations draws, by kind and seed.
+
+Three samples of one wire on one length, 272 points to 50 mm, each with its own factor on the force
+and white noise, read by one load cell. The wire has weight and is bent either by the second
+simulator (`tests.foreign.wire_section`, which shares no code with the package) or by the package's
+own path station by station, which shares the law of the wire with the calibration.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import PchipInterpolator
+
+from labpipe.records.arrays import Floats
+from labpipe.records.wire_calibration import PARAMETERS, Calibration
+from labpipe.wire.bending_law import play_law
+from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
+from labpipe.wire.calibration.fit import Wire
+from labpipe.wire.calibration.measured_curves import MeasuredCurve
+from labpipe.wire.calibration.prediction import predict
+from labpipe.wire.cantilever import StringRig, bend_to_travel, straight
+from labpipe.wire.cross_section import Insulation, compressed, hexagonal, lay_up
+from labpipe.wire.friction import insulated
+from labpipe.wire.materials import ANNEALED_COPPER
+from tests.foreign import wire_section as foreign
+
+SAMPLES, POINTS, DEEPEST = 3, 272, 0.05
+SCATTER, GAIN = 0.03, 0.005
+AT = np.array([0.005, 0.02, 0.05])
+"""m, deflections at which the band of another length is looked at."""
+_GOALS = 1.04 * DEEPEST * np.linspace(0.0125, 1.0, 80) ** 1.8
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class WireKind:
+    """What is drawn again and again.
+
+    Parameters
+    ----------
+    model : ``foreign`` or ``own``: which simulator bends the wire
+    wire : name, of Tables 2.1 and 3.4 of the source
+    length : mm
+    noise : mN, of a point
+    campaigns : how many
+    """
+
+    model: str
+    wire: str
+    length: int
+    noise: float
+    campaigns: int
+
+    @property
+    def name(self) -> str:
+        """Such as ``foreign A2 85 mm 2 mN``."""
+        return f"{self.model} {self.wire} {self.length} mm {self.noise:g} mN"
+
+    @property
+    def other(self) -> int:
+        """mm, the length that is predicted."""
+        return 85 if self.length == 100 else 100
+
+    @property
+    def seeds(self) -> range:
+        """Of its campaigns."""
+        return range(FIRST_SEED, FIRST_SEED + self.campaigns)
+
+
+FIRST_SEED = 31000
+"""Never changed."""
+MAIN = (("A2", 85), ("A3", 120), ("C5", 120), ("B1", 100))
+OTHERS = (
+    *(("A1", length) for length in (85, 120)),
+    *(("A2", 120), ("A3", 85), ("B1", 85), ("B2", 85), ("B2", 100)),
+    *((f"C{number}", length) for number in range(1, 5) for length in (85, 120)),
+    ("C5", 85),
+)
+KINDS = (
+    *(WireKind("foreign", *each, 2.0, 200) for each in MAIN),
+    *(WireKind("own", *each, 2.0, 200) for each in MAIN),
+    *(WireKind("foreign", *each, 0.1, 60) for each in MAIN),
+    *(WireKind("foreign", *each, 2.0, 60) for each in OTHERS),
+    *(WireKind("own", *each, 2.0, 60) for each in OTHERS),
+)
+TRUTH = foreign.Truth()
+_VALUES = dict(zip(PARAMETERS, (TRUTH.friction, TRUTH.modulus, TRUTH.copper), strict=True))
+
+
+@lru_cache
+def wire_of(name: str) -> Wire:
+    """The wire as a sheet has it."""
+    build = foreign.BUILDS[name]
+    lays = [float(np.radians(lay)) for lay in build.lays]
+    layers = lay_up(build.strands, build.strand, lays, ANNEALED_COPPER)
+    tube = Insulation(build.diameter / 2.0 - build.wall, build.wall, TRUTH.modulus)
+    section = (compressed if build.is_compressed else hexagonal)(layers, tube)
+    radial = TRUTH.friction / (TRUTH.strand + TRUTH.tube)
+    contacts = insulated(len(lays), strand=TRUTH.strand, insulation=TRUTH.tube, radial_force=radial)
+    return Wire(section, contacts, self_weight=foreign.weight_of(build))
+
+
+def rig_of(length: float) -> StringRig:
+    """String and counterweight over the tip."""
+    return StringRig(foreign.STRING, foreign.COUNTERWEIGHT, length, foreign.STRING)
+
+
+@lru_cache
+def true_curve(model: str, wire: str, length: int) -> PchipInterpolator:
+    """Force over deflection from rest, N and m, of a sample without scatter."""
+    long = 1e-3 * length
+    if model == "foreign":
+        made = foreign.loading(wire, long, TRUTH)
+        return PchipInterpolator(made.deflection, made.force)
+    made, rig = wire_of(wire), rig_of(long)
+    law = play_law(made.section, made.contacts, largest_curvature=80.0, n_plays=200)
+    state = straight(law, self_weight=made.self_weight)
+    rest = bend_to_travel(law, state, long, rig, 0.0)
+    deflections, forces, state = [0.0], [0.0], rest.state
+    for goal in _GOALS:
+        shape = bend_to_travel(law, state, long, rig, float(goal))
+        deflections.append(float(shape.y[-1] - rest.y[-1]))
+        forces.append(shape.tension - rest.tension)
+        state = shape.state
+    return PchipInterpolator(deflections, forces)
+
+
+def campaign(kind: WireKind, seed: int) -> tuple[float, tuple[MeasuredCurve, ...]]:
+    """Gain of the load cell, as a factor, and what was measured."""
+    chance = np.random.default_rng([seed, kind.length, *kind.wire.encode(), len(kind.model)])
+    gain = float(np.exp(GAIN * chance.normal()))
+    deflection = np.linspace(0.0, DEEPEST, POINTS)
+    exact = true_curve(kind.model, kind.wire, kind.length)(deflection)
+    noise, weight = 1e-3 * kind.noise, foreign.weight_of(foreign.BUILDS[kind.wire])
+    curves = []
+    for number in range(1, SAMPLES + 1):
+        factor = gain * np.exp(SCATTER * chance.normal())
+        force = factor * exact + noise * chance.normal(size=POINTS)
+        long, label = 1e-3 * kind.length, f"{kind.wire}-{number}"
+        curves.append(
+            MeasuredCurve(
+                *(kind.wire, label, label, long, deflection, force, noise, rig_of(long)),
+                self_weight=weight,
+            )
+        )
+    return gain, tuple(curves)
+
+
+def rows(kind: WireKind, seed: int) -> dict[str, Any]:
+    """What a calibration says of a campaign, beside the truth.
+
+    Returns
+    -------
+    parameters : by name: truth, parts of the interval, verdict
+    bands : of the mean sample on another length, at `AT`: truth, lower, upper
+    solutions : how many are in the 95 % set
+    """
+    gain, curves = campaign(kind, seed)
+    found = calibrate(wire_of(kind.wire), curves, Settings(gain=GAIN))
+    if not isinstance(found, Calibration):
+        return {"failed": f"{found.code}: {found.message}"}
+    said = {
+        each.name: {
+            "truth": _VALUES[each.name],
+            "parts": [[part.lower, part.upper] for part in each.intervals],
+            "verdict": str(each.verdict),
+        }
+        for each in found.parameters
+    }
+    return {
+        "parameters": said,
+        "bands": _bands(kind, found, gain),
+        "solutions": sum(each.is_allowed for each in found.solutions),
+    }
+
+
+def _bands(kind: WireKind, found: Calibration, gain: float) -> list[list[float]]:
+    length = 1e-3 * kind.other
+    truth = gain * _at(kind)
+    band = predict(found, wire_of(kind.wire), length, AT, rig=rig_of(length))
+    columns = truth, band.lower_mean, band.upper_mean
+    return [[float(value) for value in row] for row in zip(*columns, strict=True)]
+
+
+def _at(kind: WireKind) -> Floats:
+    return np.asarray(true_curve(kind.model, kind.wire, kind.other)(AT))

@@ -1,0 +1,114 @@
+"""The study of calibrations: campaigns by seed, one JSON line each, in parts.
+
+Seeds were fixed before the first run and are never changed. Campaigns are drawn in rounds, so that
+after any time all kinds have about the same share of theirs. A line says which commit made it and
+what it rests on; where that has changed since, the campaign is made again.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import traceback
+from collections.abc import Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from tests.coverage import wire_campaigns
+from tests.coverage.rests_on import ROOT, digest_of
+from tests.coverage.study import append, head, whole
+from tests.coverage.wire_campaigns import KINDS, WireKind
+
+Line = dict[str, Any]
+"""Of one campaign: kind, seed, commit, rests_on, seconds, error, and what `rows` gives."""
+
+FILE = ROOT / "processed" / "wire-coverage.jsonl"
+
+
+@cache
+def rests_on() -> str:
+    """Digest of the code that makes the numbers."""
+    return digest_of("tests.coverage.wire_campaigns")
+
+
+def read(file: Path) -> list[Line]:
+    """Campaigns that still hold, each once, in the order of the kinds."""
+    order = {kind.name: number for number, kind in enumerate(KINDS)}
+    found: dict[tuple[int, int], Line] = {}
+    for text in file.read_text(encoding="utf-8").split("\n") if file.is_file() else ():
+        line = whole(text)
+        if line and line["kind"] in order and line["rests_on"] == rests_on():
+            found[order[line["kind"]], line["seed"]] = line
+    return [line for _, line in sorted(found.items(), key=lambda each: each[0])]
+
+
+def missing(file: Path, kinds: Iterable[WireKind] = KINDS) -> list[tuple[WireKind, int]]:
+    """Campaigns that were not made yet, or rest on what has changed.
+
+    In rounds: of each kind, the one with the smallest share of its seeds behind it comes first.
+    """
+    done = {(line["kind"], line["seed"]) for line in read(file)}
+    wanted = [
+        (number / kind.campaigns, kind, seed)
+        for kind in kinds
+        for number, seed in enumerate(kind.seeds)
+        if (kind.name, seed) not in done
+    ]
+    return [(kind, seed) for _, kind, seed in sorted(wanted, key=lambda each: each[0])]
+
+
+def one(kind: WireKind, seed: int) -> Line:
+    """Make and calibrate one campaign; an error that nobody expects is kept in its line."""
+    begin, error, said = time.process_time(), "", {}
+    try:
+        said = wire_campaigns.rows(kind, seed)
+    except Exception:  # noqa: BLE001 - kept in the line, and counted
+        error = traceback.format_exc()
+    seconds = round(time.process_time() - begin, 3)
+    made = {"kind": kind.name, "seed": seed, "rests_on": rests_on()}
+    return {**made, "seconds": seconds, "error": error, **said}
+
+
+def carry_on(
+    file: Path, *, minutes: float, jobs: int = 2, kinds: Iterable[WireKind] = KINDS
+) -> int:
+    """Go on with the study for some minutes.
+
+    Parameters
+    ----------
+    file : of the lines; made if it is not there
+    minutes : no campaign is begun after them
+    jobs : processes
+    kinds : which campaigns
+
+    Returns
+    -------
+    How many campaigns are still missing.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before the processes load it
+    until, wanted, commit = time.monotonic() + 60.0 * minutes, missing(file, kinds), head()
+    file.parent.mkdir(parents=True, exist_ok=True)
+    written = 0
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        for line in _made(pool, iter(wanted), until=until, ahead=2 * jobs):
+            append(file, {"commit": commit, **line})
+            written += 1
+    return len(wanted) - written
+
+
+def _made(
+    pool: ProcessPoolExecutor, left: Iterator[tuple[WireKind, int]], *, until: float, ahead: int
+) -> Iterator[Line]:
+    running: set[Future[Line]] = set()
+    while True:
+        while len(running) < ahead and time.monotonic() < until:
+            if (wanted := next(left, None)) is None:
+                break
+            running.add(pool.submit(one, *wanted))
+        if not running:
+            return
+        done, running = wait(running, return_when=FIRST_COMPLETED)
+        yield from (each.result() for each in done)
