@@ -407,6 +407,8 @@ class Calibration(ArrayRecord):
     wire : name
     parameters : in the order of `PARAMETERS`
     solutions : every least of the objective that is not quite unlikely, the best first
+    widening : of quantiles, at least 1, since insulation and copper trade places on a bent line
+        of curves
     correlations : shape (3, 3), of the logarithms at the best; NaN in rows of fixed parameters
     levels : noise, scatter, gain
     separability : of the three parameters, all taken as free
@@ -421,6 +423,7 @@ class Calibration(ArrayRecord):
     wire: str
     parameters: tuple[CalibratedParameter, ...]
     solutions: tuple[Solution, ...]
+    widening: float
     correlations: Annotated[Floats, 3, 3]
     levels: NoiseLevels
     separability: Separability

@@ -212,6 +212,7 @@ def _fit(calibration: Calibration, source: SourceCalibration | None) -> Sheet:
         ("scatter of samples, in logarithms of the force", levels.scatter, "1"),
         ("degrees of freedom of the scatter", levels.scatter_freedom, "1"),
         ("uncertainty of the load cell's gain, in logarithms", levels.gain, "1"),
+        ("intervals wider, for the family of curves is bent", calibration.widening, "1"),
         ("method", calibration.method, ""),
     ]
     asks = "What does the calibration rest on, and what does 'method: source' make of the tests?"

@@ -132,6 +132,7 @@ def calibration_json(
         "method": calibration.method,
         "parameters": [_parameter(each) for each in calibration.parameters],
         "solutions": [_solution(each) for each in calibration.solutions],
+        "widening": calibration.widening,
         "correlations": {
             "names": list(PARAMETERS),
             "values": [_numbers(row) for row in calibration.correlations],

@@ -15,6 +15,7 @@ from pathlib import Path
 from tests.coverage import wire_judgement, wire_study
 from tests.coverage.page import PAGE, publish, published_digest, tables
 from tests.coverage.study import FILE, KINDS, carry_on, missing, read, rests_on
+from tests.coverage.wire_campaigns import KINDS as WIRE_KINDS
 
 
 def main() -> int:
@@ -70,7 +71,7 @@ def _publish(options: argparse.Namespace) -> int:
 
 def _run_wires(options: argparse.Namespace) -> int:
     words = set(options.kinds)
-    chosen = [kind for kind in wire_study.KINDS if words <= set(kind.name.split())]
+    chosen = [kind for kind in WIRE_KINDS if words <= set(kind.name.split())]
     left = wire_study.carry_on(
         options.file, minutes=options.minutes, jobs=options.jobs, kinds=chosen
     )

@@ -113,8 +113,8 @@ def true_curve(model: str, wire: str, length: int) -> PchipInterpolator:
     """Force over deflection from rest, N and m, of a sample without scatter."""
     long = 1e-3 * length
     if model == "foreign":
-        made = foreign.loading(wire, long, TRUTH)
-        return PchipInterpolator(made.deflection, made.force)
+        bent = foreign.loading(wire, long, TRUTH)
+        return PchipInterpolator(bent.deflection, bent.force)
     made, rig = wire_of(wire), rig_of(long)
     law = play_law(made.section, made.contacts, largest_curvature=80.0, n_plays=200)
     state = straight(law, self_weight=made.self_weight)

@@ -98,10 +98,10 @@ def _places(build: Build) -> list[tuple[Numbers, Numbers]]:
     """Radius and angle of the strands of each ring; the neutral axis goes through a first one."""
     if build.is_compressed:
         core = 0.5 * build.strand
-        edges = core * np.sqrt(np.linspace(1.0, 7.0, 20001))  # of equal areas
+        middles = core * np.sqrt(1.0 + 6.0 * (np.arange(2000) + 0.5) / 2000)  # of equal areas
         across = np.sin(np.pi / 6.0) / (np.pi / 6.0)  # mean cosine over a sector
-        return [(np.full(6, edges.mean() * across), np.pi / 3.0 * np.arange(6))]
-    found = []
+        return [(np.full(6, float(middles.mean()) * across), np.pi / 3.0 * np.arange(6.0))]
+    found: list[tuple[Numbers, Numbers]] = []
     span = range(-len(build.lays), len(build.lays) + 1)
     lattice = [(i, j) for i in span for j in span]
     for ring in range(1, len(build.lays) + 1):
@@ -197,14 +197,14 @@ def loading(
     state[1] = place
     tension = COUNTERWEIGHT + 0.375 * weight * length
     ends = np.array([tension, length])
-    rest: Numbers | None = None
+    rests: list[Numbers] = []
     pulls = []
 
     def bent(at: Numbers, present: Numbers) -> Numbers:
         """Curvature under a moment; back along Masing's loop where rest had bent it down."""
-        if rest is None:
+        if not rests:
             return np.asarray(np.sign(present) * np.interp(np.abs(present), moment, curvature))
-        before = np.interp(at, place, rest)
+        before = np.interp(at, place, rests[0])
         half = 0.5 * (present - before)
         began = np.sign(before) * np.interp(np.abs(before), moment, curvature)
         back = began + 2.0 * np.sign(half) * np.interp(np.abs(half), moment, curvature)
@@ -227,11 +227,11 @@ def loading(
             return np.array(lacks)
 
         found = solve_bvp(slopes, missing, place, state, ends, tol=_FINE, max_nodes=20_000)
-        if not found.success:
+        if not found.success or found.p is None:
             message = f"{name}, {length} m, {goal} m: {found.message}"
             raise RuntimeError(message)
-        state, ends = found.sol(place), found.p
-        pulls.append(float(found.p[0]))
-        if rest is None:
-            rest = state[3].copy()
+        state, ends = np.asarray(found.sol(place)), np.asarray(found.p)
+        pulls.append(float(ends[0]))
+        if not rests:
+            rests.append(state[3].copy())
     return Loading(goals, np.array(pulls) - pulls[0])

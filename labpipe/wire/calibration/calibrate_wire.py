@@ -112,6 +112,7 @@ def tell(found: Found) -> Calibration:
         wire=problem.curves[0].wire,
         parameters=parameters,
         solutions=solutions,
+        widening=found.widening,
         correlations=_correlations(found.spread.covariance[:P, :P], found.free),
         levels=levels,
         separability=_separability(found),

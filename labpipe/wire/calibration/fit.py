@@ -77,6 +77,7 @@ class Found:
     problem, free : what was fitted
     levels : of noise and samples
     valleys : every least of the objective, the lowest first
+    widening : of quantiles, since the family of curves is bent (`bent_family`)
     """
 
     wire: Wire
@@ -85,6 +86,7 @@ class Found:
     free: Flags
     levels: Levels
     valleys: tuple[Valley, ...]
+    widening: float = 1.0
 
     @property
     def fit(self) -> Fit:
@@ -131,7 +133,7 @@ def find(
         return posed
     problem, logs, free = posed
     try:
-        fits, levels = settle(problem, logs, free, scatter=settings.scatter)
+        fits, levels, widening = settle(problem, logs, free, scatter=settings.scatter)
     except ValueError as error:
         return CalibrationFailure("model_cannot_follow", str(error))
     valleys = tuple(
@@ -139,7 +141,7 @@ def find(
         for fit in fits
         if fit.objective - fits[0].objective <= _HIGHEST
     )
-    return Found(wire, settings, problem, free, levels, valleys)
+    return Found(wire, settings, problem, free, levels, valleys, widening)
 
 
 _HIGHEST = 200.0

@@ -25,6 +25,7 @@ _MOST_STEPS = 60
 _LONGEST_STEP = 1.5
 _SETTLED = 1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
 _IDLE, _MOST_IDLE = 1e-3, 3  # gains of the objective in a row that end a walk along a flat valley
+_WHOLE, _SHORTEST = 0.75, 0.1  # shares of a step: above it is whole; none is shorter
 _JITTER = 1e-2  # a step that promised less and did not keep it: the curves are tabulated
 _DAMPING = (1e-6, 10.0, 1e8)  # first, growth, last
 
@@ -134,7 +135,7 @@ def search(
         if float(step @ pull) <= enough:
             return replace(here, steps=steps, settled=True)
         steps += 1
-        ahead = _try(problem, levels, _move(problem, here.point, step))
+        ahead = _ahead(problem, levels, here, step, float(step @ pull))
         if ahead is not None and ahead.objective <= here.objective:
             idle = idle + 1 if here.objective - ahead.objective <= _IDLE else 0
             here, damping = ahead, max(damping / _DAMPING[1] ** 2, _DAMPING[0])
@@ -165,6 +166,21 @@ def products(
         factor = float(np.exp(point.gain + point.offsets[sample]))
         grams[sample] += gram(curve, model, factor, correlation)
     return grams
+
+
+def _ahead(problem: Problem, levels: Levels, here: Fit, step: Floats, gain: float) -> Fit | None:
+    """Look where a step leads, or on the way there, if a parabola has its least well before.
+
+    In a narrow bent valley whole steps go to and fro between its sides.
+    """
+    whole = _try(problem, levels, _move(problem, here.point, step))
+    if whole is None:
+        return None
+    share = gain / max(whole.objective - here.objective + 2.0 * gain, gain)
+    if share > _WHOLE:
+        return whole
+    part = _try(problem, levels, _move(problem, here.point, max(share, _SHORTEST) * step))
+    return part if part is not None and part.objective < whole.objective else whole
 
 
 def _try(problem: Problem, levels: Levels, point: Point) -> Fit | None:

@@ -75,7 +75,8 @@ def predict(
         gain_slope = force if other_gain is None else np.zeros_like(force)
         slopes = np.vstack([change, gain_slope]).T
         forces.append(force)
-        mean, one = _reach(solution, slopes, force / np.sqrt(n_samples))
+        wide = calibration.widening * np.sqrt(1.0 - solution.rise / solution.limit)
+        mean, one = _reach(solution, slopes, force / np.sqrt(n_samples), wide)
         one, mean = np.hypot(one, np.hypot(gain * force, read)), np.hypot(mean, gain * force)
         bands.append([force - one[0], force + one[1], force - mean[0], force + mean[1]])
     low, high = np.min(bands, axis=0), np.max(bands, axis=0)
@@ -83,12 +84,17 @@ def predict(
     return Prediction(deflection, forces[0], low[0], high[1], low[2], high[3], notes)
 
 
-def _reach(solution: Solution, slopes: Floats, one_more: Floats) -> tuple[Floats, Floats]:
-    """How far a band reaches down and up, shape (2, n), N: of the mean sample, and of one more."""
+def _reach(
+    solution: Solution, slopes: Floats, one_more: Floats, wide: float
+) -> tuple[Floats, Floats]:
+    """How far a band reaches down and up, shape (2, n), N: of the mean sample, and of one more.
+
+    What is known of the parameters is `wide` times as wide as in the linear model.
+    """
     mean = np.abs(quantiles(solution.mixture, slopes))
     one = np.abs(quantiles(solution.mixture, slopes, one_more))
     scatter = np.sqrt(np.maximum(one**2 - mean**2, 0.0))
-    mean *= np.sqrt(1.0 - solution.rise / solution.limit)
+    mean *= wide
     return mean, np.hypot(mean, scatter)
 
 

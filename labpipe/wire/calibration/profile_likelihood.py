@@ -5,7 +5,8 @@ of the parameter's distribution in the linear model, averaged over what the scat
 be (`scatter_mixture`); below and above it may differ. With many samples q is 1.96, for one
 that leans on the mean of n samples it is that of Student's t with n - 1 degrees of freedom. In the
 linear case this is the t interval; where the objective is asymmetric the interval is too, and it
-stays open where the objective levels out. Where the objective has several leasts, each is followed
+stays open where the objective levels out. Where the family of curves is bent, q is larger
+(`bent_family`). Where the objective has several leasts, each is followed
 by itself, its height above the lowest counts, and the interval is the union of what they allow.
 """
 
@@ -31,6 +32,7 @@ from labpipe.wire.calibration.valleys import Valley
 
 _NORMAL, _LEAST_ROOT = 1.96, 0.5
 _CLOSE = 0.01  # of the root of the threshold
+_STEEP = 3.0  # over the threshold: the straight way there may have led into a dead end
 _ENOUGH = 1e-3  # of the objective, to which the others are fitted
 _MOST_LOOKS = 24
 _FARTHER = 2.5  # at most, times the last distance
@@ -108,7 +110,7 @@ def limit_of(found: Found, valley: Valley) -> float:
     way = np.append(there.logs - here.logs, there.gain - here.gain)
     error = float(np.sqrt(way @ lowest.spread.covariance @ way))
     ends = quantiles(lowest.mixture, way[None, :])
-    return _root(float(max(-ends[0][0], ends[1][0])), error) ** 2
+    return (found.widening * _root(float(max(-ends[0][0], ends[1][0])), error)) ** 2
 
 
 def trace(found: Found, number: int, valley: Valley) -> Trace:
@@ -124,14 +126,17 @@ def trace(found: Found, number: int, valley: Valley) -> Trace:
     error = float(np.sqrt(valley.spread.covariance[number, number]))
     below, above = quantiles(valley.mixture, np.eye(P + 1)[[number]])
     left = 1.0 - valley.rise / limit_of(found, valley) if valley.rise > 0.0 else 1.0
-    roots = [_root(end, error) * float(np.sqrt(left)) for end in (-below[0], above[0])]
+    wide = found.widening * float(np.sqrt(left))
+    roots = [wide * _root(end, error) for end in (-below[0], above[0])]
     others = free.copy()
     others[number] = False
     direction = _direction(problem, levels, fit, free, number)
     sides = []
     bounds = (-1.0, problem.lower[number]), (1.0, problem.upper[number])
     for root, (sign, bound) in zip(roots, bounds, strict=True):
-        walk = _Walk(problem, levels, fit, others, number, direction, float(bound), sign)
+        walk = _Walk(
+            problem, levels, fit, others, number, direction, float(bound), sign, root * root
+        )
         sides.append(_walk(walk, root, error))
     middle = (float(fit.point.logs[number]), 0.0)
     one = len(found.valleys) == 1
@@ -189,15 +194,21 @@ class _Walk:
     direction: Floats
     bound: float
     sign: float
+    limit: float
 
     def look(self, start: Fit, distance: float) -> tuple[float, Fit]:
         """Root of the deviance at a distance from the least, from a fit near by."""
         best = float(self.fit.point.logs[self.number])
         target = best + self.sign * distance
         shift = (target - float(start.point.logs[self.number])) * self.direction
-        there = _shifted(self, start, shift, target)
-        found = search(self.problem, self.levels, there, self.others, enough=_ENOUGH)
+        found = self._search(_shifted(self, start, shift, target))
+        if found.objective - self.fit.objective > _STEEP * self.limit:
+            plain = self._search(_shifted(self, start, 0.0 * shift, target))
+            found = min(found, plain, key=lambda fit: fit.objective)
         return float(np.sqrt(max(found.objective - self.fit.objective, 0.0))), found
+
+    def _search(self, there: Point) -> Fit:
+        return search(self.problem, self.levels, there, self.others, enough=_ENOUGH)
 
 
 def _shifted(walk: _Walk, start: Fit, shift: Floats, target: float) -> Point:

@@ -20,6 +20,7 @@ from labpipe.records.wire_calibration import (
     PARAMETERS,
     ScatterMixture,
 )
+from labpipe.wire.calibration.bent_family import widening
 from labpipe.wire.calibration.parameter_search import (
     Fit,
     Levels,
@@ -70,7 +71,7 @@ class Valley:
 
 def settle(
     problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
-) -> tuple[list[Fit], Levels]:
+) -> tuple[list[Fit], Levels, float]:
     """Fit parameters and levels.
 
     Parameters
@@ -82,7 +83,8 @@ def settle(
 
     Returns
     -------
-    Every least of the objective, the lowest first, and the levels, which are those of the lowest.
+    Every least of the objective, the lowest first; the levels, which are those of the lowest; and
+    by how much intervals are wider since the line that the leasts lie on is bent (`bent_family`).
 
     Raises
     ------
@@ -96,14 +98,18 @@ def settle(
         message = "the model cannot follow the curves at any of the starts"
         raise ValueError(message)
     fit, levels = refine(problem, first, levels, free, scatter=scatter)
-    others = [each for each in leasts(problem, levels, fit, free) if each is not fit]
+    line = line_of(problem, levels, fit, free)
+    others = [each for each in leasts(problem, levels, line, fit, free) if each is not fit]
     lowest = min([fit, *others], key=lambda each: each.objective)
     if lowest is not fit:
         others = [fit, *(each for each in others if each is not lowest)]
         fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
     found = (_again(problem, levels, each, free) for each in others)
     fits = [fit, *(each for each in found if each is not None)]
-    return sorted(fits, key=lambda each: each.objective), levels
+    fits.sort(key=lambda each: each.objective)
+    apart = [each for each in line if abs(_place(each) - _place(fits[0])) > 0.1 * _STRIDE]
+    line = sorted([*apart, fits[0]], key=_place)
+    return fits, levels, widening(problem, levels, line, fits[0])
 
 
 def _again(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> Fit | None:
@@ -177,22 +183,19 @@ def _starts(problem: Problem, logs: Floats, free: Flags) -> Iterator[Floats]:
         yield np.clip(start, problem.lower, problem.upper)
 
 
-def leasts(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
+def leasts(problem: Problem, levels: Levels, line: list[Fit], fit: Fit, free: Flags) -> list[Fit]:
     """Find every least of the objective.
 
     Parameters
     ----------
     problem, levels, free : what is fitted
-    fit : one of them
+    line : fits with the copper's strength held
+    fit : one least, on the line
 
     Returns
     -------
     In order of the copper's strength; of two without a hill of `_HILL` between them, the lower.
-    Where insulation and copper are not both free there is but one.
     """
-    if not (free[_TUBE] and free[_COPPER]):
-        return [fit]
-    line = _line(problem, levels, fit, free)
     found = [fit]
     for dip in _dips(line):
         if dip is not fit:
@@ -212,8 +215,21 @@ def _place(fit: Fit) -> float:
     return float(fit.point.logs[_COPPER])
 
 
-def _line(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
-    """Fits with the copper's strength held at even steps, from bound to bound, and the fit."""
+def line_of(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> list[Fit]:
+    """Follow the line on which insulation and copper trade places.
+
+    Parameters
+    ----------
+    problem, levels, free : what is fitted
+    fit : a least of the objective
+
+    Returns
+    -------
+    Fits with the copper's strength held at even steps, from bound to bound, and the least in its
+    place; that alone where insulation and copper are not both free.
+    """
+    if not (free[_TUBE] and free[_COPPER]):
+        return [fit]
     others = free.copy()
     others[_COPPER] = False
     at, low, high = _place(fit), float(problem.lower[_COPPER]), float(problem.upper[_COPPER])

@@ -434,9 +434,24 @@ def gram(curve: MeasuredCurve, model: ModelForce, factor: float, correlation: fl
     columns[:, _J] = factor * model.change.T
     columns[:, _M] = factor * model.force
     columns[:, _R] = curve.force - columns[:, _M]
+    return whitened_products(curve, columns, model.slope, correlation)
+
+
+def whitened_products(
+    curve: MeasuredCurve, columns: Floats, slope: Floats, correlation: float
+) -> Floats:
+    """Products of columns of forces with each other in units of the stated noise: see `gram`.
+
+    Parameters
+    ----------
+    curve : measured
+    columns : shape (points, n), N
+    slope : shape (points,), N/m, of the curve
+    correlation : of neighbouring points
+    """
     noise = np.asarray(curve.noise)[:, None]
     white = whiten(columns / noise, correlation)
-    shared = whiten(shared_errors(curve, model.slope).T / noise, correlation)
+    shared = whiten(shared_errors(curve, slope).T / noise, correlation)
     seen = shared.T @ white
     held = np.eye(shared.shape[1]) + shared.T @ shared
     return np.asarray(white.T @ white - seen.T @ np.linalg.solve(held, seen))
