@@ -204,6 +204,7 @@ def _label(result: TestResult, axes: Axes) -> None:
     across, up = _scales(result)
     axes.set_xlabel(across.label("Displacement"))
     axes.set_ylabel(up.label("Force"))
+    axes.locator_params(axis="x", nbins=7)
 
 
 def _mark_peaks(result: TestResult, axes: Axes, curve: Curve) -> None:

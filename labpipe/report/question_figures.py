@@ -288,6 +288,7 @@ def _keys(family: Family) -> list[Artist]:
     ]
     if any(len(group.band.marks) for group in family.groups):
         keys.append(interval_key("95 % interval of the mean", color=GREY))
+    keys.append(line_key("one sample", color=GREY, marker=".", markersize=3, linestyle=""))
     if any(group.band.has_area for group in family.groups):
         keys.append(area_key("95 % band, point by point", color=GREY, **_BAND_LOOK))
     return keys

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -32,6 +32,9 @@ _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
 _FAMILIES = re.compile(r"'STIXGeneral'(, ('[^']*'|[a-z-]+))*")
 """The fonts of the style; a browser finds a letter that the first ones lack by itself."""
+_SIZE = re.compile(r"([\d.]+)px")
+_SHORT = 3
+"""Letters from which on the width of words is held."""
 _FONT = "STIXGeneral, 'STIX Two Text', 'Times New Roman', Times, serif"
 
 
@@ -55,7 +58,8 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     -------
     One ``svg`` element: as wide as the page lets it be, coordinates to 0.01 pt, and to 0.1 pt in
     long lines, which is less than a line is thick; without metadata and without ids that nothing
-    refers to. Its looks are classes, as drawings share most of them;
+    refers to. Its words are as wide as they were laid out, whatever fonts the reader has. Its looks
+    are classes, as drawings share most of them;
     equal looks have equal names in all drawings.
     """
     ET.register_namespace("", _SVG)
@@ -63,6 +67,7 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     root = ET.fromstring(drawing)
     for metadata in root.findall(f"{{{_SVG}}}metadata"):
         root.remove(metadata)
+    _hold_widths(root)
     wanted = _references(root)
     classes: dict[str, str] = {}
     for element in root.iter():
@@ -72,6 +77,22 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     _name(root, title)
     text = ET.tostring(root, encoding="unicode", short_empty_elements=True)
     return Inline(re.sub(r">\s+<", "><", text).strip(), classes)
+
+
+def _hold_widths(root: ET.Element) -> None:
+    """Give words the width that they were laid out with: a reader's font may be another one."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    with style():
+        for text in root.iter(f"{{{_SVG}}}text"):
+            size, words = _SIZE.search(text.get("style", "")), text.text or ""
+            if size is None or len(words) < _SHORT:
+                continue
+            font = FontProperties(size=float(size[1]))
+            width, *_ = text_to_path.get_text_width_height_descent(words, font, ismath=False)
+            text.set("textLength", f"{width:.1f}")
+            text.set("lengthAdjust", "spacingAndGlyphs")
 
 
 def _references(root: ET.Element) -> set[str]:
@@ -146,6 +167,8 @@ def _name(root: ET.Element, title: str) -> None:
 
 
 PNG_DPI, _REPORT_DPI = 300, 200
+FORMATS = ("svg", "png", "pdf")
+"""In which the figures of a report can be had; SVG always."""
 
 
 class FigureToSave(NamedTuple):
@@ -192,7 +215,7 @@ class SavedFigure:
     ----------
     drawing : as an element of a page
     caption : how to read it
-    files : SVG, PNG and PDF
+    files : SVG, and PNG and PDF where they were asked for
     """
 
     drawing: Inline
@@ -272,13 +295,16 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
         raise StoreError(message) from error
 
 
-def save_report_figures(wanted: Iterable[FigureToSave], folder: Path) -> list[SavedFigure]:
-    """Draw the figures of a report and save each as SVG, PNG and PDF.
+def save_report_figures(
+    wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = FORMATS
+) -> list[SavedFigure]:
+    """Draw the figures of a report and save each as SVG, and as PNG and PDF where asked for.
 
     Parameters
     ----------
     wanted : one is drawn and let go before the next
     folder : there already
+    formats : some of `FORMATS`; SVG is always written
 
     Returns
     -------
@@ -295,25 +321,28 @@ def save_report_figures(wanted: Iterable[FigureToSave], folder: Path) -> list[Sa
     """
     look = {"svg.fonttype": "none"}
     with style(look), ThreadPoolExecutor(max_workers=1) as packer:
-        saved = [_save_for_report(each, folder, packer) for each in wanted]
+        saved = [_save_for_report(each, folder, packer, formats) for each in wanted]
         return [figure for figure, saving in saved if saving.whole()]
 
 
 def _save_for_report(
-    wanted: FigureToSave, folder: Path, packer: Executor
+    wanted: FigureToSave, folder: Path, packer: Executor, formats: Collection[str]
 ) -> tuple[SavedFigure, Saving]:
-    """Draw once, lay out once, write three times."""
+    """Draw once, lay out once, write in each format."""
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
     page = wanted.draw()
-    saving = save_page(page, folder, wanted.name, packer, dpi=_REPORT_DPI)
-    pdf = folder / f"{wanted.name}.pdf"
-    paper: Any = FigureCanvasPdf(page)
-    paper.print_pdf(str(pdf), metadata={"CreationDate": None})
+    dpi = _REPORT_DPI if "png" in formats else None
+    saving = save_page(page, folder, wanted.name, packer, dpi=dpi)
+    files = list(saving.files)
+    if "pdf" in formats:
+        files.append(folder / f"{wanted.name}.pdf")
+        paper: Any = FigureCanvasPdf(page)
+        paper.print_pdf(str(files[-1]), metadata={"CreationDate": None})
     # A number in place of the name: it stands at every mark of a drawing.
     prefix = f"f{zlib.crc32(wanted.name.encode()):x}"
     element = inline_svg(saving.files[0].read_bytes(), prefix=prefix, title=wanted.alt)
-    return SavedFigure(element, wanted.caption, (*saving.files, pdf)), saving
+    return SavedFigure(element, wanted.caption, tuple(files)), saving
 
 
 def save_page(

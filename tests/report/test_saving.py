@@ -65,6 +65,16 @@ def test_each_figure_of_a_report_is_saved_three_times(tmp_path: Path) -> None:
     ]
 
 
+def test_png_and_pdf_on_request(tmp_path: Path) -> None:
+    wanted = [FigureToSave("one", page)]
+    for formats in (("svg",), ("svg", "pdf"), ("png",)):
+        (tmp_path / "-".join(formats)).mkdir()
+        (one,) = save_report_figures(wanted, tmp_path / "-".join(formats), formats=formats)
+        endings = {file.suffix[1:] for file in one.files}
+        assert endings == {"svg", *formats}
+        assert {file.suffix[1:] for file in one.files[0].parent.iterdir()} == endings
+
+
 def test_nothing_to_save(tmp_path: Path) -> None:
     assert save_report_figures([], tmp_path) == []
 

@@ -37,6 +37,18 @@ def test_small_and_named() -> None:
     assert "a &lt; b" in inline.element
 
 
+def test_words_keep_the_width_that_they_were_laid_out_with() -> None:
+    """By the metrics of the font itself, in 1/1000 of its size: STIX has an 'a' of 444."""
+    words = DRAWING.replace(b"a &lt; b", b"aaaa").replace(b"9px", b"10px")
+    element = inline_svg(words, prefix="a", title="").element
+    assert 'textLength="17.8"' in element
+    assert 'lengthAdjust="spacingAndGlyphs"' in element
+    assert (
+        "textLength"
+        not in inline_svg(DRAWING.replace(b"a &lt; b", b"10"), prefix="a", title="").element
+    )
+
+
 def test_ids_belong_to_the_drawing_and_references_follow() -> None:
     one, other = (inline_svg(DRAWING, prefix=name, title="").element for name in ("one", "other"))
     assert 'id="one-mark"' in one

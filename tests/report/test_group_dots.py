@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from labpipe.records.curve import Interval
 from labpipe.records.group import Outlier
 from labpipe.report.figure_page import style
-from labpipe.report.group_figures import (
+from labpipe.report.group_dots import (
     MOST_NUMBERS,
     MOST_ROWS,
     draw_dots,
