@@ -10,15 +10,14 @@ origin.
 from __future__ import annotations
 
 from labpipe.decks.deck_law import (
-    Thinned,
     abaqus_label,
     facts,
     on_one_line,
     second_moment,
     skew_excess,
     solid_area,
-    thin,
 )
+from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
 _WIDEST_NAME = 100  # of a wire in a comment: lines end at 256 characters

@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from labpipe.decks.deck_law import (
     COMMENT_MOST,
-    Thinned,
     ansys_name,
     facts,
     on_one_line,
     skew_excess,
-    thin,
 )
+from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
 MOST_POINTS = 20

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from labpipe.decks.deck_law import thin
+from labpipe.law.thinning import thin
 from labpipe.records.arrays import Floats
 from tests.builders.wire_tables import wire_table
 

@@ -1,0 +1,155 @@
+"""What a law loses in each form that a simulation program can hold: its loss card.
+
+All errors are the largest distance from the law's moment on first loading over a range of
+curvatures, as a share of that moment, each form at its best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.law.slider_directions import in_directions
+from labpipe.law.sliders import fit_sliders, within_range
+from labpipe.records.arrays import Floats
+
+COUNTS = (4, 6, 8, 12)
+"""Sliders of which a card tells the loss."""
+DIRECTIONS = (2, 3, 4, 6)
+"""Directions of scalar sliders of which a card tells the loss."""
+
+_DECAYS = 80
+_ROUNDS = 60
+_STILL = 1e-12
+"""Error of a point that keeps its weight: a law that is met everywhere has no largest one."""
+
+
+@dataclass(frozen=True, slots=True)
+class DahlLaw:
+    """A spring and one slider that slides little by little, after Dahl (1968).
+
+    M = EI kappa + M_0 (1 - exp(-kappa / tau)) on first loading.
+
+    Parameters
+    ----------
+    stiffness : EI, N m^2
+    moment : M_0, N m
+    decay : tau, 1/m
+    error : of the fit, as a share of the moment
+    """
+
+    stiffness: float
+    moment: float
+    decay: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class LossCard:
+    """What a law loses in each form.
+
+    Parameters
+    ----------
+    first, last : 1/m, the range
+    stiffness : N m^2, the best constant one
+    constant : error of the constant stiffness
+    dahl : the best Dahl law
+    sliders : number of sliders and error of each fit; fewer sliders than asked for where the law
+        has fewer corners
+    directions : number of directions of scalar sliders in three dimensions, and the largest
+        distance of the moment vector from that of a vector slider, in the worst direction
+    """
+
+    first: float
+    last: float
+    stiffness: float
+    constant: float
+    dahl: DahlLaw
+    sliders: tuple[tuple[int, float], ...]
+    directions: tuple[tuple[int, float], ...]
+
+
+def loss_card(
+    curvature: Floats,
+    moment: Floats,
+    *,
+    first: float = 0.0,
+    last: float = np.inf,
+    counts: Sequence[int] = COUNTS,
+) -> LossCard:
+    """Work out what a law loses.
+
+    Parameters
+    ----------
+    curvature, moment, first, last : as for `fit_sliders`
+    counts : numbers of sliders
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    x, y, start = within_range(curvature, moment, first, last)
+    secant = y[1:] / x[1:]
+    low, high = float(secant.min()), float(secant.max())
+    laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
+    most = laws[int(np.argmin([law.error for law in laws]))]
+    return LossCard(
+        first=start,
+        last=float(x[-1]),
+        stiffness=2.0 * low * high / (low + high),
+        constant=(high - low) / (high + low),
+        dahl=fit_dahl(x[1:], y[1:]),
+        sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
+        directions=tuple((number, in_directions(most, number).error) for number in DIRECTIONS),
+    )
+
+
+def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
+    """Fit one exponential slider and a spring, with the smallest largest error.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, positive and increasing
+    moment : shape (n,), N m, positive
+
+    Notes
+    -----
+    For each of many decays Lawson's algorithm (weights that grow with the error: Lawson, thesis,
+    UCLA 1961) brings the largest relative error down; springs and sliders that push are left out.
+    """
+    coarse = _best_dahl(curvature, moment, 0.3 * curvature[0], 3.0 * curvature[-1])
+    near = (10.0 * curvature[-1] / curvature[0]) ** (2.0 / _DECAYS)
+    return _best_dahl(curvature, moment, coarse.decay / near, coarse.decay * near)
+
+
+def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:
+    decay = np.geomspace(least, largest, _DECAYS)
+    spring = np.broadcast_to(curvature / moment, (_DECAYS, len(curvature)))
+    slider = -np.expm1(-curvature / decay[:, None]) / moment
+    weight = np.full_like(slider, 1.0 / len(curvature))
+    best = DahlLaw(0.0, 0.0, float(decay[0]), np.inf)
+    for _ in range(_ROUNDS):
+        stiffness, height = _least_squares(spring, slider, weight)
+        off = np.abs(stiffness[:, None] * spring + height[:, None] * slider - 1.0)
+        worst = np.where((stiffness >= 0.0) & (height >= 0.0), off.max(axis=1), np.inf)
+        at = int(np.argmin(worst))
+        if worst[at] < best.error:
+            values = (stiffness[at], height[at], decay[at], worst[at])
+            best = DahlLaw(*map(float, values))
+        weight = weight * np.maximum(off, _STILL)
+        weight /= weight.sum(axis=1, keepdims=True)
+    return best
+
+
+def _least_squares(one: Floats, other: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Coefficients of two columns whose sum is to be 1, row by row."""
+    aa, ab, bb = (
+        np.sum(weight * p * q, axis=1) for p, q in ((one, one), (one, other), (other,) * 2)
+    )
+    a, b = (np.sum(weight * each, axis=1) for each in (one, other))
+    determinant = aa * bb - ab**2
+    determinant = np.where(determinant > 0.0, determinant, np.inf)
+    return (a * bb - b * ab) / determinant, (b * aa - a * ab) / determinant

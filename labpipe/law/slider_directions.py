@@ -1,0 +1,142 @@
+"""Vector sliders by scalar ones in a few directions, for programs that have only scalar sliders.
+
+D directions across the wire, at 180 / D degrees from each other, each with the same spring and
+sliders on its component of the curvature. A spring so made is alike in every direction from D = 2
+on, sliders are not: in a direction of its own a row of sliders gives way sooner than in between.
+With one slider that slides at kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each
+direction carry K kappa_j on average once all slide (PHYSICS 11). On the way there they carry less,
+so that the sliders of several are fitted together to what a vector slider carries.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from scipy.optimize import nnls
+
+from labpipe.law.sliders import SliderLaw, slider_moment
+from labpipe.records.arrays import ArrayRecord, Floats
+
+_GRID = 48
+"""Slip curvatures to choose from."""
+_MOST = 16
+_POINTS = 80
+_ANGLES = 13
+_BEYOND = 1.6
+"""Times the last slip curvature: vector sliders slide together, scalar ones until there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectionalLaw(ArrayRecord):
+    """The same spring and scalar sliders in each of a few directions across the wire.
+
+    Parameters
+    ----------
+    directions : D; the first is the first axis across the wire
+    stiffness : of the spring in each direction, N m^2
+    stiffnesses : shape (sliders,), N m^2, in each direction
+    slip_curvatures : shape (sliders,), 1/m, of the component in that direction
+    error : largest difference of the moment along the curvature from that of the vector sliders, on
+        first loading in any direction, as a share of it
+    sideways : largest moment across the curvature, as a share of that along it
+    """
+
+    directions: int
+    stiffness: float
+    stiffnesses: Annotated[Floats, "sliders"]
+    slip_curvatures: Annotated[Floats, "sliders"]
+    error: float
+    sideways: float
+
+    @property
+    def normals(self) -> Floats:
+        """Directions, unit vectors, shape (directions, 2)."""
+        angle = np.pi * np.arange(self.directions) / self.directions
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+
+
+def in_directions(law: SliderLaw, directions: int) -> DirectionalLaw:
+    """Make scalar sliders in a few directions that come close to vector sliders.
+
+    Parameters
+    ----------
+    law : vector sliders
+    directions : D, at least 2
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than two directions.
+
+    Notes
+    -----
+    Non-negative least squares of the moment along the curvature, relative to that of the vector
+    sliders and as a mean over all directions, on a grid of slip curvatures; then the nearest ones
+    are made one until few enough are left.
+    """
+    if directions < 2:
+        message = f"directions={directions}: allowed are numbers >= 2"
+        raise ValueError(message)
+    size = np.geomspace(law.first, law.last, _POINTS)
+    wanted = slider_moment(law, size)
+    if not law.stiffnesses.size:
+        slips, found = np.zeros(0), np.array([law.stiffness])
+    else:
+        ends = 0.5 * law.slip_curvatures[0], min(_BEYOND * law.slip_curvatures[-1], law.last)
+        slips = np.geomspace(*ends, _GRID)
+        found = _fitted(size, wanted, slips, directions)
+        while np.count_nonzero(found[1:]) > _MOST or not np.all(found[1:]):
+            slips = _fewer(slips, found[1:])
+            found = _fitted(size, wanted, slips, directions)
+    made = DirectionalLaw(
+        directions,
+        2.0 * float(found[0]) / directions,
+        2.0 * found[1:] / directions,
+        slips,
+        0.0,
+        0.0,
+    )
+    along, aside = _components(made, size)
+    return DirectionalLaw(
+        directions,
+        made.stiffness,
+        made.stiffnesses,
+        slips,
+        error=float(np.max(np.abs(along / wanted[:, None] - 1.0))),
+        sideways=float(np.max(np.abs(aside / wanted[:, None]))),
+    )
+
+
+def _fitted(size: Floats, wanted: Floats, slips: Floats, directions: int) -> Floats:
+    """Stiffness of the spring, then of the sliders, as those of vector sliders, N m^2."""
+    turn = np.linspace(0.0, np.pi / directions, _ANGLES)[:-1]
+    parts = np.cos(turn[:, None] - np.pi * np.arange(directions) / directions)
+    bent = size[:, None, None] * parts
+    held = np.clip(bent[..., None], -slips, slips)
+    sliders = 2.0 / directions * np.einsum("kadj,ad->kj", held, parts) / len(turn)
+    columns = np.column_stack([size, sliders]) / wanted[:, None]
+    return np.asarray(nnls(columns, np.ones(len(size)))[0])
+
+
+def _fewer(slips: Floats, stiffnesses: Floats) -> Floats:
+    """Slip curvatures without those that carry nothing; else the two nearest made one."""
+    used = slips[stiffnesses > 0.0]
+    if len(used) < len(slips):
+        return np.asarray(used)
+    near = int(np.argmin(np.diff(np.log(used))))
+    middle = np.sqrt(used[near] * used[near + 1])
+    return np.concatenate([used[:near], [middle], used[near + 2 :]])
+
+
+def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
+    """Moment along and across the curvature, N m, shape (curvatures, angles)."""
+    turn = np.linspace(0.0, np.pi / law.directions, 2 * _ANGLES + 1)
+    towards = np.column_stack([np.cos(turn), np.sin(turn)])
+    parts = towards @ law.normals.T
+    bent = size[:, None, None] * parts
+    held = np.clip(bent[..., None], -law.slip_curvatures, law.slip_curvatures) @ law.stiffnesses
+    moment = (law.stiffness * bent + held) @ law.normals
+    aside = np.column_stack([-towards[:, 1], towards[:, 0]])
+    return np.sum(moment * towards, axis=2), np.sum(moment * aside, axis=2)

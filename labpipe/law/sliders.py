@@ -1,0 +1,322 @@
+"""A moment-curvature law as sliders: what a simulation program can hold, with its memory.
+
+Any concave first loading M(kappa) is a spring and Coulomb sliders side by side (PHYSICS 11), each a
+spring of stiffness K_j that slides once it is bent by kappa_j:
+
+    M(kappa) = EI_0 kappa + sum_j K_j stop_j(kappa)      on first loading: K_j min(kappa, kappa_j)
+
+It is the dual of `law.plays`, where curvature follows from moment. On reversal a slider gives way
+after 2 kappa_j, so that loops follow Masing's rule and close. The history is where each slider
+rests: the curvature a_j at which it carries nothing.
+
+In three dimensions curvature and moment are vectors across the wire, and a slider is a vector stop:
+it holds on while |kappa - a_j| <= kappa_j, else a_j follows (radial return), alike in every plane.
+Curvatures are in 1/m, moments in N m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from labpipe.law.play_fits import polygon_law
+from labpipe.law.plays import PlayLaw, require_positive
+from labpipe.law.thinning import thin
+from labpipe.records.arrays import ArrayRecord, Floats, Vector
+
+_MOST_BRIDGED = 0.01
+"""Of the moment, by which a law that never stiffens may be above the one given."""
+_MOST_SLIDERS = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliderLaw(ArrayRecord):
+    """A spring and sliders side by side.
+
+    Parameters
+    ----------
+    stiffness : EI_0 of the spring, which never slides, N m^2; may be zero
+    stiffnesses : shape (sliders,), K_j, N m^2, positive
+    slip_curvatures : shape (sliders,), kappa_j, 1/m, positive and increasing
+    first, last : 1/m, between which the law was fitted; beyond the last it goes on straight
+    error : largest distance of the first loading from the law it was fitted to, between `first`
+        and `last`, as a share of the moment there; 0 where nothing was fitted
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    stiffness: float
+    stiffnesses: Annotated[Floats, "sliders"]
+    slip_curvatures: Annotated[Floats, "sliders"]
+    first: float
+    last: float
+    error: float = 0.0
+
+    def __post_init__(self) -> None:
+        ArrayRecord.__post_init__(self)
+        if not (np.isfinite(self.stiffness) and self.stiffness >= 0.0):
+            message = f"stiffness={self.stiffness!r}: allowed are finite numbers >= 0"
+            raise ValueError(message)
+        if not (np.all(np.isfinite(self.stiffnesses)) and np.all(self.stiffnesses > 0.0)):
+            message = f"stiffnesses={self.stiffnesses.tolist()}: allowed are finite numbers > 0"
+            raise ValueError(message)
+        widths = self.slip_curvatures
+        if widths.size and not (widths[0] > 0.0 and np.all(np.diff(widths) > 0.0)):
+            message = f"slip_curvatures={widths.tolist()}: allowed are positive, increasing numbers"
+            raise ValueError(message)
+        _require_range(self.first, self.last)
+
+    @property
+    def first_stiffness(self) -> float:
+        """Bending stiffness before anything slides, N m^2, and right after every reversal."""
+        return self.stiffness + float(np.sum(self.stiffnesses))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SliderResponse:
+    """What sliders answer to a curvature at each station.
+
+    Parameters
+    ----------
+    moment : N m, shape (stations,), or (stations, 2) of vectors
+    stiffness : d(moment) / d(curvature), N m^2, shape (stations,), or (stations, 2, 2): consistent
+        with the step just made
+    rests : 1/m, shape (stations, sliders), or (stations, sliders, 2): the history after the step
+    """
+
+    moment: Floats
+    stiffness: Floats
+    rests: Floats
+
+
+def slider_moment(law: SliderLaw, curvature: Floats) -> Floats:
+    """Moment of first loading, N m.
+
+    Parameters
+    ----------
+    law : the law
+    curvature : any shape, 1/m, of either sign
+    """
+    held = np.clip(curvature[..., None], -law.slip_curvatures, law.slip_curvatures)
+    return np.asarray(law.stiffness * curvature + held @ law.stiffnesses)
+
+
+def virgin_rests(law: SliderLaw, n_stations: int, *, is_vector: bool = False) -> Floats:
+    """History of a wire that was never bent, 1/m: shape (n_stations, sliders), or with 2 behind."""
+    return np.zeros((n_stations, len(law.stiffnesses), *((2,) if is_vector else ())))
+
+
+def slide(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
+    """Moment at new curvatures in one plane, from the history left by those before.
+
+    Parameters
+    ----------
+    law : the law of every station
+    curvature : shape (stations,), 1/m; each is taken to go there without a turn
+    rests : shape (stations, sliders), 1/m, before the step
+
+    Notes
+    -----
+    NaN in gives NaN out. The stiffness where a slider just begins to slide is that of one at rest.
+    """
+    bent = curvature[:, None] - rests
+    held = np.clip(bent, -law.slip_curvatures, law.slip_curvatures)
+    moment = law.stiffness * curvature + held @ law.stiffnesses
+    stiffness = law.stiffness + (held == bent) @ law.stiffnesses
+    return SliderResponse(moment, stiffness, curvature[:, None] - held)
+
+
+def slide_vector(law: SliderLaw, curvature: Floats, rests: Floats) -> SliderResponse:
+    """Moment vectors at new curvature vectors, from the history left by those before.
+
+    Parameters
+    ----------
+    law : the law of every station
+    curvature : shape (stations, 2), 1/m, across the wire; each is taken to go there straight
+    rests : shape (stations, sliders, 2), 1/m, before the step
+
+    Notes
+    -----
+    Radial return: a slider bent by b = kappa - a, |b| > kappa_j, carries K_j kappa_j b / |b|, and
+    d(moment) = K_j kappa_j / |b| (1 - b b^T / |b|^2) d(curvature). A slider that does not slide has
+    K_j 1. As exact as the path is straight: a path that turns wants steps.
+    """
+    bent = curvature[:, None, :] - rests
+    size = np.linalg.norm(bent, axis=2)
+    is_sliding = size > law.slip_curvatures
+    size = np.where(is_sliding, size, 1.0)
+    shrunk = np.where(is_sliding, law.slip_curvatures / size, 1.0)
+    held = bent * shrunk[..., None]
+    moment = law.stiffness * curvature + np.einsum("j,njx->nx", law.stiffnesses, held)
+    along = np.where(is_sliding, 1.0 / size, 0.0)[..., None] * bent
+    across = np.eye(2) - along[..., :, None] * along[..., None, :]
+    stiffness = np.einsum("j,nj,njxy->nxy", law.stiffnesses, shrunk, across)
+    stiffness += law.stiffness * np.eye(2)
+    return SliderResponse(moment, stiffness, curvature[:, None, :] - held)
+
+
+def as_plays(law: SliderLaw) -> PlayLaw:
+    """The same law with curvature as a function of moment, up to the end of its range.
+
+    Parameters
+    ----------
+    law : with at least one slider, or a stiffness
+
+    Notes
+    -----
+    Both have the same first loading and Masing's rule, and so the same loops.
+    """
+    corners = np.append(law.slip_curvatures[law.slip_curvatures < law.last], law.last)
+    corners = np.append(0.5 * corners[0], corners) if len(corners) == 1 else corners
+    return polygon_law(corners, slider_moment(law, corners))
+
+
+def fit_sliders(
+    curvature: Floats,
+    moment: Floats,
+    n_sliders: int,
+    *,
+    first: float = 0.0,
+    last: float = np.inf,
+    allowed: float = np.inf,
+) -> SliderLaw:
+    """Fit sliders to the points of a first loading, with the smallest largest error.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, from 0, increasing
+    moment : shape (n,), N m, from 0, growing with a slope that does not
+    n_sliders : at most; fewer where the law has fewer corners
+    first, last : 1/m, between which the error counts; as far as the points go where not given
+    allowed : error that is refused when it is passed, as a share of the moment
+
+    Raises
+    ------
+    ValueError
+        If the range is empty or outside of the points; if the law softens, or stiffens by more than
+        1 % of its moment (the message says the curvature); if the error is larger than allowed (the
+        message says how many sliders are enough).
+
+    Notes
+    -----
+    Chords between the best so many points of the law (`thin`) lie below it by at most e; multiplied
+    by 1 + e / (2 - e) they are within e / (2 - e) of it, on both sides. Their slopes fall, so that
+    the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
+    grid of kappa_j, thinned out afterwards, comes out worse.
+    """
+    if not 1 <= n_sliders <= _MOST_SLIDERS:
+        message = f"n_sliders={n_sliders}: allowed are numbers from 1 to {_MOST_SLIDERS}"
+        raise ValueError(message)
+    x, y, start = within_range(curvature, moment, first, last)
+    law = _fitted(x, y, n_sliders, start)
+    if law.error > allowed:
+        enough = _enough(x, y, start, allowed)
+        message = (
+            f"{n_sliders} sliders lose {100.0 * law.error:.3g} % of the moment, allowed is "
+            f"{100.0 * allowed:.3g} %: {enough}"
+        )
+        raise ValueError(message)
+    return law
+
+
+def _require_range(first: float, last: float) -> None:
+    if not (0.0 <= first < last and np.isfinite(last)):
+        message = f"first={first!r}, last={last!r}: allowed is a range of curvatures above zero"
+        raise ValueError(message)
+
+
+def within_range(
+    curvature: Floats, moment: Floats, first: float, last: float
+) -> tuple[Floats, Floats, float]:
+    """Take the points of a law inside a range, with zero before them.
+
+    Parameters
+    ----------
+    curvature, moment, first, last : as for `fit_sliders`
+
+    Returns
+    -------
+    Curvatures, 1/m, and moments, N m: zero, the begin of the range, the points inside, its end; and
+    where the range begins, 1/m.
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    if len(curvature) < 2 or len(curvature) != len(moment) or curvature[0] != 0.0:
+        message = (
+            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are as many of both, "
+            "from zero"
+        )
+        raise ValueError(message)
+    end = float(min(last, curvature[-1]))
+    start = float(max(first, curvature[1]))
+    if np.isfinite(last) and last > curvature[-1] * (1.0 + 1e-9):
+        message = f"last={last:.6g} 1/m: the law ends at {curvature[-1]:.6g} 1/m"
+        raise ValueError(message)
+    _require_range(start, end)
+    inside = (curvature > start) & (curvature < end)
+    x = np.concatenate([[0.0, start], curvature[inside], [end]])
+    y = np.interp(x, curvature, moment)
+    _require_concave(x, y)
+    return x, y, start
+
+
+def _require_concave(x: Floats, y: Floats) -> None:
+    """Refuse a law that stiffens by more than can be bridged; `thin` refuses one that softens."""
+    slopes = np.diff(y) / np.diff(x)
+    if np.all(slopes > 0.0) and np.any(np.diff(slopes) > 0.0):
+        hull = thin(x, y, most=len(x))
+        off = np.interp(x[1:], hull.curvature, hull.moment) / y[1:] - 1.0
+        if np.max(off) > _MOST_BRIDGED:
+            at = int(np.argmax(off)) + 1
+            message = (
+                f"the law stiffens at curvature={x[at]:.6g} 1/m: a law that never does is "
+                f"{100.0 * off[at - 1]:.2g} % above it, allowed is {100.0 * _MOST_BRIDGED:.0f} %"
+            )
+            raise ValueError(message)
+
+
+def _fitted(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
+    chords = thin(x, y, most=n_sliders + 2)
+    shares = np.interp(x[1:], chords.curvature, chords.moment) / y[1:]
+    scale = 2.0 / (float(shares.max()) + float(shares.min()))
+    slopes = scale * np.diff(chords.moment) / np.diff(chords.curvature)
+    return SliderLaw(
+        stiffness=float(slopes[-1]),
+        stiffnesses=-np.diff(slopes),
+        slip_curvatures=chords.curvature[1:-1],
+        first=start,
+        last=float(x[-1]),
+        error=float(np.max(np.abs(scale * shares - 1.0))),
+    )
+
+
+def _enough(x: Floats, y: Floats, start: float, allowed: float) -> str:
+    for number in range(1, _MOST_SLIDERS + 1):
+        if _fitted(x, y, number, start).error <= allowed:
+            return f"{number} are enough"
+    return f"{_MOST_SLIDERS} are not enough"
+
+
+def linear_moment_law(stiffness: float, last: float) -> SliderLaw:
+    """A constant stiffness as a law without sliders.
+
+    Parameters
+    ----------
+    stiffness : N m^2
+    last : 1/m, end of its range
+    """
+    require_positive("stiffness", stiffness)
+    return SliderLaw(stiffness, np.zeros(0), np.zeros(0), 0.0, last)
+
+
+def slip_moments(law: SliderLaw) -> Vector:
+    """Moments at which the sliders slide, K_j kappa_j, N m."""
+    return np.asarray(law.stiffnesses * law.slip_curvatures)

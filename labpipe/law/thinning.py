@@ -1,0 +1,149 @@
+"""Few points of a law that never stiffens, such that straight lines between them lose least."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+
+_CORNER = 1e-6  # of a slope: what a later slope must at least be below the one before
+_ENOUGH = 1e-6  # of the tolerance: where halving it ends
+_FIRST_CUT = 0.1  # of the tolerance, until one is found that is too small
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Thinned(ArrayRecord):
+    """Points of a moment-curvature law, the slope between them always falling.
+
+    Parameters
+    ----------
+    curvature : shape (points,), 1/m, from 0 to the end of the range
+    moment : shape (points,), N m
+    error : largest distance, at any curvature of the range, of the straight lines between these
+        points from those between the points that they were chosen from, as a share of the moment
+        there
+    """
+
+    curvature: Vector
+    moment: Vector
+    error: float
+
+
+def thin(curvature: Floats, moment: Floats, *, most: int) -> Thinned:
+    """Choose at most so many points of a law, zero and the end included.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, from 0, increasing; n >= 2
+    moment : shape (n,), N m, from 0, increasing
+    most : points, at least 2
+
+    Returns
+    -------
+    The points. Each slope is below the one before by at least a millionth: programs that take the
+    first slope as the elastic one ask for it.
+
+    Raises
+    ------
+    ValueError
+        If fewer than two points are asked for or given; if a value is NaN or not finite; if the
+        law does not begin at zero; if it softens (the message says the curvature).
+
+    Notes
+    -----
+    The error relative to the moment is a quotient of straight lines between neighbouring points of
+    the law, so that it is largest at one of these points: it need not be looked for between them.
+
+    Chosen from are the corners of the concave hull (Andrew's monotone chain). On a concave polygon
+    the error between two corners grows with their distance, so that going as far as a tolerance
+    lets one needs the fewest points (Imai and Iri 1986), and the tolerance is halved until as many
+    are left as asked for. For a law that never stiffens no other choice has a smaller error; what a
+    law that stiffens loses to its hull is in the error that is stated.
+
+    References
+    ----------
+    H. Imai and M. Iri, Computational-geometric methods for polygonal approximations of a curve,
+    Computer Vision, Graphics, and Image Processing 36 (1986) 31-41.
+    A. M. Andrew, Another efficient algorithm for convex hulls in two dimensions, Information
+    Processing Letters 9 (1979) 216-219.
+    """
+    _require_law(curvature, moment, most)
+    corners = _hull(curvature.tolist(), moment.tolist())  # plain numbers are faster one by one
+    x, y = curvature[corners], moment[corners]
+    chosen = np.arange(len(x)) if len(x) <= most else _fewest_error(x, y, most)
+    return Thinned(x[chosen], y[chosen], _error(x[chosen], y[chosen], curvature, moment))
+
+
+def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
+    if most < 2:
+        message = f"most={most}: allowed are numbers of points >= 2"
+        raise ValueError(message)
+    if len(curvature) < 2 or len(moment) != len(curvature):
+        message = (
+            f"{len(curvature)} curvatures and {len(moment)} moments: allowed are as many of both, "
+            f"at least 2"
+        )
+        raise ValueError(message)
+    finite = np.all(np.isfinite(curvature)) and np.all(np.isfinite(moment))
+    if not finite or curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
+        message = "the law does not go from zero: allowed are finite, increasing curvatures from 0"
+        raise ValueError(message)
+    if np.any(np.diff(moment) <= 0.0):
+        at = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]
+        message = f"the law softens before curvature={at:.6g} 1/m: allowed is a moment that grows"
+        raise ValueError(message)
+
+
+def _hull(x: list[float], y: list[float]) -> Ints:
+    """Corners of the concave hull, the two ends included."""
+    kept: list[int] = [0]
+    for new in range(1, len(x)):
+        while len(kept) > 1:
+            before, last = kept[-2], kept[-1]
+            arrives = (y[last] - y[before]) / (x[last] - x[before])
+            leaves = (y[new] - y[last]) / (x[new] - x[last])
+            if leaves < arrives * (1.0 - _CORNER):
+                break
+            kept.pop()
+        kept.append(new)
+    return np.array(kept, dtype=np.int64)
+
+
+def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
+    """Among the choices of at most so many corners, the one with the smallest error."""
+    best = np.array([0, len(x) - 1])
+    low, high = 0.0, _error(x[best], y[best], x, y)
+    plain_x, plain_y = x.tolist(), y.tolist()
+    while high - low > _ENOUGH * high:
+        middle = 0.5 * (low + high) if low > 0.0 else _FIRST_CUT * high
+        found = _as_far_as_allowed(plain_x, plain_y, middle, most)
+        if len(found) > most:
+            low = middle
+        else:
+            best = np.array(found)
+            high = min(middle, _error(x[best], y[best], x, y))
+    return best
+
+
+def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float, most: int) -> list[int]:
+    """Go from corner to corner as far as the tolerance lets one; end with one too many."""
+    chosen, steepest = [0], -np.inf
+    for new in range(1, len(x)):
+        at = chosen[-1]
+        # a chord passes below the corners it skips: it must be as steep as each of them asks for
+        if y[new] - y[at] < steepest * (x[new] - x[at]):
+            at, steepest = new - 1, -np.inf
+            chosen.append(at)
+            if len(chosen) == most:
+                break
+        slope = ((1.0 - tolerance) * y[new] - y[at]) / (x[new] - x[at])
+        steepest = slope if slope > steepest else steepest  # `max` takes as long as all the rest
+    return [*chosen, len(x) - 1]
+
+
+def _error(x: Floats, y: Floats, curvature: Floats, moment: Floats) -> float:
+    """Largest distance at the points of the law, as a share of the moment there."""
+    lines = np.interp(curvature[1:], x, y)
+    return float(np.max(np.abs(lines / moment[1:] - 1.0)))
