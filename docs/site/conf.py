@@ -46,7 +46,7 @@ nb_execution_mode = "off"  # the notebook is kept with its output, and runs in t
 
 autosummary_generate = False
 toc_object_entries = False
-autodoc_typehints = "signature"
+autodoc_typehints = "none"  # docstrings say shapes and units, which is more
 add_module_names = False
 autodoc_member_order = "bysource"
 numpydoc_class_members_toctree = False
