@@ -67,12 +67,14 @@ def calibration_table(done: Calibrated) -> str:
     ]
     lines += [_parameter(each) for each in found.parameters]
     lines += [f"  {each.words}" for each in found.parameters if each.words]
+    priors = [each.conflict.message for each in found.parameters if each.conflict is not None]
+    lines += [f"  {message}" for message in priors]
     if found.friction_separability is not None:
         lines.append(f"  {found.friction_separability.words}")
     lines += ["", *_groups(done)]
     lines += comparison_lines(done.comparisons)
     lines += _source(done)
-    shown = {each.words for each in found.parameters}
+    shown = {*(each.words for each in found.parameters), *priors}
     lines += [
         f"  {note.severity}: {note.where}: {note.message}"
         for note in found.notes

@@ -9,8 +9,14 @@ import pytest
 
 from labpipe.cli import DONE, main
 from labpipe.cli.calibrate import calibration_table
+from labpipe.records.curve import Interval
 from labpipe.records.quality import QualityNote, Reason, Severity
-from labpipe.records.wire_calibration import Calibration, CalibrationFailure
+from labpipe.records.wire_calibration import (
+    Calibration,
+    CalibrationFailure,
+    Identified,
+    ParameterChoice,
+)
 from labpipe.studies.calibration_study import Calibrated
 from labpipe.studies.first_loadings import FirstLoading
 from labpipe.studies.validation import compare
@@ -118,3 +124,24 @@ def test_rejected_tests_are_not_handed_over(
         assert taken[-1] == left
     said = capsys.readouterr().err
     assert said == "labpipe calibrate: rejected: processed/A2/A2-1: slipped (A. Tester)\n"
+
+
+def test_a_prior_is_named_with_value_spread_and_source(done: Calibrated) -> None:
+    prior = ParameterChoice(1.1, factor=1.2, source="tensile tests of strands")
+    found = calibrate(wire_of("A2"), measured("A2"), Settings({"copper_scale": prior}))
+    assert isinstance(found, Calibration)
+    said = calibration_table(replace(done, calibration=found))
+    assert (
+        "the prior of the strength of the copper, 1.1 within a factor of 1.2 "
+        "(tensile tests of strands), agrees with the tests" in said
+    )
+
+
+def test_parts_of_an_interval(done: Calibrated) -> None:
+    first, second, third = done.calibration.parameters
+    parts = (Interval(0.6, 1.8), Interval(4.0, 9.0))
+    two = replace(third, intervals=parts, verdict=Identified.TWO)
+    odd = replace(done.calibration, parameters=(first, second, two))
+    line = calibration_table(replace(done, calibration=odd)).splitlines()[3]
+    assert line.startswith("?")
+    assert line.endswith("95 %: 0.6 to 1.8 or 4 to 9  two solutions")

@@ -81,10 +81,9 @@ def campaign(seed: int, protocols: Path, folder: Path) -> Hits | None:
     assert isinstance(found, Calibration)
     assert found.friction_separability is not None
     assert not any(found.friction_separability.are_identified.values())
-    intervals = [parameter.interval for parameter in found.parameters]
     inside = [
-        interval is not None and interval.lower <= value <= interval.upper
-        for interval, value in zip(intervals, TRUTH, strict=True)
+        any(part.lower <= value <= part.upper for part in parameter.intervals)
+        for parameter, value in zip(found.parameters, TRUTH, strict=True)
     ]
     groups = {(each.wire, each.length): each for each in compare(found, built, loadings)}
     gain = gain_read(seed)
