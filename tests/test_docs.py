@@ -152,6 +152,14 @@ def test_every_page_is_linked_from_another(path: Path) -> None:
     assert path in targets
 
 
+def test_the_overview_names_every_page() -> None:
+    """The navigation of the site is made of it."""
+    overview = DOCS / "README.md"
+    links = re.findall(r"\]\(([^)\s]+)\)", overview.read_text(encoding="utf-8"))
+    pages = {path for path in DOCS.rglob("*.md") if "decisions" not in path.parts} - {overview}
+    assert pages <= {DOCS / target for target in links}
+
+
 @pytest.mark.parametrize("path", IMAGES, ids=name_of)
 def test_pictures_are_small_and_shown_with_a_caption(path: Path) -> None:
     assert path.stat().st_size < MOST_BYTES
