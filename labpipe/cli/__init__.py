@@ -355,7 +355,7 @@ def _model(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("sheet", type=_path, metavar="WIRES", help=what)
     where = "folder of the results (default: processed/<name of the sheet>)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    _figures(parser)
     parser.add_argument("--json", action="store_true", help="print the tables as JSON, in SI units")
 
 
@@ -372,7 +372,7 @@ def _bundle(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bore", action="append", default=[], metavar="LENGTH", help=bore)
     where = "folder of the results (default: processed/bundles/<name>)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    _figures(parser)
     parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 
@@ -387,7 +387,7 @@ def _calibrate(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--plan", type=_path, metavar="FILE", help=plan)
     where = "folder of the results (default: calibration, beside the tests)"
     parser.add_argument("--out", type=_path, metavar="DIR", help=where)
-    parser.add_argument("--no-figures", action="store_true", help=_NO_FIGURES)
+    _figures(parser)
     parser.add_argument("--json", action="store_true", help="print JSON, in SI units")
 
 

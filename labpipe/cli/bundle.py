@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
         bores=[_bore(text) for text in options.bore],
         out=options.out,
         figures=not options.no_figures,
+        png=options.png,
     )
     print(json.dumps(as_json(modelled)) if options.json else bundle_table(modelled))
     return 0

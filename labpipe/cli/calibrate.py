@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> int:
             plan=options.plan,
             out=options.out,
             figures=not options.no_figures,
+            png=options.png,
             say=say,
         )
     print(json.dumps(as_json(done)) if options.json else calibration_table(done))

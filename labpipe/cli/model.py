@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> int:
     """Turn a sheet of wires into moment-curvature and stiffness tables."""
     with reading(1) as say:
         modelled = model_wires(
-            options.sheet, out=options.out, figures=not options.no_figures, say=say
+            options.sheet, out=options.out, figures=not options.no_figures, png=options.png, say=say
         )
     print(json.dumps(as_json(modelled)) if options.json else model_table(modelled))
     for reason in modelled.refused.values():

@@ -250,13 +250,14 @@ _ELASTIC: dict[str, Any] = {"color": GREY, "linewidth": 0.8, "linestyle": (0, (1
 _ALIKE = 1e-6
 
 
-def save_bundle_figure(model: BundleModel, folder: Path) -> list[Path]:
-    """Draw a bundle, as SVG and as PNG.
+def save_bundle_figure(model: BundleModel, folder: Path, *, png: bool = False) -> list[Path]:
+    """Draw a bundle as SVG.
 
     Parameters
     ----------
     model : of the bundle
     folder : made if it is not there
+    png : as PNG, too
 
     Raises
     ------
@@ -264,7 +265,7 @@ def save_bundle_figure(model: BundleModel, folder: Path) -> list[Path]:
         If a file cannot be written.
     """
     page = FigureToSave(FIGURE, partial(bundle_figure, model))
-    return save_pages([page], folder, what="the figure", again="model the bundle")
+    return save_pages([page], folder, what="the figure", again="model the bundle", png=png)
 
 
 def bundle_figure(model: BundleModel) -> Figure:

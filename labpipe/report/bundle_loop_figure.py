@@ -29,14 +29,15 @@ _FITTED: dict[str, Any] = {"color": "#0072B2", "linewidth": 1.4}
 _PREDICTED: dict[str, Any] = {"color": "#D55E00", "linewidth": 1.4}
 
 
-def save_loop_figure(name: str, fit: FrictionFit, folder: Path) -> list[Path]:
-    """Draw the cycles of a bundle, as SVG and as PNG.
+def save_loop_figure(name: str, fit: FrictionFit, folder: Path, *, png: bool = False) -> list[Path]:
+    """Draw the cycles of a bundle as SVG.
 
     Parameters
     ----------
     name : of the test
     fit : of its friction
     folder : made if it is not there
+    png : as PNG, too
 
     Raises
     ------
@@ -44,7 +45,7 @@ def save_loop_figure(name: str, fit: FrictionFit, folder: Path) -> list[Path]:
         If a file cannot be written.
     """
     page = FigureToSave(FIGURE, partial(loop_figure, name, fit))
-    return save_pages([page], folder, what="the figure", again="model the bundle")
+    return save_pages([page], folder, what="the figure", again="model the bundle", png=png)
 
 
 def loop_figure(name: str, fit: FrictionFit) -> Figure:

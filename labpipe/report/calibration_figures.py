@@ -157,15 +157,20 @@ def calibration_drawings(report: CalibrationReport) -> Iterator[FigureToSave]:
 
 
 def save_calibration_figures(
-    report: CalibrationReport, folder: Path, *, say: Callable[[str], None] = lambda _: None
+    report: CalibrationReport,
+    folder: Path,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    png: bool = False,
 ) -> list[Path]:
-    """Draw the figures of a calibration, each as SVG and as PNG.
+    """Draw the figures of a calibration, each as SVG.
 
     Parameters
     ----------
     report : all that they show
     folder : made if it is not there
     say : told the name of each figure as it is drawn
+    png : each as PNG, too
 
     Returns
     -------
@@ -186,4 +191,5 @@ def save_calibration_figures(
         what="figures of a calibration",
         again="calibrate",
         say=say,
+        png=png,
     )

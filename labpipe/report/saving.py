@@ -231,9 +231,9 @@ def save_pages(
     again: str,
     say: Callable[[str], None] = lambda _: None,
     run: str = "",
-    png: bool = True,
+    png: bool = False,
 ) -> list[Path]:
-    """Draw figures in labpipe's style, each as SVG and as PNG.
+    """Draw figures in labpipe's style, each as SVG, and as PNG on request.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def save_pages(
     what, again : what the figures are, and how to draw them again, for a message
     say : told the name of each figure as it is drawn
     run : key of the run that the figures show, which goes into the files; empty for none
-    png : False leaves the PNG away; the SVG is the same to the byte
+    png : each as PNG, too; the SVG is the same to the byte
 
     Returns
     -------
@@ -266,6 +266,17 @@ def save_pages(
                 say(each.name)
                 saved.append(save_page(each.draw(), folder, each.name, packer, dpi=dpi, run=run))
             return [path for each in saved for path in each.whole()]
+
+
+def pngs_of(wanted: Iterable[FigureToSave], folder: str) -> list[str]:
+    """Name the PNGs of figures: of an earlier run they would show other numbers than the SVGs.
+
+    Parameters
+    ----------
+    wanted : figures, which are not drawn
+    folder : that holds them, for the names
+    """
+    return [f"{folder}/{each.name}.png" for each in wanted]
 
 
 @contextmanager

@@ -412,15 +412,20 @@ def own_figures(name: str) -> list[str]:
 
 
 def save_wire_figures(
-    tables: Sequence[WireTable], folder: Path, *, say: Callable[[str], None] = lambda _: None
+    tables: Sequence[WireTable],
+    folder: Path,
+    *,
+    say: Callable[[str], None] = lambda _: None,
+    png: bool = False,
 ) -> list[Path]:
-    """Draw the figures of a sheet of wires, each as SVG and as PNG.
+    """Draw the figures of a sheet of wires, each as SVG.
 
     Parameters
     ----------
     tables : of the wires, in the order of the sheet
     folder : made if it is not there
     say : told the name of each figure as it is drawn
+    png : each as PNG, too
 
     Returns
     -------
@@ -441,4 +446,5 @@ def save_wire_figures(
         what="figures of wires",
         again="run the model",
         say=say,
+        png=png,
     )

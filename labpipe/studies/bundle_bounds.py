@@ -27,7 +27,8 @@ from labpipe.records.harness_bundle import (
 from labpipe.records.quality import Reason
 from labpipe.records.result import TestResult
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.bundle_figures import save_bundle_figure
+from labpipe.report.bundle_figures import FIGURE, save_bundle_figure
+from labpipe.report.bundle_loop_figure import FIGURE as LOOP_FIGURE
 from labpipe.report.bundle_loop_figure import save_loop_figure
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.studies.bundle_loops import friction_as_json, loop_of, processed_test
@@ -217,6 +218,7 @@ def model_bundle(
     bores: Sequence[float] = (),
     out: Path | None = None,
     figures: bool = True,
+    png: bool = False,
 ) -> ModelledBundle:
     """Model a bundle and write what was found.
 
@@ -229,6 +231,7 @@ def model_bundle(
     bores : m, inner diameters of conduits to choose from; override that of the test sheet
     out : folder of the results; None for ``processed/bundles/<name>`` in the working folder
     figures : whether to draw
+    png : figures as PNG, too; without it those of an earlier run are taken away
 
     Returns
     -------
@@ -274,7 +277,7 @@ def model_bundle(
     modelled = ModelledBundle(name, model, tuple(conduits), bore_for(diameters), folder)
     if test is not None:
         modelled = _with_friction(modelled, test, [tables[wire.type] for wire in bundle.wires])
-    return _write(modelled, figures=figures)
+    return _write(modelled, figures=figures, png=png)
 
 
 def _of_test(test: TestResult, what: str, arrangement: str | None) -> tuple[str, Bundle]:
@@ -359,17 +362,19 @@ def _in_conduit(model: BundleModel, offered: Sequence[float]) -> BundleModel:
     return replace(model, bundle=bundle, packing_fraction=packing_fraction(diameters, bore))
 
 
-def _write(modelled: ModelledBundle, *, figures: bool) -> ModelledBundle:
+def _write(modelled: ModelledBundle, *, figures: bool, png: bool) -> ModelledBundle:
     folder = modelled.folder
-    with locked(folder), replacing_together(folder) as stage:
+    names = (FIGURE, LOOP_FIGURE) if figures else ()
+    owned = [f"{FIGURES_FOLDER}/{name}.png" for name in names]
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
         with storing(folder):
             (stage / BUNDLE_FILE).write_text(json.dumps(as_json(modelled)), encoding="utf-8")
         written = [stage / BUNDLE_FILE]
         if figures:
-            written += save_bundle_figure(modelled.model, stage / FIGURES_FOLDER)
+            written += save_bundle_figure(modelled.model, stage / FIGURES_FOLDER, png=png)
             if modelled.friction is not None:
                 drawn = modelled.name, modelled.friction
-                written += save_loop_figure(*drawn, stage / FIGURES_FOLDER)
+                written += save_loop_figure(*drawn, stage / FIGURES_FOLDER, png=png)
         files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
 

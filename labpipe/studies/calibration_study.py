@@ -35,9 +35,10 @@ from labpipe.records.wire_calibration import (
     Solution,
     SourceCalibration,
 )
-from labpipe.report.calibration_figures import save_calibration_figures
+from labpipe.report.calibration_figures import calibration_drawings, save_calibration_figures
 from labpipe.report.calibration_shown import BentShape, CalibrationReport, ValidationGroup
 from labpipe.report.calibration_workbook import save_calibration_workbook
+from labpipe.report.saving import pngs_of
 from labpipe.store.replace import locked, replacing_together
 from labpipe.studies.external_curves import compare_external_curves, read_external_curves
 from labpipe.studies.first_loadings import FirstLoading, read_first_loadings, with_weight
@@ -308,6 +309,7 @@ def calibrate_tests(
     plan: Path | None = None,
     out: Path | None = None,
     figures: bool = True,
+    png: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Calibrated:
     """Calibrate one wire by its tests, and predict the others among them.
@@ -320,6 +322,7 @@ def calibrate_tests(
     plan : calibration YAML; None for all parameters free
     out : folder of the results; None for ``calibration`` in the folder that all tests share
     figures : whether to draw
+    png : figures as PNG, too; without it those of an earlier run are taken away
     say : is given the name of each test as it is read, then each stage
 
     Returns
@@ -367,7 +370,7 @@ def calibrate_tests(
         wire = built_wire(calibrated_spec(specs[name], calibration), wires)
         done = replace(done, shapes=_shapes(own[0], wire))
     calibrated = [calibrated_spec(specs[each], calibration) for each in sorted(tested)]
-    return replace(done, files=_write(done, calibrated, say, figures=figures))
+    return replace(done, files=_write(done, calibrated, say, figures=figures, png=png))
 
 
 def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
@@ -442,12 +445,14 @@ def _write(
     say: Callable[[str], None],
     *,
     figures: bool,
+    png: bool,
 ) -> tuple[Path, ...]:
     """Write the files of a calibration together."""
     folder = done.folder
     source = None if isinstance(done.source, CalibrationFailure) else done.source
     shown = CalibrationReport(done.calibration, done.groups, done.shapes, source, done.comparisons)
-    with locked(folder), replacing_together(folder) as stage:
+    owned = pngs_of(calibration_drawings(shown), FIGURES_FOLDER) if figures else []
+    with locked(folder), replacing_together(folder, owned=owned) as stage:
         say("tables and decks")
         model, workbook = stage / MODEL_FILE, stage / WORKBOOK_FILE
         model.write_text(json.dumps(as_json(done), allow_nan=False), encoding="utf-8")
@@ -455,7 +460,7 @@ def _write(
         written = [model, workbook]
         written += write_decks([wire_table(spec) for spec in calibrated], stage)
         if figures:
-            written += save_calibration_figures(shown, stage / FIGURES_FOLDER, say=say)
+            written += save_calibration_figures(shown, stage / FIGURES_FOLDER, say=say, png=png)
         return tuple(folder / path.relative_to(stage) for path in written)
 
 

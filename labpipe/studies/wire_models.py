@@ -17,7 +17,8 @@ from labpipe import __version__
 from labpipe.decks import deck_paths, deck_texts, write_texts
 from labpipe.errors import ProcessingError, UsageError, complaint
 from labpipe.records.wire import WireSpec, WireTable
-from labpipe.report.wire_figures import own_figures, save_wire_figures
+from labpipe.report.saving import pngs_of
+from labpipe.report.wire_figures import own_figures, save_wire_figures, wire_drawings
 from labpipe.report.wire_workbook import save_wire_workbook
 from labpipe.store.replace import locked, replacing_together, storing
 from labpipe.studies.wire_specs import read_wire_sheet
@@ -59,6 +60,7 @@ def model_wires(
     *,
     out: Path | None = None,
     figures: bool = True,
+    png: bool = False,
     say: Callable[[str], None] = lambda _: None,
 ) -> Modelled:
     """Model every wire of a sheet and write what was found.
@@ -68,6 +70,7 @@ def model_wires(
     sheet : xlsx or csv, one row per wire
     out : folder of the results; None for ``processed/<name of the sheet>`` in the working folder
     figures : whether to draw; those drawn before stay otherwise
+    png : figures as PNG, too; without it those of an earlier run are taken away
     say : is given the name of each wire as it is done, then each stage
 
     Returns
@@ -92,12 +95,14 @@ def model_wires(
         gone = _gone(folder, [spec.name for spec in specs])
         modelled = Modelled(sheet, folder, tables, refused, (), gone)
         owned = _files_of((*refused, *gone))
+        if figures:
+            owned += pngs_of(wire_drawings(tables), FIGURES_FOLDER)
         with locked(folder), replacing_together(folder, owned=owned) as stage:
             say("tables and decks")
             with storing(folder):
                 written = _write(modelled, [wire.decks for wire in made], stage, pool)
             if figures:
-                written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say)
+                written += save_wire_figures(tables, stage / FIGURES_FOLDER, say=say, png=png)
             files = tuple(folder / path.relative_to(stage) for path in written)
     return replace(modelled, files=files)
 

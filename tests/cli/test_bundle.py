@@ -24,6 +24,8 @@ def test_numbers_figure_and_json(run: Run, tmp_path: Path) -> None:
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, "--bore", "3.5 mm", "--out", tmp_path, "--json")
     assert ran.status == DONE, ran
     assert json.loads(ran.out) == json.loads((tmp_path / "bundle.json").read_text())
+    assert [file.name for file in (tmp_path / "figures").iterdir()] == ["bundle.svg"]
+    assert run("bundle", "7 B1", "--wire", EXAMPLES, "--out", tmp_path, "--png").status == DONE
     assert (tmp_path / "figures" / "bundle.png").is_file()
     ran = run("bundle", "7 B1", "--wire", EXAMPLES, "--out", tmp_path, "--no-figures")
     assert ran.out.startswith("7 B1: 7 B1, packed\n")

@@ -90,7 +90,7 @@ def test_figures_are_drawn(campaign: Path, sheet: str, tmp_path: Path, run: Run)
     asked = ("--plan", plan(tmp_path, "wire: A2\n"), "--out", str(tmp_path / "out"))
     assert run("calibrate", str(campaign), "--wire", sheet, *asked).status == 0
     drawn = {path.suffix for path in (tmp_path / "out" / "figures").iterdir()}
-    assert drawn == {".svg", ".png"}
+    assert drawn == {".svg"}
     names = {path.stem for path in (tmp_path / "out" / "figures").iterdir()}
     assert names == {"calibration", "validation-1", "shapes-1"}
 
@@ -223,7 +223,7 @@ def test_a_curve_from_elsewhere_is_compared_with_tests_and_model(
         assert each["rmse"] == pytest.approx(np.sqrt(np.mean(np.square(left))))
     assert "elements tests of A2, 85 mm" in " ".join(done.out.split())
     assert "its load stays normal to the axis, the tests' does not" in done.out
-    assert (out / "figures" / "external-curves.png").is_file()
+    assert (out / "figures" / "external-curves.svg").is_file()
 
 
 def test_a_curve_that_cannot_be_read_ends_a_calibration_before_it_begins(

@@ -115,10 +115,14 @@ def test_table_is_what_the_json_says(tmp_path: Path, run: Run) -> None:
 
 def test_figures_are_drawn_and_stay_without_them(tmp_path: Path, run: Run) -> None:
     path = sheet(tmp_path, A1)
+    assert run("model", str(path), "--out", str(tmp_path), "--png").status == 0
+    own = {f"A1.{kind}" for kind in ("stiffness", "moment", "cantilever")}
+    drawn = {file.name for file in (tmp_path / "figures").iterdir()}
+    assert {f"{each}.png" for each in own} < drawn
+    (tmp_path / "figures" / "mine.png").write_bytes(b"")
     assert run("model", str(path), "--out", str(tmp_path)).status == 0
     drawn = {file.name for file in (tmp_path / "figures").iterdir()}
-    assert {f"A1.{kind}.png" for kind in ("stiffness", "moment", "cantilever")} < drawn
-    assert "sections-1.svg" in drawn
+    assert drawn == {"sections-1.svg", "mine.png", *(f"{each}.svg" for each in own)}
     assert run("model", str(path), "--out", str(tmp_path), "--no-figures").status == 0
     assert {file.name for file in (tmp_path / "figures").iterdir()} == drawn
 

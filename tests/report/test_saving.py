@@ -31,8 +31,8 @@ def test_one_page_in_two_formats_with_the_same_bytes(tmp_path: Path) -> None:
 
 def test_the_svg_does_not_depend_on_the_png(tmp_path: Path) -> None:
     wanted = [FigureToSave("a", page)]
-    both = save_pages(wanted, tmp_path / "both", what="figures", again="draw")
-    (alone,) = save_pages(wanted, tmp_path / "alone", what="figures", again="draw", png=False)
+    both = save_pages(wanted, tmp_path / "both", what="figures", again="draw", png=True)
+    (alone,) = save_pages(wanted, tmp_path / "alone", what="figures", again="draw")
     assert [path.name for path in both] == ["a.svg", "a.png"]
     assert alone.read_bytes() == both[0].read_bytes()
     assert list((tmp_path / "alone").iterdir()) == [alone]

@@ -41,7 +41,7 @@ def test_the_second_cycle_is_predicted_from_the_first(tmp_path: Path) -> None:
     assert told["held"] == fit.held
     assert told["slide_curvature"] is None
     assert len(told["predicted"]) == len(told["force"]) == 120
-    assert (tmp_path / "out" / "figures" / "bundle-loop.png").is_file()
+    assert (tmp_path / "out" / "figures" / "bundle-loop.svg").is_file()
 
 
 def test_a_span_is_two_cantilevers() -> None:
