@@ -210,6 +210,7 @@ function remark(test, because) {
 function now() { return new Date().toISOString().replace(/\.\d+Z$/, "+00:00"); }
 
 function changed(test) {
+  say("");
   keep();
   show(test);
   showTools();
@@ -276,7 +277,7 @@ function go(place, step, from) {
 }
 
 function focusIn(test, which) {
-  test.row.closest("table").dispatchEvent(new Event("show-all"));
+  if (test.row.hidden) test.row.closest("table").dispatchEvent(new Event("show-all"));
   const place = test.marks.find((each) => controls.has(each));
   for (let up = place; up; up = up.parentElement) if (up.tagName === "DETAILS") up.open = true;
   controls.get(place)[which].focus();

@@ -6,7 +6,9 @@ const CLOSEST = FULL / 100; // beyond it a step of the drawing would be seen
 const FEW = 12; // points of a curve in view, below which its corners are drawing
 const NEAR = 40; // px
 const SVG = "http://www.w3.org/2000/svg";
-const LINES = ["curve", "unloading", "mean", "rejected", "measured", "shape"].map((kind) => `path.${kind}`).join(", ");
+const KINDS = ["curve", "mean", "rejected", "measured", "shape", "unloading"]; // as the keyboard goes through them
+const LINES = KINDS.map((kind) => `path.${kind}`).join(", ");
+const rank = (path) => KINDS.findIndex((kind) => path.classList.contains(kind));
 
 function pointsOf(path) {
   const xs = [], ys = [];
@@ -77,7 +79,8 @@ class Plot {
 
   /** Curves that are switched on, with their points. */
   lines() {
-    this.parsed ??= all(LINES, this.area).map((path) => ({ path, ...pointsOf(path) }));
+    this.parsed ??= all(LINES, this.area).map((path) => ({ path, ...pointsOf(path) }))
+      .sort((a, b) => rank(a.path) - rank(b.path));
     return this.parsed.filter(({ path }) => !path.classList.contains("is-off"));
   }
 
@@ -319,7 +322,14 @@ class Plot {
     if (Number.isNaN(line.xs[cursor.i])) cursor.i += along;
     cursor.i = Math.min(line.xs.length - 1, Math.max(0, cursor.i));
     this.cursor = cursor;
+    this.keepInView(line.xs[cursor.i], line.ys[cursor.i]);
     this.point({ line, i: cursor.i, x: line.xs[cursor.i], y: line.ys[cursor.i] });
+  }
+
+  keepInView(across, up) {
+    const { x, y, w, h } = this.view;
+    if (across >= x && across <= x + w && up >= y && up <= y + h) return;
+    this.show({ x: across - w / 2, y: up - h / 2, w, h });
   }
 
   cursorPlace() {
