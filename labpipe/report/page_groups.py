@@ -52,7 +52,7 @@ def number_table(group: Group) -> Table:
     group : with samples
     """
     columns = group.samples if len(group.samples) <= MOST_COLUMNS else ()
-    heads = ("Number", "", "Mean, 95 %", "n", "s", *(each.test for each in columns))
+    heads = ("Number", "Drawn", "Mean, 95 %", "n", "s", *(each.test for each in columns))
     rows = tuple(
         _number_row(group, number, columns, is_drawn=row < _MOST_STRIPS)
         for row, number in enumerate(group.numbers)

@@ -71,8 +71,16 @@ function sortBy(table, head) {
   table.dispatchEvent(new Event("rows"));
 }
 
+/** Whether the cells of a column say numbers, where the page does not say what they are. */
+function holdsNumbers(table, head) {
+  const cells = [...table.tBodies[0].rows].map((row) => row.cells[head.cellIndex]?.textContent.trim() ?? "");
+  const known = cells.filter((text) => !Number.isNaN(numberIn(text)));
+  return known.length > cells.length / 2;
+}
+
 for (const table of all("table.sortable")) {
-  for (const head of all("thead th[data-sort]", table)) {
+  for (const head of all("thead th", table)) {
+    head.dataset.sort ??= holdsNumbers(table, head) ? "number" : "text";
     const button = make("button", { type: "button", class: "sort" }, ...head.childNodes);
     button.addEventListener("click", () => sortBy(table, head));
     head.append(button);

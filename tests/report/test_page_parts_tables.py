@@ -75,6 +75,20 @@ def test_a_table_sorts_by_number_with_those_without_last(browser: Browser, twelv
     assert down[-1] != down[-1]
 
 
+def test_numbers_with_intervals_sort_where_the_page_says_no_more(
+    browser: Browser, twelve: Path
+) -> None:
+    with shown(browser, twelve) as seen:
+        table = seen.page.locator("table.sortable:not(#tests)").first
+        heads = table.locator("thead th").all_text_contents()
+        at = next(n for n, head in enumerate(heads) if head.startswith("Peak force"))
+        table.locator("thead th").nth(at).get_by_role("button").click()
+        texts = table.locator(f"tbody td:nth-of-type({at})").all_text_contents()
+        numbers = [float(each.split()[0].rstrip("?")) for each in texts if each[0].isdigit()]
+        assert len(numbers) > 3
+        assert numbers == sorted(numbers)
+
+
 def test_a_table_is_filtered_by_words_and_states(browser: Browser, twelve: Path) -> None:
     with shown(browser, twelve) as seen:
         finder = seen.page.get_by_role("search").filter(has=seen.page.get_by_role("searchbox"))
