@@ -31,11 +31,12 @@ from labpipe.errors import LabpipeError, UsageError, complaint, refusal
 from labpipe.process.targets import RESULT_FILE, files_below
 from labpipe.report.lab_report import PAGE_FILE
 from labpipe.report.page_parts import served
+from labpipe.report.page_tests import page_file
 from labpipe.report.wording import count_of
 
 LOOPBACK: Final = "127.0.0.1"
 REPORT: Final = "report"
-TESTS: Final = "tests"
+_TESTS: Final = page_file("").partition("/")[0]
 _MOST_BYTES = 5_000_000
 """Of what a page may send."""
 _TYPES: Final = {
@@ -69,7 +70,7 @@ class Site:
     campaign : its name
     report : folder that holds report.html
     make_report : makes the report again, there
-    make_test_page : makes the page of a test of its result file; None where there are no such pages
+    make_test_page : makes the page of a test of its result file
     token : first part of every address; who does not know it gets nothing
     """
 
@@ -77,7 +78,7 @@ class Site:
     campaign: str
     report: Path
     make_report: Callable[[], None]
-    make_test_page: Callable[[Path], str] | None = None
+    make_test_page: Callable[[Path], str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
     work: threading.Lock = field(default_factory=threading.Lock)
 
@@ -183,9 +184,9 @@ class _Handler(BaseHTTPRequestHandler):
             text = (site.report / PAGE_FILE).read_text(encoding="utf-8")
             self._send(served(text).encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
             return
-        if len(parts) == 3 and parts[:2] == [REPORT, TESTS] and site.make_test_page is not None:
+        if len(parts) == 3 and parts[:2] == [REPORT, _TESTS]:
             with site.work:
-                text = site.make_test_page(_test_called(parts[2], site))
+                text = site.make_test_page(_test_called("/".join(parts[1:]), site))
             self._send(text.encode(), _TYPES[".html"], policy="frame-ancestors 'none'")
             return
         self._send_file(_file_at(parts, site))
@@ -283,25 +284,10 @@ def _file_at(parts: list[str], site: Site) -> Path:
     return file
 
 
-def page_of_test(label: str) -> str:
-    """Name the page of a test.
-
-    Parameters
-    ----------
-    label : of the test in its campaign
-
-    Examples
-    --------
-    >>> page_of_test("tubes/CT-10-1")
-    'tubes__CT-10-1.html'
-    """
-    return f"{label.replace('/', '__')}.html"
-
-
 def _test_called(name: str, site: Site) -> Path:
     """Result of the test whose page has a name."""
     for file in files_below(site.folder, RESULT_FILE):
-        if page_of_test(label_of(file, site.folder)) == name:
+        if page_file(label_of(file, site.folder)) == name:
             return file
     raise _not_found()
 

@@ -333,7 +333,8 @@ for (const figure of all("figure.plot")) {
 }
 if (isServed) {
   for (const head of all("[data-page]")) {
-    head.append(" ", make("a", { class: "test-page", href: head.dataset.page }, "page"));
+    const href = head.dataset.page.split("/").map(encodeURIComponent).join("/");
+    head.append(" ", make("a", { class: "test-page", href }, "page"));
   }
 }
 if (tools && tests.size) {

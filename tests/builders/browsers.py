@@ -54,7 +54,8 @@ class Shown:
 def shown(browser: Browser, address: str | Path, **wanted: Any) -> Iterator[Shown]:
     """Open a page: a file without a network, or an address of this machine."""
     is_file = isinstance(address, Path)
-    context = browser.new_context(**({"offline": is_file, "viewport": WIDE} | wanted))
+    settings: dict[str, Any] = {"offline": is_file, "viewport": WIDE} | wanted
+    context = browser.new_context(**settings)
     context.set_default_timeout(10_000)
     page = context.new_page()
     found = Shown(page)
@@ -66,7 +67,7 @@ def shown(browser: Browser, address: str | Path, **wanted: Any) -> Iterator[Show
         yield found
     finally:
         context.close()
-    assert found.complaints == []
+    assert not found.complaints, "\n".join(found.complaints)
 
 
 WIDE = {"width": 1400, "height": 900}

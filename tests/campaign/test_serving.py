@@ -130,7 +130,7 @@ def test_who_has_no_token_gets_nothing(asked: Asked) -> None:
         answer = asked.raw("GET", path)
         assert answer.status == 403
         assert answer.said["error"] == "Open the address that labpipe serve printed."
-    other = Site(asked.site.folder, "c", asked.site.report, lambda: None)
+    other = Site(asked.site.folder, "c", asked.site.report, lambda: None, str)
     assert len({other.token, asked.site.token}) == 2
     assert len(other.token) >= 32
 

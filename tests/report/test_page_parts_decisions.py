@@ -15,6 +15,7 @@ from labpipe.campaign.decisions import add_decisions, read_decisions
 from labpipe.campaign.reporting import report_tests
 from labpipe.campaign.saved_decisions import take_in_file
 from labpipe.campaign.serving import ReportServer, Site
+from labpipe.campaign.test_pages import page_of_test
 from tests.builders.browsers import Shown, launched, shown
 from tests.builders.pulled_campaigns import decision_on, make_pulls
 from tests.builders.report_pages import campaign_of, key_of, page_of
@@ -228,6 +229,15 @@ def processed(tmp_path: Path) -> Path:
     return make_pulls(tmp_path, ("T-1", "T-2", "T-3"))
 
 
+def test_a_served_page_shows_single_tests_on_a_click(browser: Browser, served: str) -> None:
+    with shown(browser, served) as seen:
+        row(seen, "T-2").get_by_role("link", name="page").click()
+        seen.page.wait_for_url("**/tests/T-2.html")
+        assert "T-2" in (seen.page.locator("h1").text_content() or "")
+        assert seen.page.locator("svg").count() >= 1
+        assert seen.page.evaluate("document.querySelectorAll('script').length") == 0
+
+
 def test_round_trip_offline(browser: Browser, processed: Path, tmp_path: Path) -> None:
     """Page, decisions.json, next report: the rejected is out of it and named."""
     report = report_tests([processed]).files[0]
@@ -255,7 +265,7 @@ def test_round_trip_offline(browser: Browser, processed: Path, tmp_path: Path) -
 @pytest.fixture
 def served(processed: Path) -> Iterator[str]:
     report = processed / "report"
-    site = Site(processed, processed.name, report, lambda: make_again(processed))
+    site = Site(processed, processed.name, report, lambda: make_again(processed), page_of_test)
     add_decisions(processed, processed.name, [decision_on(processed, "T-1", "accept")])
     make_again(processed)
     with ReportServer(site, 0) as server:

@@ -122,12 +122,12 @@ def test_on_paper_there_are_no_buttons(browser: Browser, twelve: Path) -> None:
 def test_rules_of_accessibility(browser: Browser, tmp_path: Path, look: str) -> None:
     """Those of axe-core: contrast, names of controls, order of headings, tables, ids."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-    wanted: dict[str, Any] = {
+    looks: dict[str, dict[str, Any]] = {
         "light": {"color_scheme": "light"},
         "dark": {"color_scheme": "dark"},
         "phone": {"viewport": PHONE, "is_mobile": True},
-    }[look]
-    with shown(browser, page_of(tmp_path, campaign_of(NAMES[:6])), **wanted) as seen:
+    }
+    with shown(browser, page_of(tmp_path, campaign_of(NAMES[:6])), **looks[look]) as seen:
         seen.page.locator("#t2").get_by_role("button", name="reject").click()
         seen.page.locator("details").evaluate_all("(all) => all.forEach((d) => { d.open = true; })")
         options = {"runOnly": {"type": "tag", "values": RULES}}
