@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from urllib.parse import quote
 
 from labpipe.records.group import Campaign
 from labpipe.records.result import Result
@@ -41,6 +42,11 @@ class TestRow:
     said: str
     page: str
     why: str
+
+    @property
+    def address(self) -> str:
+        """Of its page, as a link has it: a name may hold signs that mean something there."""
+        return quote(self.page, errors="replace")
 
 
 def test_rows(campaign: Campaign, tests: PageTests, stems: Mapping[str, str]) -> list[TestRow]:

@@ -28,6 +28,7 @@ _LONG_NUMBER = re.compile(r"-?\d+\.\d{3,}")
 _LONG_LINE = 20
 _STRAIGHT = re.compile(r"M[ML\d.\s-]*z?")
 _NO_TURN = re.compile(r"rotate\(-?0 [^()]*\)")
+_RULE = re.compile(r"([a-z-]+): *([^;{}]+)")
 _REFERENCE = re.compile(r"url\(#([^)]+)\)")
 _WITH_NUMBERS = {"d", "x", "y", "transform", "width", "height"}
 _FAMILIES = re.compile(r"'STIXGeneral'(, ('[^']*'|[a-z-]+))*")
@@ -67,6 +68,7 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     root = ET.fromstring(drawing)
     for metadata in root.findall(f"{{{_SVG}}}metadata"):
         root.remove(metadata)
+    _inherit_rules(root)
     _hold_widths(root)
     wanted = _references(root)
     classes: dict[str, str] = {}
@@ -77,6 +79,15 @@ def inline_svg(drawing: bytes, *, prefix: str, title: str) -> Inline:
     _name(root, title)
     text = ET.tostring(root, encoding="unicode", short_empty_elements=True)
     return Inline(re.sub(r">\s+<", "><", text).strip(), classes)
+
+
+def _inherit_rules(root: ET.Element) -> None:
+    """Turn rules for all elements into attributes of the drawing: a page allows no other rules."""
+    for parent in list(root.iter()):
+        for rules in parent.findall(f"{{{_SVG}}}style"):
+            parent.remove(rules)
+            for name, value in _RULE.findall(rules.text or ""):
+                root.set(name, value)
 
 
 def _hold_widths(root: ET.Element) -> None:

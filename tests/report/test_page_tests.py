@@ -36,6 +36,8 @@ def test_decided_and_rejected() -> None:
     assert (one.decided, one.said, one.day) == ("accept", "fine (me)", "2026-03-02")
     assert (two.decided, two.said, two.why) == ("reject", "bent (me)", "Rejected: bent (me)")
     assert two.page == "tests/c__x.html" == page_file("c/x")
+    odd = replace(two, page=page_file("a#1 50 %?"))
+    assert odd.address == "tests/a%231%2050%20%25%3F.html"
 
 
 def test_exports_with_their_fingerprints() -> None:

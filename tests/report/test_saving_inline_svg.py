@@ -11,6 +11,7 @@ DRAWING = b"""<?xml version="1.0"?>
 <svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"
  width="100pt" height="50pt" viewBox="0 0 100 50" version="1.1">
  <metadata><x>made today</x></metadata>
+ <defs><style type="text/css">*{stroke-linejoin: round; stroke-linecap: butt}</style></defs>
  <defs><path id="mark" d="M 0 1.23456 L -2.5 3" style="stroke: #000"/></defs>
  <g id="figure_1"><g id="axes_1">
   <path d="M 1.23456 2
@@ -35,6 +36,13 @@ def test_small_and_named() -> None:
         assert gone not in inline.element
     assert 'd="M 1.23 2 3 4 5 -6.5"' in inline.element
     assert "a &lt; b" in inline.element
+
+
+def test_rules_for_all_become_attributes_as_a_page_allows_no_others() -> None:
+    inline = inline_svg(DRAWING, prefix="a", title="")
+    root = ET.fromstring(inline.element)
+    assert "<style" not in inline.element
+    assert (root.get("stroke-linejoin"), root.get("stroke-linecap")) == ("round", "butt")
 
 
 def test_words_keep_the_width_that_they_were_laid_out_with() -> None:
