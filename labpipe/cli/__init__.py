@@ -39,6 +39,7 @@ first steps:
   labpipe campaign run raw/A2       process what is new or changed, as often as you like
   labpipe report processed/A2       means, bands and tables of many tests
   labpipe serve processed/A2        the report in the browser, to decide on its tests
+  labpipe examples                  get a wire sheet and the protocols, to start from
   labpipe model examples/wires.xlsx stiffness of wires from their dimensions
   labpipe bundle "19 B1" --wire examples/wires.xlsx
                                     bounds of a bundle's stiffness
