@@ -365,7 +365,8 @@ class Twist(Kind):
         section = int(able[np.argmin(np.abs(x[able]))])
         said = f"twist is that of the section {1e3 * x[section]:+.1f} mm from mid-span"
         frames = _Frames.of(test, parts)
-        alike = [shape.twist[:, other] for other in able if other != section]
+        others = [shape.twist[:, other] for other in able if other != section]
+        alike = [each for each in others if np.isfinite(each).any()]
         turned = _at_turn(shape.twist[:, section], frames, "twist", alike)
         if isinstance(turned, Estimate) and turned.value < 0.0:
             # which way it turns is only a matter of which end of the conduit is called the first
