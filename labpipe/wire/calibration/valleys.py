@@ -45,6 +45,8 @@ _SHARES = (0.3, 0.8)
 """Of the load that the insulation takes, where the model cannot follow from the given start."""
 _STRIDE = 0.3
 """Between points of the line, in logarithms of the copper's strength."""
+_SAME = 0.1
+"""Of a stride: what is closer is one place."""
 _ROUGH = 0.01
 """Of the objective, to which points of the line are fitted."""
 _HILL = 1.0
@@ -99,17 +101,25 @@ def settle(
         raise ValueError(message)
     fit, levels = refine(problem, first, levels, free, scatter=scatter)
     line = line_of(problem, levels, fit, free)
-    others = [each for each in leasts(problem, levels, line, fit, free) if each is not fit]
-    lowest = min([fit, *others], key=lambda each: each.objective)
+    valleys = leasts(problem, levels, line, fit, free)
+    lowest = min(valleys, key=lambda each: each.objective)
+    others = [each for each in valleys if each is not lowest]
     if lowest is not fit:
-        others = [fit, *(each for each in others if each is not lowest)]
         fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
     found = (_again(problem, levels, each, free) for each in others)
-    fits = [fit, *(each for each in found if each is not None)]
-    fits.sort(key=lambda each: each.objective)
-    apart = [each for each in line if abs(_place(each) - _place(fits[0])) > 0.1 * _STRIDE]
+    fits = _different([fit, *(each for each in found if each is not None)])
+    apart = [each for each in line if abs(_place(each) - _place(fits[0])) > _SAME * _STRIDE]
     line = sorted([*apart, fits[0]], key=_place)
     return fits, levels, widening(problem, levels, line, fits[0])
+
+
+def _different(fits: list[Fit]) -> list[Fit]:
+    """Each least once, the lowest first: with other levels two searches may end in one."""
+    kept: list[Fit] = []
+    for fit in sorted(fits, key=lambda each: each.objective):
+        if all(abs(_place(fit) - _place(other)) > _SAME * _STRIDE for other in kept):
+            kept.append(fit)
+    return kept
 
 
 def _again(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> Fit | None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +14,7 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.wire.calibration.calibrate_wire import Settings, calibrate
 from labpipe.wire.calibration.fit import pose
-from labpipe.wire.calibration.parameter_search import Problem
+from labpipe.wire.calibration.parameter_search import Fit, Problem
 from labpipe.wire.calibration.valleys import settle
 from labpipe.wire.calibration.wire_parts import take_apart
 from tests.builders.loading_tests import TRUTH, measured, wire_of
@@ -126,3 +127,16 @@ def test_a_start_in_the_other_valley_finds_both() -> None:
     for one, usual in zip(found.solutions, two_valleys().solutions, strict=True):
         assert one.values == pytest.approx(usual.values, rel=2e-3)
         assert one.rise == pytest.approx(usual.rise, abs=0.02)
+
+
+def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search from a dip beside the least ends a rounding below it."""
+
+    def lower_by_rounding(*given: object) -> list[Fit]:
+        fit = given[3]
+        assert isinstance(fit, Fit)
+        return [replace(fit, objective=fit.objective - 1e-6)]
+
+    monkeypatch.setattr("labpipe.wire.calibration.valleys.leasts", lower_by_rounding)
+    fits, _, _ = settle(problem_of(), np.log(TRUTH), ALL, scatter=None)
+    assert len(fits) == 1
