@@ -6,7 +6,6 @@ import math
 import re
 from collections.abc import Iterable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,7 +37,7 @@ from labpipe.report.group_shapes import (
     has_laws,
     has_shapes,
 )
-from labpipe.report.saving import FigureToSave, SavedFigure, save_report_figures
+from labpipe.report.saving import FigureToSave
 from labpipe.report.wording import in_words, shortened
 
 if TYPE_CHECKING:
@@ -270,23 +269,6 @@ def _line_alt(group: Group) -> str:
     names = dict.fromkeys(line.result for sample in group.samples for line in sample.lines)
     words = "; ".join(in_words(name) for name in names)
     return f"Fitted lines on the curves of {group.name}: {words}."
-
-
-def save_drawings(group: Group, folder: Path, *, stem: str) -> list[SavedFigure]:
-    """Draw the figures of a group and save each as SVG, PNG and PDF.
-
-    Parameters
-    ----------
-    group : to draw
-    folder : there already
-    stem : begins the names of the files, and the ids of the drawings in a page
-
-    Returns
-    -------
-    In the order of `drawings`.
-    """
-    wanted = [each._replace(name=f"{stem}-{each.name}") for each in drawings(group)]
-    return save_report_figures(wanted, folder)
 
 
 def stems(names: Iterable[str]) -> list[str]:

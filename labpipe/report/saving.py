@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import re
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -17,6 +16,7 @@ import numpy as np
 
 from labpipe.errors import StoreError, complaint
 from labpipe.report.figure_page import finish_layout, style
+from labpipe.report.wording import printable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -178,6 +178,7 @@ def _name(root: ET.Element, title: str) -> None:
 
 
 PNG_DPI, _REPORT_DPI = 300, 200
+NOTHING_SAID: Mapping[str, str] = {}
 FORMATS = ("svg", "png", "pdf")
 """In which the figures of a report can be had; SVG always."""
 
@@ -189,8 +190,8 @@ class FigureToSave(NamedTuple):
     ----------
     name : of its files, without the ending
     draw : makes it
-    caption : how to read it, for a page
-    alt : what a person reads who cannot see it
+    caption : how to read it; the description in its files
+    alt : what a person reads who cannot see it; the title in its files
     """
 
     name: str
@@ -218,19 +219,14 @@ class Saving(NamedTuple):
         return self.files
 
 
-@dataclass(frozen=True, slots=True)
-class SavedFigure:
+class SavedFigure(NamedTuple):
     """A figure of a report that was drawn and saved.
 
     Parameters
     ----------
-    drawing : as an element of a page
-    caption : how to read it
     files : SVG, and PNG and PDF where they were asked for
     """
 
-    drawing: Inline
-    caption: str
     files: tuple[Path, ...]
 
 
@@ -318,7 +314,7 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
 
 
 def save_report_figures(
-    wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = FORMATS
+    wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = ("svg",)
 ) -> list[SavedFigure]:
     """Draw the figures of a report and save each as SVG, and as PNG and PDF where asked for.
 
@@ -341,8 +337,7 @@ def save_report_figures(
     -----
     The same figure gives the same bytes with the same version of matplotlib.
     """
-    look = {"svg.fonttype": "none"}
-    with style(look), ThreadPoolExecutor(max_workers=1) as packer:
+    with style(), ThreadPoolExecutor(max_workers=1) as packer:
         saved = [_save_for_report(each, folder, packer, formats) for each in wanted]
         return [figure for figure, saving in saved if saving.whole()]
 
@@ -355,16 +350,15 @@ def _save_for_report(
 
     page = wanted.draw()
     dpi = _REPORT_DPI if "png" in formats else None
-    saving = save_page(page, folder, wanted.name, packer, dpi=dpi)
+    about = {"Title": printable(wanted.alt), "Description": printable(wanted.caption)}
+    saving = save_page(page, folder, wanted.name, packer, dpi=dpi, about=about)
     files = list(saving.files)
     if "pdf" in formats:
         files.append(folder / f"{wanted.name}.pdf")
         paper: Any = FigureCanvasPdf(page)
-        paper.print_pdf(str(files[-1]), metadata={"CreationDate": None})
-    # A number in place of the name: it stands at every mark of a drawing.
-    prefix = f"f{zlib.crc32(wanted.name.encode()):x}"
-    element = inline_svg(saving.files[0].read_bytes(), prefix=prefix, title=wanted.alt)
-    return SavedFigure(element, wanted.caption, tuple(files)), saving
+        named = {"Title": about["Title"], "Subject": about["Description"]}
+        paper.print_pdf(str(files[-1]), metadata={"CreationDate": None, **named})
+    return SavedFigure(tuple(files)), saving
 
 
 def save_page(
@@ -375,6 +369,7 @@ def save_page(
     *,
     dpi: int | None = PNG_DPI,
     run: str = "",
+    about: Mapping[str, str] = NOTHING_SAID,
 ) -> Saving:
     """Lay out a page inside the present style and save it under one name in both formats.
 
@@ -386,6 +381,7 @@ def save_page(
     packer : packs the pixels into a PNG beside the drawing of what comes next
     dpi : of the PNG; None for no PNG
     run : key that goes into the files (``dc:identifier`` of the SVG, text ``run`` of the PNG)
+    about : what else the SVG says of itself (``Title``, ``Description``)
 
     Returns
     -------
@@ -402,7 +398,8 @@ def save_page(
     finish_layout(page)
     packing = None if dpi is None else packer.submit(_pixels(page, dpi, run), png)
     vector: Any = FigureCanvasSVG(page)
-    vector.print_svg(str(svg), metadata={"Date": None, "Identifier": run or None})
+    said = {"Date": None, "Identifier": run or None, **about}
+    vector.print_svg(str(svg), metadata=said)
     return Saving((svg,)) if packing is None else Saving((svg, png), packing)
 
 

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from labpipe.report.group_figures import drawings, save_drawings, stems
+from labpipe.report.group_figures import drawings, stems
+from labpipe.report.saving import FORMATS, save_report_figures
 from tests.builders.campaigns import build_group, build_sample, six_samples
 
 
@@ -34,27 +35,35 @@ def test_every_figure_can_be_told_without_being_seen() -> None:
     assert "There is no band; the figure says why." in lone.caption
 
 
-def test_saved_three_times_with_the_same_bytes(tmp_path: Path) -> None:
+def test_saved_in_each_format_with_the_same_bytes(tmp_path: Path) -> None:
     sample = replace(build_sample("s1", "a"), lines=())
     group = build_group("A", [sample], scaled=False)
     runs = []
     for name in "ab":
         folder = tmp_path / name
         folder.mkdir()
-        runs.append(save_drawings(group, folder, stem="a"))
+        runs.append(save_report_figures(drawings(group), folder, formats=FORMATS))
     files = runs[0][0].files
-    assert [path.name for path in files] == ["a-curves.svg", "a-curves.png", "a-curves.pdf"]
+    assert [path.name for path in files] == ["curves.svg", "curves.png", "curves.pdf"]
     for one, other in zip(files, runs[1][0].files, strict=True):
         assert one.read_bytes() == other.read_bytes()
     assert files[1].read_bytes().startswith(b"\x89PNG")
     assert files[2].read_bytes().startswith(b"%PDF")
-    assert b"<text" in files[0].read_bytes()  # words stay words
+
+
+def test_letters_are_lines_so_that_no_font_of_a_reader_changes_them(tmp_path: Path) -> None:
+    group = build_group("A", [build_sample("s1", "a")])
+    (curves, *_) = save_report_figures(drawings(group), tmp_path)
+    drawn = curves.files[0].read_text(encoding="utf-8")
+    assert "<text" not in drawn
+    assert "Displacement (mm)" in drawn  # a comment, to be found by searches
+    assert "<dc:title>Force against displacement: A, 1 sample from 1 spool." in drawn
 
 
 def test_names_with_signs_of_mathematics_are_drawn_as_they_are(tmp_path: Path) -> None:
     sample = replace(build_sample("$x_$", "a"), test="$\\frac{$")
-    (saved, *_) = save_drawings(build_group("_A$_{$", [sample]), tmp_path, stem="a")
-    assert "_A$_{$" in saved.drawing.element
+    (saved, *_) = save_report_figures(drawings(build_group("_A$_{$", [sample])), tmp_path)
+    assert "_A$_{$" in saved.files[0].read_text(encoding="utf-8")
 
 
 def test_file_names() -> None:
