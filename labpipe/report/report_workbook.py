@@ -17,6 +17,13 @@ from labpipe.records.group import (
 )
 from labpipe.records.quality import worded
 from labpipe.report.group_plots import group_scale
+from labpipe.report.page_facts import (
+    days_words,
+    instrument_lines,
+    operators_words,
+    report_id,
+    samples_of,
+)
 from labpipe.report.questions import (
     Pair,
     answering_pairs,
@@ -87,11 +94,25 @@ def save_workbook(campaign: Campaign, path: Path) -> None:
     -----
     At the most eleven sheets behind the first, however many groups there are.
     """
-    made_by = f"labpipe {campaign.labpipe_version}".strip()
-    tests = count_of(sum(len(group.samples) for group in campaign.groups), "test")
-    line = f"{tests} in {count_of(len(campaign.groups), 'group')}. Made by {made_by}."
-    about = About(campaign.title, (line, *_ABOUT), f"{campaign.title}  ·  {made_by}")
+    footer = f"{campaign.title}  \u00b7  report {report_id(campaign)}"
+    about = About(campaign.title, (*_facts(campaign), *_ABOUT), footer)
     save_book(about, list(_sheets(campaign)), path, again="make the report")
+
+
+def _facts(campaign: Campaign) -> Iterator[str]:
+    """Who tested what, when and with what."""
+    samples = samples_of(campaign)
+    tests = count_of(len(samples), "test")
+    rejected = len(campaign.rejected)
+    left = f", {count_of(rejected, 'test')} rejected" if rejected else ""
+    yield f"{tests} in {count_of(len(campaign.groups), 'group')}{left}."
+    if samples:
+        yield f"Tested {days_words(samples)}; {operators_words(samples)}."
+    for each in instrument_lines(samples):
+        yield f"{each.name}: {each.due}."
+    made = f" on {campaign.made_on}" if campaign.made_on is not None else ""
+    by = f"labpipe {campaign.labpipe_version}".strip()
+    yield f"Report {report_id(campaign)}, made{made} by {by}."
 
 
 def _sheets(campaign: Campaign) -> Iterator[Sheet]:

@@ -17,6 +17,7 @@ from labpipe.records.group import (
 from labpipe.records.quality import worded
 from labpipe.records.result import Result, Status
 from labpipe.report.bundle_figures import place_scales
+from labpipe.report.page_facts import state_of
 from labpipe.report.questions import (
     fields_in_words,
     not_asked,
@@ -58,8 +59,9 @@ def shares_of(difference: Difference) -> tuple[Value, Value]:
 
 
 def tests_sheet(campaign: Campaign) -> Sheet:
-    """Lay out a row for each test, and a column for each number of a specimen."""
-    every = [(group, sample) for group in campaign.groups for sample in group.samples]
+    """Lay out a row for each test, rejected ones last, and a column for each number of a specimen."""
+    every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
+    every += [("", sample) for sample in campaign.rejected_samples]
     columns = list(
         dict.fromkeys(
             _as_column(sample, each)
@@ -70,14 +72,16 @@ def tests_sheet(campaign: Campaign) -> Sheet:
     )
     sizes = list(dict.fromkeys(name for _, sample in every for name in sample.specimen.dimensions))
     heads = [
-        *("test", "group", "type", "spool", "sample", "protocol"),
+        *("test", "group", "state", "type", "spool", "sample", "protocol", "day", "operator"),
         *(f"{name.replace('_', ' ')} (mm)" for name in sizes),
         *("doubtful numbers", "failed numbers"),
         *map(headed, columns),
+        *("decision", "key of the run"),
     ]
     rows = [_test(group, sample, sizes, columns) for group, sample in every]
     asks = "What was measured in each test? A row for each test, a column for each number."
-    return Sheet("tests", heads, rows, 1, asks=asks)
+    last = heads[-3]
+    return Sheet("tests", heads, rows, 1, asks=asks, printed=last)
 
 
 def _as_column(sample: Sample, result: Result) -> Column:
@@ -85,8 +89,9 @@ def _as_column(sample: Sample, result: Result) -> Column:
     return in_words(result.name), unit_words(scale.unit)
 
 
-def _test(group: Group, sample: Sample, sizes: Sequence[str], columns: Sequence[Column]) -> Row:
+def _test(group: str, sample: Sample, sizes: Sequence[str], columns: Sequence[Column]) -> Row:
     own = sample.specimen
+    state = state_of(sample) if group else "rejected"
     results = {_as_column(sample, each): each for each in sample.results}
     lengths = (own.dimensions.get(name) for name in sizes)
     counts = (
@@ -94,10 +99,12 @@ def _test(group: Group, sample: Sample, sizes: Sequence[str], columns: Sequence[
         for status in (Status.DOUBTFUL, Status.FAILED)
     )
     return (
-        *(sample.test, group.name, own.type, own.spool, own.sample, sample.protocol),
+        *(sample.test, group, state, own.type, own.spool, own.sample, sample.protocol),
+        *("" if sample.date is None else str(sample.date), sample.operator),
         *(None if length is None else 1e3 * length for length in lengths),
         *counts,
         *(_value(sample, results.get(column)) for column in columns),
+        *(sample.decided, sample.run),
     )
 
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from labpipe.records.curve import Interval
 from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
+from labpipe.report.page_facts import report_id
 from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import shown_in
 from labpipe.statistics.groups import build_group as grouped
@@ -57,8 +59,30 @@ def test_a_row_for_each_test_with_units_in_the_heads(book: Workbook) -> None:
     assert result.value is not None
     row = rows[0]
     assert row["Stiffness, first region (N/mm)"] == pytest.approx(1e-3 * result.value)
-    assert (row["test"], row["doubtful numbers"]) == ("tt-s1a", 1)
+    assert (row["test"], row["doubtful numbers"], row["state"]) == ("tt-s1a", 1, "doubtful")
     assert [row["failed numbers"] for row in rows].count(0) < 7
+
+
+def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Path) -> None:
+    first, second, *_ = six_samples()
+    known = replace(first, date=date(2026, 3, 2), operator="A. Lab", run="k1")
+    rejected = replace(second, decided="rejected: grip slid (by A. Lab, 2026-03-03)")
+    campaign = Campaign(
+        "Synthetic",
+        (build_group("A", [known]),),
+        rejected={"f": "grip slid"},
+        rejected_samples=(rejected,),
+    )
+    book = saved(campaign, tmp_path)
+    one, other = table(book, "tests")
+    assert (one["day"], one["operator"], one["key of the run"]) == ("2026-03-02", "A. Lab", "k1")
+    assert (other["state"], other["group"], other["day"]) == ("rejected", None, None)
+    assert other["decision"] == "rejected: grip slid (by A. Lab, 2026-03-03)"
+    said = [cell.value for cell in book["read me"]["A"][:4]]
+    assert said[1] == "1 test in 1 group, 1 test rejected."
+    assert said[2] == "Tested 2026-03-02; A. Lab."
+    footer: Any = book["tests"].oddFooter.left
+    assert f"report {report_id(campaign)}" in footer.text
 
 
 def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
