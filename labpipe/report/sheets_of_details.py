@@ -59,7 +59,7 @@ def shares_of(difference: Difference) -> tuple[Value, Value]:
 
 
 def tests_sheet(campaign: Campaign) -> Sheet:
-    """Lay out a row for each test, rejected ones last, and a column for each number of a specimen."""
+    """Lay out a row for each test, rejected ones last, and a column for each of its numbers."""
     every = [(group.name, sample) for group in campaign.groups for sample in group.samples]
     every += [("", sample) for sample in campaign.rejected_samples]
     columns = list(

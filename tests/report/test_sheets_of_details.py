@@ -81,8 +81,8 @@ def test_day_operator_and_decision_of_tests_and_rejected_ones_last(tmp_path: Pat
     said = [cell.value for cell in book["read me"]["A"][:4]]
     assert said[1] == "1 test in 1 group, 1 test rejected."
     assert said[2] == "Tested 2026-03-02; A. Lab."
-    footer: Any = book["tests"].oddFooter.left
-    assert f"report {report_id(campaign)}" in footer.text
+    page: Any = book["tests"]
+    assert f"report {report_id(campaign)}" in page.oddFooter.left.text
 
 
 def test_budgets_of_tests_and_of_groups(tmp_path: Path) -> None:
