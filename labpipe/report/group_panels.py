@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,11 +20,21 @@ from labpipe.report.wording import Scale, count_of, display_of, shown_in, unit_w
 
 COLOURS = 8
 """Colours of the page for spools and groups; they begin anew after so many."""
-_POINTS, _OTHER_POINTS, _SCALED_POINTS = 90, 40, 24
-"""Points of a first loading, of all other branches of a test together, and of its copy over the
-peak force: so many that a test is below 3 kB."""
+
+
+class _Points(NamedTuple):
+    """Points of a first loading, of all else of a test, and over the peak force; shapes."""
+
+    first: int
+    others: int
+    scaled: int
+    shapes: int
+
+
+_FEW, _MANY = _Points(90, 40, 24, 6), _Points(48, 16, 10, 2)
+"""Of few samples, and of so many that their lines lie upon each other: a test is below 3 kB."""
 _UNSEEN = 0.001
-_BAND_POINTS = 40
+_BAND_POINTS = 28
 _MOST_WITH_INTERVALS = 6
 _SMALL = (262, 150)
 _FLATTEST, _HIGHEST = 88, 190
@@ -49,6 +60,11 @@ class _Drawn:
     def number(self, sample: Sample) -> int:
         """Number of a test on the page."""
         return self.tests.number[key_of(sample)]
+
+    @property
+    def points(self) -> _Points:
+        """How many points its lines have."""
+        return _FEW if len(self.group.samples) <= _MOST_WITH_INTERVALS else _MANY
 
     def colour(self, sample: Sample) -> str:
         """Class of the colour of a sample: that of its spool; of one spool, its own."""
@@ -110,13 +126,13 @@ def _sample_lines(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
         if each is not first and len(each.displacement)
     ]
     for each in others:
-        points = max(_OTHER_POINTS // len(others), 12)
+        points = max(drawn.points.others // len(others), 8)
         yield _line(drawn, f"unloading {colour}", test, (each, each.force), points=points)
     if first is None:
         return
     if any(slip.decision is SlipDecision.REPAIRED for slip in sample.slips):
-        yield _line(drawn, "measured", test, (first, first.as_measured), points=_OTHER_POINTS)
-    yield _line(drawn, f"curve {colour}", test, (first, first.force), points=_POINTS)
+        yield _line(drawn, "measured", test, (first, first.as_measured), points=drawn.points.others)
+    yield _line(drawn, f"curve {colour}", test, (first, first.force), points=drawn.points.first)
 
 
 def _line(
@@ -133,7 +149,9 @@ def _rejected(drawn: _Drawn) -> Iterator[Line]:
     for test in drawn.tests.rejected(drawn.stem):
         first = first_loading(test.sample)
         if first is not None:
-            yield _line(drawn, "rejected", test.number, (first, first.force), points=_OTHER_POINTS)
+            yield _line(
+                drawn, "rejected", test.number, (first, first.force), points=drawn.points.others
+            )
 
 
 def _windows(drawn: _Drawn) -> Iterator[Line]:
@@ -284,9 +302,10 @@ def _shapes(drawn: _Drawn) -> Plot | None:
         shapes = sample.shapes
         if shapes is None or not len(shapes.deflection):
             continue
-        gaps = np.full((len(shapes.deflection), 1), np.nan)
-        x = np.column_stack([shapes.positions[:, :, 0], gaps]).ravel() * drawn.across.factor
-        y = np.column_stack([shapes.positions[:, :, 1], gaps]).ravel() * drawn.across.factor
+        places = shapes.positions[-drawn.points.shapes :]
+        gaps = np.full((len(places), 1), np.nan)
+        x = np.column_stack([places[:, :, 0], gaps]).ravel() * drawn.across.factor
+        y = np.column_stack([places[:, :, 1], gaps]).ravel() * drawn.across.factor
         look = f"shape {drawn.colour(sample)}"
         lines.append(Line(look, x, y, drawn.number(sample)))
     if not lines:
@@ -297,7 +316,9 @@ def _shapes(drawn: _Drawn) -> Plot | None:
     width = _SMALL[0]
     height = min(max(even(width, x_axis, y_axis), _FLATTEST), _HIGHEST)
     x_axis, y_axis = _alike(x_axis, y_axis, width, height)
-    steps = ", ".join(f"{way * drawn.across.factor:.2g}" for way in _steps(own))
+    steps = ", ".join(
+        f"{way * drawn.across.factor:.2g}" for way in _steps(own)[-drawn.points.shapes :]
+    )
     caption = f"Markers at {steps} {unit} of the first loading, both axes at one scale."
     title = f"Shapes of {count_of(len(lines), 'sample')} of {drawn.group.name}."
     size = (width, height)
@@ -360,7 +381,7 @@ def _scaled(drawn: _Drawn) -> Plot | None:
     if band is None:
         return None
     lines = [
-        *band_lines(band, drawn.across.factor, 1.0),
+        *list(band_lines(band, drawn.across.factor, 1.0))[:1],
         *(line for sample in drawn.group.samples for line in _share(drawn, sample)),
         *mean_lines(band, drawn.across.factor, 1.0),
     ]
@@ -379,6 +400,6 @@ def _share(drawn: _Drawn, sample: Sample) -> Iterator[Line]:
     first, peak = first_loading(sample), value_of(sample, "peak_force.1")
     if first is None or not peak:
         return
-    kept = bends(first.displacement, first.force, points=_SCALED_POINTS, tolerance=_UNSEEN)
+    kept = bends(first.displacement, first.force, points=drawn.points.scaled, tolerance=_UNSEEN)
     x, y = first.displacement[kept] * drawn.across.factor, first.force[kept] / peak
     yield Line(f"curve {drawn.colour(sample)}", x, y, drawn.number(sample))

@@ -265,7 +265,7 @@ def write_report(campaign: Campaign, folder: Path, extras: Extras = NOTHING_MORE
         page.write_text(printable(text), encoding="utf-8")
         save_workbook(campaign, tables)
         single = [_save_page(folder / name, text) for name, text in extras.test_pages.items()]
-        figures = _save_figures(campaign, folder / FIGURES_FOLDER) if extras.formats else []
+        figures = _save_figures(campaign, folder / FIGURES_FOLDER, extras.formats)
     return [page, tables, *single, *figures]
 
 
@@ -275,8 +275,10 @@ def _save_page(path: Path, text: str) -> Path:
     return path
 
 
-def _save_figures(campaign: Campaign, folder: Path) -> list[Path]:
+def _save_figures(campaign: Campaign, folder: Path, formats: Sequence[str]) -> list[Path]:
     """Draw the figures of each group and those that compare groups, for papers and slides."""
+    if not formats:
+        return []
     folder.mkdir(parents=True, exist_ok=True)
     names = stems(group.name for group in campaign.groups)
     wanted = [
@@ -286,4 +288,8 @@ def _save_figures(campaign: Campaign, folder: Path) -> list[Path]:
     ]
     wanted += [figure for _, figure in figures_of_families(campaign)]
     wanted += place_figures(campaign)
-    return [file for saved in save_report_figures(wanted, folder) for file in saved.files]
+    return [
+        file
+        for saved in save_report_figures(wanted, folder, formats=formats)
+        for file in saved.files
+    ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from math import isfinite
 
@@ -59,6 +59,7 @@ class Question:
     answers : a row per pair: the first main number
     comparisons : with plots
     tables : of each pair, all main numbers
+    notes : what speaks against comparing, each once
     """
 
     field: str
@@ -66,6 +67,7 @@ class Question:
     answers: Table
     comparisons: tuple[Comparison, ...]
     tables: tuple[Table, ...]
+    notes: tuple[str, ...]
 
 
 def questions(campaign: Campaign, stems: Mapping[str, str]) -> list[Question]:
@@ -89,7 +91,9 @@ def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) ->
     heads = ("Question", "Answer", "Difference (95 %, corrected)", "n")
     table = Table(f"Answers: {field_words(field)}", heads, tuple(map(answer_cells, pairs)))
     tables = tuple(question_table(pair) for pair in pairs)
-    return Question(field, field_words(field), table, tuple(drawn), tables)
+    notes = tuple(dict.fromkeys(note for each in tables for note in each.notes))
+    bare = tuple(replace(each, notes=()) for each in tables)
+    return Question(field, field_words(field), table, tuple(drawn), bare, notes)
 
 
 def _comparison(family: Family, stems: Mapping[str, str]) -> Comparison:

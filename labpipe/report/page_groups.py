@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
 MOST_COLUMNS = 4
 """Samples that stand as columns of the table of numbers; of larger groups they have rows."""
-_NUMBERS_PER_TABLE = 6
-_MOST_BARS, _MOST_STRIPS = 6, 8
+_NUMBERS_PER_TABLE = 8
+_MOST_BARS, _MOST_STRIPS, _MOST_DOTS = 5, 8, 12
 
 
 def about_group(group: Group) -> str:
@@ -107,7 +107,7 @@ def number_strip(number: GroupNumber) -> Markup:
     if interval is not None and isfinite(interval.lower + interval.upper):
         low = max(min(low, interval.lower), low - reach) if reach else interval.lower
         high = min(max(high, interval.upper), high + reach) if reach else interval.upper
-    return strip((low, high), interval, mean, values)
+    return strip((low, high), interval, mean, values if len(values) <= _MOST_DOTS else ())
 
 
 def _sample_cell(number: GroupNumber, sample: Sample, factor: float) -> Cell:
@@ -215,8 +215,7 @@ def _samples_table(
     heads = [heading(each.name, shown.unit) for each, shown in zip(numbers, scales, strict=True)]
     rows = tuple(
         (
-            Cell(sample.test, link=f"#t{tests.number[key_of(sample)]}"),
-            Cell(f"{sample.specimen.spool}"),
+            *_names(sample, tests, is_more=is_more),
             *(
                 _sample_cell(number, sample, shown.factor)
                 for number, shown in zip(numbers, scales, strict=True)
@@ -225,7 +224,15 @@ def _samples_table(
         for sample in group.samples
     )
     caption = f"{group.name}: every sample{', continued' if is_more else ''}"
-    return Table(caption, ("Test", "Spool", *heads), rows)
+    return Table(caption, ("Test", *([] if is_more else ["Spool"]), *heads), rows)
+
+
+def _names(sample: Sample, tests: PageTests, *, is_more: bool) -> tuple[Cell, ...]:
+    """Name of a test; in the first table its spool, too, and a link to where it is decided on."""
+    if is_more:
+        return (Cell(sample.test),)
+    link = f"#t{tests.number[key_of(sample)]}"
+    return Cell(sample.test, link=link), Cell(sample.specimen.spool)
 
 
 def budget_drawing(group: Group) -> Markup | None:

@@ -132,7 +132,7 @@ def export_table(tests: PageTests) -> Table:
     """
     rows = tuple(
         (
-            Cell(test.sample.test, tip=test.sample.source),
+            Cell(test.sample.test),
             Cell("; ".join(f"{each.file}: {each.sha256}" for each in test.sample.inputs) or DASH),
         )
         for test in tests.every

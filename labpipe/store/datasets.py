@@ -25,7 +25,15 @@ from numpy.typing import NDArray
 from labpipe.errors import StoreError, complaint
 from labpipe.records.arrays import Ints
 from labpipe.store import layout
-from labpipe.store.hdf5_objects import LEVEL, get_text, make_dataset, set_text, set_texts
+from labpipe.store.hdf5_objects import (
+    LEVEL,
+    get_text,
+    has_attribute,
+    is_empty,
+    make_dataset,
+    set_text,
+    set_texts,
+)
 from labpipe.store.layout import Field, Table
 from labpipe.store.replace import is_cut_off
 
@@ -350,7 +358,7 @@ def text(group: Any, name: str) -> str:
 
 def texts(group: Any, name: str) -> tuple[str, ...]:
     """Read an attribute that is a list of strings."""
-    return tuple(_word(word) for word in group.attrs[name])
+    return () if is_empty(group, name) else tuple(_word(word) for word in group.attrs[name])
 
 
 def _word(value: object) -> str:
@@ -385,6 +393,8 @@ def rows(parent: Any, name: str, kind: Table, unit: str | None = None) -> list[M
     found = parent[name]
     if isinstance(found, h5py.Dataset):
         return list(array(parent, name, Field((kind.axis,), None, "table")))
+    if all(found[column].shape == (0,) for column in kind.columns):
+        return []
     columns = {
         column: array(found, column, each if each.unit else replace(each, unit=unit)).tolist()
         for column, each in kind.columns.items()
@@ -432,7 +442,7 @@ def _checked(group: Any, name: str, kind: Field) -> Any:
 
 
 def _label(dataset: Any, name: str) -> str:
-    return str(get_text(dataset, name)) if name in dataset.attrs else "none"
+    return str(get_text(dataset, name)) if has_attribute(dataset, name) else "none"
 
 
 def _check_storage(dataset: Any) -> None:

@@ -114,6 +114,56 @@ def get_text(owner: Any, name: str) -> Any:
     return bytes(text[()]).decode()
 
 
+def has_attribute(owner: Any, name: str) -> bool:
+    """Tell whether a group or dataset has an attribute.
+
+    Parameters
+    ----------
+    owner : open group or dataset
+    name : of the attribute
+    """
+    return bool(h5a.exists(owner.id, name.encode()))
+
+
+def get_number(owner: Any, name: str) -> float:
+    """Read an attribute that should be a number.
+
+    Parameters
+    ----------
+    owner : open group or dataset
+    name : of the attribute
+
+    Raises
+    ------
+    KeyError
+        If there is no such attribute.
+    TypeError, ValueError
+        If it is no number.
+    """
+    found = h5a.open(owner.id, name.encode())
+    if found.shape != () or found.get_type() != h5t.NATIVE_DOUBLE:
+        return float(owner.attrs[name])
+    value = np.empty((), dtype=np.float64)
+    found.read(value)
+    return float(value)
+
+
+def is_empty(owner: Any, name: str) -> bool:
+    """Tell whether an attribute that should be a list has no entry.
+
+    Parameters
+    ----------
+    owner : open group or dataset
+    name : of the attribute
+
+    Raises
+    ------
+    KeyError
+        If there is no such attribute.
+    """
+    return bool(h5a.open(owner.id, name.encode()).shape == (0,))
+
+
 def set_texts(owner: Any, name: str, texts: Sequence[str]) -> None:
     """Write an attribute that is a list of texts, as `set_text`."""
     space = h5s.create_simple((len(texts),))

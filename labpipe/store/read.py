@@ -36,6 +36,7 @@ from labpipe.records.result import (
 )
 from labpipe.store import layout
 from labpipe.store.datasets import array, array_rows, arrays, opened, rows, strings, text, texts
+from labpipe.store.hdf5_objects import get_number, has_attribute
 from labpipe.store.stored_parts import (
     method_parts,
     read_bending,
@@ -365,7 +366,7 @@ def _clock_fit(group: Any) -> ClockFit:
 
 
 def _interval(group: Any, prefix: str = "") -> Interval:
-    return Interval(*(float(group.attrs[prefix + end]) for end in layout.INTERVAL_NUMBERS))
+    return Interval(*(get_number(group, prefix + end) for end in layout.INTERVAL_NUMBERS))
 
 
 def _curve(group: Any) -> Curve:
@@ -421,18 +422,20 @@ def _budgets(root: Any) -> dict[str, list[Contribution]]:
 
 def _result(name: str, group: Any, others: set[str], budget: tuple[Contribution, ...]) -> Result:
     status, method = Status(text(group, "status")), text(group, "method")
-    is_new = "made_of" in group.attrs
+    is_new = has_attribute(group, "made_of")
     parts: dict[str, Any] = {"method": method}
     parts |= {each: text(group, each) for each in ("made_of", "remark")} if is_new else {}
     return Result(
         name=name,
-        value=None if status is Status.FAILED else float(group.attrs["value"]),
+        value=None if status is Status.FAILED else get_number(group, "value"),
         unit=text(group, "unit"),
-        interval=_interval(group) if "lower" in group.attrs else None,
+        interval=_interval(group) if has_attribute(group, "lower") else None,
         status=status,
         reasons=read_reasons(group),
-        n=int(group.attrs["n"]),
-        estimate=float(group.attrs[layout.ESTIMATE]) if layout.ESTIMATE in group.attrs else None,
+        n=int(get_number(group, "n")),
+        estimate=get_number(group, layout.ESTIMATE)
+        if has_attribute(group, layout.ESTIMATE)
+        else None,
         budget=budget,
         **(parts if is_new else method_parts(method, others)),
     )

@@ -17,7 +17,7 @@ from labpipe.records.recording import Channel, Clock, MarkerTracks, Recording, R
 from labpipe.records.result import Specimen
 from labpipe.store import layout
 from labpipe.store.datasets import Target, array, arrays, strings, text, texts
-from labpipe.store.hdf5_objects import set_text
+from labpipe.store.hdf5_objects import has_attribute, set_text
 from labpipe.store.layout import link_name
 
 _OF_ONE_WORD: Final = "cut|drift|gap|saturation|truncated"
@@ -77,7 +77,7 @@ def read_reasons(group: Any) -> tuple[Reason, ...]:
     ----------
     group : open HDF5 group that `write_reasons` wrote to, or one of schema 1
     """
-    if layout.REASON_CODES not in group.attrs:
+    if not has_attribute(group, layout.REASON_CODES):
         return reasons_in(text(group, "reason"))
     codes, messages = (texts(group, name) for name in (layout.REASON_CODES, layout.REASON_MESSAGES))
     return tuple(Reason(*each) for each in zip(codes, messages, strict=True))
