@@ -15,8 +15,9 @@ from labpipe.process.targets import find_results
 from labpipe.records.group import GroupNumber
 from labpipe.records.quality import Reason
 from labpipe.records.result import Result, Status
-from labpipe.report.lab_report import FORMATS, Letterhead
+from labpipe.report.lab_report import Letterhead
 from labpipe.report.logo import read_logo
+from labpipe.report.saving import FORMATS
 
 
 def run(options: argparse.Namespace) -> int:

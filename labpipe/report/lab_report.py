@@ -215,8 +215,6 @@ def _remarks(group: Group) -> list[str]:
 PAGE_FILE = "report.html"
 TABLES_FILE = "tables.xlsx"
 FIGURES_FOLDER = "figures"
-FORMATS = ("svg", "png", "pdf")
-"""Of figures as files."""
 
 
 @dataclass(frozen=True, slots=True)

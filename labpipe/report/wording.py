@@ -63,11 +63,15 @@ def footnote(result: TestResult) -> str:
     return f"Of {len(result.results)} results: {', '.join(parts)}." if parts else ""
 
 
-_NOT_SHOWN = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+_NOT_SHOWN = re.compile(
+    r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff\ufffe\uffff]"
+)
 
 
 def printable(text: str) -> str:
     """Show what no page, workbook or drawing can hold as U+FFFD: control characters and the like.
+
+    What turns the direction of the words behind it counts, too.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ def test_files(written: tuple[Path, list[Path]]) -> None:
 def test_figures_are_files_on_request(tmp_path: Path) -> None:
     files = write_report(build_campaign(), tmp_path, Extras(formats=("svg",)))
     assert files[2].relative_to(tmp_path).as_posix() == "figures/twist-tube-10-curves.svg"
-    assert ".svg" in {path.suffix for path in files[2:]}
+    assert {path.suffix for path in files[2:]} == {".svg"}
     assert {path for path in tmp_path.rglob("*") if path.is_file()} == set(files)
 
 

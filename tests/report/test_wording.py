@@ -44,6 +44,7 @@ def test_shortened_names_have_their_ends(most: int) -> None:
 
 
 def test_only_what_cannot_be_shown_is_replaced() -> None:
+    assert printable("a\u202eb\u2066") == "a\ufffdb\ufffd"  # else all behind it reads backwards
     assert printable("a\tb\n\x00\x9f\ud800\ufffe $x_1$ \U0001f600") == (
         "a\tb\n\ufffd\ufffd\ufffd\ufffd $x_1$ \U0001f600"
     )
