@@ -65,7 +65,7 @@ def test_stages_are_the_result_without_recordings(written: Path) -> None:
     assert differences(wanted, read_stages(written)) == []
 
 
-def test_what_a_report_draws_is_part_of_the_result(written: Path) -> None:
+def test_what_a_report_draws_is_part_of_the_result(written: Path, tmp_path: Path) -> None:
     whole, wanted = read_result(written), np.array([0, 3, 5])
     found = read_drawable(written, lambda _, time: (wanted, time[wanted]))
     assert differences(read_outcome(written), found.result) == []
@@ -73,7 +73,11 @@ def test_what_a_report_draws_is_part_of_the_result(written: Path) -> None:
     assert whole.shape is not None
     np.testing.assert_array_equal(found.shapes.deflection, whole.shape.time[wanted])
     np.testing.assert_array_equal(found.shapes.positions, whole.shape.positions[wanted][:, :, :2])
-    law = None if whole.bending is None else whole.bending.law
+    assert found.law is None
+    bent = replace(build_result(cycles=1, half_cycle=4.0), bending=some_bending())
+    law = some_bending().law
+    write_result(bent, tmp_path / "result.h5")
+    found = read_drawable(tmp_path / "result.h5", lambda _, time: (wanted, time[wanted]))
     assert found.law is not None
     assert law is not None
     np.testing.assert_array_equal(found.law.moment_upper, law.moment_upper)
