@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from labpipe.records.wire_calibration import Profile
 from labpipe.report.calibration_card import plot_profile, seen, smooth
 from labpipe.report.figure_page import style
-from tests.report.builders_calibrations import troubled, usual
+from tests.report.builders_calibrations import troubled, two_solutions, usual
 
 
 @pytest.fixture(autouse=True)
@@ -82,3 +82,25 @@ def test_smooth_profile_passes_through_its_points() -> None:
     values, deviance = smooth(profile)
     np.testing.assert_allclose(deviance, np.log(values) ** 2, atol=1e-12)
     assert set(np.exp(logs)) <= set(values)
+
+
+def test_two_valleys_and_two_parts() -> None:
+    parameter, axes = two_solutions().parameter("copper_scale"), panel()
+    plot_profile(parameter, axes)
+    assert len(parameter.profiles) == len(parameter.intervals) == 2
+    spans = [
+        patch.get_extents().transformed(axes.transData.inverted()).intervalx.tolist()
+        for patch in axes.patches
+    ]
+    ends = [(part.lower, part.upper) for part in parameter.intervals]
+    assert spans == [pytest.approx(part) for part in ends]
+    marks = [line for line in axes.lines if line.get_marker() == "^"]
+    least = float(parameter.profiles[1].deviance.min())
+    (other,) = [line for line in marks if line.get_markerfacecolor() == "white"]
+    assert np.asarray(other.get_ydata())[0] == least > 0.0
+    for profile in parameter.profiles:
+        values, deviance = smooth(profile)
+        assert deviance.min() == pytest.approx(profile.deviance.min())
+        np.testing.assert_allclose(np.interp(profile.value, values, deviance), profile.deviance)
+    assert seen(parameter)[0] < parameter.intervals[0].lower
+    assert seen(parameter)[1] > parameter.intervals[1].upper

@@ -3,7 +3,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 from labpipe.report.calibration_shown import HEADS, parameter_row, sentences
-from tests.report.builders_calibrations import one_sample, source, troubled, usual
+from tests.report.builders_calibrations import (
+    one_sample,
+    source,
+    troubled,
+    two_solutions,
+    usual,
+)
 
 
 def test_rows_of_parameters() -> None:
@@ -59,3 +65,15 @@ def test_notes_and_source() -> None:
     assert f"\u03c6 = {1e3 * source().radial_friction:.4g} mN (\u03bc_s" in said[-1]
     lost = sentences(usual(), replace(source(), converged=False))[-1]
     assert lost.endswith("; its search did not converge.")
+
+
+def test_two_solutions_are_said_with_both() -> None:
+    found = two_solutions()
+    row = parameter_row(found.parameter("copper_scale"))
+    first, second = row[2].split(" or ")
+    assert " to " in first
+    assert " to " in second
+    assert row[4] == "two solutions"
+    (said,) = [each for each in sentences(found) if "solutions fit" in each]
+    assert said.count("RMSE 2.11 mN") == 2
+    assert "has two solutions: it lies between" in " ".join(sentences(found))

@@ -10,7 +10,15 @@ from labpipe.records.quality import Reason
 from labpipe.report.calibration_shown import CalibrationReport
 from labpipe.report.calibration_workbook import tables_of
 from tests.builders.external_curves import UNTESTED, untested
-from tests.report.builders_calibrations import group, predicted, report, source, troubled, usual
+from tests.report.builders_calibrations import (
+    group,
+    predicted,
+    report,
+    source,
+    troubled,
+    two_solutions,
+    usual,
+)
 
 LOST = replace(
     group("A1"), prediction=None, errors=None, reason=Reason("no_wire", "not in the sheet")
@@ -146,3 +154,13 @@ def test_external_curves_have_sheets_and_notes() -> None:
     assert len(rows(own, "external curves, points")) == 6
     (told,) = [row for row in rows(own, "notes") if row["code"] == "external_curve_untested"]
     assert (told["of"], told["what"]) == ("external curve 'paper'", UNTESTED.message)
+
+
+def test_a_row_for_each_solution() -> None:
+    found = two_solutions()
+    best, other = rows(CalibrationReport(found), "solutions")
+    assert best["rise of the objective"] == 0.0
+    assert other["rise of the objective"] == pytest.approx(found.solutions[1].rise)
+    assert best["in the 95 % set"] == other["in the 95 % set"] == "yes"
+    modulus = next(head for head in other if head.endswith("(MPa)"))
+    assert other[modulus] == pytest.approx(1e-6 * found.solutions[1].values[1])

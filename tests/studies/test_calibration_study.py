@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from labpipe.records.wire_calibration import Calibration
+from labpipe.records.wire_calibration import Calibration, ParameterChoice
 from labpipe.studies.calibration_study import (
     Calibrated,
     as_json,
@@ -22,6 +22,7 @@ from tests.builders.loading_tests import measured, wire_of
 from tests.builders.wire_tables import wire_table
 
 CURVES = measured("A2")
+TWO_VALLEYS = measured("A3", (0.12,), seed=1)
 
 
 @pytest.fixture(scope="module")
@@ -67,3 +68,29 @@ def test_json_is_plain_and_says_what_is_not_identified(calibration: Calibration)
     assert found["groups"][0]["prediction"]["force"][0] == pytest.approx(0.0)
     assert found["left_out"] == {"T9": "why"}
     assert found["source_method"]["radial_friction"] > 0.0
+
+
+def test_json_has_solutions_and_parts() -> None:
+    made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(gain=0.005))
+    assert isinstance(made, Calibration)
+    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, None, (), {}, ()))))
+    assert len(found["solutions"]) == 2
+    assert all(each["in_95_percent_set"] for each in found["solutions"])
+    assert found["widening"] == made.widening > 1.0
+    copper = found["parameters"][2]
+    assert len(copper["intervals"]) == len(copper["profiles"]) == 2
+    ends = copper["intervals"][0][0], copper["intervals"][1][1]
+    assert (copper["lower"], copper["upper"]) == ends
+
+
+def test_json_names_priors_and_what_was_held() -> None:
+    prior = ParameterChoice(1e9, factor=4.0, source="data sheet")
+    held = ParameterChoice(0.0465, is_fixed=True, source="a calibration of A2")
+    choices = {"insulation_modulus": prior, "radial_friction": held}
+    made = calibrate(wire_of("A3"), TWO_VALLEYS, Settings(choices, gain=0.005))
+    assert isinstance(made, Calibration)
+    found = json.loads(json.dumps(as_json(Calibrated(Path("out"), made, None, (), {}, ()))))
+    friction, modulus, _ = found["parameters"]
+    assert (friction["source"], friction["intervals"]) == ("a calibration of A2", [])
+    said = modulus["prior"]
+    assert (said["value"], said["factor"], said["source"]) == (1e9, 4.0, "data sheet")
