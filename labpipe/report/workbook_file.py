@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from datetime import datetime
@@ -395,15 +396,20 @@ def _chart(book: Any, name: str, chart: Chart) -> Any:
     log = {"log_base": 10, "crossing": "min"} if chart.is_log else {}
     values = {**font, **grid, **log, "num_format": "General"}
     if is_bars:  # names go up, the first on top; numbers go to the right
-        drawn.set_x_axis({"name": printable(chart.up), "min": 0, **values})
+        drawn.set_x_axis({"name": _plain(chart.up), "min": 0, **values})
         drawn.set_y_axis({"reverse": True, "crossing": "max", "interval_unit": 1, **font})
     else:
-        drawn.set_x_axis({"name": printable(chart.across), **values})
-        drawn.set_y_axis({"name": printable(chart.up), **values})
-    title = {"name": printable(chart.title), "name_font": {"bold": False, "size": 11}}
+        drawn.set_x_axis({"name": _plain(chart.across), **values})
+        drawn.set_y_axis({"name": _plain(chart.up), **values})
+    title = {"name": _plain(chart.title), "name_font": {"bold": False, "size": 11}}
     drawn.set_title(title if chart.title else {"none": True})
     drawn.set_legend({"none": True} if is_bars else {"position": "right", "font": {"size": 9}})
     return drawn
+
+
+def _plain(words: str) -> str:
+    """Words of a chart, which must not begin like the formula of a cell."""
+    return re.sub("^=", "\u200a=", printable(words))
 
 
 def _cells(sheet: str, first: int, last: int, column: int) -> str:
@@ -417,7 +423,7 @@ def _series(sheet: str, line: Line, number: int, *, is_bars: bool) -> dict[str, 
     colour = COLOURS[number % len(COLOURS)]
     dash = _DASHES[number // len(COLOURS) % len(_DASHES)]
     series: dict[str, Any] = {
-        "name": printable(line.name),
+        "name": _plain(line.name),
         "categories": [sheet, first, line.across, last, line.across],
         "values": [sheet, first, line.up, last, line.up],
     }

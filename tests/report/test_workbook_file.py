@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -96,6 +97,15 @@ def test_charts_of_a_long_table_stand_beside_it_and_are_printed(tmp_path: Path) 
     chart = Chart("lines", "x", "y", [Line("A", (0, 199), 0, 1)])
     page = saved(tmp_path, Sheet("one", ("x", "y"), rows, charts=[chart]))["one"]
     assert page.print_area == "'one'!$D$2:$O$23"
+
+
+def test_words_of_a_chart_are_no_formulas(tmp_path: Path) -> None:
+    rows = [(1.0, 2.0), (2.0, 3.0)]
+    chart = Chart("=1+1", "=A1", "=B1", [Line("=1+1", (0, 1), 0, 1)])
+    saved(tmp_path, Sheet("one", ("x", "y"), rows, charts=[chart]))
+    drawn = part(tmp_path, "xl/charts/chart1.xml")
+    assert set(re.findall("<c:f>(.*?)</c:f>", drawn)) == {"one!$A$2:$A$3", "one!$B$2:$B$3"}
+    assert drawn.count("=1+1") == 2
 
 
 def test_heads_are_unique_as_a_table_wants_them() -> None:
