@@ -20,22 +20,30 @@ folder = Path(mkdtemp())
 simulate_campaigns([ChosenTests((TensileCampaign(),), ("twist-tube-1a",))], folder)
 test = labpipe.process(folder / "twist-tube-1a")
 truth = json.loads((folder / "twist-tube-1a" / "truth.json").read_text(encoding="utf-8"))
-sorted(truth)
 
 # %%
-# The largest force: load cell and noise make it uncertain by this much.
-found = test.results.loc["peak_force.1"]
+# Ninety-five of a hundred intervals are to hold the truth; how often they do is counted over many
+# more tests than this one.
+names = {
+    **{"peak_force.1": "peak_force", "energy_to_break": "energy_to_break"},
+    **{"stiffness_first": "stiffness_first", "stiffness_second": "stiffness_second"},
+}
+found = test.results.loc[list(names), ["value", "lower", "upper", "unit"]]
+found.insert(0, "truth", [truth[name] for name in names.values()])
+found["holds"] = found["truth"].between(found["lower"], found["upper"])
+found
+
+# %%
+# What the interval of the largest force is made of: each cause, and how far it moves the force, in
+# N.
 budget = test.budget("peak_force.1")
-budget
-
-# %%
-# Each part of the budget as it moves the result, in N:
+peak = found.loc["peak_force.1"]
 mpl.rcParams["axes.spines.right"] = mpl.rcParams["axes.spines.top"] = False
 parts = Figure(figsize=(6.0, 2.5), layout="constrained")
 axes = parts.subplots()
 axes.barh(list(budget.index), budget["change"])
 axes.set_xlabel("change of the peak force by one standard uncertainty (N)")
-_ = axes.set_title(f"{found['value']:.1f} N, 95 %: {found['lower']:.1f} to {found['upper']:.1f} N")
+_ = axes.set_title(f"{peak['value']:.1f} N, 95 %: {peak['lower']:.1f} to {peak['upper']:.1f} N")
 
 # %%
 # The lines that stiffnesses are read from, the break point and the failure:

@@ -29,6 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 project = "labpipe"
 author = "the labpipe authors"
+project_copyright = f"2026, {author}"
 release = version = __version__
 root_doc = "README"
 include_patterns = ["*.md", "docs/**"]
