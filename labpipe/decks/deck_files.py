@@ -11,6 +11,8 @@ from labpipe.decks.calculix import calculix_deck
 from labpipe.decks.deck_law import file_stem
 from labpipe.decks.lookup import lookup_csv, lookup_json
 from labpipe.decks.mujoco import mujoco_deck
+from labpipe.decks.mujoco_sliders import mujoco_plane_deck, mujoco_space_deck
+from labpipe.decks.slider_table import sliders_csv, sliders_json
 from labpipe.records.wire import WireTable
 
 FOLDER = "decks"
@@ -23,6 +25,10 @@ DECKS: Mapping[str, Callable[[WireTable], str]] = {
     "ansys.inp": ansys_deck,
     "calculix.inp": calculix_deck,
     "mujoco.xml": mujoco_deck,
+    "mujoco-plane.xml": mujoco_plane_deck,
+    "mujoco-space.xml": mujoco_space_deck,
+    "sliders.csv": sliders_csv,
+    "sliders.json": sliders_json,
 }
 """Ending of the file, and what writes its text."""
 

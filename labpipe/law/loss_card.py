@@ -17,11 +17,12 @@ from labpipe.records.arrays import Floats
 
 COUNTS = (4, 6, 8, 12)
 """Sliders of which a card tells the loss."""
-DIRECTIONS = (2, 3, 4, 6)
+DIRECTIONS = (4, 6)
 """Directions of scalar sliders of which a card tells the loss."""
 
-_DECAYS = 80
-_ROUNDS = 60
+_ENOUGH = 80
+_DECAYS = 60
+_ROUNDS = 25
 _STILL = 1e-12
 """Error of a point that keeps its weight: a law that is met everywhere has no largest one."""
 
@@ -101,10 +102,18 @@ def loss_card(
         last=float(x[-1]),
         stiffness=2.0 * low * high / (low + high),
         constant=(high - low) / (high + low),
-        dahl=fit_dahl(x[1:], y[1:]),
+        dahl=fit_dahl(*_fewer(x[1:], y[1:])),
         sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
         directions=tuple((number, in_directions(most, number).error) for number in DIRECTIONS),
     )
+
+
+def _fewer(curvature: Floats, moment: Floats) -> tuple[Floats, Floats]:
+    """Some points of a law, its ends included: enough for a smooth curve of three numbers."""
+    if len(curvature) <= _ENOUGH:
+        return curvature, moment
+    rows = np.round(np.linspace(0.0, len(curvature) - 1.0, _ENOUGH)).astype(np.int64)
+    return curvature[rows], moment[rows]
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:

@@ -19,9 +19,11 @@ from scipy.optimize import nnls
 from labpipe.law.sliders import SliderLaw, slider_moment
 from labpipe.records.arrays import ArrayRecord, Floats
 
+MOST_SLIDERS = 16
+"""In each direction."""
+
 _GRID = 48
 """Slip curvatures to choose from."""
-_MOST = 16
 _POINTS = 80
 _ANGLES = 13
 _BEYOND = 1.6
@@ -57,18 +59,19 @@ class DirectionalLaw(ArrayRecord):
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
-def in_directions(law: SliderLaw, directions: int) -> DirectionalLaw:
+def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) -> DirectionalLaw:
     """Make scalar sliders in a few directions that come close to vector sliders.
 
     Parameters
     ----------
     law : vector sliders
     directions : D, at least 2
+    most : sliders in each direction
 
     Raises
     ------
     ValueError
-        If there are fewer than two directions.
+        If there are fewer than two directions, or no slider is allowed.
 
     Notes
     -----
@@ -79,6 +82,9 @@ def in_directions(law: SliderLaw, directions: int) -> DirectionalLaw:
     if directions < 2:
         message = f"directions={directions}: allowed are numbers >= 2"
         raise ValueError(message)
+    if most < 1:
+        message = f"most={most}: allowed are numbers >= 1"
+        raise ValueError(message)
     size = np.geomspace(law.first, law.last, _POINTS)
     wanted = slider_moment(law, size)
     if not law.stiffnesses.size:
@@ -87,7 +93,7 @@ def in_directions(law: SliderLaw, directions: int) -> DirectionalLaw:
         ends = 0.5 * law.slip_curvatures[0], min(_BEYOND * law.slip_curvatures[-1], law.last)
         slips = np.geomspace(*ends, _GRID)
         found = _fitted(size, wanted, slips, directions)
-        while np.count_nonzero(found[1:]) > _MOST or not np.all(found[1:]):
+        while np.count_nonzero(found[1:]) > most or not np.all(found[1:]):
             slips = _fewer(slips, found[1:])
             found = _fitted(size, wanted, slips, directions)
     made = DirectionalLaw(

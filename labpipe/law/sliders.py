@@ -28,7 +28,8 @@ from labpipe.records.arrays import ArrayRecord, Floats, Vector
 
 _MOST_BRIDGED = 0.01
 """Of the moment, by which a law that never stiffens may be above the one given."""
-_MOST_SLIDERS = 64
+MOST_SLIDERS = 64
+"""Of a law: more tell nothing new."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -209,8 +210,8 @@ def fit_sliders(
     the differences of the slopes are the K_j > 0 of least error; non-negative least squares on a
     grid of kappa_j, thinned out afterwards, comes out worse.
     """
-    if not 1 <= n_sliders <= _MOST_SLIDERS:
-        message = f"n_sliders={n_sliders}: allowed are numbers from 1 to {_MOST_SLIDERS}"
+    if not 1 <= n_sliders <= MOST_SLIDERS:
+        message = f"n_sliders={n_sliders}: allowed are numbers from 1 to {MOST_SLIDERS}"
         raise ValueError(message)
     x, y, start = within_range(curvature, moment, first, last)
     law = _fitted(x, y, n_sliders, start)
@@ -299,10 +300,10 @@ def _fitted(x: Floats, y: Floats, n_sliders: int, start: float) -> SliderLaw:
 
 
 def _enough(x: Floats, y: Floats, start: float, allowed: float) -> str:
-    for number in range(1, _MOST_SLIDERS + 1):
+    for number in range(1, MOST_SLIDERS + 1):
         if _fitted(x, y, number, start).error <= allowed:
             return f"{number} are enough"
-    return f"{_MOST_SLIDERS} are not enough"
+    return f"{MOST_SLIDERS} are not enough"
 
 
 def linear_moment_law(stiffness: float, last: float) -> SliderLaw:

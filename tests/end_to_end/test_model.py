@@ -21,7 +21,10 @@ A1 = "A1,1.4,7,0.26,12,0.3,,"
 A3 = "A3,1.8,19,0.24,12;-15,0.3,,"
 TIGHT = "X1,1.78,19,0.24,12;-15,0.3,hexagonal,"
 """A hexagon of 19 strands that is 10 um too large for its bore, though the copper would fit."""
-DECKS = ("csv", "json", "abaqus.inp", "ansys.inp", "calculix.inp", "mujoco.xml")
+DECKS = (
+    *("csv", "json", "abaqus.inp", "ansys.inp", "calculix.inp", "mujoco.xml"),
+    *("mujoco-plane.xml", "mujoco-space.xml", "sliders.csv", "sliders.json"),
+)
 
 
 def sheet(folder: Path, *rows: str) -> Path:

@@ -48,6 +48,17 @@ def test_errors_by_the_sliders_themselves(name: str) -> None:
             assert aside <= 1.05 * found.sideways * wanted
 
 
-def test_one_direction_is_too_few() -> None:
+def test_more_directions_lose_less() -> None:
+    table = wire_table("A2")
+    law = fit_sliders(table.curvature, table.moment, 8, first=0.1, last=10.0)
+    errors = [in_directions(law, number).error for number in (2, 3, 4, 6)]
+    assert errors == sorted(errors, reverse=True)
+    assert len(in_directions(law, 4, most=5).stiffnesses) <= 5
+
+
+def test_numbers_that_are_too_small() -> None:
+    law = linear_moment_law(1.0, 10.0)
     with pytest.raises(ValueError, match=r"^directions=1: allowed are numbers >= 2$"):
-        in_directions(linear_moment_law(1.0, 10.0), 1)
+        in_directions(law, 1)
+    with pytest.raises(ValueError, match=r"^most=0: allowed are numbers >= 1$"):
+        in_directions(law, 2, most=0)

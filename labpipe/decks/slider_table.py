@@ -1,0 +1,169 @@
+"""A wire's law as sliders, for programs that read numbers: CSV and JSON, with what it loses."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from functools import lru_cache
+
+from labpipe import __version__
+from labpipe.decks.deck_law import facts, on_one_line
+from labpipe.law.loss_card import LossCard, loss_card
+from labpipe.law.slider_directions import in_directions
+from labpipe.law.sliders import SliderLaw, fit_sliders, slip_moments
+from labpipe.records.wire import WireTable
+
+SCHEMA = 1
+"""Version of the JSON."""
+SLIDERS = 12
+"""With fewer, what a wire keeps after unloading is off by more than 2 %."""
+DIRECTIONS = 4
+
+_WIDEST_NAME = 100
+_MEANING = (
+    "moment = stiffness * curvature + sum of stiffnesses[j] * stop[j], |stop[j]| <= "
+    "slip_curvatures[j]; stop[j] changes with the curvature and stays at its limit; in space "
+    "stop[j] is a vector"
+)
+_DAHL = "moment = stiffness * curvature + moment * (1 - exp(-curvature / decay)) on first loading"
+_UNITS = {
+    "stiffness": "N*m^2",
+    "stiffnesses": "N*m^2",
+    "slip_curvatures": "1/m",
+    "slip_moments": "N*m",
+    "moment": "N*m",
+    "decay": "1/m",
+    "curvature": "1/m",
+    "mass_per_length": "kg/m",
+    "torsional_stiffness": "N*m^2",
+    "error": "1",
+    "sideways": "1",
+}
+
+
+@lru_cache(maxsize=4)  # a table is known by its identity
+def table_card(table: WireTable) -> LossCard:
+    """What the law of a wire loses in each form, over its table.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    return loss_card(table.curvature, table.moment)
+
+
+def loss_words(card: LossCard) -> str:
+    """A loss card in one line.
+
+    Parameters
+    ----------
+    card : of the law
+    """
+    sliders = ", ".join(f"{number} sliders {100.0 * lost:.2g} %" for number, lost in card.sliders)
+    return (
+        f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
+        f"each form at its best: constant stiffness {100.0 * card.constant:.2g} %, Dahl "
+        f"{100.0 * card.dahl.error:.2g} %, {sliders}."
+    )
+
+
+def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
+    """Sliders of a wire over its whole table.
+
+    Parameters
+    ----------
+    table : law of the wire
+    sliders : at most
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    return fit_sliders(table.curvature, table.moment, sliders)
+
+
+def no_sliders(error: ValueError) -> str:
+    """Say in a deck why there are no sliders in it.
+
+    Parameters
+    ----------
+    error : of `fit_sliders`
+    """
+    return f"No sliders, and nothing to run: {error}."
+
+
+def sliders_csv(table: WireTable) -> str:
+    """Write a row for each slider, the spring first, which never slides.
+
+    Parameters
+    ----------
+    table : law of the wire; one that sliders cannot have gets the reason and no rows
+    """
+    lines = [f"# {line}" for line in facts(table, on_one_line(table.name, _WIDEST_NAME))]
+    try:
+        law = sliders_of(table)
+    except ValueError as error:
+        return "\n".join([*lines, f"# {no_sliders(error)}"]) + "\n"
+    lines += [
+        f"# {len(law.stiffnesses)} sliders, within {100.0 * law.error:.2g} % of the wire's moment.",
+        f"# {loss_words(table_card(table))}",
+        "# The first row is the spring, which never slides. On reversal a slider gives way after "
+        "twice its slip curvature (Masing).",
+        "stiffness [N*m^2],slip_curvature [1/m],slip_moment [N*m]",
+        f"{law.stiffness!r},inf,inf",
+    ]
+    columns = (law.stiffnesses, law.slip_curvatures, slip_moments(law))
+    lines += [",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns), strict=True)]
+    return "\n".join(lines) + "\n"
+
+
+def sliders_json(table: WireTable) -> str:
+    """Write sliders, scalar sliders in four directions, a Dahl law, and the loss card.
+
+    Parameters
+    ----------
+    table : law of the wire; one that sliders cannot have gets the reason and no numbers
+    """
+    about = {"schema": SCHEMA, "labpipe": __version__, "wire": table.name}
+    try:
+        law, card = sliders_of(table), table_card(table)
+    except ValueError as error:
+        return json.dumps({**about, "reason": no_sliders(error)}, indent=1) + "\n"
+    space = in_directions(law, DIRECTIONS)
+    whole = {
+        **about,
+        "range": {"curvature": [law.first, law.last], "beyond": "not valid"},
+        "meaning": _MEANING,
+        "stiffness": law.stiffness,
+        "stiffnesses": law.stiffnesses.tolist(),
+        "slip_curvatures": law.slip_curvatures.tolist(),
+        "slip_moments": slip_moments(law).tolist(),
+        "error": law.error,
+        "scalar_sliders": {
+            "directions": space.directions,
+            "apart": "180 / directions degrees; each acts on its component of the curvature",
+            "stiffness": space.stiffness,
+            "stiffnesses": space.stiffnesses.tolist(),
+            "slip_curvatures": space.slip_curvatures.tolist(),
+            "error": space.error,
+            "sideways": space.sideways,
+        },
+        "dahl": {"meaning": _DAHL, **asdict(card.dahl)},
+        "loss_card": {
+            "curvature": [card.first, card.last],
+            "constant": {"stiffness": card.stiffness, "error": card.constant},
+            "dahl": card.dahl.error,
+            "sliders": {str(number): lost for number, lost in card.sliders},
+            "directions": {str(number): lost for number, lost in card.directions},
+        },
+        "mass_per_length": table.mass_per_length,
+        "torsional_stiffness": table.torsional_stiffness,
+        "units": _UNITS,
+    }
+    return json.dumps(whole, indent=1) + "\n"
