@@ -148,7 +148,7 @@ function addFinder(table) {
 function reach(box) {
   const scrolls = box.scrollWidth > box.clientWidth;
   const name = box.querySelector("caption, th")?.textContent.trim() || "table";
-  for (const [key, value] of Object.entries({ tabindex: "0", role: "region", "aria-label": name })) {
+  for (const [key, value] of Object.entries({ tabindex: "0", role: "group", "aria-label": name })) {
     if (scrolls) box.setAttribute(key, value);
     else box.removeAttribute(key);
   }

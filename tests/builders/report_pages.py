@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import date
 from hashlib import sha256
+from itertools import pairwise
 from pathlib import Path
 
-from labpipe.records.group import Campaign, Sample
+from labpipe.records.group import Campaign, Difference, Group, Sample
 from labpipe.report.lab_report import render_page
 from labpipe.report.wording import printable
-from tests.builders.campaigns import build_group, build_sample, troubled_samples
+from tests.builders.campaigns import build_difference, build_group, build_sample, troubled_samples
 
 DAY = date(2026, 3, 9)
 
@@ -48,7 +49,19 @@ def campaign_of(
         build_group(f"tube {at // most}", samples[at : at + most], scaled=False)
         for at in range(0, len(samples), most)
     )
-    return Campaign("Synthetic", groups, labpipe_version="0.0", name="c", decisions=(*decisions,))
+    return Campaign(
+        "Synthetic",
+        groups,
+        tuple(_difference(*pair) for pair in pairwise(groups)),
+        labpipe_version="0.0",
+        name="c",
+        decisions=(*decisions,),
+    )
+
+
+def _difference(one: Group, other: Group) -> Difference:
+    names = one.name, other.name
+    return replace(build_difference(), first=names[0], second=names[1], fields={"type": names})
 
 
 def page_of(folder: Path, campaign: Campaign) -> Path:
