@@ -214,20 +214,20 @@ def note_table(campaign: Campaign) -> Table | None:
     """Make the table of notes of which nothing follows, a row for each kind; None without any."""
     rows = tuple(
         (
-            Cell(each.code),
+            Cell(each.concerns[0].reason, tip=each.code),
             Cell(str(len(each.concerns))),
             Cell(each.whom),
-            Cell(each.concerns[0].reason),
         )
         for each in find_notes(campaign)
     )
-    heads = ("Note", "How many", "Where", "The first")
+    heads = ("Note, the first of its kind", "How many", "Where")
     return Table("Notes of which nothing follows", heads, rows) if rows else None
 
 
 def _concern_row(concern: Concern) -> tuple[Cell, ...]:
     whom = concern.test or ", ".join(concern.tests) or "the whole group"
-    return Cell(whom, concern.group), Cell(concern.what or DASH), Cell(concern.reason, concern.code)
+    why = Cell(concern.reason, tip=concern.code)
+    return Cell(whom, concern.group), Cell(concern.what or DASH), why
 
 
 def method_tables(campaign: Campaign) -> list[Table]:
@@ -246,7 +246,7 @@ def _method_table(protocol: str, samples: Sequence[Sample]) -> Table:
             if result.method:
                 known[result.method] = None
     rows = tuple(
-        (Cell(in_words(name), name), Cell(with_names_in_words("; ".join(each)) or _NO_METHOD))
+        (Cell(in_words(name), tip=name), Cell(with_names_in_words("; ".join(each)) or _NO_METHOD))
         for name, each in methods.items()
     )
     return Table(f"Protocol {protocol}: how each number was made", ("Number", "Method"), rows)

@@ -107,11 +107,15 @@ def _instrument(each: Instrument) -> str:
 
 def _numbers(result: TestResult) -> Table:
     heads = ("Number", "Value, 95 %", "State", "Why", "Largest parts of the interval")
-    rows = tuple(_row(result, each) for each in result.results)
+    said = ["", *(sentences(each.reasons) for each in result.results)]
+    rows = tuple(
+        _row(result, each, "As above." if why and why == above else why)
+        for each, why, above in zip(result.results, said[1:], said, strict=False)
+    )
     return Table("Numbers of this test", heads, rows)
 
 
-def _row(result: TestResult, each: Result) -> tuple[Cell, ...]:
+def _row(result: TestResult, each: Result, why: str) -> tuple[Cell, ...]:
     shown = shown_in(each.name, each.unit, result.display)
     value = DASH
     if each.value is not None:
@@ -120,7 +124,7 @@ def _row(result: TestResult, each: Result) -> tuple[Cell, ...]:
         Cell(heading(each.name, shown.unit), tip=each.name),
         Cell(value, mark="?" if each.status is Status.DOUBTFUL else ""),
         Cell(str(each.status), tip=", ".join(each.codes)),
-        Cell(sentences(each.reasons)),
+        Cell(why),
         Cell("; ".join(_parts(each))),
     )
 

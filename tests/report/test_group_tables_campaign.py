@@ -43,8 +43,9 @@ def test_notes_of_which_nothing_follows_are_one_table() -> None:
     table = note_table(campaign)
     assert table is not None
     assert [[cell.text for cell in row] for row in table.rows] == [
-        ["gap_left", "3", "3 tests of A", "No position, 30 frames."]
+        ["No position, 30 frames.", "3", "3 tests of A"]
     ]
+    assert table.rows[0][0].tip == "gap_left"
     assert note_table(Campaign("Synthetic", ())) is None
 
 
