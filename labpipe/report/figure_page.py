@@ -31,7 +31,7 @@ DOUBLE_COLUMN = 180.0
 WIDTH = 120.0
 """mm; 9 pt on it is still 6.7 pt in a column of 90 mm."""
 GREY = "#666666"
-_MM_PER_INCH = 25.4
+_MM_PER_INCH, _POINTS_PER_INCH = 25.4, 72.0
 _LINE_MM = 4.2
 _EDGE = 0.012
 _LONGEST_TICK, _LONGEST_LINE = 40, 150
@@ -42,8 +42,8 @@ _ROOM_FOR_INTERVALS = 1.5
 """Beside the values of an axis, as a share of their range."""
 _NOTE_CHARACTERS = 0.7
 """Characters of a footnote for each mm of the page's width."""
-_KEY_HANDLE, _KEY_CHARACTER = 11.5, 1.15
-"""mm of a key's line, and of each character behind it."""
+_KEY_HANDLE = 11.8
+"""mm of a key's line with the gaps around it."""
 
 
 class Words(NamedTuple):
@@ -164,7 +164,8 @@ def keyed_page(
     width_mm : mm on paper
     columns : of the key; as many as have room if 0
     """
-    columns = columns or _columns([len(str(key.get_label())) for key in words.keys], width_mm - 2.0)
+    labels = [str(key.get_label()) for key in words.keys]
+    columns = columns or _columns(list(map(_width_mm, labels)), width_mm - 2.0)
     rows = math.ceil(len(words.keys) / columns)
     lines = textwrap.wrap(words.note, int(_NOTE_CHARACTERS * width_mm))
     page = titled_page(
@@ -179,9 +180,20 @@ def keyed_page(
     return page
 
 
-def _columns(lengths: Sequence[int], room: float) -> int:
+def _width_mm(words: str) -> float:
+    """Width of words of a key on paper, mm."""
+    import matplotlib as mpl
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=mpl.rcParams["legend.fontsize"])
+    points, *_ = text_to_path.get_text_width_height_descent(words, font, ismath=False)
+    return points / _POINTS_PER_INCH * _MM_PER_INCH
+
+
+def _columns(lengths: Sequence[float], room: float) -> int:
     """Columns of a key: one line if all fits, else as many as the longest words allow."""
-    widths = [_KEY_HANDLE + _KEY_CHARACTER * length for length in lengths]
+    widths = [_KEY_HANDLE + length for length in lengths]
     if sum(widths) <= room:
         return max(len(widths), 1)
     most = max(int(room / max(widths)), 1)

@@ -71,7 +71,7 @@ def group_page(
     keys : signs to explain
     height_mm : mm, without the lines of the key and of the footnote
     note : footnote, broken into lines here
-    columns : of the key
+    columns : of the key; as many as have room if 0
     """
     title = f"{group.name}  \u00b7  {group.protocol}  \u00b7  {count_words(group)}"
     return keyed_page(Words(title, note, keys), height_mm=height_mm, columns=columns)

@@ -55,7 +55,7 @@ def draw_group_shapes(group: Group) -> Figure:
     wide, tall = (high - low + 2.0 * edge).tolist()
     height = float(np.clip(_WIDTH_MM * tall / wide, _LEAST_MM, _MOST_MM)) + 14.0
     longest = max(seen, key=lambda each: len(each.deflection))
-    page = group_page(group, _step_keys(group, longest), height_mm=height, columns=6)
+    page = group_page(group, _step_keys(group, longest), height_mm=height, columns=0)
     axes = page.subplots()
     plot_group_shapes(group, axes)
     along = group_scale(group, "displacement")
@@ -81,7 +81,8 @@ def plot_group_shapes(group: Group, axes: Axes) -> None:
         dash = looks[sample.specimen.spool].dash
         for points, colour in zip(shapes.positions, _colours(shapes), strict=True):
             x, y = points[np.isfinite(points).all(axis=1)].T * along.factor
-            axes.plot(x, y, color=colour, linestyle=dash, linewidth=0.6, marker="o", markersize=2.0)
+            axes.plot(x, y, color=colour, linestyle=dash, linewidth=0.4, alpha=0.6)
+            axes.plot(x, y, color=colour, linestyle="", marker="o", markersize=2.0)
     axes.set_aspect("equal", adjustable="box", anchor="W")
     axes.set_xlabel(along.label("Along the undeformed axis"))
     axes.set_ylabel(along.label("Deflection"))
