@@ -81,7 +81,7 @@ def test_small_causes_stand_together_at_the_end() -> None:
         Bar("b", {"length": 1}),
     ]
     plot_bars(bars, axes)
-    assert pieces(axes) == [(0.0, 97.5, False), (97.5, 2.5, False), (0.0, 100.0, True)]
+    assert pieces(axes) == [(0.0, 97.5, False), (97.5, 2.5, False), (0.0, 100.0, False)]
     assert axes.get_ylim() == (1.5, -0.5)
 
 
