@@ -25,6 +25,7 @@ _MOST_STEPS = 60
 _LONGEST_STEP = 1.5
 _SETTLED = 1e-5  # of the objective, predicted by a full step; intervals look at changes of 1
 _IDLE, _MOST_IDLE = 1e-3, 3  # gains of the objective in a row that end a walk along a flat valley
+_ROUGHLY = 1e-3  # of how far a fit lies above another
 _WHOLE, _SHORTEST = 0.75, 0.1  # shares of a step: above it is whole; none is shorter
 _JITTER = 1e-2  # a step that promised less and did not keep it: the curves are tabulated
 _DAMPING = (1e-6, 10.0, 1e8)  # first, growth, last
@@ -112,7 +113,13 @@ class Fit:
 
 
 def search(
-    problem: Problem, levels: Levels, start: Point, free: Flags, *, enough: float = _SETTLED
+    problem: Problem,
+    levels: Levels,
+    start: Point,
+    free: Flags,
+    *,
+    enough: float = _SETTLED,
+    lowest: float = np.inf,
 ) -> Fit:
     """Go from a start to the least of the objective.
 
@@ -122,6 +129,7 @@ def search(
     start : first guess; parameters that are not free stay there
     free : shape (3,)
     enough : of the objective, below which a further step would not matter
+    lowest : objective of a better fit: the higher above it, the rougher is enough
 
     Raises
     ------
@@ -132,7 +140,7 @@ def search(
     damping, steps, idle = _DAMPING[0], 0, 0
     while steps < _MOST_STEPS and damping <= _DAMPING[2] and idle < _MOST_IDLE:
         step, pull = _step_inside(problem, levels, here, free, damping)
-        if float(step @ pull) <= enough:
+        if float(step @ pull) <= max(enough, _ROUGHLY * (here.objective - lowest)):
             return replace(here, steps=steps, settled=True)
         steps += 1
         ahead = _ahead(problem, levels, here, step, float(step @ pull))

@@ -106,7 +106,8 @@ def settle(
     others = [each for each in valleys if each is not lowest]
     if lowest is not fit:
         fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
-    found = (_again(problem, levels, each, free) for each in others)
+    low = fit.objective
+    found = (_again(problem, levels, each, free, lowest=low) for each in others)
     fits = _different([fit, *(each for each in found if each is not None)])
     apart = [each for each in line if abs(_place(each) - _place(fits[0])) > _SAME * _STRIDE]
     line = sorted([*apart, fits[0]], key=_place)
@@ -122,10 +123,12 @@ def _different(fits: list[Fit]) -> list[Fit]:
     return kept
 
 
-def _again(problem: Problem, levels: Levels, fit: Fit, free: Flags) -> Fit | None:
-    """A least again, with other levels."""
+def _again(
+    problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: float = np.inf
+) -> Fit | None:
+    """Go down from a fit, to a least."""
     try:
-        return search(problem, levels, _within(fit.point, levels), free)
+        return search(problem, levels, _within(fit.point, levels), free, lowest=lowest)
     except ValueError:
         return None
 
@@ -209,7 +212,7 @@ def leasts(problem: Problem, levels: Levels, line: list[Fit], fit: Fit, free: Fl
     found = [fit]
     for dip in _dips(line):
         if dip is not fit:
-            least = _again(problem, levels, dip, free)
+            least = _again(problem, levels, dip, free, lowest=fit.objective)
             found += [] if least is None else [least]
     found.sort(key=_place)
     kept: list[Fit] = []
@@ -263,7 +266,8 @@ def _stretch(problem: Problem, levels: Levels, fit: Fit, others: Flags, stops: F
         logs = np.clip(logs, problem.lower, problem.upper)
         logs[_COPPER] = stop
         try:
-            found.append(search(problem, levels, replace(last, logs=logs), others, enough=_ROUGH))
+            start, low = replace(last, logs=logs), fit.objective
+            found.append(search(problem, levels, start, others, enough=_ROUGH, lowest=low))
         except ValueError:
             break  # the model cannot follow the curves with such copper
     return found[1:]

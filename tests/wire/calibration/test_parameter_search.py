@@ -86,3 +86,30 @@ def test_a_start_beyond_the_model_is_refused() -> None:
     problem = replace(PROBLEM, curves=(deep,), sample=np.zeros(1, np.int64))
     with pytest.raises(ValueError, match="the curve ends at"):
         search(problem, LEVELS, Point(np.log(TRUTH), 0.0, np.zeros(1)), ALL)
+
+
+def test_a_fit_far_above_another_is_found_roughly() -> None:
+    held = np.array([True, True, False])
+    far = start(0.5, 0.3, 6.0)
+    best = search(PROBLEM, LEVELS, start(1.0, 1.0, 1.0), ALL).objective
+    fine = search(PROBLEM, LEVELS, far, held)
+    rough = search(PROBLEM, LEVELS, far, held, lowest=best)
+    assert rough.steps < fine.steps
+    rise = fine.objective - best
+    assert rise > 10.0
+    assert rough.objective - fine.objective < 5e-3 * rise
+
+
+def test_a_bent_valley_is_not_crossed_to_and_fro(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whole steps alone take 38 from here, and end a little higher."""
+    curves = measured("A3", (0.12,), n=90, seed=1)
+    wire = wire_of("A3")
+    parts = take_apart(wire.section, wire.contacts)
+    problem = replace(PROBLEM, parts=parts, curves=curves)
+    begin, held = start(0.75, 0.9, 1.5), np.array([False, True, True])
+    quick = search(problem, LEVELS, begin, held)
+    monkeypatch.setattr("labpipe.wire.calibration.parameter_search._WHOLE", 0.0)
+    slow = search(problem, LEVELS, begin, held)
+    assert quick.settled
+    assert quick.objective == pytest.approx(slow.objective, abs=0.02)
+    assert 2 * quick.steps < slow.steps
