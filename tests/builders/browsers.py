@@ -56,7 +56,7 @@ def shown(browser: Browser, address: str | Path, **wanted: Any) -> Iterator[Show
     is_file = isinstance(address, Path)
     settings: dict[str, Any] = {"offline": is_file, "viewport": WIDE} | wanted
     context = browser.new_context(**settings)
-    context.set_default_timeout(10_000)
+    context.set_default_timeout(60_000)  # a busy machine is slow, not wrong
     page = context.new_page()
     found = Shown(page)
     page.on("request", lambda request: found.asked.append(request.url))
