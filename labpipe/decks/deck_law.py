@@ -28,11 +28,15 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
     name : of the wire, as the deck may write it
     """
     end = float(table.curvature[-1])
+    limit = table.doubtful_curvature
+    strain = 100.0 * table.spec.insulation_strain
+    doubt = f"Doubtful beyond {limit:.6g} 1/m: the insulation is strained by over {strain:.3g} %."
     return (
         f"Wire {name}, made by labpipe {__version__}.",
         UNITS,
         f"Range: curvature from 0 to {end:.6g} 1/m (bending radius {1.0 / end:.4g} m and more).",
         "Beyond this range the deck is not valid.",
+        *((doubt,) if limit < end else ()),
         FIRST_LOADING,
     )
 

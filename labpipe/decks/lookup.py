@@ -29,6 +29,8 @@ COLUMNS = {
     "secant_stiffness": "N*m^2",
     "lowest_moment": "N*m",
     "highest_moment": "N*m",
+    "insulation_share": "1",
+    "is_doubtful": "1",
 }
 """Columns of the CSV table, as the fields of `WireTable`, and their units."""
 
@@ -69,9 +71,14 @@ def lookup_csv(table: WireTable) -> str:
         f"{table.stretch_twist_coupling:.9g} N m.",
         "# moment = stick + slip + bending + plastic + insulation; lowest and highest over a full "
         "turn of the section.",
+        "# insulation_share: of the moment. is_doubtful: 1 beyond the range of the insulation's "
+        "straight line.",
         ",".join(f"{name} [{unit}]" for name, unit in COLUMNS.items()),
     ]
-    columns = [map(repr, getattr(table, name).tolist()) for name in COLUMNS]
+    numbers = {name: getattr(table, name) for name in COLUMNS} | {
+        "is_doubtful": table.is_doubtful.astype(int)
+    }
+    columns = [map(repr, each.tolist()) for each in numbers.values()]
     lines += map(",".join, zip(*columns, strict=True))
     return "\n".join(lines) + "\n"
 
@@ -110,6 +117,7 @@ def _about(table: WireTable) -> dict[str, object]:
         "labpipe": __version__,
         "wire": table.name,
         "range": {"curvature": [0.0, float(table.curvature[-1])], "beyond": "not valid"},
+        "doubtful_beyond": table.doubtful_curvature if table.is_doubtful.any() else None,
         "law": FIRST_LOADING,
         "torsion": TORSION,
     }

@@ -9,8 +9,9 @@ from labpipe.errors import Fault
 from labpipe.protocol.grammar import Block
 from labpipe.protocol.wire_rows import Column, Curve
 
-FIRST_SLOPES = (1e9, 1e12)
-"""Slopes (Pa) between which the first one is: a wrong unit of strain or stress is outside."""
+FIRST_SLOPES = {"stress_table": (1e9, 1e12), "insulation_table": (1e5, 1e10)}
+"""Slopes (Pa) between which the first one is, of strands and insulation by the column that names
+the table: a wrong unit of strain or stress is outside."""
 _ROUNDING = 1e-6  # of the first slope
 
 
@@ -21,12 +22,13 @@ class StressPoint(Block):
     stress_mpa: Annotated[float, Column("MPa", 0.0, 1e5)]
 
 
-def curve_fault(points: Sequence[StressPoint]) -> tuple[int, Fault] | None:
+def curve_fault(points: Sequence[StressPoint], column: str) -> tuple[int, Fault] | None:
     """Find the first point that makes no curve: strains grow, stresses never fall, nor stiffen.
 
     Parameters
     ----------
     points : in the order of the table; one at zero may come first
+    column : of the wire sheet that names the table
 
     Returns
     -------
@@ -43,7 +45,7 @@ def curve_fault(points: Sequence[StressPoint]) -> tuple[int, Fault] | None:
         last = here
     if not first_slope:
         return 0, Fault((), "a point beyond zero", "none", "Fill in the table.")
-    low, high = FIRST_SLOPES
+    low, high = FIRST_SLOPES[column]
     if low <= first_slope * 1e6 <= high:
         return None
     expected = f"a first slope of {low / 1e9:g} to {high / 1e9:g} GPa"

@@ -172,19 +172,22 @@ class WireRow(Block):
         Literal["auto", "hexagonal", "concentric", "packed", "compressed"],
         BeforeValidator(lambda text: str(text).casefold()),
     ] = "auto"
+    insulation_strain: Annotated[float | None, Column("", 1e-4, 1.0)] = None
     stress_table: str = ""
+    insulation_table: str = ""
     remark: str = ""
 
     @classmethod
     def between(cls, data: object) -> list[Fault]:
-        """Refuse a stress table beside the numbers that it stands for."""
-        row = data if isinstance(data, Mapping) else {}
-        given = [name for name in _OF_THE_CURVE if row.get(name)]
-        if not (row.get("stress_table") and given):
-            return []
-        expected = "either a stress table, whose first slope is the modulus, or the numbers"
-        found, remedy = f"a stress table and {', '.join(given)}", "Empty one or the other."
-        return [Fault(("stress_table",), expected, found, remedy)]
+        """Refuse stress tables beside the numbers that they stand for."""
+        row, faults = data if isinstance(data, Mapping) else {}, []
+        for table, numbers in _NUMBERS_OF.items():
+            given = [name for name in numbers if row.get(name)]
+            if row.get(table) and given:
+                expected = "either a stress table, whose first slope is the modulus, or the numbers"
+                found, remedy = f"a stress table and {', '.join(given)}", "Empty one or the other."
+                faults.append(Fault((table,), expected, found, remedy))
+        return faults
 
     @model_validator(mode="before")
     @classmethod
@@ -237,6 +240,9 @@ NEEDED: Final = tuple(n for n, field in WireRow.model_fields.items() if field.is
 SIZES: Final = ("strand_diameter_mm", "strand_diameters_mm", "conductor_area_mm2")
 """Columns of which every sheet has at least one."""
 _OF_THE_CURVE = ("conductor_modulus_gpa", "copper_k_mpa", "copper_n")
+_OF_THE_WALL = ("insulation_modulus_mpa", "insulation_strain")
+_NUMBERS_OF = {"stress_table": _OF_THE_CURVE, "insulation_table": _OF_THE_WALL}
+"""What each stress table stands for."""
 _DENSITIES = ("conductor_density_kg_per_m3", "insulation_density_kg_per_m3")
 _ALWAYS_THERE = (*NEEDED, "lay_angles_deg")
 
@@ -332,23 +338,27 @@ def _mass_faults(row: WireRow) -> Iterator[Fault]:
     whole = 1e-3 * math.pi / 4.0 * (conductor * strands + insulation * (outer**2 - bore**2))
     if 1.0 / MASSES_AGREE <= said / whole <= MASSES_AGREE:
         return
-    expected = (
-        f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} kg/m^3, "
-        f"wall of {insulation:.4g} kg/m^3)"
-    )
+    expected = f"within a third of the {whole:.4g} g/m of the section (strands of {conductor:.4g} "
+    expected += f"kg/m^3, wall of {insulation:.4g} kg/m^3)"
     remedy = "Correct the mass, the sizes or the densities; the unit is g/m, which is kg/km."
     yield Fault(("mass_per_length_g_per_m",), expected, f"{said:.4g} g/m", remedy)
 
 
 def _density(said: float | None, field: str) -> float:
-    return float(said if said is not None else _default_of(field))
+    return said if said is not None else float(_default_of(field))
 
 
 def _default_of(field: str) -> Any:
     return next(each.default for each in fields(WireSpec) if each.name == field)
 
 
-def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | None) -> WireSpec:
+def wire_spec(
+    row: WireRow,
+    blank: Collection[str],
+    place: str,
+    curve: Curve | None,
+    insulation: Curve | None = None,
+) -> WireSpec:
     """Make the record of a row, with words for what it leaves open.
 
     Parameters
@@ -356,13 +366,14 @@ def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | N
     row : of the sheet
     blank : columns that are there and blank in this row: perhaps a slip, unlike one left out
     place : of the row, such as ``sheet 'wires', row 4``
-    curve : the stress table that the row names
+    curve, insulation : the stress tables that the row names
 
     Returns
     -------
     The wire in SI.
     """
     values: dict[str, Any] = {"layer_counts": row.counts, "stress_table": curve}
+    values["insulation_table"] = insulation
     values["strand_diameters"] = tuple(map(COLUMNS["strand_diameter_mm"].in_si, row.diameters))
     values["lay_angles"] = tuple(map(COLUMNS["lay_angles_deg"].in_si, row.lay_angles_deg))
     if row.layer_radii_mm:
@@ -373,7 +384,8 @@ def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | N
             values[field_of(name)] = COLUMNS[name].in_si(value)
     if "layout" in row.model_fields_set:
         values["layout"] = row.layout
-    needless = {*(_OF_THE_CURVE if curve else ()), *(_DENSITIES if row.has_mass else ())}
+    needless = {*(_OF_THE_CURVE if curve else ()), *(_OF_THE_WALL if insulation else ())}
+    needless |= {*(_DENSITIES if row.has_mass else ())}
     silent = {field_of(name): name for name in _WITH_DEFAULT if name not in needless}
     defaults = {
         field: default_words(name) + " (blank in this row)" * (name in blank)
@@ -385,7 +397,7 @@ def wire_spec(row: WireRow, blank: Collection[str], place: str, curve: Curve | N
 
 _WITH_DEFAULT = (
     *("insulation_modulus_mpa", "conductor_modulus_gpa", "poisson"),
-    *("insulation_poisson", "copper_k_mpa", "copper_n"),
+    *("insulation_poisson", "insulation_strain", "copper_k_mpa", "copper_n"),
     *("friction_strand", "friction_insulation", "radial_force_n"),
     *(*_DENSITIES, "length_mm", "tension_n"),
     *("orientation_deg", "largest_curvature_per_m", "layout"),

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import numpy as np
 
-from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
+from labpipe.records.arrays import ArrayRecord, Flags, Floats, Ints, Vector
 from labpipe.records.quality import QualityNote
 
 AUTO = "auto"
@@ -36,6 +36,9 @@ class WireSpec:
     copper_k : strength of the Ramberg-Osgood curve, Pa
     copper_n : its exponent
     stress_table : strains and stresses (Pa) in place of the Ramberg-Osgood curve
+    insulation_table : the same of the insulation, in place of its modulus
+    insulation_strain : of the wire's rim, up to which the straight line of its modulus is taken to
+        hold
     friction_strand : between strands
     friction_insulation : between the outermost ring and the insulation
     radial_force : of the insulation, N per radian of lay and strand of the outermost ring
@@ -64,6 +67,8 @@ class WireSpec:
     copper_k: float = 530.0e6
     copper_n: float = 0.44
     stress_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    insulation_table: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    insulation_strain: float = 0.03
     friction_strand: float = 0.21
     friction_insulation: float = 0.10
     radial_force: float = 0.15
@@ -145,6 +150,8 @@ class WireTable(ArrayRecord):
         end load normal to the clamped axis, both from rest
     mass_per_length : kg/m
     rest : of that cantilever, which lies level, its tip held; None where its weight is left out
+    doubtful_curvature, doubtful_deflection : 1/m, m, beyond which the rim of the insulation is
+        strained beyond what its straight line is taken to hold for; infinite for a stress table
     notes : defaults taken, limits met
     """
 
@@ -173,7 +180,21 @@ class WireTable(ArrayRecord):
     tip_force: Annotated[Floats, "points"]
     mass_per_length: float
     rest: WireAtRest | None
+    doubtful_curvature: float
+    doubtful_deflection: float
     notes: tuple[QualityNote, ...] = ()
+
+    @property
+    def is_doubtful(self) -> Flags:
+        """Whether each curvature is beyond `doubtful_curvature`, shape (n,)."""
+        return np.asarray(self.curvature > self.doubtful_curvature)
+
+    @property
+    def insulation_share(self) -> Floats:
+        """Share of the moment that the insulation carries, shape (n,); at zero the next one."""
+        is_zero = self.moment == 0.0
+        share = self.insulation / np.where(is_zero, 1.0, self.moment)
+        return np.asarray(np.where(is_zero, share[1], share))
 
     @property
     def slips_at_once(self) -> bool:

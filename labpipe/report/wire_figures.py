@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from labpipe.records.arrays import Floats
+from labpipe.records.arrays import Flags, Floats
 from labpipe.records.wire import WireTable
 from labpipe.report.figure_page import (
     Words,
@@ -66,6 +66,9 @@ _WHOLE: dict[str, Any] = {"color": "black", "linewidth": 1.2, "zorder": 4}
 _ELASTIC: dict[str, Any] = {
     "color": "black", "linewidth": 0.8, "linestyle": (0, (1, 1.4)), "zorder": 3
 }  # fmt: skip
+_LIGHTER: dict[str, Any] = {"facecolor": "white", "alpha": 0.6, "linewidth": 0, "zorder": 6}
+"""Laid over what is beyond the range of the insulation's straight line: doubtful."""
+_FADED = 0.35
 _HEADROOM, _TOO_CLOSE = 1.4, 1.35
 _MOST_ELASTIC = 2.0
 """How far a panel goes for the line without yielding, in largest moments."""
@@ -120,6 +123,19 @@ def plot_stiffness(table: WireTable, axes: Axes) -> None:
     set_log(axes, across)
     axes.set_ylabel(unit.label("Bending stiffness"))
     _mark_onsets(table, axes)
+    _lighten(table, axes)
+
+
+def _lighten(table: WireTable, axes: Axes) -> None:
+    if table.is_doubtful.any():
+        _lay_over(axes, table.doubtful_curvature, float(table.curvature[-1]))
+
+
+def _lay_over(axes: Axes, start: float, stop: float) -> None:
+    """Make lighter what is doubtful, but not the frame."""
+    axes.axvspan(start, stop, **_LIGHTER)
+    for spine in axes.spines.values():
+        spine.set_zorder(_LIGHTER["zorder"] + 1)
 
 
 def _mark_limits(table: WireTable, axes: Axes, unit: Scale) -> None:
@@ -204,6 +220,7 @@ def plot_parts(table: WireTable, axes: Axes) -> None:
     axes.set_ylim(0.0, top)
     axes.set_xlabel(CURVATURE.label("Curvature"))
     axes.set_ylabel(MOMENT.label("Bending moment"))
+    _lighten(table, axes)
 
 
 def plot_shares(table: WireTable, axes: Axes) -> None:
@@ -223,6 +240,7 @@ def plot_shares(table: WireTable, axes: Axes) -> None:
     axes.set_ylim(0.0, 100.0)
     axes.set_xlabel(CURVATURE.label("Curvature"))
     axes.set_ylabel("Share of the moment (%)")
+    _lighten(table, axes)
 
 
 def moment_parts(table: WireTable) -> tuple[Floats, Floats, Floats, Floats]:
@@ -300,15 +318,27 @@ def plot_cantilever(table: WireTable, axes: Axes) -> None:
     axes.set_ylim(0.0, _ROOM * float(np.max(up)))
     axes.set_xlabel(LENGTH.label("Tip deflection"))
     axes.set_ylabel(FORCE.label("End load"))
+    if table.doubtful_deflection < table.tip_deflection[-1]:
+        _lay_over(axes, LENGTH.factor * table.doubtful_deflection, float(across[-1]))
 
 
 def _setting(table: WireTable) -> list[str]:
     length = LENGTH.factor * table.spec.length
     return [
         f"Free length {length:.4g} {LENGTH.unit}, first loading; the load stays normal to the"
-        " clamped axis. Straight lines: the limits without yielding,"
+        f" clamped axis. {_rest_words(table)}Straight lines: the limits without yielding,"
         " 3\u00a0EI\u00a0/\u00a0length³."
     ]
+
+
+def _rest_words(table: WireTable) -> str:
+    rest = table.rest
+    if rest is None:
+        return ""
+    return (
+        f"Load and deflection count from rest, where the wire lies level by its weight, its tip"
+        f" held by {1e3 * rest.force:.3g} mN, and sags by {1e6 * rest.sag:.3g} µm. "
+    )
 
 
 def _keys() -> list[Artist]:
@@ -320,7 +350,10 @@ def _keys() -> list[Artist]:
 
 
 _COMPARISON_HEIGHT = 76.0
-_RANGES = "Each line ends where the range of its law ends."
+_RANGES = (
+    "Each line ends where the range of its law ends, and is lighter where the rim of the insulation"
+    " is strained beyond what its straight line is taken to hold for."
+)
 
 
 def comparison_figure(tables: Sequence[WireTable]) -> Figure:
@@ -342,9 +375,12 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     unit = stiffness_scale(tables)
     for table, look in zip(tables, line_looks(len(tables)), strict=True):
         style: dict[str, Any] = {"color": look.colour, "linestyle": look.dash}
-        use = bent(table)
-        left.plot(table.curvature[use], unit.factor * table.secant_stiffness[use], **style)
-        right.plot(table.curvature, MOMENT.factor * table.moment, **style)
+        secant, moment = unit.factor * table.secant_stiffness, MOMENT.factor * table.moment
+        sure = table.curvature <= table.doubtful_curvature
+        for use, fade in _pieces(sure):
+            shown = use & bent(table)
+            left.plot(table.curvature[shown], secant[shown], **style, alpha=fade)
+            right.plot(table.curvature[use], moment[use], **style, alpha=fade)
     set_log(left, _shared_range(tables))
     left.set_ylabel(unit.label("Secant bending stiffness"))
     right.set_xlim(left=0.0)
@@ -354,6 +390,15 @@ def comparison_figure(tables: Sequence[WireTable]) -> Figure:
     panel_letter(left, "a", "secant stiffness")
     panel_letter(right, "b", "moment")
     return page
+
+
+def _pieces(sure: Flags) -> Iterator[tuple[Flags, float]]:
+    """What is sure of a law, and what is doubtful, from its last sure point on, drawn lighter."""
+    yield sure, 1.0
+    if not sure.all():
+        doubtful = ~sure
+        doubtful[int(sure.sum()) - 1] = True
+        yield doubtful, _FADED
 
 
 def _shared_range(tables: Sequence[WireTable]) -> Floats:

@@ -61,6 +61,19 @@ def _onset(table: WireTable, which: int) -> float | str:
     return onset if isinstance(onset, str) else CURVATURE.factor * onset
 
 
+def _doubtful_from(table: WireTable) -> float | None:
+    """Curvature beyond which the insulation is taken too far, 1/m; None where it is not."""
+    return CURVATURE.factor * table.doubtful_curvature if table.is_doubtful.any() else None
+
+
+def _share_at(table: WireTable) -> float | None:
+    """Share of the moment that the insulation carries at that curvature, in per cent."""
+    limit = table.doubtful_curvature
+    if not table.is_doubtful.any():
+        return None
+    return 100.0 * float(np.interp(limit, table.curvature, table.insulation_share))
+
+
 def _rest(table: WireTable, name: str, factor: float) -> float | None:
     """A number of the cantilever at rest; None where its weight is left out."""
     return None if table.rest is None else factor * float(getattr(table.rest, name))
@@ -162,6 +175,9 @@ SUMMARY = (
     Column("last slip (1/m)", lambda table: _onset(table, -1)),
     Column("range, curvature (1/m)", lambda table: CURVATURE.factor * float(table.curvature[-1])),
     Column("range, bending radius (mm)", lambda table: LENGTH.factor / float(table.curvature[-1])),
+    Column("doubtful beyond, curvature (1/m)", _doubtful_from),
+    Column("insulation's share there (%)", _share_at),
+    Column("insulation's share at the end (%)", lambda table: 100.0 * table.insulation_share[-1]),
     Column("moment at the end (N·mm)", lambda table: MOMENT.factor * float(table.moment[-1])),
     Column(
         "secant stiffness at the end (N·mm²)",
@@ -214,6 +230,7 @@ _LAW: tuple[tuple[str, str, Scale], ...] = (
     ("tangent stiffness", "tangent_stiffness", STIFFNESS),
     ("lowest moment of all orientations", "lowest_moment", MOMENT),
     ("highest moment of all orientations", "highest_moment", MOMENT),
+    ("share of the insulation", "insulation_share", Scale(100.0, "%")),
 )
 _ABOUT = (
     "Laws of wires on first loading, from the wire model of labpipe. Cells hold all digits of a"
@@ -227,7 +244,10 @@ _ABOUT = (
     " 'laws' shows fewer rows than a law has: see the last columns of 'wires'.",
     "End load: normal to the clamped axis, at the tip of the cantilever of the wire's length, by"
     " straight lines between the points of its curve; empty beyond its end.",
-    "Torsional stiffness: of strands that do not grip each other, a lower bound.",
+    "Pull and torque = [EA, C; C, GJ] times strain and twist. Axial stiffness EA: of a wire that"
+    " does not turn; torsional stiffness GJ of fixed length: of one that does not lengthen.",
+    "Doubtful: the rim of the insulation is strained beyond what its straight line is taken to hold"
+    " for. End loads and deflections count from rest, where the wire lies level, its tip held.",
     "Strands: centres of the section before it is turned; layer 0 is the innermost.",
 )
 
@@ -307,9 +327,10 @@ def _laws(
             (scale.factor * getattr(table, field)[kept]).tolist() for _, field, scale in _LAW
         ]
         first = len(rows)
-        rows += [(table.name, *row) for row in zip(*columns, strict=True)]
+        doubt = ["yes" if each else None for each in table.is_doubtful[kept]]
+        rows += [(table.name, *row) for row in zip(*columns, doubt, strict=True)]
         places[table.name] = first, len(rows) - 1
-    heads = ("wire", *(scale.label(words) for words, _, scale in _LAW))
+    heads = ("wire", *(scale.label(words) for words, _, scale in _LAW), "doubtful")
     bent_only = {name: (first + 1, last) for name, (first, last) in places.items() if last > first}
     lines = {
         heads[up]: [Line(name, rows_of, 1, up) for name, rows_of in bent_only.items()]

@@ -388,6 +388,11 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     values = {each.name: each.value for each in calibration.parameters if np.isfinite(each.value)}
     friction = spec.friction_strand + spec.friction_insulation
     radial = values.get(RADIAL_FRICTION, spec.radial_force * friction) / friction
+    modulus, table = values.get(INSULATION_MODULUS), spec.insulation_table
+    if modulus is not None and table is not None:  # its curve is as much stiffer as its first slope
+        strains, stresses = table
+        stiffer = modulus / (stresses[0] / strains[0])
+        spec = replace(spec, insulation_table=(strains, tuple(stiffer * each for each in stresses)))
     return replace(
         spec,
         radial_force=radial,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
+import math
 import signal
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -266,9 +267,13 @@ def as_json(modelled: Modelled) -> dict[str, object]:
 
 _ARRAYS = (
     *("curvature", "moment", "secant_stiffness", "tangent_stiffness"),
-    *("stick", "slip", "bending", "plastic", "insulation"),
+    *("stick", "slip", "bending", "plastic", "insulation", "insulation_share"),
     *("lowest_moment", "highest_moment", "slip_onsets"),
 )
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _wire(table: WireTable) -> dict[str, object]:
@@ -281,11 +286,13 @@ def _wire(table: WireTable) -> dict[str, object]:
         "free_torsional_stiffness": table.free_torsional_stiffness,
         "stretch_twist_coupling": table.stretch_twist_coupling,
         "mass_per_length": table.mass_per_length,
+        "doubtful_curvature": table.doubtful_curvature if table.is_doubtful.any() else None,
         **{name: getattr(table, name).tolist() for name in _ARRAYS},
         "cantilever": {
             "length": table.spec.length,
             "tip_deflection": table.tip_deflection.tolist(),
             "force": table.tip_force.tolist(),
+            "doubtful_deflection": _finite(table.doubtful_deflection),
             "rest": None if table.rest is None else asdict(table.rest),
         },
         "layout": {

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeAlias
 
 from labpipe.errors import Fault, ReadError, complaint, nearest
-from labpipe.protocol.stress_curve import StressPoint, curve_fault, curve_of
+from labpipe.protocol.stress_curve import FIRST_SLOPES, StressPoint, curve_fault, curve_of
 from labpipe.protocol.wire_rows import (
     COLUMNS,
     Curve,
@@ -57,7 +57,7 @@ def read_wire_sheet(path: Path) -> tuple[WireSpec, ...]:
     names = [column_name(cell.text) for cell in table.heading]
     rows = [dict(zip(names, row, strict=True)) for row in table.rows]
     messages = _worded(path, _repeated([row["wire"] for row in rows]))
-    curves: dict[str, Curve] = {}
+    curves: dict[tuple[str, str], Curve] = {}
     specs = [_spec(row, path, curves, messages) for row in rows]
     if messages:
         raise ReadError("\n".join(dict.fromkeys(messages)))
@@ -128,24 +128,29 @@ def _repeated(names: Sequence[Cell]) -> Iterator[Placed]:
 
 
 def _spec(
-    row: Mapping[str, Cell], path: Path, curves: dict[str, Curve], messages: list[str]
+    row: Mapping[str, Cell],
+    path: Path,
+    curves: dict[tuple[str, str], Curve],
+    messages: list[str],
 ) -> WireSpec | None:
     """One wire; none where anything is wrong, which is added to the messages."""
     before = len(messages)
     read = parse_row(WireRow, _texts(row))
     messages += _worded(path, _placed(read, row)) if isinstance(read, list) else []
-    table = row.get("stress_table")
-    if table is not None and table.text and table.text not in curves:
-        try:
-            curves[table.text] = _curve(table, path)
-        except ReadError as error:
-            messages.append(str(error))
+    for column in FIRST_SLOPES:
+        table = row.get(column)
+        if table is not None and table.text and (column, table.text) not in curves:
+            try:
+                curves[column, table.text] = _curve(column, table, path)
+            except ReadError as error:
+                messages.append(str(error))
     if isinstance(read, list) or len(messages) > before:
         return None
     blank = [name for name, cell in row.items() if not cell.text]
     place = re.sub(r", column \d+$", "", row["wire"].place)
     place = re.sub(r"cell [A-Z]+(\d+)$", r"row \1", place)
-    return wire_spec(read, blank, place, curves.get(read.stress_table))
+    named = (("stress_table", read.stress_table), ("insulation_table", read.insulation_table))
+    return wire_spec(read, blank, place, *(curves.get(each) for each in named))
 
 
 def _texts(row: Mapping[str, Cell]) -> dict[str, str]:
@@ -160,9 +165,9 @@ def _placed(faults: Iterable[Fault], row: Mapping[str, Cell]) -> Iterator[Placed
         yield f"{row.get(column, cell).place} ({column})", fault
 
 
-def _curve(name: Cell, path: Path) -> Curve:
+def _curve(column: str, name: Cell, path: Path) -> Curve:
     """The stress table that a cell names: strain and stress_mpa, one row per point."""
-    table, file = _curve_table(name, path)
+    table, file = _curve_table(column, name, path)
     names = [column_name(cell.text) for cell in table.heading]
     columns = list(StressPoint.model_fields)
     missing = [column for column in columns if column not in names]
@@ -175,14 +180,14 @@ def _curve(name: Cell, path: Path) -> Curve:
     wrong = ((row, each) for row, each in zip(rows, read, strict=True) if isinstance(each, list))
     _refuse(file, chain.from_iterable(_placed(each, row) for row, each in wrong))
     points = [each for each in read if not isinstance(each, list)]
-    if fault := curve_fault(points):
+    if fault := curve_fault(points, column):
         _refuse(file, [(rows[fault[0]]["strain"].place, fault[1])])
     return curve_of(points)
 
 
-def _curve_table(name: Cell, path: Path) -> tuple[Table, Path]:
+def _curve_table(column: str, name: Cell, path: Path) -> tuple[Table, Path]:
     """The table, and its file: another sheet of the workbook, or a csv beside the csv."""
-    rows_of, place = "one row per point of the curve", f"{name.place} (stress_table)"
+    rows_of, place = "one row per point of the curve", f"{name.place} ({column})"
     if not is_workbook(path):
         if Path(name.text).name != name.text:
             expected = "the name of a csv in the folder of the wire sheet"

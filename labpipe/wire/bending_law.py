@@ -19,7 +19,7 @@ from labpipe.law.plays import PlayLaw, require_positive
 from labpipe.records.arrays import Floats, frozen
 from labpipe.wire.cross_section import CrossSection
 from labpipe.wire.friction import Bundle, Contacts, arrange, axial_forces, sines, slip_onsets
-from labpipe.wire.strand_bending import helix_factor, strand_moment
+from labpipe.wire.strand_bending import helix_factor, strand_moment, tube_moment
 
 _CHUNK = 512  # curvatures at a time: what is worked on stays in the cache
 
@@ -158,8 +158,8 @@ def moment_curvature(
     Raises
     ------
     ValueError
-        If a curvature is infinite, if a strand is bent beyond the known part of its material's
-        curve, if the contacts do not match the rings, or if tension is negative.
+        If a curvature is infinite, if a strand or the insulation is bent beyond the known part of
+        its material's curve, if the contacts do not match the rings, or if tension is negative.
     """
     bent = np.asarray(curvature, dtype=np.float64)
     if np.isinf(bent).any():
@@ -167,15 +167,16 @@ def moment_curvature(
         raise ValueError(message)
     stick, slip, friction = _axial_parts(section, contacts, bent, tension, orientation)
     elastic, own, slope = _own_moments(section, bent)
-    tube = section.insulation.bending_stiffness if section.insulation else 0.0
+    nothing = np.zeros_like(bent)
+    tube = tube_moment(section.insulation, bent) if section.insulation else None
     return MomentCurve(
         bent,
         stick,
         slip,
         elastic * bent,
         own - elastic * bent,
-        tube * bent,
-        friction + slope + tube,
+        nothing if tube is None else tube.moment,
+        friction + slope + (nothing if tube is None else tube.tangent),
         stick_stiffness(section, orientation=orientation),
         slip_stiffness(section),
     )

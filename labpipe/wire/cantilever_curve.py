@@ -20,7 +20,7 @@ DEFLECTIONS = 49
 """Points of the cantilever's curve, zero included."""
 FARTHEST = 0.8
 """Tip deflection at its end, as a share of the length."""
-_SHY = 0.98  # of the way to the end of the law, which is found by a straight line
+_SHY = 0.97  # of the way to the end of the law, which is found by a straight line
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,14 +30,25 @@ class CantileverCurve:
     Parameters
     ----------
     deflection, force : shape (n,), m and N, of the tip, from rest
+    clamp_moment : shape (n,), N m
     rest : None where the wire's weight is left out
     notes : why it ends early, or leaves something out
     """
 
     deflection: Floats
     force: Floats
+    clamp_moment: Floats
     rest: WireAtRest | None
     notes: tuple[QualityNote, ...]
+
+    def deflection_at(self, law: MomentCurve, curvature: float) -> float:
+        """Deflection at which the clamp has a curvature, m; infinite where it never has."""
+        if curvature >= law.curvature[-1]:
+            return float("inf")
+        moment = float(np.interp(curvature, law.curvature, law.moment))
+        if moment >= self.clamp_moment[-1]:
+            return float("inf")
+        return float(np.interp(moment, self.clamp_moment, self.deflection))
 
 
 def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> CantileverCurve:
@@ -54,7 +65,7 @@ def cantilever_of(spec: WireSpec, curve: MomentCurve, self_weight: float) -> Can
     except ValueError as error:
         message = f"no curve of the cantilever: {error}"
         note = QualityNote("cantilever_cut", Severity.WARNING, spec.place, message)
-        return CantileverCurve(np.zeros(1), np.zeros(1), None, (note,))
+        return CantileverCurve(np.zeros(1), np.zeros(1), np.zeros(1), None, (note,))
     wanted = FARTHEST * spec.length
     end = min(wanted, deflection_at(law, spec.length, float(curve.moment[-1])))
     notes = []
@@ -81,12 +92,12 @@ def _bent(law: PlayLaw, length: float, end: float, self_weight: float) -> Cantil
     """The curve up to an end, or to where the law ends.
 
     With weight the clamp reaches the end of the law at a slightly other deflection than without,
-    for which the end was found; the curve then goes that far.
+    for which `end` was found; a curve that is cut then goes that far.
     """
     deflection = np.linspace(0.0, end, DEFLECTIONS)
     path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
     last = len(path.load)
-    if last == DEFLECTIONS - 2 and path.rest is not None:
+    if last > 1 and end < FARTHEST * length and path.rest is not None:
         clamp = np.append(path.rest.moment[0], path.clamp_moment)
         slope = (clamp[-1] - clamp[-2]) / deflection[1]
         ahead = (law.largest_moment - clamp[-1]) / slope
@@ -94,7 +105,9 @@ def _bent(law: PlayLaw, length: float, end: float, self_weight: float) -> Cantil
         path = end_load_path(law, length, deflection[1:], self_weight=self_weight)
         last = len(path.load)
     force = np.append(0.0, path.load)
-    return CantileverCurve(deflection[: last + 1], force, _at_rest(path.rest), ())
+    rest = _at_rest(path.rest)
+    clamp = np.append(0.0 if rest is None else rest.moment, path.clamp_moment)
+    return CantileverCurve(deflection[: last + 1], force, clamp, rest, ())
 
 
 def _at_rest(shape: CantileverShape | None) -> WireAtRest | None:

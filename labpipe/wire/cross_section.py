@@ -17,7 +17,7 @@ import numpy as np
 
 from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats, Ints, frozen
-from labpipe.wire.materials import ANNEALED_COPPER, Material
+from labpipe.wire.materials import ANNEALED_COPPER, Material, StressTable
 
 COPPER_DENSITY, PVC_DENSITY = 8960.0, 1400.0
 """kg/m^3, where nothing else is known: pure copper at 20 deg C (CRC Handbook), filled PVC."""
@@ -75,14 +75,16 @@ class Insulation:
     ----------
     bore_radius : R, m, wire diameter / 2 - wall
     thickness : wall, m
-    modulus : Pa
+    modulus : Pa, at small strains
     poisson : Poisson's ratio
+    curve : stress-strain curve, whose first slope is the modulus; None for a straight line
     """
 
     bore_radius: float
     thickness: float
     modulus: float
     poisson: float = 0.4
+    curve: StressTable | None = None
 
     def __post_init__(self) -> None:
         for name in ("bore_radius", "thickness", "modulus"):
@@ -90,8 +92,13 @@ class Insulation:
         _require_poisson(self.poisson)
 
     @property
+    def outer_radius(self) -> float:
+        """Radius of the wire, m."""
+        return self.bore_radius + self.thickness
+
+    @property
     def bending_stiffness(self) -> float:
-        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2."""
+        """E pi / 64 (d_w^4 - (d_w - 2 t)^4), N m^2, at small strains."""
         outer = self.bore_radius + self.thickness
         return float(self.modulus * np.pi / 4.0 * (outer**4 - self.bore_radius**4))
 

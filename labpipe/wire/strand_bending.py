@@ -27,6 +27,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from labpipe.records.arrays import Floats
+from labpipe.wire.cross_section import Insulation
 from labpipe.wire.materials import Elastic, ElasticPerfectlyPlastic, Material, StressTable
 
 if TYPE_CHECKING:
@@ -154,6 +155,38 @@ def strand_moment(material: Material, diameter: float, curvature: Floats) -> Str
         part = share(level)
         tangent = part + np.where(rim > first, slope(level), 0.0)
     return StrandMoment(stiffness * part * curvature, stiffness * tangent)
+
+
+def tube_moment(tube: Insulation, curvature: Floats) -> StrandMoment:
+    """Bending moment of the insulation, and its slope, on first loading.
+
+    Parameters
+    ----------
+    tube : a full bar of its outer radius less one of the bore
+    curvature : any shape, 1/m, either sign
+
+    Returns
+    -------
+    Moment and tangent stiffness; NaN where the curvature is NaN.
+
+    Raises
+    ------
+    ValueError
+        If the rim is strained beyond the tube's curve; the message says the curvature.
+
+    Notes
+    -----
+    A straight line for a tube without a curve, at any strain: how far it holds is for whoever uses
+    it to say.
+    """
+    if tube.curve is None:
+        stiffness = tube.bending_stiffness
+        return StrandMoment(stiffness * curvature, np.full(np.shape(curvature), stiffness))
+    bars = [
+        strand_moment(tube.curve, 2.0 * radius, curvature)
+        for radius in (tube.outer_radius, tube.bore_radius)
+    ]
+    return StrandMoment(bars[0].moment - bars[1].moment, bars[0].tangent - bars[1].tangent)
 
 
 def _require_known(material: Material, diameter: float, rim: Floats) -> None:

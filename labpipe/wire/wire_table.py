@@ -44,7 +44,8 @@ def wire_table(spec: WireSpec) -> WireTable:
     The table. Its curvatures are zero, 200 spread evenly in the logarithm over four decades up to
     the end of the range, and those at which strands begin to slip; an onset below a millionth of
     the range is reported as zero. Notes: ``defaults_taken``, those of `build`, ``range_shortened``,
-    ``tension``, ``slips_at_once``, ``cantilever_cut``, ``weight_left_out``.
+    ``tension``, ``slips_at_once``, ``insulation_doubtful``, ``cantilever_cut``,
+    ``weight_left_out``.
 
     Raises
     ------
@@ -62,6 +63,7 @@ def wire_table(spec: WireSpec) -> WireTable:
     largest, shortened = range_of(spec, strain=built.axial_strain)
     onsets = _onsets(built, spec, largest)
     curve = _curve(built, spec, curvature_grid(largest, onsets[onsets > 0.0]))
+    limit = straight_range(spec)
     lowest, highest = orientation_range(built.section, built.contacts, curve, tension=spec.tension)
     mass, pair = mass_per_length(spec, built.section), stretch_torsion(built.section)
     bent = cantilever_of(spec, curve, GRAVITY * mass)
@@ -91,9 +93,11 @@ def wire_table(spec: WireSpec) -> WireTable:
         tip_force=bent.force,
         mass_per_length=mass,
         rest=bent.rest,
+        doubtful_curvature=limit,
+        doubtful_deflection=bent.deflection_at(curve, limit),
         notes=(
             *(*_defaults(spec), *built.notes, *shortened, *_tension(spec)),
-            *(*_slips_at_once(spec, onsets, curve), *bent.notes),
+            *(*_slips_at_once(spec, onsets, curve), *_doubtful(spec, curve, limit), *bent.notes),
         ),
     )
 
@@ -184,6 +188,31 @@ def _tension(spec: WireSpec) -> tuple[QualityNote, ...]:
         f"cantilever bends by that law, the pull of the tension on its shape left out"
     )
     return (QualityNote("tension", Severity.INFO, spec.place, message),)
+
+
+def straight_range(spec: WireSpec) -> float:
+    """Curvature up to which the insulation's straight line is taken to hold, 1/m.
+
+    Infinite for a wire with a stress table of its insulation: its law ends with the table.
+    """
+    if spec.insulation_table is not None:
+        return float("inf")
+    return 2.0 * spec.insulation_strain / spec.wire_diameter
+
+
+def _doubtful(spec: WireSpec, curve: MomentCurve, limit: float) -> tuple[QualityNote, ...]:
+    if curve.curvature[-1] <= limit:
+        return ()
+    share = 100.0 * curve.insulation[1:] / curve.moment[1:]
+    there = float(np.interp(limit, curve.curvature[1:], share))
+    message = (
+        f"beyond {limit:.4g} 1/m (bending radius {1e3 / limit:.3g} mm) the rim of the insulation "
+        f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, up to which its "
+        f"straight line is taken to hold: moments beyond are doubtful (lighter in figures), for it "
+        f"carries {there:.2g} % of them there and {share[-1]:.2g} % at the end; a stress table of "
+        f"the insulation says more"
+    )
+    return (QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message),)
 
 
 def _slips_at_once(spec: WireSpec, onsets: Floats, curve: MomentCurve) -> tuple[QualityNote, ...]:
@@ -312,9 +341,13 @@ def layers_of(spec: WireSpec) -> tuple[Layer, ...]:
 
 def _section(spec: WireSpec) -> tuple[CrossSection, tuple[QualityNote, ...]]:
     bore = spec.wire_diameter / 2.0 - spec.insulation_thickness
-    tube = Insulation(
-        bore, spec.insulation_thickness, spec.insulation_modulus, spec.insulation_poisson
-    )
+    table, wall = spec.insulation_table, spec.insulation_thickness
+    poisson = spec.insulation_poisson
+    if table is None:
+        tube = Insulation(bore, wall, spec.insulation_modulus, poisson)
+    else:
+        known = StressTable(*table, source="insulation table of the wire sheet")
+        tube = Insulation(bore, wall, known.modulus, poisson, known)
     layers = layers_of(spec)
     match spec.layout:
         case "compressed":
@@ -391,31 +424,38 @@ def range_of(spec: WireSpec, *, strain: float = 0.0) -> tuple[float, tuple[Quali
     Returns
     -------
     1/m: what was asked for, or a bending radius of five wire diameters; less, with the note
-    ``range_shortened``, where a strand's rim reaches the last strain of the stress table by tension
-    and bending together.
+    ``range_shortened``, where the rim of a strand, or of the insulation, reaches the last strain of
+    its stress table by tension and bending together.
 
     Raises
     ------
     WireError
-        If the tension alone strains the wire to the last strain of the stress table.
+        If the tension alone strains the wire to the last strain of a stress table.
     """
     wanted = spec.largest_curvature or 1.0 / (5.0 * spec.wire_diameter)
-    if spec.stress_table is None:
-        return wanted, ()
-    last = spec.stress_table[0][-1]
-    if strain >= last:
+    notes: tuple[QualityNote, ...] = ()
+    strand, wire = max(spec.strand_diameters), spec.wire_diameter
+    for table, diameter, what in (
+        (spec.stress_table, strand, f"a strand of {strand * 1e3:.3g} mm"),
+        (spec.insulation_table, wire, f"the insulation of {wire * 1e3:.3g} mm"),
+    ):
+        if table is None:
+            continue
+        last = table[0][-1]
+        if strain >= last:
+            message = (
+                f"a tension of {spec.tension:.4g} N strains the wire by {strain:.3g}, and the "
+                f"stress table ends at a strain of {last:.4g}"
+            )
+            raise WireError(message)
+        known = 2.0 * (last - strain) / diameter
+        if known >= wanted:
+            continue
+        pulled = f", of which the tension takes {strain:.3g}" if strain else ""
         message = (
-            f"a tension of {spec.tension:.4g} N strains the wire by {strain:.3g}, and the stress "
-            f"table ends at a strain of {last:.4g}"
+            f"tables end at {known:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of {what} "
+            f"reaches the last strain of the stress table, {last:.4g}{pulled}"
         )
-        raise WireError(message)
-    known = 2.0 * (last - strain) / max(spec.strand_diameters)
-    if known >= wanted:
-        return wanted, ()
-    pulled = f", of which the tension takes {strain:.3g}" if strain else ""
-    message = (
-        f"tables end at {known:.4g} 1/m, not at {wanted:.4g} 1/m: there the rim of a strand of "
-        f"{max(spec.strand_diameters) * 1e3:.3g} mm reaches the last strain of the stress table, "
-        f"{last:.4g}{pulled}"
-    )
-    return known, (QualityNote("range_shortened", Severity.WARNING, spec.place, message),)
+        note = QualityNote("range_shortened", Severity.WARNING, spec.place, message)
+        wanted, notes = known, (*notes, note)
+    return wanted, notes

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 
+from labpipe.records.quality import QualityNote
 from labpipe.records.wire import WireSpec, WireTable
 from labpipe.wire.wire_table import wire_table as table_of
 from tests.builders.stranded_wires import LAYS, WIRES, layers_of
@@ -31,3 +32,12 @@ def spec_of(name: str, called: str) -> WireSpec:
 @cache
 def wire_table(name: str = "A2", called: str | None = None) -> WireTable:
     return table_of(spec_of(name, called or name))
+
+
+def told(table: WireTable) -> list[QualityNote]:
+    """Notes but that on the insulation, which every wire bent to five diameters has."""
+    return [note for note in table.notes if note.code != "insulation_doubtful"]
+
+
+def codes(table: WireTable) -> list[str]:
+    return [note.code for note in told(table)]

@@ -11,7 +11,7 @@ def points(*pairs: tuple[float, float]) -> list[StressPoint]:
 
 def test_a_curve_in_si_without_its_zero() -> None:
     curve = points((0.0, 0.0), (0.001, 110.0), (0.1, 150.0))
-    assert curve_fault(curve) is None
+    assert curve_fault(curve, "stress_table") is None
     assert curve_of(curve) == ((0.001, 0.1), (110e6, 150e6))
 
 
@@ -30,7 +30,18 @@ def test_a_curve_in_si_without_its_zero() -> None:
 def test_points_that_make_no_curve(
     pairs: list[tuple[float, float]], number: int, expected: str, found: str
 ) -> None:
-    wrong = curve_fault(points(*pairs))
+    wrong = curve_fault(points(*pairs), "stress_table")
     assert wrong is not None
     assert (wrong[0], wrong[1].found) == (number, found)
     assert wrong[1].expected.startswith(expected)
+
+
+def test_insulation_is_softer_and_must_not_soften() -> None:
+    assert curve_fault(points((0.01, 10), (0.3, 20)), "insulation_table") is None
+    wrong = curve_fault(points((0.01, 10), (0.05, 18), (0.1, 16)), "insulation_table")
+    assert wrong is not None
+    assert wrong[0] == 2
+    assert wrong[1].expected == "a stress of 18 MPa or more, and more than zero"
+    stiff = curve_fault(points((0.001, 110), (0.3, 200)), "insulation_table")
+    assert stiff is not None
+    assert stiff[1].expected == "a first slope of 0.0001 to 10 GPa"

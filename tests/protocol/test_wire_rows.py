@@ -54,7 +54,7 @@ def row(**cells: str) -> WireRow:
 
 
 def test_every_number_of_a_spec_has_a_column() -> None:
-    elsewhere = {"name", "layout", "stress_table", "defaults", "place"}
+    elsewhere = {"name", "layout", "stress_table", "insulation_table", "defaults", "place"}
     merged = {"strands", "conductor_area", "strand_diameter"}
     assert {field_of(name) for name in COLUMNS} - merged == {
         each.name for each in fields(WireSpec)
@@ -70,7 +70,7 @@ def test_a_heading_however_it_is_written() -> None:
 def test_a_misspelt_column_is_told_once_with_the_nearest() -> None:
     [(number, expected, found, remedy)] = told(*HEADING[:5], "insulation_thicknes_mm")
     assert (number, found) == (5, "'insulation_thicknes_mm'")
-    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_poisson', ")
+    assert expected.startswith("one of 'insulation_thickness_mm', 'insulation_strain', ")
     assert remedy == "Did you mean 'insulation_thickness_mm'?"
 
 

@@ -6,9 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from labpipe.errors import StoreError
-from labpipe.report.wire_figures import save_wire_figures, wire_drawings
+from labpipe.report.wire_figures import (
+    plot_cantilever,
+    plot_parts,
+    plot_shares,
+    plot_stiffness,
+    save_wire_figures,
+    wire_drawings,
+)
 from tests.builders.wire_tables import wire_table
 
 
@@ -58,3 +67,24 @@ def test_drawing_program_is_loaded_only_when_a_figure_is_drawn() -> None:
         "sys.exit(any(name.split('.')[0] in {'matplotlib', 'openpyxl'} for name in sys.modules))"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_what_is_doubtful_is_lighter() -> None:
+    """White is laid over curves beyond the range of the insulation, and over no others."""
+    table = wire_table("A2")
+    sure = replace(table, doubtful_curvature=float("inf"), doubtful_deflection=float("inf"))
+    for draw, start in (
+        (plot_stiffness, table.doubtful_curvature),
+        (plot_parts, table.doubtful_curvature),
+        (plot_shares, table.doubtful_curvature),
+        (plot_cantilever, 1e3 * table.doubtful_deflection),
+    ):
+        covers = []
+        for each in (table, sure):
+            axes = Figure().subplots()
+            draw(each, axes)
+            covers.append([p for p in axes.patches if isinstance(p, Rectangle)])
+        [cover] = covers[0]
+        assert cover.get_x() == pytest.approx(start)
+        assert cover.get_facecolor() == (1.0, 1.0, 1.0, 0.6)
+        assert covers[1] == []

@@ -17,7 +17,7 @@ from labpipe.report.wire_sections import (
     wire_title,
 )
 from tests.builders.wire_tables import wire_table
-from tests.report.builders_wires import CUT, troubled
+from tests.report.builders_wires import CUT, DEFAULTS_TAKEN, troubled
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +49,8 @@ def test_long_names_are_cut_in_titles() -> None:
 
 def test_warnings_without_what_is_only_worth_knowing() -> None:
     assert warnings_of(troubled()) == CUT.message
-    assert warnings_of(wire_table("A3")) == ""
+    assert warnings_of(wire_table("A3")).startswith("beyond 33.33 1/m (bending radius 30 mm)")
+    assert warnings_of(replace(wire_table("A3"), notes=(DEFAULTS_TAKEN,))) == ""
 
 
 def test_zero_curvature_has_no_place_on_a_logarithmic_axis() -> None:

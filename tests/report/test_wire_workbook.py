@@ -85,6 +85,7 @@ def test_names_lead_to_their_laws(book: Workbook) -> None:
 def test_notes_with_what_is_worst_first(book: Workbook) -> None:
     assert [(row["wire"], row["kind"], row["code"]) for row in rows(book, "notes")] == [
         ("Z1", "not modelled", "refused"),
+        ("A1", "warning", "insulation_doubtful"),
         ("A3", "warning", "cantilever_cut"),
         ("A3", "info", "defaults_taken"),
     ]

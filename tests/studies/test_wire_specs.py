@@ -71,6 +71,7 @@ def test_a_short_row_and_what_is_taken_besides(sheet: Path) -> None:
         "conductor_modulus": "conductor modulus 110 GPa",
         "poisson": "poisson 0.34",
         "insulation_poisson": "insulation poisson 0.4",
+        "insulation_strain": "insulation strain 0.03",
         "copper_k": "copper k 530 MPa",
         "copper_n": "copper n 0.44",
         "friction_strand": "friction strand 0.21",
@@ -100,6 +101,7 @@ def test_a_row_that_says_everything(sheet: Path) -> None:
         "conductor_modulus_gpa": 70,
         "poisson": 0.33,
         "insulation_poisson": 0.45,
+        "insulation_strain": 0.05,
         "copper_k_mpa": 300,
         "copper_n": 0.2,
         "friction_strand": 0.3,
@@ -434,7 +436,15 @@ def test_the_example_sheet_holds_the_wires_of_the_source(repository: Path) -> No
         assert np.degrees(spec.lay_angles) == pytest.approx(angles, rel=1e-10)
         assert spec.insulation_thickness == pytest.approx(wall * 1e-3, rel=1e-12)
         assert spec.layout == ("compressed" if spec.name.startswith("B") else "auto")
-        others = {"conductor_density", "insulation_density", "insulation_poisson"}
+        others = {
+            f"{what}_{which}"
+            for what, which in (
+                ("conductor", "density"),
+                ("insulation", "density"),
+                ("insulation", "poisson"),
+                ("insulation", "strain"),
+            )
+        }
         assert set(spec.defaults) == {"tension", "orientation", "largest_curvature"} | others
 
 
@@ -511,3 +521,19 @@ def test_a_stress_table_beside_a_csv(tmp_path: Path) -> None:
     outside, missing = refused(path)
     assert outside.startswith("line 2, column 7 (stress_table): expected the name of a csv in the")
     assert missing.startswith(f"{tmp_path / 'none.csv'}: expected a file, found none of that name")
+
+
+def test_a_stress_table_of_the_insulation_beside_a_csv(tmp_path: Path) -> None:
+    path, text = tmp_path / "wires.csv", ",".join([*A2, "insulation_table"])
+    text += f"\n{','.join(map(str, A2.values()))},pvc.csv\n"
+    path.write_text(text)
+    (tmp_path / "pvc.csv").write_text("strain,stress_mpa\n0.01,10\n0.1,24\n")
+    [spec] = read_wire_sheet(path)
+    assert spec.insulation_table == ((0.01, 0.1), (10e6, 24e6))
+    assert not {"insulation_modulus", "insulation_strain"} & set(spec.defaults)
+    (tmp_path / "pvc.csv").write_text("strain,stress_mpa\n0.01,10\n0.1,8\n")
+    with pytest.raises(ReadError, match=r"pvc\.csv, line 3, column 1: expected a stress of 10 MPa"):
+        read_wire_sheet(path)
+    path.write_text(text.replace("pvc.csv", "none.csv"))
+    with pytest.raises(ReadError, match=r"none\.csv"):
+        read_wire_sheet(path)

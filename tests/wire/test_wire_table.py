@@ -12,7 +12,7 @@ from labpipe.records.wire import WireSpec, WireTable
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.units import GRAVITY
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.cantilever import bend_to_deflection, held_level, straight
+from labpipe.wire.cantilever import bend_to_deflection, held_level
 from labpipe.wire.cross_section import Layer, concentric
 from labpipe.wire.wire_table import (
     WireError,
@@ -21,6 +21,7 @@ from labpipe.wire.wire_table import (
     layout_of,
     wire_table,
 )
+from tests.builders.wire_tables import codes, told
 
 HEXAGONAL = {"C1": 1.46, "C2": 2.85, "C3": 5.95, "C4": 15.6, "C5": 36.4}
 """Stick stiffness, 1e-3 N m^2, of the source's Table 3.5 as hexagons (PHYSICS 4)."""
@@ -33,10 +34,6 @@ A2 = WireSpec(
 def examples() -> dict[str, WireTable]:
     sheet = Path(__file__).resolve().parents[2] / "examples" / "wires.xlsx"
     return {spec.name: wire_table(spec) for spec in read_wire_sheet(sheet)}
-
-
-def codes(table: WireTable) -> list[str]:
-    return [note.code for note in table.notes]
 
 
 def test_the_wires_of_table_3_5_from_the_example_sheet(examples: dict[str, WireTable]) -> None:
@@ -90,51 +87,15 @@ def test_the_cantilever_is_that_of_the_law(examples: dict[str, WireTable]) -> No
 
 def test_defaults_are_said_in_one_note() -> None:
     spec = replace(A2, defaults={"length": "length 85 mm", "poisson": "poisson 0.34"})
-    [note] = wire_table(spec).notes
+    [note] = told(wire_table(spec))
     assert (note.code, note.severity, note.where) == ("defaults_taken", "info", "line 2")
     assert note.message == "the sheet does not say, so taken are: length 85 mm, poisson 0.34"
-
-
-def test_a_cantilever_that_leaves_the_range_is_cut_and_said() -> None:
-    table = wire_table(replace(A2, largest_curvature=20.0))
-    assert codes(table) == ["cantilever_cut"]
-    assert 0.1 < table.tip_deflection[-1] / A2.length < 0.8
-    assert len(table.tip_force) >= 40
-    assert table.notes[0].message.endswith(
-        "not 68 mm: beyond, the curvature at the clamp leaves the range of the law, 20 1/m"
-    )
-    law = concave_law(table.curvature[1:], table.moment[1:])
-    end = bend_to_deflection(law, straight(law), A2.length, float(table.tip_deflection[-1]))
-    assert end.moment[0] == pytest.approx(table.moment[-1], rel=1e-3)
-
-
-def test_a_wire_at_rest_is_that_of_the_textbook() -> None:
-    """A stiff one, of which nothing slips: 3 w L / 8, w L^2 / 8 and w L^4 / 185 EI."""
-    table = wire_table(replace(A2, length=0.03))
-    weight, rest = GRAVITY * table.mass_per_length, table.rest
-    assert table.mass_per_length == pytest.approx(6.856e-3, rel=1e-3)
-    assert rest is not None
-    assert rest.force == pytest.approx(3.0 * weight * 0.03 / 8.0, rel=1e-4)
-    assert rest.moment == pytest.approx(-weight * 0.03**2 / 8.0, rel=1e-3)
-    assert rest.curvature == pytest.approx(rest.moment / table.stick_stiffness, rel=1e-3)
-    sag = weight * 0.03**4 / 184.6 / table.stick_stiffness
-    assert rest.sag == pytest.approx(sag, rel=5e-3)
 
 
 def test_a_mass_that_the_sheet_states_is_taken() -> None:
     table = wire_table(replace(A2, mass_per_length=8e-3))
     assert table.mass_per_length == 8e-3
     assert wire_table(replace(A2, insulation_density=0.0)).mass_per_length < 6e-3
-
-
-def test_a_wire_too_limp_to_lie_level_is_bent_without_its_weight() -> None:
-    table = wire_table(replace(A2, length=3.0))
-    [note] = table.notes
-    assert (note.code, table.rest) == ("weight_left_out", None)
-    assert note.message.startswith(
-        "the curve of the cantilever of 3000 mm is without the wire's own weight, 201.7 mN: "
-    )
-    assert table.tip_deflection[-1] == pytest.approx(2.4, rel=1e-12)
 
 
 @pytest.mark.parametrize(("length", "largest"), [(0.3, None), (0.085, 1000.0)])
@@ -166,7 +127,7 @@ def test_a_stress_table_ends_the_range() -> None:
 def test_tension_is_said_and_stiffens_slipping_strands() -> None:
     table, without = wire_table(replace(A2, tension=20.0)), wire_table(A2)
     assert codes(table) == ["tension_yields", "tension"]
-    note = table.notes[-1]
+    note = told(table)[-1]
     assert note.message == (
         "the law holds under a tension of 20 N, there before bending; the cantilever bends by that"
         " law, the pull of the tension on its shape left out"
@@ -258,7 +219,7 @@ def test_a_law_that_stiffens_has_no_cantilever(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr("labpipe.wire.wire_table.moment_curvature", stiffening)
     table = wire_table(A2)
     assert codes(table) == ["cantilever_cut"]
-    assert table.notes[0].message.startswith("no curve of the cantilever: the law stiffens at")
+    assert told(table)[0].message.startswith("no curve of the cantilever: the law stiffens at")
     assert table.tip_force.tolist() == [0.0]
 
 
@@ -280,7 +241,7 @@ def test_a_layout_needs_a_tube() -> None:
 @pytest.mark.parametrize("radial_force", [0.0, 1e-9])
 def test_strands_that_nothing_presses_slip_at_once_and_that_is_said(radial_force: float) -> None:
     table = wire_table(replace(A2, radial_force=radial_force))
-    [note] = table.notes
+    [note] = told(table)
     assert (note.code, note.severity, note.where) == ("slips_at_once", "warning", "line 2")
     assert note.message == (
         f"strands slip as soon as the wire bends (radial force {radial_force:.3g} N, friction 0.21"
@@ -298,3 +259,46 @@ def test_strands_that_never_slip_within_the_range_are_not_said_to_slip() -> None
     assert table.slip_onsets.shape == (0,)
     assert (table.slips_at_once, table.slip_onset(0)) == (False, "beyond")
     assert "slips_at_once" not in codes(table)
+
+
+def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
+    """3 % of strain at the rim: twice that over the diameter."""
+    table = wire_table(A2)
+    [note] = table.notes
+    assert (note.code, note.severity) == ("insulation_doubtful", "warning")
+    assert note.message.startswith(
+        "beyond 37.5 1/m (bending radius 26.7 mm) the rim of the insulation is strained by more "
+        "than 3 %, up to which its straight line is taken to hold"
+    )
+    assert table.doubtful_curvature == pytest.approx(37.5)
+    np.testing.assert_array_equal(table.is_doubtful, table.curvature > 37.5)
+    share = table.insulation[50] / table.moment[50]
+    assert table.insulation_share[50] == pytest.approx(share)
+    shares = np.interp([1.0, 10.0, 125.0], table.curvature, table.insulation_share)
+    assert shares == pytest.approx([0.50, 0.76, 0.93], abs=0.01)
+    built = build(A2)
+    law = concave_law(table.curvature[1:], table.moment[1:])
+    rest = held_level(law, A2.length, GRAVITY * table.mass_per_length).state
+    shape = bend_to_deflection(law, rest, A2.length, table.doubtful_deflection)
+    assert shape.curvature[0] == pytest.approx(37.5, rel=3e-3)
+    assert built.section.insulation is not None
+    farther = wire_table(replace(A2, insulation_strain=0.2))
+    assert not farther.notes
+    assert not farther.is_doubtful.any()
+
+
+SOFT = ((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
+"""A made-up curve of soft PVC: 1 GPa at first."""
+
+
+def test_a_stress_table_of_the_insulation() -> None:
+    plain, soft = wire_table(A2), wire_table(replace(A2, insulation_table=SOFT))
+    small = plain.curvature * 0.8e-3 < 0.01
+    assert soft.insulation[small] == pytest.approx(plain.insulation[small], rel=1e-9)
+    assert soft.moment[-1] < 0.5 * plain.moment[-1]
+    assert not soft.is_doubtful.any()
+    assert codes(soft) == []
+    short = wire_table(replace(A2, insulation_table=((0.01, 0.05), (10e6, 20e6))))
+    assert codes(short) == ["range_shortened", "cantilever_cut"]
+    assert short.curvature[-1] == pytest.approx(62.5)
+    assert "the rim of the insulation of 1.6 mm reaches" in short.notes[0].message

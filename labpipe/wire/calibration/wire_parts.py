@@ -29,12 +29,12 @@ from labpipe.records.wire_calibration import PARAMETERS
 from labpipe.wire.bending_law import moment_curvature
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, shared_errors, whiten
 from labpipe.wire.cantilever import StringRig
-from labpipe.wire.cross_section import CrossSection
+from labpipe.wire.cross_section import CrossSection, Insulation
 from labpipe.wire.first_loading import LoadingCurve, force_at, load_cantilever
 from labpipe.wire.friction import Contacts, slip_onsets
 from labpipe.wire.heavy_loading import load_heavy
 from labpipe.wire.materials import RambergOsgood
-from labpipe.wire.strand_bending import elastic_share, helix_factor
+from labpipe.wire.strand_bending import elastic_share, helix_factor, tube_moment
 
 _STRAINS = (1e-9, 100.0, 32)
 """Rim strains that the copper's table spans, and its knots per decade: soft copper at a small
@@ -91,12 +91,15 @@ class WireParts:
     friction : None where nothing rubs: no ring, or no friction coefficient
     copper : one part for each exponent
     inertia : m^4, of the insulation: E_ins times it is its stiffness
+    tube : shares of moment and energy of that of a straight line, against the logarithm of the
+        curvature; None for a straight line
     given : shape (3,), the values of `PARAMETERS` that the wire came with; NaN where it has none
     """
 
     friction: FrictionPart | None
     copper: tuple[CopperPart, ...]
     inertia: float
+    tube: CubicSpline | None
     given: Floats
 
     @property
@@ -132,7 +135,7 @@ def take_apart(section: CrossSection, contacts: Contacts, *, orientation: float 
     yields = any(part.exponent > 0.0 for part in copper)
     given = np.array([phi, tube.modulus if tube else np.nan, 1.0 if yields else np.nan])
     inertia = tube.bending_stiffness / tube.modulus if tube else 0.0
-    return WireParts(friction, copper, inertia, given)
+    return WireParts(friction, copper, inertia, _tube(tube), given)
 
 
 def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> FrictionPart | None:
@@ -154,6 +157,38 @@ def _friction(section: CrossSection, contacts: Contacts, orientation: float) -> 
     steps = 0.5 * (moment[1:] + moment[:-1]) * np.diff(curvature)
     energy = np.concatenate([[0.0], np.cumsum(steps)])
     return FrictionPart(curvature, moment, energy, contacts.inner[-1] + contacts.outer[-1])
+
+
+def _tube(tube: Insulation | None) -> CubicSpline | None:
+    """Shares of an insulation with a stress table; its modulus scales all of its stresses."""
+    if tube is None or tube.curve is None:
+        return None
+    last = tube.curve.largest_strain
+    count = round(np.log10(last / _STRAINS[0]) * _STRAINS[2])
+    curvature = np.geomspace(_STRAINS[0], last, count) / tube.outer_radius * (1.0 - 1e-12)
+    moment, level = tube_moment(tube, curvature).moment, np.log(curvature)
+    work = CubicSpline(level, moment * curvature).antiderivative()
+    energy = work(level) + 0.5 * moment[0] * curvature[0]
+    table = np.column_stack([moment / curvature, 2.0 * energy / curvature**2])
+    return CubicSpline(level, table / tube.bending_stiffness)
+
+
+def _wall(parts: WireParts, modulus: float, curvature: Floats) -> tuple[Floats, Floats, Floats]:
+    """Moment of the insulation, its slope and energy at a modulus."""
+    stiffness = modulus * parts.inertia
+    energy = 0.5 * stiffness * curvature**2
+    if parts.tube is None:
+        return stiffness * curvature, np.full_like(curvature, stiffness), energy
+    first, last = np.exp(parts.tube.x[[0, -1]])
+    if curvature.max() > last * (1.0 + 1e-9):
+        message = (
+            f"curvature={curvature.max():.6g} 1/m: the insulation is known up to {last:.6g} 1/m"
+        )
+        raise ValueError(message)
+    level = np.log(np.clip(curvature, first, last))
+    share, work = parts.tube(level).T
+    bend = np.where(curvature > first, parts.tube(level, 1)[:, 0], 0.0)
+    return stiffness * share * curvature, stiffness * (share + bend), energy * work
 
 
 def _exponents(section: CrossSection) -> set[float]:
@@ -255,7 +290,7 @@ def _moment_change(parts: WireParts, values: Floats, curvature: Floats) -> Float
         moment, slope, _ = _rub(parts.friction, force, curvature)
         change[0] = moment - curvature * slope
     if parts.inertia > 0.0:
-        change[1] = values[1] * parts.inertia * curvature
+        change[1] = _wall(parts, values[1], curvature)[0]
     for copper in parts.copper:
         if copper.exponent > 0.0:
             moment, slope, _ = _yield(copper, values[2], curvature)
@@ -287,10 +322,9 @@ def _bend(parts: WireParts, values: Floats, curvature: Floats) -> _Bent:
         moment, slope, energy = part[0], part[1], part[2]
         change[0] = 2.0 * energy - curvature * moment
     if parts.inertia > 0.0:
-        stiffness = values[1] * parts.inertia
-        change[1] = 0.5 * stiffness * curvature**2
-        moment = moment + stiffness * curvature
-        slope, energy = slope + stiffness, energy + change[1]
+        part = _wall(parts, values[1], curvature)
+        moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]
+        change[1] = part[2]
     for copper in parts.copper:
         part = _yield(copper, values[2], curvature)
         moment, slope, energy = moment + part[0], slope + part[1], energy + part[2]

@@ -7,11 +7,11 @@ import pytest
 
 from labpipe.records.arrays import Floats
 from labpipe.wire.bending_law import moment_curvature
-from labpipe.wire.calibration.wire_parts import WireParts, loading_law, take_apart
+from labpipe.wire.calibration.wire_parts import WireParts, loading_law, loading_table, take_apart
 from labpipe.wire.cross_section import Layer, compressed, concentric
 from labpipe.wire.first_loading import force_at, load_cantilever
 from labpipe.wire.friction import Contacts, insulated
-from labpipe.wire.materials import ANNEALED_COPPER, Elastic
+from labpipe.wire.materials import ANNEALED_COPPER, Elastic, StressTable
 from tests.builders.loading_tests import MU_P, MU_S, PHI, TRUTH, rig_of, section_of, wire_of
 from tests.builders.stranded_wires import tube
 
@@ -119,3 +119,30 @@ def test_a_bare_wire_of_two_materials() -> None:
     whole = moment_curvature(bare, smooth, law.curvature[1:])
     assert law.moment[1:] == pytest.approx(whole.moment, rel=2e-6)
     assert not law.energy_change[:2].any()
+
+
+SOFT = StressTable((0.01, 0.03, 0.1, 0.3), (10e6, 18e6, 24e6, 30e6))
+
+
+def test_an_insulation_with_a_stress_table_scales_by_its_modulus() -> None:
+    """The law of a wire whose insulation is half as stiff throughout, and its derivatives."""
+    plain = section_of("A2")
+    made = [
+        replace(tube(1.6e-3, modulus=scale * 1e9), curve=replace(SOFT, stresses=stresses))
+        for scale in (1.0, 0.5)
+        for stresses in [tuple(scale * each for each in SOFT.stresses)]
+    ]
+    contacts = insulated(1, strand=MU_S, insulation=MU_P, radial_force=PHI / (MU_S + MU_P))
+    whole, half = (replace(plain, insulation=each) for each in made)
+    parts, values = take_apart(whole, contacts), TRUTH * (1.0, 0.5, 1.0)
+    law = loading_law(parts, values, LARGEST)
+    wanted = moment_curvature(half, contacts, law.curvature[1:])
+    assert law.moment[1:] == pytest.approx(wanted.moment, rel=5e-5)
+    table = loading_table(parts, values, LARGEST)
+    assert table.bend(law.moment)[0] == pytest.approx(law.curvature, rel=1e-4, abs=1e-9)
+    step, at = 1e-4, law.moment[20:]
+    ends = [
+        loading_table(parts, values * (1.0, np.exp(sign * step), 1.0), LARGEST).bend(at)[0]
+        for sign in (1.0, -1.0)
+    ]
+    assert table.changes(at)[1] == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=2e-3)
