@@ -335,10 +335,7 @@ def _rest_words(table: WireTable) -> str:
     rest = table.rest
     if rest is None:
         return ""
-    return (
-        f"Load and deflection count from rest, where the wire lies level by its weight, its tip"
-        f" held by {1e3 * rest.force:.3g} mN, and sags by {1e6 * rest.sag:.3g} µm. "
-    )
+    return f"From rest: tip held by {1e3 * rest.force:.3g} mN, sag {1e6 * rest.sag:.3g} µm. "
 
 
 def _keys() -> list[Artist]:

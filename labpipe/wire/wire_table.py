@@ -203,14 +203,11 @@ def straight_range(spec: WireSpec) -> float:
 def _doubtful(spec: WireSpec, curve: MomentCurve, limit: float) -> tuple[QualityNote, ...]:
     if curve.curvature[-1] <= limit:
         return ()
-    share = 100.0 * curve.insulation[1:] / curve.moment[1:]
-    there = float(np.interp(limit, curve.curvature[1:], share))
+    strain = 100.0 * spec.insulation_strain
     message = (
-        f"beyond {limit:.4g} 1/m (bending radius {1e3 / limit:.3g} mm) the rim of the insulation "
-        f"is strained by more than {100.0 * spec.insulation_strain:.3g} %, up to which its "
-        f"straight line is taken to hold: moments beyond are doubtful (lighter in figures), for it "
-        f"carries {there:.2g} % of them there and {share[-1]:.2g} % at the end; a stress table of "
-        f"the insulation says more"
+        f"where the rim of the insulation is strained by more than {strain:.3g} %, its straight "
+        f"line is not taken to hold: moments beyond are doubtful (lighter in figures, 'doubtful' "
+        f"in tables); a stress table of the insulation says more"
     )
     return (QualityNote("insulation_doubtful", Severity.WARNING, spec.place, message),)
 

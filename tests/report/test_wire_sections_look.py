@@ -49,7 +49,7 @@ def test_long_names_are_cut_in_titles() -> None:
 
 def test_warnings_without_what_is_only_worth_knowing() -> None:
     assert warnings_of(troubled()) == CUT.message
-    assert warnings_of(wire_table("A3")).startswith("beyond 33.33 1/m (bending radius 30 mm)")
+    assert warnings_of(wire_table("A3")).startswith("where the rim of the insulation is")
     assert warnings_of(replace(wire_table("A3"), notes=(DEFAULTS_TAKEN,))) == ""
 
 

@@ -267,8 +267,8 @@ def test_beyond_the_insulations_straight_line_the_table_is_doubtful() -> None:
     [note] = table.notes
     assert (note.code, note.severity) == ("insulation_doubtful", "warning")
     assert note.message.startswith(
-        "beyond 37.5 1/m (bending radius 26.7 mm) the rim of the insulation is strained by more "
-        "than 3 %, up to which its straight line is taken to hold"
+        "where the rim of the insulation is strained by more than 3 %, its straight line is not "
+        "taken to hold: moments beyond are doubtful"
     )
     assert table.doubtful_curvature == pytest.approx(37.5)
     np.testing.assert_array_equal(table.is_doubtful, table.curvature > 37.5)
