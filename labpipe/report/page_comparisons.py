@@ -14,7 +14,7 @@ from labpipe.report.group_panels import COLOURS, band_lines, mean_lines
 from labpipe.report.group_plots import group_scale
 from labpipe.report.group_tables import Table
 from labpipe.report.page_plots import Axis, Key, Line, Plot, axis_over
-from labpipe.report.question_figures import caption, main_number
+from labpipe.report.question_figures import main_number
 from labpipe.report.questions import (
     Family,
     Pair,
@@ -40,12 +40,10 @@ class Comparison:
     ----------
     heading : what they have alike
     plots : mean curves, and the main number of each
-    caption : how to read them
     """
 
     heading: str
     plots: tuple[Plot, ...]
-    caption: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +96,7 @@ def _question(field: str, pairs: Sequence[Pair], drawn: Sequence[Comparison]) ->
 
 def _comparison(family: Family, stems: Mapping[str, str]) -> Comparison:
     plots = [plot for plot in (_curves(family, stems), _means(family, stems)) if plot is not None]
-    return Comparison(context_words(family.groups, family.field), tuple(plots), caption(family))
+    return Comparison(context_words(family.groups, family.field), tuple(plots))
 
 
 def _looks(family: Family) -> Iterator[tuple[Group, str, str]]:

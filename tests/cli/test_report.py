@@ -90,3 +90,31 @@ def test_a_field_that_no_sheet_has(run: Run, processed: Path) -> None:
         "labpipe report: --by: expected fields of these test sheets, which are type, spool, length,"
         " found 'lenth'. Write length, or another of them.\n"
     )
+
+
+def test_letterhead_figures_and_pages_as_they_are_asked_for(
+    run: Run, processed: Path, tmp_path: Path
+) -> None:
+    goal = tmp_path / "told"
+    words = ("--lab", "Bench <3>", "--customer", "Somebody", "--order", "42")
+    ran = run("report", processed, "--out", goal, *words, "--pages", "--figures", "svg,pdf")
+    assert (ran.status, ran.err) == (0, "")
+    page = (goal / "report.html").read_text(encoding="utf-8")
+    assert "<dt>Lab</dt><dd>Bench &lt;3&gt;</dd>" in page
+    assert "<dt>Order</dt><dd>42</dd>" in page
+    assert sorted(each.name for each in (goal / "tests").iterdir()) == ["P-1.html", "P-2.html"]
+    assert {each.suffix for each in (goal / "figures").iterdir()} == {".svg", ".pdf"}
+
+
+def test_a_logo_that_is_no_picture_is_one_message(run: Run, processed: Path) -> None:
+    sheet = next(processed.rglob("summary.json"))
+    ran = run("report", processed, "--logo", sheet)
+    assert ran.status == 2
+    assert "expected a picture, PNG or JPEG, of at most 200 kB" in ran.err
+    assert not (processed / "report").exists()
+
+
+def test_a_format_that_figures_do_not_have(run: Run, processed: Path) -> None:
+    ran = run("report", processed, "--figures", "svg,jpg")
+    assert ran.status == 2
+    assert "--figures: expected some of svg, png, pdf, found 'jpg'. Write " in ran.err
