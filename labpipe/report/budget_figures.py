@@ -73,7 +73,7 @@ _FINEST = -6
 """Last place of a number beyond which it has a power of ten."""
 _THICK = 0.74
 """Of a bar, as a share of its row."""
-_ROW, _FRAME = 6.0, 22.0
+_ROW, _FRAME = 6.0, 26.0
 """mm: height of a bar with its gap, and of axis and heading."""
 _LEFT, _RIGHT = 0.06, 0.03
 """Margins, as shares of the width of a page."""
