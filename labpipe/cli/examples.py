@@ -10,6 +10,7 @@ from pathlib import Path
 from labpipe.cli.terminal import from_here
 from labpipe.errors import UsageError, complaint
 from labpipe.protocol.load import shipped_folder
+from labpipe.store.replace import storing
 
 
 def run(options: argparse.Namespace) -> int:
@@ -17,10 +18,11 @@ def run(options: argparse.Namespace) -> int:
     wanted = _copies(options.folder)
     for goal, source in wanted.items():
         _refuse_another(goal, source)
-    for goal, source in wanted.items():
-        goal.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source, goal)
-        print(f"wrote {from_here(goal)}")
+    with storing(options.folder):
+        for goal, source in wanted.items():
+            goal.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, goal)
+            print(f"wrote {from_here(goal)}")
     return 0
 
 

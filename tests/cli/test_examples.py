@@ -38,6 +38,15 @@ def test_a_file_of_ones_own_is_never_replaced(run: Run, tmp_path: Path) -> None:
     assert contents(tmp_path) == {"protocols/tensile.yaml": b"mine"}
 
 
+def test_a_file_in_place_of_the_folder(run: Run, tmp_path: Path) -> None:
+    place = tmp_path / "lab"
+    place.write_text("mine", encoding="utf-8")
+    ran = run("examples", place)
+    assert ran.status == BAD_INPUT
+    assert "expected a folder to write in, found a file in its place" in ran.err
+    assert place.read_text(encoding="utf-8") == "mine"
+
+
 def test_examples_are_not_copied_onto_themselves(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
