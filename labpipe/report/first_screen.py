@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from labpipe.records.arrays import Floats
-from labpipe.records.group import Campaign, Group, GroupNumber, Verdict
+from labpipe.records.group import Campaign, Group, GroupNumber, MeanInterval, Verdict
 from labpipe.report.concerns import Kind
 from labpipe.report.drawn_points import bends
 from labpipe.report.group_plots import first_loading
 from labpipe.report.group_tables import DASH, Cell, Line, Table, cause_lines
 from labpipe.report.page_facts import PageTest, PageTests, samples_of
-from labpipe.report.page_numbers import mean_with_interval
+from labpipe.report.page_numbers import mean_with_interval, with_interval
 from labpipe.report.page_plots import spark, strip
 from labpipe.report.questions import Pair, answer_cells, answering_pairs, field_words
 from labpipe.report.ranked_causes import Cause
@@ -195,7 +195,13 @@ def _key_cell(group: Group, name: str) -> Cell:
         return Cell(DASH, tip="no sample has it")
     factor = shown_in(name, number.unit, display_of(group)).factor
     chosen = number.mean.chosen
-    return Cell(mean_with_interval(chosen, factor))
+    tip = "" if chosen.apart is None else f"interval of the {_estimate(chosen, factor)}"
+    return Cell(with_interval(chosen.mean, chosen.interval, factor), tip=tip)
+
+
+def _estimate(mean: MeanInterval, factor: float) -> str:
+    """The estimate that stands apart from a mean, such as ``estimate 1.23``."""
+    return mean_with_interval(mean, factor).partition("(")[2].partition(",")[0]
 
 
 def _spark(group: Group) -> Markup | None:

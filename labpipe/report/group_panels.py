@@ -31,7 +31,7 @@ class _Points(NamedTuple):
     shapes: int
 
 
-_FEW, _MANY = _Points(90, 40, 24, 6), _Points(45, 16, 10, 2)
+_FEW, _MANY = _Points(90, 40, 24, 6), _Points(43, 16, 10, 2)
 """Of few samples, and of so many that their lines lie upon each other: a test is below 3 kB."""
 _UNSEEN = 0.001
 _BAND_POINTS = 28

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from labpipe.records.curve import Interval
 from labpipe.records.group import Campaign
 from labpipe.report.first_screen import answers, count_words, fold, key_blocks, to_decide
 from labpipe.report.page_facts import PageTests
@@ -77,3 +78,17 @@ def test_a_group_whose_values_are_alike_is_drawn() -> None:
     samples = six_samples()[:1] * 3
     (block,) = key_blocks(Campaign("S", (build_group("A", samples),)), ["a"])
     assert block.rows[0].strip is not None
+
+
+def test_an_estimate_that_stands_apart_is_in_the_tooltip() -> None:
+    group = build_group("A", six_samples()[:3])
+    number = group.numbers[0]
+    assert number.mean is not None
+    chosen = replace(
+        number.mean.chosen, mean=140.0, interval=Interval(130.0, 132.0), estimate=131.0
+    )
+    odd = replace(number, mean=replace(number.mean, chosen=chosen))
+    (block,) = key_blocks(Campaign("S", (replace(group, numbers=(odd,)),)), ["a"])
+    (cell,) = block.rows[0].numbers
+    assert cell.text == "140.0 (130.0 to 132.0)"
+    assert cell.tip == "interval of the estimate 131.0"
