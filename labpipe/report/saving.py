@@ -314,7 +314,7 @@ def written_to(folder: Path, what: str, *, again: str) -> Iterator[None]:
 
 
 def save_report_figures(
-    wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = FORMATS
+    wanted: Iterable[FigureToSave], folder: Path, *, formats: Collection[str] = ("svg",)
 ) -> list[SavedFigure]:
     """Draw the figures of a report and save each as SVG, and as PNG and PDF where asked for.
 
