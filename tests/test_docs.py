@@ -163,7 +163,8 @@ def test_the_overview_names_every_page() -> None:
 @pytest.mark.parametrize("path", IMAGES, ids=name_of)
 def test_pictures_are_small_and_shown_with_a_caption(path: Path) -> None:
     assert path.stat().st_size < MOST_BYTES
-    origin = r"(?:Synthetic data|Computed, not measured)\. "  # each caption says what it shows
+    # each caption says what it shows
+    origin = r"(?:Synthetic data|Computed, not measured|Measured by others)\. "
     shown = rf"!\[[^\]]+\]\((?:docs|\.\.)/images/{re.escape(path.name)}\)\n\n\*{origin}"
     assert any(re.search(shown, each.read_text(encoding="utf-8")) for each in PAGES)
 
