@@ -25,7 +25,7 @@ SPANS = {
     "7": "96 mm",
 }
 """By group, as the README of the exports says; 1b is taken to be as 1."""
-STRAIGHT = {"2_test1", "3_test1", "4_test1", "5_test1", "5_test3"}
+STRAIGHT = {"2_test1", "3_test1", "4_test1", "5_test1", "5_test2", "5_test3"}
 """No bend in the first 4 mm (a quarter of the shortest span) that two segments would be told by."""
 SEGMENTS = ("segment_stiffness_first", "segment_stiffness_second", "break_point")
 
