@@ -14,17 +14,19 @@ import subprocess
 import tempfile
 import time
 import traceback
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tests.coverage import lab
 from tests.coverage.rests_on import ROOT, digest, together
 from tests.foreign import processed as foreign
+
+Each = TypeVar("Each")
 
 Line = dict[str, Any]
 """Of one test: simulator, kind, seed, noise, fault, commit, rests_on, seconds, error, rows."""
@@ -120,33 +122,62 @@ def carry_on(
     -------
     How many tests are still missing.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before the processes load it
-    until = time.monotonic() + 60.0 * minutes
     wanted = [
         (kind, seed)
         for kind, seed in missing(file, kinds)
         if rounds is None or seed in kind.seeds[:rounds]
     ]
-    left, commit = iter(wanted), head()
+    return len(wanted) - make_lines(file, one, wanted, minutes=minutes, jobs=jobs)
+
+
+def make_lines(
+    file: Path,
+    make: Callable[[Each, int], Line],
+    wanted: Iterable[tuple[Each, int]],
+    *,
+    minutes: float,
+    jobs: int,
+) -> int:
+    """Make lines of a study in processes for some minutes, and keep each as it comes.
+
+    Parameters
+    ----------
+    file : of the lines; made if it is not there
+    make : line of a kind and a seed; a function of a module
+    wanted : kinds and seeds, in order
+    minutes : nothing is begun after them
+    jobs : processes
+
+    Returns
+    -------
+    How many were made.
+    """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before the processes load it
+    until, left, commit = time.monotonic() + 60.0 * minutes, iter(wanted), head()
     file.parent.mkdir(parents=True, exist_ok=True)
     written = 0
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for line in _made(pool, left, until=until, ahead=2 * jobs):
+        for line in _made(pool, make, left, until=until, ahead=2 * jobs):
             append(file, {"commit": commit, **line})
             written += 1
-    return len(wanted) - written
+    return written
 
 
 def _made(
-    pool: ProcessPoolExecutor, left: Iterator[tuple[Kind, int]], *, until: float, ahead: int
+    pool: ProcessPoolExecutor,
+    make: Callable[[Each, int], Line],
+    left: Iterator[tuple[Each, int]],
+    *,
+    until: float,
+    ahead: int,
 ) -> Iterator[Line]:
-    """Lines as they come; only a few tests are asked for ahead of time."""
+    """Lines as they come; only a few are asked for ahead of time."""
     running: set[Future[Line]] = set()
     while True:
         while len(running) < ahead and time.monotonic() < until:
             if (wanted := next(left, None)) is None:
                 break
-            running.add(pool.submit(one, *wanted))
+            running.add(pool.submit(make, *wanted))
         if not running:
             return
         done, running = wait(running, return_when=FIRST_COMPLETED)

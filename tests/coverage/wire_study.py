@@ -7,19 +7,16 @@ what it rests on; where that has changed since, the campaign is made again.
 
 from __future__ import annotations
 
-import os
 import time
 import traceback
-from collections.abc import Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from collections.abc import Iterable
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from tests.coverage import wire_campaigns
 from tests.coverage.rests_on import ROOT, digest_of
-from tests.coverage.study import append, head, whole
+from tests.coverage.study import make_lines, whole
 from tests.coverage.wire_campaigns import KINDS, WireKind
 
 Line = dict[str, Any]
@@ -88,27 +85,5 @@ def carry_on(
     -------
     How many campaigns are still missing.
     """
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before the processes load it
-    until, wanted, commit = time.monotonic() + 60.0 * minutes, missing(file, kinds), head()
-    file.parent.mkdir(parents=True, exist_ok=True)
-    written = 0
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        for line in _made(pool, iter(wanted), until=until, ahead=2 * jobs):
-            append(file, {"commit": commit, **line})
-            written += 1
-    return len(wanted) - written
-
-
-def _made(
-    pool: ProcessPoolExecutor, left: Iterator[tuple[WireKind, int]], *, until: float, ahead: int
-) -> Iterator[Line]:
-    running: set[Future[Line]] = set()
-    while True:
-        while len(running) < ahead and time.monotonic() < until:
-            if (wanted := next(left, None)) is None:
-                break
-            running.add(pool.submit(one, *wanted))
-        if not running:
-            return
-        done, running = wait(running, return_when=FIRST_COMPLETED)
-        yield from (each.result() for each in done)
+    wanted = missing(file, kinds)
+    return len(wanted) - make_lines(file, one, wanted, minutes=minutes, jobs=jobs)

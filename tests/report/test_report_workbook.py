@@ -5,23 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 
 from labpipe.records.group import BundlePlace, Campaign
-from labpipe.report.report_workbook import save_workbook
 from tests.builders.bundle_campaigns import bundle_campaign, conduit_cases
 from tests.builders.campaigns import build_campaign, build_group
-
-
-def saved(campaign: Campaign, folder: Path) -> Workbook:
-    save_workbook(campaign, folder / "tables.xlsx")
-    return load_workbook(folder / "tables.xlsx")
-
-
-def table(book: Workbook, name: str) -> list[dict[str, Any]]:
-    heads, *rows = book[name].iter_rows(values_only=True)
-    return [dict(zip(map(str, heads), row, strict=True)) for row in rows]
+from tests.builders.report_books import saved, table
 
 
 @pytest.fixture(scope="module")

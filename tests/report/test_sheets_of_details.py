@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from openpyxl import load_workbook
 from openpyxl.workbook import Workbook
 
 from labpipe.records.curve import Interval
@@ -15,21 +14,11 @@ from labpipe.records.group import BundlePlace, Campaign
 from labpipe.records.quality import Reason
 from labpipe.records.result import Contribution
 from labpipe.report.page_facts import report_id
-from labpipe.report.report_workbook import save_workbook
 from labpipe.report.wording import shown_in
 from labpipe.statistics.groups import build_group as grouped
 from tests.builders.bundle_campaigns import bundle_campaign, bundle_of, conduit_cases, three_of
 from tests.builders.campaigns import build_campaign, build_group, build_sample, six_samples
-
-
-def saved(campaign: Campaign, folder: Path) -> Workbook:
-    save_workbook(campaign, folder / "tables.xlsx")
-    return load_workbook(folder / "tables.xlsx")
-
-
-def table(book: Workbook, name: str) -> list[dict[str, Any]]:
-    heads, *rows = book[name].iter_rows(values_only=True)
-    return [dict(zip(map(str, heads), row, strict=True)) for row in rows]
+from tests.builders.report_books import saved, table
 
 
 @pytest.fixture(scope="module")
