@@ -22,9 +22,10 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from labpipe.decks.deck_law import facts, on_one_line
-from labpipe.decks.slider_table import SLIDERS, loss_words, no_sliders, sliders_of, table_card
+from labpipe.decks.slider_table import loss_words, no_sliders
 from labpipe.law.slider_directions import in_directions
 from labpipe.law.sliders import MOST_SLIDERS, SliderLaw
+from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 

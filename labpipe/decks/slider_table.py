@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
-from functools import lru_cache
 
 from labpipe import __version__
 from labpipe.decks.deck_law import facts, on_one_line
-from labpipe.law.loss_card import LossCard, loss_card
+from labpipe.law.loss_card import LossCard
 from labpipe.law.slider_directions import in_directions
-from labpipe.law.sliders import SliderLaw, fit_sliders, slip_moments
+from labpipe.law.sliders import slip_moments
+from labpipe.law.table_sliders import sliders_of, table_card
 from labpipe.records.wire import WireTable
 
 SCHEMA = 1
 """Version of the JSON."""
-SLIDERS = 12
-"""With fewer, what a wire keeps after unloading is off by more than 2 %."""
 DIRECTIONS = 4
 
 _WIDEST_NAME = 100
@@ -41,22 +39,6 @@ _UNITS = {
 }
 
 
-@lru_cache(maxsize=4)  # a table is known by its identity
-def table_card(table: WireTable) -> LossCard:
-    """What the law of a wire loses in each form, over its table.
-
-    Parameters
-    ----------
-    table : law of the wire
-
-    Raises
-    ------
-    ValueError
-        As `fit_sliders`.
-    """
-    return loss_card(table.curvature, table.moment)
-
-
 def loss_words(card: LossCard) -> str:
     """A loss card in one line.
 
@@ -70,22 +52,6 @@ def loss_words(card: LossCard) -> str:
         f"each form at its best: constant stiffness {100.0 * card.constant:.2g} %, Dahl "
         f"{100.0 * card.dahl.error:.2g} %, {sliders}."
     )
-
-
-def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
-    """Sliders of a wire over its whole table.
-
-    Parameters
-    ----------
-    table : law of the wire
-    sliders : at most
-
-    Raises
-    ------
-    ValueError
-        As `fit_sliders`.
-    """
-    return fit_sliders(table.curvature, table.moment, sliders)
 
 
 def no_sliders(error: ValueError) -> str:

@@ -7,7 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from labpipe.decks.slider_table import sliders_csv, sliders_json, sliders_of
+from labpipe.decks.slider_table import sliders_csv, sliders_json
+from labpipe.law.table_sliders import sliders_of
 from tests.builders.wire_tables import wire_table
 
 

@@ -1,0 +1,45 @@
+"""Sliders of a wire from its table, and what they lose: for decks and for rods alike."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+from labpipe.law.loss_card import LossCard, loss_card
+from labpipe.law.sliders import SliderLaw, fit_sliders
+from labpipe.records.wire import WireTable
+
+SLIDERS = 12
+"""With fewer, what a wire keeps after unloading is off by more than 2 %."""
+
+
+@lru_cache(maxsize=16)  # a table is known by its identity
+def sliders_of(table: WireTable, sliders: int = SLIDERS) -> SliderLaw:
+    """Sliders of a wire over its whole table.
+
+    Parameters
+    ----------
+    table : law of the wire
+    sliders : at most
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    return fit_sliders(table.curvature, table.moment, sliders)
+
+
+@lru_cache(maxsize=4)
+def table_card(table: WireTable) -> LossCard:
+    """What the law of a wire loses in each form, over its table.
+
+    Parameters
+    ----------
+    table : law of the wire
+
+    Raises
+    ------
+    ValueError
+        As `fit_sliders`.
+    """
+    return loss_card(table.curvature, table.moment)
