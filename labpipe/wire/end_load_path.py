@@ -126,7 +126,11 @@ def _from_rest(
     goes_on = (np.diff(deflections, prepend=0.0) > 0.0) & (deflections <= _AT_ONCE * length)
     count = len(goes_on) if goes_on.all() else int(np.argmin(goes_on))
     table, wanted = LoadingTable.of_plays(law), deflections[:count]
-    at = heavy_states(table, length, None, self_weight, wanted, n_stations=HEAVY_STATIONS)
+    at = heavy_states(
+        *(table, length, None, self_weight, wanted),
+        n_stations=HEAVY_STATIONS,
+        with_changes=False,
+    )
     done = at.count_loading()
     plays = respond(law, at.rest, virgin_plays(law, len(at.rest))).plays
     force = np.array([0.0, at.rest_tension])

@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from labpipe.law.loading_table import LoadingTable
 from labpipe.records.arrays import Floats
@@ -27,6 +28,8 @@ POINTS, CROWDING = 32, 2.0
 _ITERATIONS = 40
 _TOLERANCE = 1e-7  # of the largest moment, the last change: the next would be 1e-13
 _TURNS = 1e-5  # of the largest moment: less is rounding
+_MANY, _STRIDE = 12, 4
+"""From so many deflections on every fourth goes first."""
 _LARGEST_TURN = 0.7  # rad, of any part of the wire in one step of Newton's method
 
 
@@ -46,7 +49,7 @@ class HeavyStates:
     x, tip_angle : shape (n,), m, rad
     curvature : shape (n,), 1/m, at the clamp
     tension_change : shape (1 + parameters, n), derivative of tension less that at rest by the
-        deflection, N/m, and by each of the law's parameters, N
+        deflection, N/m, and by each of the law's parameters, N; shape (0, n) if not asked for
     """
 
     rest: Floats
@@ -186,6 +189,7 @@ def heavy_states(
     deflections: Floats,
     *,
     n_stations: int = N_STATIONS,
+    with_changes: bool = True,
 ) -> HeavyStates:
     """Find the equilibria of a wire that has weight at rest and at given deflections.
 
@@ -195,6 +199,7 @@ def heavy_states(
     deflections : shape (n,), m, from rest, in the way of the pull, increasing; all are gone to
         without a turn
     n_stations : along the wire
+    with_changes : whether to work out `tension_change`
 
     Raises
     ------
@@ -211,15 +216,16 @@ def heavy_states(
     level = np.zeros(1)
     first = _settle(wire, None, (start[None], np.array([held + weight])), level)
     rest, tension = first[0][0], float(first[1][0])
-    rest_bent = _bend(wire, None, *first)
-    rest_change = _sensitivity(wire, rest_bent, table.changes(first[0]))
     clamp = _clamp_moments(table, length, deflections)
     guess = rest + clamp[:, None] * from_tip / length, tension + clamp / length
-    moment, pulled = _settle(wire, rest, guess, deflections)
+    moment, pulled = _settle_all(wire, (rest, tension), guess, deflections)
     bent = _bend(wire, rest, moment, pulled)
-    own = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
-    change = _sensitivity(wire, bent, own)[:, :, -1]
-    change[1:] -= rest_change[1:, :, -1]
+    change = np.zeros((0, len(deflections)))
+    if with_changes:
+        rest_change = _sensitivity(wire, _bend(wire, None, *first), table.changes(first[0]))
+        own = table.changes_on(rest, moment, rest_change[1:, 0, :-1])
+        change = _sensitivity(wire, bent, own)[:, :, -1]
+        change[1:] -= rest_change[1:, :, -1]
     angle = np.arctan2(bent.sin[:, -1], bent.cos[:, -1])
     return HeavyStates(
         *(rest, tension, deflections, moment, pulled, bent.across, bent.x, angle),
@@ -262,25 +268,53 @@ def _bend(wire: _Wire, rest: Floats | None, moment: Floats, tension: Floats) -> 
     )
 
 
+def _settle_all(
+    wire: _Wire, rest: tuple[Floats, float], start: tuple[Floats, Floats], deflections: Floats
+) -> tuple[Floats, Floats]:
+    """Moments and tensions at many deflections: some first, which guide to those between them."""
+    if len(deflections) < _MANY:
+        return _settle(wire, rest[0], start, deflections)
+    some = np.append(np.arange(0, len(deflections) - 1, _STRIDE), len(deflections) - 1)
+    found = _settle(wire, rest[0], (start[0][some], start[1][some]), deflections[some])
+    known = np.column_stack(found)
+    between = np.setdiff1d(np.arange(len(deflections)), some)
+    way = CubicSpline(
+        np.append(0.0, deflections[some]), np.vstack([np.append(*rest), known]), axis=0
+    )
+    guess = way(deflections[between])
+    moment, tension = np.empty_like(start[0]), np.empty_like(start[1])
+    moment[some], tension[some] = found
+    moment[between], tension[between] = _settle(
+        wire, rest[0], (guess[:, :-1], guess[:, -1]), deflections[between]
+    )
+    return moment, tension
+
+
 def _settle(
     wire: _Wire, rest: Floats | None, start: tuple[Floats, Floats], deflections: Floats
 ) -> tuple[Floats, Floats]:
-    """Newton's method for moments and tensions; the tip's height fixes the tension."""
-    moment, tension = start
+    """Newton's method for moments and tensions; the tip's height fixes the tension.
+
+    Each deflection is done when its own last step was small.
+    """
+    moment, tension = (np.array(part) for part in start)
+    left = np.arange(len(moment))
     to_tip, length = wire.stations.to_tip, wire.stations.position[-1]
     for _ in range(_ITERATIONS):
-        bent = _bend(wire, rest, moment, tension)
+        bent = _bend(wire, rest, moment[left], tension[left])
         bending = bent.lever_x * bent.pull[0][:, None] + bent.lever_y * bent.pull[1][:, None]
         bending -= (wire.beyond * bent.cos) @ to_tip.T
-        missing = np.column_stack([moment - bending, bent.y - deflections])
+        missing = np.column_stack([moment[left] - bending, bent.y - deflections[left]])
         if not np.isfinite(missing).all():
             break
         step = -np.linalg.solve(_jacobian(wire, bent), missing[:, :, None])[:, :, 0]
         turn = np.max(np.abs(step[:, :-1] * bent.slope), axis=1) * length
         step *= np.minimum(1.0, _LARGEST_TURN / np.maximum(turn, _LARGEST_TURN))[:, None]
-        moment, tension = moment + step[:, :-1], tension + step[:, -1]
-        largest = np.max(np.abs(moment), axis=1)
-        if np.all(np.max(np.abs(step[:, :-1]), axis=1) <= _TOLERANCE * largest):
+        moment[left] += step[:, :-1]
+        tension[left] += step[:, -1]
+        largest = np.max(np.abs(moment[left]), axis=1)
+        left = left[np.max(np.abs(step[:, :-1]), axis=1) > _TOLERANCE * largest]
+        if not left.size:
             return moment, tension
     where = "at rest" if rest is None else f"up to a deflection of {deflections[-1]:.6g} m"
     message = f"length={length:.6g} m: no equilibrium found {where}"
