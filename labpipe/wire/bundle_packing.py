@@ -43,6 +43,10 @@ _APART = 1e-3
 """Of a diameter: wires that lie on one another know no way apart, so that they get one."""
 _ALIKE = 1e-2
 """Of a radius: heaps that differ less in theirs are equally wide while wires are soft."""
+_SHAKES = (0.1, 0.3, 1.0, 1.0, 1.0, 1.0)
+"""Of a mean diameter: unequal wires can come to rest in a row or around a corner, where nothing
+pushes them aside; a heap so loose is shaken a little, then more."""
+_PAIR = 2
 LEAST_FILLED = 0.5
 """Of the smallest circle around a heap: what two equal wires fill, the emptiest of all heaps that
 are drawn together."""
@@ -112,13 +116,31 @@ def densest_heap(starts: Sequence[Floats], diameters: Floats) -> Floats:
         return np.zeros((1, 2))
     scale = float(np.mean(diameters))
     reach = diameters / scale
-    heaps = [_soft((start - start.mean(axis=0)) / scale, reach) for start in starts]
-    widths = np.array([holding_circle(heap * _spread(heap, reach), reach)[1] for heap, _ in heaps])
-    found, contacts = heaps[int(np.argmax(widths <= (1.0 + _ALIKE) * widths.min()))]
-    found = _hardened(found, reach, contacts)
-    found = found * _spread(found, reach)
+    found = _densest([(start - start.mean(axis=0)) / scale for start in starts], reach)
+    for number, shake in enumerate(_SHAKES):
+        if _filled(found, reach) > LEAST_FILLED * (1.0 + _ALIKE) or len(reach) == _PAIR:
+            break
+        moves = shake * np.random.default_rng(number).normal(size=found.shape)
+        found = _densest([found, found + moves], reach)
     require_dense(found, reach)
     return np.asarray(scale * (found - np.average(found, axis=0, weights=reach**2)))
+
+
+def _densest(starts: Sequence[Floats], diameters: Floats) -> Floats:
+    """The narrowest heap of those that come of some starts, hard; the first of equally wide."""
+    heaps = [_soft(start, diameters) for start in starts]
+    widths = np.array(
+        [holding_circle(heap * _spread(heap, diameters), diameters)[1] for heap, _ in heaps]
+    )
+    found, contacts = heaps[int(np.argmax(widths <= (1.0 + _ALIKE) * widths.min()))]
+    found = _hardened(found, diameters, contacts)
+    return np.asarray(found * _spread(found, diameters))
+
+
+def _filled(centres: Floats, diameters: Floats) -> float:
+    """Share of the smallest circle around all wires that they fill; 0 where a place is unknown."""
+    radius = holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
+    return packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
 
 
 def require_dense(centres: Floats, diameters: Floats) -> None:
@@ -135,8 +157,7 @@ def require_dense(centres: Floats, diameters: Floats) -> None:
         If the wires fill less than `LEAST_FILLED` of the smallest circle around them; the message
         says how much they fill.
     """
-    radius = holding_circle(centres, diameters)[1] if np.all(np.isfinite(centres)) else np.nan
-    filled = packing_fraction(diameters, 2.0 * radius) if np.isfinite(radius) else 0.0
+    filled = _filled(centres, diameters)
     if not filled > LEAST_FILLED * (1.0 - 1e-6):
         message = (
             f"the {len(diameters)} wires did not come together: they fill {filled:.2g} of the "

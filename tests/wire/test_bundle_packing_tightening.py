@@ -84,6 +84,23 @@ def test_no_two_overlap(seed: int, number: int) -> None:
     assert largest_overlap(found, diameters / 2.0) < 1e-9
 
 
+@pytest.mark.parametrize(("number", "seed"), [(5, 148), (6, 122), (9, 28), (11, 60)])
+def test_wires_at_rest_in_a_loose_heap_are_shaken(number: int, seed: int) -> None:
+    """Without it they fill less than half of the circle around them, and are refused."""
+    rng = np.random.default_rng(seed)
+    diameters = rng.uniform(0.5, 1.5, number)
+    found = drawn_together(rng.normal(size=(number, 2)), diameters)
+    assert largest_overlap(found, diameters / 2.0) < 1e-9
+    assert packing_fraction(diameters, 2.0 * holding_circle(found, diameters)[1]) > 0.55
+
+
+def test_a_row_is_shaken() -> None:
+    """Four in a row, which nothing pushes aside: 0.25 filled; in a rhomb they fill 0.536."""
+    row = np.column_stack([np.arange(4.0), np.zeros(4)])
+    found = drawn_together(row, np.ones(4))
+    assert packing_fraction(np.ones(4), 2.0 * holding_circle(found, np.ones(4))[1]) > 0.53
+
+
 def test_circle_around_two_unequal_wires() -> None:
     middle, radius = holding_circle(np.array([[0.0, 0.0], [3.0, 0.0]]), np.array([2.0, 4.0]))
     assert radius == pytest.approx(3.0)
@@ -124,7 +141,7 @@ def test_wires_that_do_not_come_together_are_refused() -> None:
         match=r"^the 4 wires did not come together: they fill 0\.25 of the smallest circle around "
         r"them, expected at least 0\.5$",
     ):
-        drawn_together(row, np.ones(4))
+        require_dense(row, np.ones(4))
     require_dense(row[:2], np.ones(2))  # two wires fill just half
     assert LEAST_FILLED == 0.5
 
