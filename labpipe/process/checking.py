@@ -15,6 +15,7 @@ from labpipe.process.targets import files_below
 from labpipe.protocol.load import (
     load_calibration_plan,
     load_campaign_plan,
+    load_harness,
     load_protocol,
     load_test_sheet,
     resolve,
@@ -56,7 +57,7 @@ class Checked:
     ----------
     protocols, tests : files looked at
     findings : everything that is wrong, each once
-    plans : other files looked at: calibration plans, campaign plans
+    plans : other files looked at: calibration plans, campaign plans, harnesses
     """
 
     protocols: tuple[Path, ...]
@@ -120,6 +121,7 @@ def _unusable(path: Path) -> Iterator[Finding]:
 def _loader_of(path: Path) -> Callable[[Path], object] | None:
     """What reads a YAML file that is no protocol; a misspelt protocol is one."""
     from labpipe.protocol.campaign_plan import PLAN_NAME
+    from labpipe.protocol.harness_file import HarnessFile
     from labpipe.protocol.plans import CalibrationPlan
 
     if path.name == PLAN_NAME:
@@ -129,8 +131,12 @@ def _loader_of(path: Path) -> Callable[[Path], object] | None:
     except ProtocolError:
         return None
     keys = set(said) if isinstance(said, Mapping) else set()
-    is_plan = keys & {*CalibrationPlan.keys()} - {*Protocol.keys()} and "sources" not in keys
-    return load_calibration_plan if is_plan else None
+    if "sources" in keys:
+        return None
+    not_its_own = keys - {*Protocol.keys()}
+    if not_its_own & {*HarnessFile.keys()} - {*CalibrationPlan.keys()}:
+        return load_harness
+    return load_calibration_plan if not_its_own & {*CalibrationPlan.keys()} else None
 
 
 def _faults_by(load: Callable[[Path], object] | None, path: Path) -> list[str]:

@@ -20,6 +20,7 @@ from typing import Any
 
 from labpipe.protocol.campaign_plan import CampaignPlan
 from labpipe.protocol.grammar import Block
+from labpipe.protocol.harness_file import HarnessFile
 from labpipe.protocol.schema import Protocol
 from labpipe.protocol.sheet_grammar import TestSheet
 from labpipe.records.declarations import Needs, existing_in
@@ -31,6 +32,7 @@ SCHEMAS: dict[str, type[Block]] = {
     "protocol.schema.json": Protocol,
     "test-sheet.schema.json": TestSheet,
     "campaign.schema.json": CampaignPlan,
+    "harness.schema.json": HarnessFile,
 }
 PAGES = ("quality-notes.md", "results.md")
 """Pages that hold tables which derive from the code."""
@@ -41,7 +43,7 @@ def json_schema(model: type[Block]) -> str:
 
     Parameters
     ----------
-    model : `Protocol`, `TestSheet` or `CampaignPlan`
+    model : `Protocol`, `TestSheet`, `CampaignPlan` or `HarnessFile`
     """
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema"}
     return json.dumps(schema | model.model_json_schema(by_alias=True), indent=2) + "\n"

@@ -411,6 +411,27 @@ def test_a_calibration_plan_is_no_protocol(lab: Path, tmp_path: Path) -> None:
     assert check_paths().protocols[-1] == plan.relative_to(tmp_path)  # a protocol, misspelt
 
 
+HARNESS = """\
+version: 1
+line:
+  length: 300 mm
+  section: {wire: A2}
+boundaries:
+  - {kind: clip, name: left, at: start, position: [0 mm, 0 mm, 0 mm]}
+steps: 10
+"""
+
+
+def test_a_harness_is_no_protocol(lab: Path, tmp_path: Path) -> None:
+    file = tmp_path / "raw" / "campaign" / "harness.yaml"
+    file.write_text(HARNESS, encoding="utf-8")
+    checked = check_paths()
+    assert (checked.plans, checked.findings) == ((file.relative_to(tmp_path),), ())
+    file.write_text(HARNESS.replace("300 mm", "300"), encoding="utf-8")
+    (finding,) = check_paths().findings
+    assert "line 3, column 11 (line.length): expected a quantity with a unit" in finding.message
+
+
 def test_a_campaign_plan_is_known_by_its_name(lab: Path, tmp_path: Path) -> None:
     plan = tmp_path / "raw" / "campaign" / "campaign.yaml"
     plan.write_text("version: 1\nprotocol: wire\n", encoding="utf-8")

@@ -1,0 +1,221 @@
+"""Whether a line is long enough for its clips, rings and strings, at every step.
+
+Between waypoints everything that holds the line moves on a straight path, so that two such places
+are farthest from each other at a waypoint of one of them: only these steps are looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from pathlib import Path
+
+from labpipe.errors import Fault, KeyPath
+from labpipe.protocol.harness_file import (
+    HELD,
+    START,
+    Clip,
+    Grip,
+    HarnessFile,
+    Held,
+    Pin,
+    Ring,
+    String,
+    Vector3,
+)
+
+_BARELY = 1.0 + 1e-9
+"""Times the length: a line may be straight between two clips."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A straight stretch of the path of something that holds the line.
+
+    Parameters
+    ----------
+    step : at which it ends
+    position : m, where it ends
+    """
+
+    step: int
+    position: Vector3
+
+
+def file_beside(name: str, path: Path) -> Path:
+    """Find a file that a harness names: beside it, or else from the working folder.
+
+    Parameters
+    ----------
+    name : as written
+    path : of the harness YAML
+    """
+    beside = path.parent / name
+    return beside if beside.exists() else Path(name)
+
+
+def file_faults(harness: HarnessFile, path: Path) -> Iterator[Fault]:
+    """Find files that a harness names and that are not there.
+
+    Parameters
+    ----------
+    harness : whose parts are valid
+    path : of its YAML
+    """
+    for key in ("sheet", "calibration", "sliders"):
+        name = getattr(harness.line.section, key)
+        if name is not None and not file_beside(name, path).is_file():
+            places = f"There is none at {path.parent / name} or {Path(name)}."
+            yield Fault(("line", "section", key), "a file", repr(name), places)
+
+
+def start_of(harness: HarnessFile) -> tuple[Vector3, Vector3]:
+    """Where the line begins at the start, m, and in which direction it lies.
+
+    Parameters
+    ----------
+    harness : whose line may leave both to the clip at its start
+    """
+    line = harness.line
+    first = next((each for each in _held(harness) if each.at == START), None)
+    position, direction = line.start, line.direction
+    if position is None:
+        position = (0.0, 0.0, 0.0) if first is None or isinstance(first, Grip) else first.position
+    if direction is None:
+        direction = first.direction if isinstance(first, Clip) else None
+    return position, direction or (1.0, 0.0, 0.0)
+
+
+def legs_of(boundary: Held, steps: int) -> tuple[Leg, ...]:
+    """Stretches of the path of what holds the line, in order; none for one that stays.
+
+    Parameters
+    ----------
+    boundary : clip, pin or grip
+    steps : of the harness
+    """
+    if isinstance(boundary, Clip | Pin):
+        return (Leg(boundary.by or steps, boundary.position),)
+    known = [each for each in boundary.path if each.position is not None]
+    return tuple(Leg(each.step, each.position) for each in known if each.position is not None)
+
+
+def _held(harness: HarnessFile) -> list[Held]:
+    return [each for each in harness.boundaries if isinstance(each, HELD)]
+
+
+def reach_faults(harness: HarnessFile) -> Iterator[Fault]:
+    """Find what the line is too short for.
+
+    Parameters
+    ----------
+    harness : whose parts are valid
+
+    Yields
+    ------
+    A fault for each two boundaries that are too far apart, with the step and the distance; those
+    of a sweep for the shortest line of it that is too short.
+    """
+    lengths: list[tuple[float, KeyPath]] = [(harness.line.length, ())]
+    swept = harness.sweep.length if harness.sweep else ()
+    lengths += sorted((each, ("sweep", "length", i)) for i, each in enumerate(swept))
+    for length, path in lengths:
+        faults = [*_off_the_line(harness, length, path), *_too_far(harness, length, path)]
+        if faults:
+            yield from faults
+            return
+
+
+def _off_the_line(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    for number, each in enumerate(harness.boundaries):
+        place = getattr(each, "at", START)
+        if math.isfinite(place) and place > length * _BARELY:
+            expected = f"a place on the line, which is {_mm(length)} long"
+            remedy = "Write 'end', or make the line longer."
+            yield Fault(path or ("boundaries", number, "at"), expected, _mm(place), remedy)
+
+
+def _too_far(harness: HarnessFile, length: float, path: KeyPath) -> Iterator[Fault]:
+    numbers = {each.name: number for number, each in enumerate(harness.boundaries)}
+    ties = [_tie_of(harness, each, length) for each in _held(harness)]
+    ties.sort(key=lambda tie: tie.along)
+    strings = [each for each in harness.boundaries if isinstance(each, String)]
+    for one, other in combinations(ties, 2):
+        yield from _apart(one, other, other.along - one.along, path or _path(other, numbers))
+    for string in strings:
+        end = _tie_of(harness, string, length)
+        for tie in ties:
+            reach = abs(end.along - tie.along) + string.length
+            yield from _apart(tie, end, reach, path or _path(end, numbers))
+    for ring in (each for each in harness.boundaries if isinstance(each, Ring)):
+        yield from _out_of_reach(ring, ties, length, path or _path(ring, numbers))
+
+
+def _path(tie: _Tie | Ring, numbers: Mapping[str, int]) -> KeyPath:
+    return ("boundaries", numbers[tie.name])
+
+
+@dataclass(frozen=True, slots=True)
+class _Tie:
+    """A place of the line and where it is held, or tied to; `last` step at which it is."""
+
+    name: str
+    along: float
+    legs: tuple[Leg, ...]
+    last: int
+
+    def position(self, step: int) -> Vector3:
+        """Where it is, m; before the first leg and after the last it stays."""
+        before = [leg for leg in self.legs if leg.step <= step][-1]
+        after = next((leg for leg in self.legs if leg.step > step), before)
+        share = (step - before.step) / max(after.step - before.step, 1)
+        x, y, z = (
+            a + share * (b - a) for a, b in zip(before.position, after.position, strict=True)
+        )
+        return x, y, z
+
+
+def _tie_of(harness: HarnessFile, boundary: Held | String, length: float) -> _Tie:
+    along = min(boundary.at, length)
+    if isinstance(boundary, String):
+        return _Tie(boundary.name, along, (Leg(0, boundary.anchor),), harness.steps)
+    start, direction = start_of(harness)
+    x, y, z = (begin + along * each for begin, each in zip(start, direction, strict=True))
+    legs = (Leg(0, (x, y, z)), *legs_of(boundary, harness.steps))
+    last = harness.steps if boundary.release is None else boundary.release - 1
+    return _Tie(boundary.name, along, legs, last)
+
+
+def _apart(one: _Tie, other: _Tie, reach: float, path: KeyPath) -> Iterator[Fault]:
+    last = min(one.last, other.last)
+    steps = sorted({leg.step for tie in (one, other) for leg in tie.legs} | {last})
+    for step in (each for each in steps if each <= last):
+        distance = math.dist(one.position(step), other.position(step))
+        if distance > reach * _BARELY:
+            expected = f"at most the {_mm(reach)} that lie between {one.name!r} and {other.name!r}"
+            found = f"{_mm(distance)} between them at step {step}"
+            yield Fault(path, expected, found, "Bring them nearer, or make the line longer.")
+            return
+
+
+def _out_of_reach(
+    ring: Ring, ties: Sequence[_Tie], length: float, path: KeyPath
+) -> Iterator[Fault]:
+    """Find a ring that no place of the line comes to, once all that holds the line is there."""
+    ends = [(tie.along, tie.position(tie.last)) for tie in ties]
+    far = [math.dist(ring.position, position) for _, position in ends]
+    rooms = [(length - ends[-1][0], far[-1]), (ends[0][0], far[0])] if ends else []
+    rooms += [
+        (b[0] - a[0], one + other) for (a, one), (b, other) in pairwise(zip(ends, far, strict=True))
+    ]
+    if rooms and not any(needed <= reach * _BARELY for reach, needed in rooms):
+        reach, needed = min(rooms, key=lambda room: room[1] - room[0])
+        expected = f"a ring that the line comes to: {_mm(reach)} of it are there"
+        found = f"a way of {_mm(needed)} by {ring.name!r}"
+        yield Fault(path, expected, found, "Bring it nearer, or make the line longer.")
+
+
+def _mm(length: float) -> str:
+    return f"{1e3 * length:.6g} mm"

@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from labpipe.errors import ProtocolError
+from labpipe.protocol.harness_file import HarnessFile
+from labpipe.protocol.harness_reach import start_of
+from labpipe.protocol.load import load_harness
+
+BETWEEN_CLIPS = """\
+version: 1
+line:
+  length: 300 mm
+  section:
+    bending_stiffness: 150 N*mm^2
+    torsional_stiffness: 90 N*mm^2
+    largest_curvature: 80 1/m
+    diameter: 2.2 mm
+boundaries:
+  - {kind: clip, name: left, at: start, position: [10 mm, 0 mm, 0 mm], direction: [0, 1, 0]}
+  - {kind: clip, name: right, at: end, position: [10 mm, 250 mm, 0 mm]}
+"""
+
+
+def load(tmp_path: Path, text: str) -> HarnessFile:
+    path = tmp_path / "harness.yaml"
+    path.write_text(text, encoding="utf-8")
+    return load_harness(path)
+
+
+def test_a_line_begins_where_its_first_clip_is(tmp_path: Path) -> None:
+    assert start_of(load(tmp_path, BETWEEN_CLIPS)) == ((0.01, 0.0, 0.0), (0.0, 1.0, 0.0))
+    own = BETWEEN_CLIPS.replace(
+        "  section:", "  start: [1 mm, 0 mm, 0 mm]\n  direction: [0, 0, 1]\n  section:"
+    )
+    assert start_of(load(tmp_path, own)) == ((0.001, 0.0, 0.0), (0.0, 0.0, 1.0))
+    at_the_end = BETWEEN_CLIPS.replace("at: start", "at: 1 mm")
+    assert start_of(load(tmp_path, at_the_end)) == ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+
+
+def test_a_line_may_be_straight_between_its_clips(tmp_path: Path) -> None:
+    assert load(tmp_path, BETWEEN_CLIPS.replace("250 mm", "300 mm"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "250 mm",
+            "301 mm",
+            "line 11, column 5 (boundaries.1): expected at most the 300 mm that lie between 'left' "
+            "and 'right', found 301 mm between them at step 40. Bring them nearer, or make",
+        ),
+        (
+            "at: end",
+            "at: 310 mm",
+            "(boundaries.1.at): expected a place on the line, which is 300 mm long, found 310 mm.",
+        ),
+        (
+            "  - {kind: clip, name: right, at: end, position: [10 mm, 250 mm, 0 mm]}",
+            "  - {kind: grip, name: mid, at: 100 mm, path: [{step: 5, position: [0 mm, 90 mm, 0 mm]"
+            "}, {step: 15, position: [0 mm, 30 mm, 99 mm]}], release: 20}\n"
+            "  - {kind: clip, by: 10, name: right, at: end, position: [10 mm, 150 mm, 0 mm]}",
+            "(boundaries.1): expected at most the 100 mm that lie between 'left' and 'mid', found "
+            "103.928 mm between them at step 15.",
+        ),
+        (
+            "    diameter",
+            "    diameter: 2.2 mm\nsweep: {length: [400 mm, 240 mm, 200 mm]}\n#",
+            "(sweep.length.2): expected at most the 200 mm that lie between 'left' and 'right', ",
+        ),
+        (
+            "boundaries:\n",
+            "boundaries:\n  - {kind: string, name: thread, at: 100 mm, length: 50 mm, "
+            "anchor: [0 mm, 0 mm, 200 mm]}\n",
+            "(boundaries.0): expected at most the 150 mm that lie between 'left' and 'thread', "
+            "found 200.25 mm between them at step 0.",
+        ),
+        (
+            "boundaries:\n",
+            "boundaries:\n  - {kind: ring, name: guide, position: [0 mm, 100 mm, 120 mm], "
+            "direction: [0, 1, 0]}\n",
+            "(boundaries.0): expected a ring that the line comes to: 300 mm of it are there, "
+            "found a way of 348.879 mm by 'guide'.",
+        ),
+        (
+            "bending_stiffness: 150 N*mm^2",
+            "sliders: none.sliders.json\n#",
+            "(line.section.sliders): expected a file, found 'none.sliders.json'. There is none at ",
+        ),
+    ],
+)
+def test_what_cannot_be_reached(tmp_path: Path, old: str, new: str, message: str) -> None:
+    text = BETWEEN_CLIPS.replace(old, new, 1)
+    if "sliders" in new:
+        text = "\n".join(
+            each for each in text.splitlines() if not each.startswith(("    tor", "    lar"))
+        )
+    with pytest.raises(ProtocolError) as raised:
+        load(tmp_path, text)
+    assert message in str(raised.value)
+
+
+def test_what_lets_go_holds_no_more(tmp_path: Path) -> None:
+    """From its release on, a grip may be as far from the line as it likes."""
+    grip = (
+        "  - {kind: grip, name: mid, at: 100 mm, release: RELEASE, path: ["
+        "{step: 10, position: [10 mm, 95 mm, 0 mm]}, {step: 30, position: [10 mm, 0 mm, 500 mm]}]}"
+        "\nsteps: 40\n"
+    )
+    assert load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "11"))
+    with pytest.raises(ProtocolError, match=r"'mid', found [0-9.]+ mm between them at step 30"):
+        load(tmp_path, BETWEEN_CLIPS + grip.replace("RELEASE", "40"))
