@@ -1,0 +1,1 @@
+"""The quasi-static, geometrically exact rod: a line between clips, grips and loads (PHYSICS 7)."""

@@ -1,0 +1,216 @@
+"""What holds, pulls and supports a line, step by step.
+
+A path has one row per step and one before, shape (steps + 1, ...): row 0 is where a walk starts.
+One row stands for what does not move; without that row's axis it is taken as well. Between two
+steps positions and forces go straight, and frames turn at a steady rate. Forces keep their
+direction in space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+
+from labpipe.records.arrays import Floats
+
+EARTH = (0.0, 0.0, -9.81)
+"""m/s^2."""
+
+
+def _rows(name: str, values: object, width: int) -> Floats:
+    """Give back a path as rows, read-only."""
+    path: Floats = np.array(values, dtype=np.float64)
+    path = path[None] if path.ndim == 1 else path
+    if path.ndim != 2 or path.shape[1] != width or not len(path):
+        message = f"{name} of shape {path.shape}: allowed is (steps + 1, {width}) or ({width},)"
+        raise ValueError(message)
+    if not np.all(np.isfinite(path)):
+        row = int(np.argmin(np.all(np.isfinite(path), axis=1)))
+        message = f"{name}, row {row}: allowed are finite numbers"
+        raise ValueError(message)
+    path.flags.writeable = False
+    return path
+
+
+def _direction(name: str, values: object) -> Floats:
+    vector = _rows(name, values, 3)
+    size = float(np.linalg.norm(vector[0]))
+    if len(vector) != 1 or not size > 0.0:
+        message = f"{name}={np.asarray(values).tolist()}: allowed is one direction, not zero"
+        raise ValueError(message)
+    unit: Floats = vector[0] / size
+    unit.flags.writeable = False
+    return unit
+
+
+def _set(record: object, **values: object) -> None:
+    for name, value in values.items():
+        object.__setattr__(record, name, value)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """A clamp, a clip or a grip at a node.
+
+    Parameters
+    ----------
+    node : from 0; negative numbers count from the end of the line, as in Python
+    position : path, m, shape (steps + 1, 3)
+    frame : path, unit quaternions, shape (steps + 1, 4): the frame of the line at the node (d3
+        along it), both elements there grow out of it; None: the node is pinned and may turn
+    release : the first step in which it holds no more; None holds on. What it carried is taken
+        away gradually within that step, so that the line's memory follows
+    name : for messages
+
+    Raises
+    ------
+    ValueError
+        If a path has another shape, is not finite, or a frame is not of length one.
+    """
+
+    node: int
+    position: Floats
+    frame: Floats | None = None
+    release: int | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _set(self, position=_rows("position", self.position, 3))
+        if self.frame is not None:
+            frame = _rows("frame", self.frame, 4)
+            if np.max(np.abs(np.linalg.norm(frame, axis=1) - 1.0)) > 1e-6:
+                message = "frame: allowed are quaternions of length 1"
+                raise ValueError(message)
+            _set(self, frame=frame)
+        if self.release is not None and self.release < 1:
+            message = f"release={self.release}: allowed are steps from 1"
+            raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ring:
+    """A ring without friction, which the line slides through.
+
+    Parameters
+    ----------
+    position : shape (3,), m
+    direction : shape (3,), of its opening; it turns with the line, so that only pictures need it
+    near : node at which the line goes through it to begin with; None: the nearest one
+    name : for messages
+
+    Raises
+    ------
+    ValueError
+        If a vector has another shape or is not finite.
+    """
+
+    position: Floats
+    direction: Floats = field(default_factory=lambda: np.array([1.0, 0.0, 0.0]))
+    near: int | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        position = _rows("position", self.position, 3)[0]
+        _set(self, position=position, direction=_direction("direction", self.direction))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class String:
+    """A string without weight from a node to an anchor; it pulls or is slack.
+
+    Parameters
+    ----------
+    node : from 0, or negative from the end
+    anchor : path, m, shape (steps + 1, 3)
+    length : m, which it keeps
+    name : for messages
+
+    Raises
+    ------
+    ValueError
+        If the path has another shape or is not finite, or the length is not positive.
+    """
+
+    node: int
+    anchor: Floats
+    length: float
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _set(self, anchor=_rows("anchor", self.anchor, 3))
+        if not (np.isfinite(self.length) and self.length > 0.0):
+            message = f"length={self.length!r}: allowed are finite numbers > 0"
+            raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Load:
+    """A force on a node, N, of constant direction: a path of shape (steps + 1, 3)."""
+
+    node: int
+    force: Floats
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _set(self, force=_rows("force", self.force, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """A moment on a node, N m, about a constant direction: a path of shape (steps + 1, 3).
+
+    It turns the element at an end of the line, and both elements, each by half, at an inner node.
+    """
+
+    node: int
+    moment: Floats
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _set(self, moment=_rows("moment", self.moment, 3))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Plane:
+    """A table: the nodes stay on the side of its normal, and rub where they slide (Coulomb).
+
+    Parameters
+    ----------
+    point : shape (3,), m, on it
+    normal : shape (3,), away from it
+    friction : coefficient, >= 0
+    name : for messages
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range.
+    """
+
+    point: Floats
+    normal: Floats = field(default_factory=lambda: np.array([0.0, 0.0, 1.0]))
+    friction: float = 0.0
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        point = _rows("point", self.point, 3)[0]
+        _set(self, point=point, normal=_direction("normal", self.normal))
+        if not (np.isfinite(self.friction) and self.friction >= 0.0):
+            message = f"friction={self.friction!r}: allowed are finite numbers >= 0"
+            raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gravity:
+    """Weight: acceleration, m/s^2, a path of shape (steps + 1, 3); the earth's where not given."""
+
+    vector: Floats = field(default_factory=lambda: np.array(EARTH))
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        _set(self, vector=_rows("vector", self.vector, 3))
+
+
+Boundary: TypeAlias = Held | Ring | String | Load | Moment | Plane | Gravity

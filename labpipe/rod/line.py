@@ -1,0 +1,220 @@
+"""A line to be laid: its section, its elements, the shape it starts from and the one at rest.
+
+n elements join n + 1 nodes. Each element is straight and carries a frame whose third axis d3 points
+along it; the first two are material directions across. The law of bending acts at the nodes, over
+the half elements on both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from labpipe.law.sliders import SliderLaw
+from labpipe.records.arrays import ArrayRecord, Floats
+from labpipe.rod.rotations import (
+    conjugate,
+    frame_from_axes,
+    multiply,
+    rotation_vectors,
+    shortest_turns,
+    unit,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """What a line is made of, the same all along.
+
+    Parameters
+    ----------
+    law : moment against curvature with its sliders, alike in every plane
+    torsional_stiffness : GJ at fixed length, N m^2
+    axial_stiffness : EA at fixed twist, N; infinite: the line keeps its length
+    coupling : C of stretch and twist, N m, positive in the sense of a positive lay (PHYSICS 9);
+        without effect where the line keeps its length
+    mass_per_length : kg/m
+    diameter : outer, m; 0 where nobody asks
+
+    Raises
+    ------
+    ValueError
+        If a number is out of its range, or the line has no stiffness.
+    """
+
+    law: SliderLaw
+    torsional_stiffness: float
+    axial_stiffness: float = np.inf
+    coupling: float = 0.0
+    mass_per_length: float = 0.0
+    diameter: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.law.first_stiffness > 0.0:
+            message = "law: it has neither a stiffness nor sliders; allowed is a line that resists"
+            raise ValueError(message)
+        _require("torsional_stiffness", self.torsional_stiffness, self.torsional_stiffness > 0.0)
+        if not self.axial_stiffness > 0.0:
+            message = f"axial_stiffness={self.axial_stiffness!r}: allowed are numbers > 0"
+            raise ValueError(message)
+        _require("mass_per_length", self.mass_per_length, self.mass_per_length >= 0.0)
+        _require("diameter", self.diameter, self.diameter >= 0.0)
+        most = np.sqrt(self.axial_stiffness * self.torsional_stiffness)
+        _require("coupling", self.coupling, abs(self.coupling) < most)
+
+
+def _require(name: str, value: float, is_allowed: bool) -> None:
+    if not (np.isfinite(value) and is_allowed):
+        bounds = {
+            "torsional_stiffness": "> 0",
+            "coupling": "of a size below sqrt(axial_stiffness * torsional_stiffness)",
+        }
+        message = f"{name}={value!r}: allowed are finite numbers {bounds.get(name, '>= 0')}"
+        raise ValueError(message)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line(ArrayRecord):
+    """A line of n elements before it is laid.
+
+    Parameters
+    ----------
+    lengths : shape (n,), m, of the elements at rest
+    section : what it is made of
+    positions : shape (n + 1, 3), m, of the nodes to start from
+    frames : shape (n, 4), unit quaternions (w, x, y, z) to start from; d3 is the direction
+    natural : shape (n - 1, 3), 1/m, the curvature at rest of the inner nodes: two bendings and the
+        twist, in the mean of the frames on both sides
+
+    Raises
+    ------
+    ValueError
+        If there is no element, a length is not positive, a number not finite, or a frame not of
+        length one.
+    """
+
+    lengths: Annotated[Floats, "elements"]
+    section: Section
+    positions: Annotated[Floats, "nodes", 3]
+    frames: Annotated[Floats, "elements", 4]
+    natural: Annotated[Floats, "joints", 3]
+
+    def __post_init__(self) -> None:
+        ArrayRecord.__post_init__(self)
+        n = len(self.lengths)
+        if n < 1 or len(self.positions) != n + 1 or len(self.natural) != n - 1:
+            message = (
+                f"{n} elements, {len(self.positions)} nodes, {len(self.natural)} curvatures at "
+                "rest: allowed are n >= 1 elements, n + 1 nodes, n - 1 curvatures"
+            )
+            raise ValueError(message)
+        for name in ("lengths", "positions", "frames", "natural"):
+            if not np.all(np.isfinite(getattr(self, name))):
+                message = f"{name}: allowed are finite numbers"
+                raise ValueError(message)
+        if not np.all(self.lengths > 0.0):
+            message = f"lengths={self.lengths.tolist()}: allowed are numbers > 0"
+            raise ValueError(message)
+        if np.max(np.abs(np.linalg.norm(self.frames, axis=1) - 1.0)) > 1e-6:
+            message = "frames: allowed are quaternions of length 1"
+            raise ValueError(message)
+
+    @property
+    def length(self) -> float:
+        """Length at rest, m."""
+        return float(np.sum(self.lengths))
+
+    @property
+    def stations(self) -> Floats:
+        """Where the nodes are along the line at rest, m, shape (n + 1,)."""
+        return np.concatenate([[0.0], np.cumsum(self.lengths)])
+
+
+def straight_line(
+    length: float,
+    n: int,
+    section: Section,
+    *,
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+) -> Line:
+    """Make a straight line of equal elements that is straight at rest.
+
+    Parameters
+    ----------
+    length : m
+    n : number of elements
+    section : what it is made of
+    start : m, of the first node
+    direction : of any length
+    up : d1 of every frame is as near to it as can be; not along the direction
+
+    Raises
+    ------
+    ValueError
+        As `Line`; if length or direction are zero, or `up` is along the direction.
+    """
+    if not (np.isfinite(length) and length > 0.0 and n >= 1):
+        message = f"length={length!r}, n={n!r}: allowed are a length > 0 and at least one element"
+        raise ValueError(message)
+    frame = frame_from_axes(np.asarray(direction), np.asarray(up))
+    along = unit(np.asarray(direction, dtype=np.float64))
+    positions = np.asarray(start) + np.linspace(0.0, length, n + 1)[:, None] * along
+    return Line(
+        np.full(n, length / n), section, positions, np.tile(frame, (n, 1)), np.zeros((n - 1, 3))
+    )
+
+
+def line_along(
+    positions: Floats,
+    section: Section,
+    *,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    is_formed: bool = False,
+) -> Line:
+    """Make a line through points, the nodes, without twist.
+
+    Parameters
+    ----------
+    positions : shape (n + 1, 3), m
+    section : what it is made of
+    up : d1 of the first frame is as near to it as can be; the others follow without twist
+    is_formed : whether this is the shape at rest, as of a line that took a set on its spool; else
+        the line is straight at rest and must be bent into these points
+
+    Raises
+    ------
+    ValueError
+        As `Line`; if two points that follow one another are the same, or `up` is along the first
+        element.
+
+    Notes
+    -----
+    The frames are carried along by the shortest turn from each element to the next, one by one:
+    d1 where a ring closes differs from where it began by the angle that belongs to its shape.
+    """
+    points = np.asarray(positions, dtype=np.float64)
+    if points.ndim != 2 or points.shape[1:] != (3,) or len(points) < 2:
+        message = f"positions of shape {points.shape}: allowed is (n + 1, 3), n >= 1"
+        raise ValueError(message)
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    if not np.all(lengths > 0.0):
+        at = int(np.argmin(lengths > 0.0))
+        message = f"positions {at} and {at + 1}: allowed are points apart from one another"
+        raise ValueError(message)
+    directions = steps / lengths[:, None]
+    turns = shortest_turns(directions[:-1], directions[1:])
+    frames = [frame_from_axes(directions[0], np.asarray(up))]
+    for turn in turns:
+        frames.append(unit(multiply(turn, frames[-1])))
+    quaternions = np.array(frames)
+    natural = np.zeros((len(lengths) - 1, 3))
+    if is_formed:
+        between = 0.5 * (lengths[1:] + lengths[:-1])
+        turned = multiply(conjugate(quaternions[:-1]), quaternions[1:])
+        natural = rotation_vectors(turned) / between[:, None]
+    return Line(lengths, section, points, quaternions, natural)
