@@ -1,0 +1,157 @@
+"""Wires that others hung between clamps and twisted: fits, with an elastica of our own as judge.
+
+Bending stiffness from the shape under the wire's own weight, free curvature from how lopsided it
+is, torsional stiffness from the turn of a clamp at which the loop snaps over.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_bvp
+from scipy.optimize import brentq
+
+from labpipe.records.arrays import Floats
+from tests.builders.hung_wires import HungElastica
+from tests.builders.real_wires import (
+    BLACK,
+    WHITE,
+    HangFit,
+    RealWire,
+    fit_hang,
+    scatter_of,
+    stiffness_of,
+)
+from tests.builders.twisted_loops import TwistedLoop
+
+LOOP = HungElastica(1.5, 0.17, 0.8e-4, (-0.123, 0.002))
+
+
+def collocated(loop: HungElastica, places: Floats) -> Floats:
+    """The loop by scipy's collocation, shape (places, 2): forces and moments, no energy."""
+    stiffness, weight, length = loop.stiffness, loop.weight, loop.length
+
+    def slopes(_: Floats, y: Floats) -> Floats:
+        angle, bend, across, lift = y[:4]
+        moment = across * np.sin(angle) - lift * np.cos(angle)
+        zero = np.zeros_like(angle)
+        rows = [bend, moment / stiffness, zero, zero + weight, np.cos(angle), np.sin(angle)]
+        return np.array(rows)
+
+    def ends(a: Floats, b: Floats) -> Floats:
+        x, z = loop.chord
+        return np.array([a[0], a[4], a[5], b[0] + 2 * np.pi, b[4] - x, b[5] - z])
+
+    s = np.linspace(0, length, loop.pieces + 1)
+    angles = loop.angles()
+    middle = np.interp(s, (np.arange(loop.pieces) + 0.5) * loop.piece, angles)
+    points = loop.shape().T
+    lift = weight * (s - length / 2)
+    start = np.array([middle, np.gradient(middle, s), 0 * s, lift, *points])
+    found = solve_bvp(slopes, ends, s, start, tol=1e-8, max_nodes=20_000)
+    assert found.success
+    return np.asarray(found.sol(places * length)[4:6].T)
+
+
+def test_the_elastica_is_the_one_of_collocation() -> None:
+    """Of second order in the length of a piece."""
+    places = np.linspace(0, 1, 51)
+    exact = collocated(LOOP, places)
+    off = {}
+    for pieces in (100, 200):
+        loop = HungElastica(LOOP.length, LOOP.weight, LOOP.stiffness, LOOP.chord, pieces=pieces)
+        off[pieces] = float(np.abs(loop.at(places) - exact).max())
+    assert off[200] < 1e-3
+    assert off[100] / off[200] == pytest.approx(4.0, rel=0.1)
+
+
+@pytest.mark.parametrize("torsion", [0.5, 1.0])
+def test_the_twisted_loop_buckles_as_michells_ring(torsion: float) -> None:
+    """A turn of 2 pi sqrt(3) B / C, of second order; the first eigenvalue is the free spin."""
+    exact = 2 * np.pi * np.sqrt(3) / torsion
+    off = {}
+    for pieces in (40, 80):
+        ring = TwistedLoop(HungElastica(2 * np.pi, 0.0, 1.0, (0.0, 0.0), pieces=pieces), torsion)
+
+        def second(turn: float, ring: TwistedLoop = ring) -> float:
+            return float(ring.least_eigenvalues(ring.flat(), np.zeros(3), turn, 2)[1])
+
+        off[pieces] = brentq(second, 0.9 * exact, 1.2 * exact) / exact - 1
+    assert off[80] == pytest.approx(0.0, abs=6e-3)
+    assert off[40] / off[80] == pytest.approx(4.0, rel=0.1)
+
+
+def test_the_twisted_loop_is_the_slope_of_its_energy() -> None:
+    """Equilibrium away from the plane: no small change of directions lowers the energy."""
+    loop = TwistedLoop(HungElastica(1.5, 0.17, 0.8e-4, (-0.123, 0.0), pieces=60), 0.8e-4)
+    ways, pull, turn = loop.flat(), np.zeros(3), 0.0
+    for turn in np.radians([100.0, 200.0, 300.0, 400.0, 500.0, 600.0]):
+        found = loop.equilibrium(ways, pull, turn)
+        assert found is not None
+        ways, pull = found
+    assert np.abs(loop.points(ways)[:, 1]).max() > 0.02
+    rng = np.random.default_rng(20261122)
+    for _ in range(5):
+        change = rng.normal(size=ways.shape)
+        change -= np.sum(change * ways, axis=1)[:, None] * ways
+        here, there = (
+            loop.energy(moved / np.linalg.norm(moved, axis=1)[:, None], pull, turn)
+            for moved in (ways - 1e-4 * change, ways + 1e-4 * change)
+        )
+        assert abs(there - here) / 2e-4 < 1e-6 * abs(loop.energy(ways, pull, turn))
+
+
+def fits_of(wire: RealWire, folder: Path) -> tuple[Floats, list[HangFit]]:
+    hangs = wire.hangs(folder)
+    return hangs, [fit_hang(wire, each, 1, has_blocks=True) for each in hangs]
+
+
+@pytest.fixture(scope="module")
+def white(realdata: Path) -> tuple[Floats, list[HangFit]]:
+    return fits_of(WHITE, realdata)
+
+
+@pytest.fixture(scope="module")
+def black(realdata: Path) -> tuple[Floats, list[HangFit]]:
+    return fits_of(BLACK, realdata)
+
+
+@pytest.mark.realdata
+def test_stiffness_of_the_white_wire(white: tuple[Floats, list[HangFit]]) -> None:
+    found = stiffness_of(WHITE, *white)
+    assert found.value == pytest.approx(0.80e-4, rel=0.02)
+    assert found.half_width == pytest.approx(0.16e-4, rel=0.1)
+    misfit = [1e3 * float(each.distances.mean()) for each in white[1]]
+    assert max(misfit) < 4.0
+
+
+@pytest.mark.realdata
+def test_stiffness_of_the_black_wire(black: tuple[Floats, list[HangFit]]) -> None:
+    found = stiffness_of(BLACK, *black)
+    assert found.value == pytest.approx(0.83e-3, rel=0.02)
+    assert found.half_width == pytest.approx(0.21e-3, rel=0.1)
+
+
+@pytest.mark.realdata
+def test_black_is_lopsided_by_its_free_curvature(black: tuple[Floats, list[HangFit]]) -> None:
+    """One slope of free curvature fits four of five hangs, and takes more than half the misfit."""
+    hangs, fits = black
+    slopes = np.array([each.natural[0] for each in fits])
+    assert slopes[:4] == pytest.approx(5.4, abs=0.6)
+    assert slopes[4] < 1.0
+    for points, fit in list(zip(hangs, fits, strict=True))[:4]:
+        straight = fit_hang(BLACK, points, 0)
+        assert fit.distances.mean() < 0.45 * straight.distances.mean()
+
+
+@pytest.mark.realdata
+def test_points_are_not_independent(
+    white: tuple[Floats, list[HangFit]], black: tuple[Floats, list[HangFit]]
+) -> None:
+    """Scatter alone would make the interval too narrow."""
+    for wire, (hangs, fits) in ((WHITE, white), (BLACK, black)):
+        assert min(each.alike for each in fits) > 0.8
+        scatter = scatter_of(np.array([each.stiffness for each in fits]))
+        assert scatter.half_width < 0.9 * stiffness_of(wire, hangs, fits).half_width
