@@ -6,8 +6,8 @@ and, for each slider of `law.sliders`, a fixed tendon on its hinge: stiffness K_
 h kappa_j, h being the length of wire that the node stands for. Hinge i is at (i + 1/2) h, so that
 the chain is of second order in h.
 
-In space a node has two hinges, and the tendons of `law.slider_directions` on sums of their angles;
-a third hinge twists.
+In space a node has two hinges, and the tendons of `law.slider_directions` on sums of their angles,
+in directions that are turned from one node to the next; a third hinge twists.
 
 Springs that yield keep what a load leaves, overshoot included. So a load must be ramped, and the
 joints are damped; the deck says how long both take.
@@ -15,7 +15,7 @@ joints are damped; the deck says how long both take.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from xml.sax.saxutils import quoteattr
 
@@ -23,14 +23,14 @@ import numpy as np
 
 from labpipe.decks.deck_law import facts, on_one_line
 from labpipe.decks.slider_table import loss_words, no_sliders
-from labpipe.law.slider_directions import in_directions
+from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import MOST_SLIDERS, SliderLaw
 from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
-DIRECTIONS = 6
-"""Of scalar sliders in space. With 4, C4 is 4 % off at 3 mm of 85 mm in the worst direction."""
+DIRECTIONS = 4
+"""Of scalar sliders in space; not turned from node to node they bend C4 up to 0.9 mm sideways."""
 MOST_IN_DIRECTION = 8
 NODES = 30
 FEWEST_NODES = 3
@@ -45,6 +45,7 @@ _DAMPING = 0.5  # of a node's first stiffness times that time
 _WIDEST_NAME = 100
 _DIGITS = ".7g"
 _NO_SHARE = 1e-9  # of an angle
+_NODE = "@"  # stands for the number of a node
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +92,8 @@ class _Hinges:
     Parameters
     ----------
     axes : name, axis and stiffness (N m^2) of each hinge
-    tendons : shape (directions, hinges), share of each hinge's angle
+    tendons : shape (turns, directions, hinges), share of each hinge's angle; nodes take one turn
+        after another
     stiffnesses, slip_curvatures : of the sliders in each direction
     """
 
@@ -132,7 +134,7 @@ def mujoco_plane_deck(
     chain = _chain(table, made, length, nodes)
     law = chain.law
     hinges = _Hinges(
-        (("z", "0 0 1", law.stiffness),), np.ones((1, 1)), law.stiffnesses, law.slip_curvatures
+        (("z", "0 0 1", law.stiffness),), np.ones((1, 1, 1)), law.stiffnesses, law.slip_curvatures
     )
     lines = (
         f"{len(law.stiffnesses)} sliders at each of {nodes} nodes, in one plane: within "
@@ -178,14 +180,23 @@ def mujoco_space_deck(
         ("y", "0 -1 0", spring),
         ("x", "1 0 0", chain.torsional_stiffness),
     )
-    hinges = _Hinges(axes, few.normals, few.stiffnesses, few.slip_curvatures)
+    tendons = np.array([few.turned_normals(share) for share in TURNS])
+    hinges = _Hinges(axes, tendons, few.stiffnesses, few.slip_curvatures)
+    mean = turned(chain.law, few)
+    angles = ", ".join(f"{180.0 / directions * share:.4g}" for share in TURNS)
     lines = (
         f"{len(few.stiffnesses)} sliders in each of {directions} directions at each of {nodes} "
-        f"nodes. MuJoCo has no vector sliders: bent in the worst direction, the moment is "
-        f"{100.0 * few.error:.2g} % off, and {100.0 * few.sideways:.2g} % of it points sideways.",
+        f"nodes, turned from node to node by {angles} deg. MuJoCo has no vector sliders: bent in "
+        f"the worst direction, the moment of {len(TURNS)} nodes together is {_percent(mean.error)} "
+        f"off, and {_percent(mean.sideways)} of it points sideways (of one alone: "
+        f"{_percent(few.error)}, {_percent(few.sideways)}).",
         f"Torsional stiffness {chain.torsional_stiffness:.6g} N m2, linear.",
     )
     return _deck(table, chain, hinges, lines, pulls="yz")
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %"
 
 
 def _law(table: WireTable, sliders: int) -> SliderLaw | str:
@@ -311,12 +322,23 @@ def _bodies(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
 
 
 def _tendons(chain: _Chain, hinges: _Hinges) -> Iterator[str]:
+    classes = [f"slider_{number}" for number in range(1, len(hinges.stiffnesses) + 1)]
+    blocks = [
+        "\n".join(
+            f'    <fixed class="{each}">{_joints(hinges, row)}</fixed>'
+            for row in shares.tolist()
+            for each in classes
+        )
+        for shares in hinges.tendons
+    ]
     for node in range(1, chain.nodes + 1):
-        for shares in hinges.tendons:
-            joints = "".join(
-                f'<joint joint="{name}_{node}" coef="{share:{_DIGITS}}" />'
-                for (name, _, _), share in zip(hinges.axes, shares, strict=False)
-                if abs(share) > _NO_SHARE
-            )
-            for number in range(1, len(hinges.stiffnesses) + 1):
-                yield f'    <fixed class="slider_{number}">{joints}</fixed>'
+        yield blocks[(node - 1) % len(blocks)].replace(_NODE, str(node))
+
+
+def _joints(hinges: _Hinges, shares: Sequence[float]) -> str:
+    """Joints of a tendon, of a node that is still to be numbered."""
+    return "".join(
+        f'<joint joint="{name}_{_NODE}" coef="{share:{_DIGITS}}" />'
+        for (name, _, _), share in zip(hinges.axes, shares, strict=False)
+        if abs(share) > _NO_SHARE
+    )

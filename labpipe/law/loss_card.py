@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from labpipe.law.slider_directions import in_directions
-from labpipe.law.sliders import fit_sliders, within_range
+from labpipe.law.slider_directions import in_directions, turned
+from labpipe.law.sliders import SliderLaw, fit_sliders, within_range
 from labpipe.records.arrays import Floats
 
 COUNTS = (4, 6, 8, 12)
 """Sliders of which a card tells the loss."""
-DIRECTIONS = (4, 6)
-"""Directions of scalar sliders of which a card tells the loss."""
+DIRECTIONS = 4
+"""Of scalar sliders, of which a card tells the loss."""
 
 _ENOUGH = 80
 _DECAYS = 60
@@ -60,7 +60,8 @@ class LossCard:
     sliders : number of sliders and error of each fit; fewer sliders than asked for where the law
         has fewer corners
     directions : number of directions of scalar sliders in three dimensions, and the largest
-        distance of the moment vector from that of a vector slider, in the worst direction
+        difference of the moment along the curvature from that of vector sliders, in the worst
+        direction: of a node alone, and of nodes whose directions are turned (`turned`)
     """
 
     first: float
@@ -92,11 +93,23 @@ def loss_card(
     ValueError
         As `fit_sliders`.
     """
-    x, y, start = within_range(curvature, moment, first, last)
+    laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
+    return card_of(curvature, moment, laws)
+
+
+def card_of(curvature: Floats, moment: Floats, laws: Sequence[SliderLaw]) -> LossCard:
+    """Work out what a law loses, from the sliders that were fitted to it.
+
+    Parameters
+    ----------
+    curvature, moment : as for `fit_sliders`
+    laws : fits of it over one range, at least one
+    """
+    x, y, start = within_range(curvature, moment, laws[0].first, laws[0].last)
     secant = y[1:] / x[1:]
     low, high = float(secant.min()), float(secant.max())
-    laws = [fit_sliders(curvature, moment, count, first=first, last=last) for count in counts]
     most = laws[int(np.argmin([law.error for law in laws]))]
+    alone = in_directions(most, DIRECTIONS)
     return LossCard(
         first=start,
         last=float(x[-1]),
@@ -104,7 +117,7 @@ def loss_card(
         constant=(high - low) / (high + low),
         dahl=fit_dahl(*_fewer(x[1:], y[1:])),
         sliders=tuple((len(law.stiffnesses), law.error) for law in laws),
-        directions=tuple((number, in_directions(most, number).error) for number in DIRECTIONS),
+        directions=tuple((each.directions, each.error) for each in (alone, turned(most, alone))),
     )
 
 
@@ -136,29 +149,27 @@ def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:
 
 def _best_dahl(curvature: Floats, moment: Floats, least: float, largest: float) -> DahlLaw:
     decay = np.geomspace(least, largest, _DECAYS)
-    spring = np.broadcast_to(curvature / moment, (_DECAYS, len(curvature)))
+    spring = curvature / moment
     slider = -np.expm1(-curvature / decay[:, None]) / moment
+    products = np.stack([*np.broadcast_arrays(spring**2, spring, spring * slider)])
+    products = np.concatenate([products, [slider**2, slider]])
     weight = np.full_like(slider, 1.0 / len(curvature))
     best = DahlLaw(0.0, 0.0, float(decay[0]), np.inf)
     for _ in range(_ROUNDS):
-        stiffness, height = _least_squares(spring, slider, weight)
+        stiffness, height = _least_squares(*np.einsum("rk,crk->cr", weight, products))
         off = np.abs(stiffness[:, None] * spring + height[:, None] * slider - 1.0)
         worst = np.where((stiffness >= 0.0) & (height >= 0.0), off.max(axis=1), np.inf)
         at = int(np.argmin(worst))
         if worst[at] < best.error:
             values = (stiffness[at], height[at], decay[at], worst[at])
             best = DahlLaw(*map(float, values))
-        weight = weight * np.maximum(off, _STILL)
+        weight *= np.maximum(off, _STILL)
         weight /= weight.sum(axis=1, keepdims=True)
     return best
 
 
-def _least_squares(one: Floats, other: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Coefficients of two columns whose sum is to be 1, row by row."""
-    aa, ab, bb = (
-        np.sum(weight * p * q, axis=1) for p, q in ((one, one), (one, other), (other,) * 2)
-    )
-    a, b = (np.sum(weight * each, axis=1) for each in (one, other))
+def _least_squares(aa: Floats, a: Floats, ab: Floats, bb: Floats, b: Floats) -> tuple[Floats, ...]:
+    """Coefficients of two columns whose sum is to be 1, from the means of their products."""
     determinant = aa * bb - ab**2
     determinant = np.where(determinant > 0.0, determinant, np.inf)
     return (a * bb - b * ab) / determinant, (b * aa - a * ab) / determinant

@@ -6,11 +6,15 @@ on, sliders are not: in a direction of its own a row of sliders gives way sooner
 With one slider that slides at kappa_j, stiffness 2 K / D and moment pi K kappa_j / 2 D in each
 direction carry K kappa_j on average once all slide (PHYSICS 11). On the way there they carry less,
 so that the sliders of several are fitted together to what a vector slider carries.
+
+Nodes of a chain may have their directions turned from one to the next (`TURNS`): what one node has
+too much another has too little, and four of them together are nearly alike in every direction.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -21,6 +25,8 @@ from labpipe.records.arrays import ArrayRecord, Floats
 
 MOST_SLIDERS = 16
 """In each direction."""
+TURNS = (0.0, 0.5, 0.25, 0.75)
+"""Of the angle between two directions, by which those of one node after another may be turned."""
 
 _GRID = 48
 """Slip curvatures to choose from."""
@@ -55,10 +61,15 @@ class DirectionalLaw(ArrayRecord):
     @property
     def normals(self) -> Floats:
         """Directions, unit vectors, shape (directions, 2)."""
-        angle = np.pi * np.arange(self.directions) / self.directions
+        return self.turned_normals(0.0)
+
+    def turned_normals(self, share: float) -> Floats:
+        """The same, turned by a share of the angle between two of them."""
+        angle = np.pi * (np.arange(self.directions) + share) / self.directions
         return np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+@lru_cache(maxsize=16)  # a law is known by its identity
 def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) -> DirectionalLaw:
     """Make scalar sliders in a few directions that come close to vector sliders.
 
@@ -85,7 +96,7 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
     if most < 1:
         message = f"most={most}: allowed are numbers >= 1"
         raise ValueError(message)
-    size = np.geomspace(law.first, law.last, _POINTS)
+    size = _sizes(law)
     wanted = slider_moment(law, size)
     if not law.stiffnesses.size:
         slips, found = np.zeros(0), np.array([law.stiffness])
@@ -96,20 +107,44 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
         while np.count_nonzero(found[1:]) > most or not np.all(found[1:]):
             slips = _fewer(slips, found[1:])
             found = _fitted(size, wanted, slips, directions)
-    made = DirectionalLaw(
-        directions,
-        2.0 * float(found[0]) / directions,
-        2.0 * found[1:] / directions,
-        slips,
-        0.0,
-        0.0,
+    springs = 2.0 * found / directions
+    made = DirectionalLaw(directions, float(springs[0]), springs[1:], slips, 0.0, 0.0)
+    return _judged(law, made)
+
+
+def turned(law: SliderLaw, few: DirectionalLaw) -> DirectionalLaw:
+    """What neighbouring nodes make together whose directions are turned by `TURNS`.
+
+    Parameters
+    ----------
+    law : vector sliders
+    few : as each of the nodes has them
+
+    Returns
+    -------
+    The mean of the nodes: four times the directions, each with a quarter of the stiffness.
+    """
+    count = len(TURNS)
+    mean = replace(
+        few,
+        directions=count * few.directions,
+        stiffness=few.stiffness / count,
+        stiffnesses=few.stiffnesses / count,
     )
+    return _judged(law, mean)
+
+
+def _sizes(law: SliderLaw) -> Floats:
+    return np.geomspace(law.first, law.last, _POINTS)
+
+
+def _judged(law: SliderLaw, made: DirectionalLaw) -> DirectionalLaw:
+    """The same with its largest errors."""
+    size = _sizes(law)
+    wanted = slider_moment(law, size)
     along, aside = _components(made, size)
-    return DirectionalLaw(
-        directions,
-        made.stiffness,
-        made.stiffnesses,
-        slips,
+    return replace(
+        made,
         error=float(np.max(np.abs(along / wanted[:, None] - 1.0))),
         sideways=float(np.max(np.abs(aside / wanted[:, None]))),
     )
@@ -117,13 +152,24 @@ def in_directions(law: SliderLaw, directions: int, *, most: int = MOST_SLIDERS) 
 
 def _fitted(size: Floats, wanted: Floats, slips: Floats, directions: int) -> Floats:
     """Stiffness of the spring, then of the sliders, as those of vector sliders, N m^2."""
-    turn = np.linspace(0.0, np.pi / directions, _ANGLES)[:-1]
-    parts = np.cos(turn[:, None] - np.pi * np.arange(directions) / directions)
-    bent = size[:, None, None] * parts
-    held = np.clip(bent[..., None], -slips, slips)
-    sliders = 2.0 / directions * np.einsum("kadj,ad->kj", held, parts) / len(turn)
-    columns = np.column_stack([size, sliders]) / wanted[:, None]
+    columns = np.column_stack([size, _mean_held(size, slips, directions)]) / wanted[:, None]
     return np.asarray(nnls(columns, np.ones(len(size)))[0])
+
+
+def _mean_held(size: Floats, slips: Floats, directions: int) -> Floats:
+    """What sliders hold along the curvature, 1/m, as a mean over all directions of it.
+
+    Shape (curvatures, slips). A slider whose component of the curvature is p slides from slip / p
+    on: sorted by p, those that slide are the last ones.
+    """
+    turn = np.linspace(0.0, np.pi / directions, _ANGLES)[:-1]
+    parts = np.sort(
+        np.abs(np.cos(turn[:, None] - np.pi * np.arange(directions) / directions)).ravel()
+    )
+    at_rest = np.searchsorted(parts, slips / size[:, None])
+    squares = np.append(0.0, np.cumsum(parts**2))[at_rest]
+    sliding = np.append(np.cumsum(parts[::-1])[::-1], 0.0)[at_rest]
+    return 2.0 / directions / len(turn) * (squares * size[:, None] + sliding * slips)
 
 
 def _fewer(slips: Floats, stiffnesses: Floats) -> Floats:
@@ -137,12 +183,17 @@ def _fewer(slips: Floats, stiffnesses: Floats) -> Floats:
 
 
 def _components(law: DirectionalLaw, size: Floats) -> tuple[Floats, Floats]:
-    """Moment along and across the curvature, N m, shape (curvatures, angles)."""
-    turn = np.linspace(0.0, np.pi / law.directions, 2 * _ANGLES + 1)
+    """Moment along and across the curvature, N m, shape (curvatures, angles).
+
+    From a direction to the middle between two: beyond, all is the same mirrored.
+    """
+    turn = np.linspace(0.0, 0.5 * np.pi / law.directions, _ANGLES + 1)
     towards = np.column_stack([np.cos(turn), np.sin(turn)])
     parts = towards @ law.normals.T
+    corners = np.concatenate([[0.0], law.slip_curvatures, [2.0 * max(size[-1], 1.0)]])
+    held = np.minimum(corners[:, None], law.slip_curvatures) @ law.stiffnesses
     bent = size[:, None, None] * parts
-    held = np.clip(bent[..., None], -law.slip_curvatures, law.slip_curvatures) @ law.stiffnesses
-    moment = (law.stiffness * bent + held) @ law.normals
+    moment = np.sign(bent) * np.interp(np.abs(bent), corners, law.stiffness * corners + held)
+    along = np.sum((moment @ law.normals) * towards, axis=2)
     aside = np.column_stack([-towards[:, 1], towards[:, 0]])
-    return np.sum(moment * towards, axis=2), np.sum(moment * aside, axis=2)
+    return along, np.sum((moment @ law.normals) * aside, axis=2)

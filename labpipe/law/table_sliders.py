@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from labpipe.law.loss_card import LossCard, loss_card
+from labpipe.law.loss_card import COUNTS, LossCard, card_of
 from labpipe.law.sliders import SliderLaw, fit_sliders
 from labpipe.records.wire import WireTable
 
@@ -42,4 +42,4 @@ def table_card(table: WireTable) -> LossCard:
     ValueError
         As `fit_sliders`.
     """
-    return loss_card(table.curvature, table.moment)
+    return card_of(table.curvature, table.moment, [sliders_of(table, most) for most in COUNTS])

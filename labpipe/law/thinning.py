@@ -10,6 +10,7 @@ from labpipe.records.arrays import ArrayRecord, Floats, Ints, Vector
 
 _CORNER = 1e-6  # of a slope: what a later slope must at least be below the one before
 _ENOUGH = 1e-6  # of the tolerance: where halving it ends
+_NEAR = 0.03  # of the tolerance, from where errors are looked at one by one
 _FIRST_CUT = 0.1  # of the tolerance, until one is found that is too small
 
 
@@ -116,8 +117,12 @@ def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
     best = np.array([0, len(x) - 1])
     low, high = 0.0, _error(x[best], y[best], x, y)
     plain_x, plain_y = x.tolist(), y.tolist()
+    has_asked = False
     while high - low > _ENOUGH * high:
-        middle = 0.5 * (low + high) if low > 0.0 else _FIRST_CUT * high
+        # errors are few: near the end it is asked whether there is any below the one found last
+        has_asked = not has_asked and high - low < _NEAR * high
+        middle = (1.0 - _ENOUGH) * high if has_asked else 0.5 * (low + high)
+        middle = middle if low > 0.0 else _FIRST_CUT * high
         found = _as_far_as_allowed(plain_x, plain_y, middle, most)
         if len(found) > most:
             low = middle
@@ -129,17 +134,20 @@ def _fewest_error(x: Floats, y: Floats, most: int) -> Ints:
 
 def _as_far_as_allowed(x: list[float], y: list[float], tolerance: float, most: int) -> list[int]:
     """Go from corner to corner as far as the tolerance lets one; end with one too many."""
-    chosen, steepest = [0], -np.inf
+    chosen, steepest, share = [0], -np.inf, 1.0 - tolerance
+    at_x, at_y = x[0], y[0]
     for new in range(1, len(x)):
-        at = chosen[-1]
+        width, to = x[new] - at_x, y[new]
         # a chord passes below the corners it skips: it must be as steep as each of them asks for
-        if y[new] - y[at] < steepest * (x[new] - x[at]):
-            at, steepest = new - 1, -np.inf
-            chosen.append(at)
+        if to - at_y < steepest * width:
+            chosen.append(new - 1)
             if len(chosen) == most:
                 break
-        slope = ((1.0 - tolerance) * y[new] - y[at]) / (x[new] - x[at])
-        steepest = slope if slope > steepest else steepest  # `max` takes as long as all the rest
+            at_x, at_y, steepest = x[new - 1], y[new - 1], -np.inf
+            width = x[new] - at_x
+        slope = (share * to - at_y) / width
+        if slope > steepest:  # `max` takes as long as all the rest
+            steepest = slope
     return [*chosen, len(x) - 1]
 
 

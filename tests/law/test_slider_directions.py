@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from labpipe.law.slider_directions import in_directions
+from labpipe.law.slider_directions import TURNS, in_directions, turned
 from labpipe.law.sliders import SliderLaw, fit_sliders, linear_moment_law, slide, slider_moment
 from tests.builders.wire_tables import wire_table
 
@@ -54,6 +54,30 @@ def test_more_directions_lose_less() -> None:
     errors = [in_directions(law, number).error for number in (2, 3, 4, 6)]
     assert errors == sorted(errors, reverse=True)
     assert len(in_directions(law, 4, most=5).stiffnesses) <= 5
+
+
+@pytest.mark.parametrize("name", ["A2", "C5"])
+def test_nodes_that_are_turned_are_more_alike_together(name: str) -> None:
+    """The mean of four nodes, each by its own sliders: within what is stated, and closer than one."""
+    table = wire_table(name)
+    law = fit_sliders(table.curvature, table.moment, 8)
+    alone = in_directions(law, 4)
+    together = turned(law, alone)
+    assert together.directions == 16
+    assert together.sideways < 0.2 * alone.sideways
+    assert together.error < alone.error
+    one = SliderLaw(alone.stiffness, alone.stiffnesses, alone.slip_curvatures, 0.1, 10.0)
+    for angle in np.linspace(0.0, 1.5, 7):
+        towards = np.array([np.cos(angle), np.sin(angle)])
+        moment = np.zeros(2)
+        for share in TURNS:
+            normals = alone.turned_normals(share)
+            held = slide(one, 5.0 * normals @ towards, np.zeros((4, len(one.stiffnesses))))
+            moment += held.moment @ normals / len(TURNS)
+        wanted = slider_moment(law, np.array([5.0]))[0]
+        assert moment @ towards == pytest.approx(wanted, rel=1.05 * together.error)
+        aside = abs(moment[1] * towards[0] - moment[0] * towards[1])
+        assert aside <= 1.1 * together.sideways * wanted + 1e-12
 
 
 def test_numbers_that_are_too_small() -> None:
