@@ -19,10 +19,7 @@ from labpipe.protocol.plans import CalibrationPlan
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireSpec
 from labpipe.records.wire_calibration import (
-    COPPER_SCALE,
-    INSULATION_MODULUS,
     PARAMETERS,
-    RADIAL_FRICTION,
     CalibratedParameter,
     Calibration,
     CalibrationFailure,
@@ -54,6 +51,8 @@ from labpipe.studies.validation import (
 from labpipe.studies.wire_specs import read_wire_sheet
 from labpipe.wire.calibration.calibrate_wire import Settings, Wire, calibrate
 from labpipe.wire.calibration.source_method import calibrate_as_source
+from labpipe.wire.law_family import with_values
+from labpipe.wire.tested_curvature import tested_curvature
 from labpipe.wire.wire_table import wire_table
 
 
@@ -115,6 +114,7 @@ def calibration_json(
     groups: Sequence[ValidationGroup],
     source: SourceCalibration | CalibrationFailure | None,
     left_out: Mapping[str, str],
+    tested: float = math.nan,
 ) -> dict[str, object]:
     """Lay out a calibration in lists and plain SI numbers; None where there is no number.
 
@@ -124,6 +124,7 @@ def calibration_json(
     groups : what it was compared with
     source : the source's procedure, if it was asked for
     left_out : by file, why a test was not taken
+    tested : 1/m, largest curvature that the tests reached
     """
     friction = calibration.friction_separability
     return {
@@ -134,6 +135,7 @@ def calibration_json(
         "parameters": [_parameter(each) for each in calibration.parameters],
         "solutions": [_solution(each) for each in calibration.solutions],
         "widening": calibration.widening,
+        "tested_curvature": _number(tested),
         "correlations": {
             "names": list(PARAMETERS),
             "values": [_numbers(row) for row in calibration.correlations],
@@ -207,6 +209,15 @@ def _solution(each: Solution) -> dict[str, object]:
         "likelihood": each.likelihood,
         "in_95_percent_set": each.is_allowed,
         "rmse": each.rmse,
+        "limit": each.limit,
+        "covariance": each.covariance.tolist(),
+        "mixture": {
+            "chance": each.mixture.chance.tolist(),
+            "scatter": each.mixture.scatter.tolist(),
+            "shift": each.mixture.shift.tolist(),
+            "covariance": each.mixture.covariance.tolist(),
+            "freedom": _number(each.mixture.freedom),
+        },
     }
 
 
@@ -289,6 +300,7 @@ class Calibrated:
     left_out : by file, why a test was not taken
     files : all that were written
     comparisons : external curves, compared with tests and model
+    tested_curvature : 1/m, largest that the tests of the calibrated wire reached
     shapes : of one sample of the calibrated wire, and of the model, by what they are of
     """
 
@@ -299,6 +311,7 @@ class Calibrated:
     left_out: Mapping[str, str]
     files: tuple[Path, ...]
     comparisons: tuple[ExternalCurveComparison, ...] = ()
+    tested_curvature: float = math.nan
     shapes: Mapping[str, tuple[BentShape, ...]] = field(default_factory=dict)
 
 
@@ -365,6 +378,9 @@ def calibrate_tests(
         left_out=left_out | copies,
         files=(),
         comparisons=compare_external_curves(curves, calibration, built, groups, own + loadings),
+        tested_curvature=tested_curvature(
+            built[name], calibration.solutions[0].values, [each.curve for each in own]
+        ),
     )
     if figures:
         wire = built_wire(calibrated_spec(specs[name], calibration), wires)
@@ -385,20 +401,7 @@ def calibrated_spec(spec: WireSpec, calibration: Calibration) -> WireSpec:
     -------
     The wire; the radial force is what goes with its friction coefficients.
     """
-    values = {each.name: each.value for each in calibration.parameters if np.isfinite(each.value)}
-    friction = spec.friction_strand + spec.friction_insulation
-    radial = values.get(RADIAL_FRICTION, spec.radial_force * friction) / friction
-    modulus, table = values.get(INSULATION_MODULUS), spec.insulation_table
-    if modulus is not None and table is not None:  # its curve is as much stiffer as its first slope
-        strains, stresses = table
-        stiffer = modulus / (stresses[0] / strains[0])
-        spec = replace(spec, insulation_table=(strains, tuple(stiffer * each for each in stresses)))
-    return replace(
-        spec,
-        radial_force=radial,
-        insulation_modulus=values.get(INSULATION_MODULUS, spec.insulation_modulus),
-        copper_k=spec.copper_k * values.get(COPPER_SCALE, 1.0),
-    )
+    return with_values(spec, {each.name: each.value for each in calibration.parameters})
 
 
 def _calibration(wire: Wire, own: Sequence[FirstLoading], asked: CalibrationPlan) -> Calibration:
@@ -476,5 +479,7 @@ def as_json(done: Calibrated) -> dict[str, object]:
     ----------
     done : the calibration
     """
-    found = calibration_json(done.calibration, done.groups, done.source, done.left_out)
+    found = calibration_json(
+        *(done.calibration, done.groups, done.source, done.left_out), done.tested_curvature
+    )
     return found | {"comparisons": [comparison_json(each) for each in done.comparisons]}
