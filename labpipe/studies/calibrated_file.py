@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from labpipe.errors import ProcessingError, complaint
+from labpipe.records.arrays import Floats
 from labpipe.records.wire_calibration import PARAMETERS, ScatterMixture, Solution
 
 _REMEDY = "Calibrate again with this version of labpipe: labpipe calibrate."
@@ -77,11 +78,13 @@ def _solution(said: dict[str, Any]) -> Solution:
         values=np.array([_float(said[name]) for name in PARAMETERS]),
         rise=float(said["rise"]),
         rmse=float(said["rmse"]),
-        covariance=np.array(said["covariance"], dtype=np.float64),
+        covariance=_array(said["covariance"]),
         mixture=ScatterMixture(
-            *(np.array(mixture[name], dtype=np.float64) for name in ("chance", "scatter")),
-            *(np.array(mixture[name], dtype=np.float64) for name in ("shift", "covariance")),
-            np.inf if mixture["freedom"] is None else float(mixture["freedom"]),
+            chance=_array(mixture["chance"]),
+            scatter=_array(mixture["scatter"]),
+            shift=_array(mixture["shift"]),
+            covariance=_array(mixture["covariance"]),
+            freedom=np.inf if mixture["freedom"] is None else float(mixture["freedom"]),
         ),
         limit=float(said["limit"]),
     )
@@ -89,3 +92,7 @@ def _solution(said: dict[str, Any]) -> Solution:
 
 def _float(value: float | None) -> float:
     return np.nan if value is None else float(value)
+
+
+def _array(values: object) -> Floats:
+    return np.array(values, dtype=np.float64)
