@@ -18,6 +18,7 @@ from scipy.stats import t
 
 from labpipe.records.arrays import Flags, Floats
 from tests.builders.hung_wires import GRAVITY, HungElastica
+from tests.builders.twisted_loops import TwistedLoop
 
 LENGTH = 1.5
 """m, between the clamps."""
@@ -25,6 +26,11 @@ APART = 0.12
 """m, of the clamps, as built."""
 BLOCKS = 5
 """Parts of the line that are left out in turn."""
+_PIECES = (60, 90)
+"""Of twisted loops, whose turn is of second order."""
+_RATIOS = {"white": (0.95, 1.05), "black": (1.5, 1.7)}
+"""Torsional over bending stiffness: two to go on from."""
+_SOFTER = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +45,7 @@ class RealWire:
     snaps : turns of a clamp at which the loop left its plane, degrees
     authors : bending stiffness of the five hangs by their rod, N m^2
     authors_torsion : torsional over bending stiffness by their rod
+    cable, cable_torsion : mean stiffness and that ratio by MuJoCo's cable, found by the authors
     plain : stiffness of the five hangs by a plain elastica of 60 segments, N m^2
     """
 
@@ -48,6 +55,8 @@ class RealWire:
     snaps: tuple[float, ...]
     authors: tuple[float, ...]
     authors_torsion: float
+    cable: float
+    cable_torsion: float
     plain: tuple[float, ...]
 
     def hangs(self, folder: Path) -> Floats:
@@ -62,6 +71,8 @@ WHITE = RealWire(
     snaps=(970.0, 970.0, 980.0, 975.0, 980.0),
     authors=(1.263e-4, 1.260e-4, 1.142e-4, 1.147e-4, 1.272e-4),
     authors_torsion=0.823,
+    cable=1.418e-4,
+    cable_torsion=0.724,
     plain=(0.92e-4, 0.91e-4, 0.84e-4, 0.85e-4, 0.95e-4),
 )
 BLACK = RealWire(
@@ -71,6 +82,8 @@ BLACK = RealWire(
     snaps=(470.0, 500.0, 480.0, 470.0, 490.0),
     authors=(1.431e-3, 1.135e-3, 1.293e-3, 0.945e-3, 1.178e-3),
     authors_torsion=1.462,
+    cable=1.251e-3,
+    cable_torsion=1.409,
     plain=(1.04e-3, 0.85e-3, 0.96e-3, 0.66e-3, 0.89e-3),
 )
 
@@ -121,7 +134,7 @@ def by_elastica(
     """Points of the planar elastica."""
     weight = wire.mass * GRAVITY
     chord = (float(points[-1, 0]), float(points[-1, 1]))
-    hung = HungElastica(LENGTH, weight, stiffness, chord, natural, pieces=200)
+    hung = HungElastica(LENGTH, weight, stiffness, chord, natural, pieces=400)
     return hung.at(np.linspace(0, 1, len(points)))
 
 
@@ -166,7 +179,7 @@ def _fitted(
         return np.asarray(1e3 * (model - points)[kept].ravel())
 
     scales = np.array([0.1] + [5.0] * terms)
-    found = least_squares(off, np.zeros(1 + terms), x_scale=scales, xtol=1e-6, ftol=1e-6)
+    found = least_squares(off, np.zeros(1 + terms), x_scale=scales, xtol=1e-5, ftol=1e-5)
     stiffness, natural = start * float(np.exp(found.x[0])), tuple(map(float, found.x[1:]))
     return stiffness, natural, hanging(wire, points, stiffness, natural)
 
@@ -227,3 +240,66 @@ def scatter_of(values: Floats) -> Interval:
     """A mean with the scatter of its values only."""
     size = float(values.std(ddof=1)) / np.sqrt(len(values))
     return Interval(float(values.mean()), {"scatter": (size, len(values) - 1.0)})
+
+
+def snap_turn(wire: RealWire, points: Floats, stiffness: float, ratio: float) -> float:
+    """Turn of a clamp at which the loop snaps over, degrees, for pieces of no length.
+
+    Parameters
+    ----------
+    wire : what is known of it
+    points : a hang, for the place of the clamps
+    stiffness : of bending, N m^2
+    ratio : torsional over bending stiffness
+    """
+    found = {}
+    for pieces in _PIECES:
+        chord = (float(points[-1, 0]), float(points[-1, 1]))
+        weight = wire.mass * GRAVITY
+        hung = HungElastica(LENGTH, weight, stiffness, chord, pieces=pieces)
+        found[pieces] = float(np.degrees(TwistedLoop(hung, ratio * stiffness).snap()[0]))
+    coarse, fine = _PIECES
+    return found[fine] + (found[fine] - found[coarse]) / ((fine / coarse) ** 2 - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class SnapLine:
+    """Turn at which a loop snaps over as a power of both stiffnesses, near a ratio that was tried.
+
+    Parameters
+    ----------
+    ratio : torsional over bending stiffness, at which it snaps as measured
+    by_ratio : change of log(turn) with log(ratio)
+    by_stiffness : change of log(turn) with log(stiffness), at the same ratio
+    """
+
+    ratio: float
+    by_ratio: float
+    by_stiffness: float
+
+
+def snap_line(wire: RealWire, points: Floats, stiffness: float) -> SnapLine:
+    """Find the ratio at which the loop snaps over as measured."""
+    measured = float(np.mean(wire.snaps))
+    low, high = _RATIOS[wire.name]
+    turns = np.log([snap_turn(wire, points, stiffness, each) for each in (low, high)])
+    by_ratio = float(np.diff(turns)[0] / np.log(high / low))
+    ratio = low * float(np.exp((np.log(measured) - turns[0]) / by_ratio))
+    softer = np.log(snap_turn(wire, points, _SOFTER * stiffness, low))
+    return SnapLine(ratio, by_ratio, float((softer - turns[0]) / np.log(_SOFTER)))
+
+
+def torsion_of(wire: RealWire, line: SnapLine, stiffness: Interval) -> Interval:
+    """Torsional over bending stiffness, with what makes it uncertain.
+
+    Scale and weight change nothing: the shape fixes weight length^3 / stiffness, and so does the
+    turn. What is left is the scatter of the turns, and scatter and model of the stiffness.
+    """
+    turns = scatter_of(np.array(wire.snaps))
+    size, freedom = turns.parts["scatter"]
+    share = line.ratio / abs(line.by_ratio)
+    parts = {"turns": (share * size / turns.value, freedom)}
+    for name in ("scatter", "model"):
+        size, freedom = stiffness.parts[name]
+        parts[name] = (share * abs(line.by_stiffness) * size / stiffness.value, freedom)
+    return Interval(line.ratio, parts)

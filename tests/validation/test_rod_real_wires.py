@@ -22,7 +22,10 @@ from tests.builders.real_wires import (
     RealWire,
     fit_hang,
     scatter_of,
+    snap_line,
+    snap_turn,
     stiffness_of,
+    torsion_of,
 )
 from tests.builders.twisted_loops import TwistedLoop
 
@@ -131,7 +134,7 @@ def test_stiffness_of_the_white_wire(white: tuple[Floats, list[HangFit]]) -> Non
 def test_stiffness_of_the_black_wire(black: tuple[Floats, list[HangFit]]) -> None:
     found = stiffness_of(BLACK, *black)
     assert found.value == pytest.approx(0.83e-3, rel=0.02)
-    assert found.half_width == pytest.approx(0.21e-3, rel=0.1)
+    assert found.half_width == pytest.approx(0.20e-3, rel=0.1)
 
 
 @pytest.mark.realdata
@@ -155,3 +158,28 @@ def test_points_are_not_independent(
         assert min(each.alike for each in fits) > 0.8
         scatter = scatter_of(np.array([each.stiffness for each in fits]))
         assert scatter.half_width < 0.9 * stiffness_of(wire, hangs, fits).half_width
+
+
+def check_torsion(
+    wire: RealWire, measured: tuple[Floats, list[HangFit]], ratio: float, half_width: float
+) -> None:
+    hangs, fits = measured
+    stiffness = stiffness_of(wire, hangs, fits)
+    middle = hangs.mean(axis=0)
+    line = snap_line(wire, middle, stiffness.value)
+    found = torsion_of(wire, line, stiffness)
+    assert found.value == pytest.approx(ratio, rel=0.02)
+    assert found.half_width == pytest.approx(half_width, rel=0.15)
+    turn = snap_turn(wire, middle, stiffness.value, found.value)
+    assert turn == pytest.approx(np.mean(wire.snaps), rel=5e-3)
+
+
+@pytest.mark.realdata
+def test_torsion_of_the_white_wire(white: tuple[Floats, list[HangFit]]) -> None:
+    check_torsion(WHITE, white, 0.99, 0.066)
+
+
+@pytest.mark.slow
+@pytest.mark.realdata
+def test_torsion_of_the_black_wire(black: tuple[Floats, list[HangFit]]) -> None:
+    check_torsion(BLACK, black, 1.62, 0.09)
