@@ -12,14 +12,17 @@ from __future__ import annotations
 from labpipe.decks.deck_law import (
     abaqus_label,
     facts,
+    mass_of,
     on_one_line,
     second_moment,
     skew_excess,
     solid_area,
 )
+from labpipe.decks.deck_losses import deck_losses, hardens
 from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
+_WAY_BACK = "if it hardens alike on both sides, where a wire follows Masing's rule"
 _WIDEST_NAME = 100  # of a wire in a comment: lines end at 256 characters
 
 
@@ -62,7 +65,8 @@ def _comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
         f"*M1, *M2: {len(law.curvature)} points; the straight lines between them are within "
         f"{law.error:.2g} of the wire's moment.",
-        "Neither ELASTIC nor LINEAR: elastic-plastic, unloading with the first slope.",
+        "Neither ELASTIC nor LINEAR: elastic-plastic, unloading with the first slope. Not for loops.",
+        *deck_losses(table, hardens(table, law.error, _WAY_BACK)),
         "The guide does not say what follows the last point: hold SK1, SK2 against the range.",
         f"M1 and M2 do not know of each other: bent askew, the wire is up to "
         f"{100.0 * skew_excess(table):.2g} % too stiff.",
@@ -79,7 +83,7 @@ def _comments(table: WireTable, law: Thinned, label: str) -> tuple[str, ...]:
 def _keyword(table: WireTable, label: str) -> str:
     line = f"*BEAM GENERAL SECTION, SECTION=NONLINEAR GENERAL, ELSET={label}"
     # a keyword line goes on after a comma
-    return f"{line},\nDENSITY={table.mass_per_length / solid_area(table):.9g}"
+    return f"{line},\nDENSITY={mass_of(table) / solid_area(table):.9g}"
 
 
 def _geometry(table: WireTable) -> str:

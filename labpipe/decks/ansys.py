@@ -13,9 +13,11 @@ from labpipe.decks.deck_law import (
     COMMENT_MOST,
     ansys_name,
     facts,
+    mass_of,
     on_one_line,
     skew_excess,
 )
+from labpipe.decks.deck_losses import deck_losses, hardens
 from labpipe.law.thinning import Thinned, thin
 from labpipe.records.wire import WireTable
 
@@ -29,6 +31,7 @@ LARGEST_TWIST = 100.0
 LARGEST_SHEAR = 0.1
 """End of the shear tables."""
 
+_WIDEST = 76  # of a comment: lines end at 80 characters
 _SHORTEST = 10.0  # wire diameters: free lengths on which shear is to add nothing
 _SHEAR_SHARE = 1e-3  # of the deflection under an end load, at most, that shear adds there
 
@@ -68,7 +71,7 @@ def ansys_deck(table: WireTable, *, section: int = 1) -> str:
     lines += _linear("BSTQ", LARGEST_TWIST, table.torsional_stiffness)
     for command in ("BSS1", "BSS2"):
         lines += _linear(command, LARGEST_SHEAR, shear_stiffness(table))
-    lines += [f"BSMD,{table.mass_per_length:.9g}"]
+    lines += [f"BSMD,{mass_of(table):.9g}"]
     return "\n".join(lines) + "\n"
 
 
@@ -79,6 +82,7 @@ def shear_stiffness(table: WireTable) -> float:
 
 
 def _comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
+    own = hardens(table, law.error, "isotropic hardening")
     return (
         *facts(table, on_one_line(table.name, COMMENT_MOST)),
         "Beyond the last point the program has no stiffness: look at the curvatures.",
@@ -87,6 +91,7 @@ def _comments(table: WireTable, law: Thinned) -> tuple[str, ...]:
         f"the lines between them are within {law.error:.2g} of the wire's moment.",
         "PLASTIC: unloads with the first slope, hardens isotropically on reversal,",
         "where a wire follows Masing's rule. Not for loops.",
+        *deck_losses(table, own, wide=_WIDEST),
         "BSM1 and BSM2 do not know of each other: bent askew, the wire is",
         f"up to {100.0 * skew_excess(table):.2g} % too stiff.",
         f"BSAX: of a wire that does not turn, to a strain of {LARGEST_STRAIN:g}.",

@@ -23,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 
 from labpipe.decks.deck_law import facts, on_one_line
+from labpipe.decks.deck_losses import deck_losses, percent
 from labpipe.law.equivalent_material import EquivalentMaterial, equivalent_material
 from labpipe.records.arrays import Flags, Floats, Ints, frozen
 from labpipe.records.wire import WireTable
@@ -218,7 +219,8 @@ def _facts(table: WireTable, material: EquivalentMaterial) -> tuple[str, ...]:
         "The wire is a solid round bar, its elastic-plastic material fitted to the wire's law.",
         f"Diameter {material.diameter:.6g} m. Linear up to {material.elastic_curvature:.4g} 1/m:",
         *_closeness(material),
-        "Where the bar unloads it does so with its first slope, not as a wire does.",
+        "Where the bar unloads it does so with its first slope, not as a wire does. Not for loops.",
+        *deck_losses(table, _own_loss(material)),
     )
 
 
@@ -252,6 +254,14 @@ def _closeness(material: EquivalentMaterial) -> Iterator[str]:
             yield f"Nowhere up to the end of the range is it within {off} of the wire's moment."
         else:
             yield f"From {start:.4g} 1/m to the end of the range it is within {off}."
+
+
+def _own_loss(material: EquivalentMaterial) -> str:
+    off, linear = np.abs(material.error), material.curvature <= material.elastic_curvature
+    return (
+        f"This deck: first loading within {percent(float(off[~linear].max()))} of the wire's moment "
+        f"from {material.elastic_curvature:.4g} 1/m on, within {percent(float(off.max()))} below it."
+    )
 
 
 def _model(mesh: BarMesh) -> Iterator[str]:

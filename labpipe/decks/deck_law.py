@@ -9,6 +9,7 @@ import zlib
 import numpy as np
 
 from labpipe import __version__
+from labpipe.law.plays import require_positive
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
 
@@ -39,6 +40,22 @@ def facts(table: WireTable, name: str) -> tuple[str, ...]:
         *((doubt,) if limit < end else ()),
         FIRST_LOADING,
     )
+
+
+def mass_of(table: WireTable) -> float:
+    """Mass per length of a wire, kg/m, for a deck that needs one.
+
+    Parameters
+    ----------
+    table : of the wire
+
+    Raises
+    ------
+    ValueError
+        If it is not a positive number.
+    """
+    require_positive("mass_per_length", table.mass_per_length)
+    return table.mass_per_length
 
 
 def linear_range(table: WireTable, stiffness: float) -> tuple[float, float] | None:

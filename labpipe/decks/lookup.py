@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 
 from labpipe import __version__
-from labpipe.decks.deck_law import FIRST_LOADING, facts, on_one_line
+from labpipe.decks.deck_law import FIRST_LOADING, facts, mass_of, on_one_line
+from labpipe.decks.deck_losses import card_numbers, deck_losses, forgets
 from labpipe.records.wire import WireTable
 
 SCHEMA = 2
@@ -48,6 +49,7 @@ _UNITS = {
     "mass_per_length": "kg/m",
 }
 _WIDEST_NAME = 100
+_WIDEST = 1000  # of a comment: one for each sentence
 
 
 def lookup_csv(table: WireTable) -> str:
@@ -64,11 +66,12 @@ def lookup_csv(table: WireTable) -> str:
     lines = [f"# {line}" for line in facts(table, on_one_line(table.name, _WIDEST_NAME))]
     lines += [
         f"# Stick stiffness {table.stick_stiffness:.9g} N m^2, slip stiffness "
-        f"{table.slip_stiffness:.9g} N m^2, mass {table.mass_per_length:.9g} kg/m.",
+        f"{table.slip_stiffness:.9g} N m^2, mass {mass_of(table):.9g} kg/m.",
         f"# Axial stiffness EA {table.axial_stiffness:.9g} N (does not turn), torsional stiffness "
         f"GJ {table.torsional_stiffness:.9g} N m^2",
         f"# (does not lengthen; {table.free_torsional_stiffness:.9g} where it may), coupling C "
         f"{table.stretch_twist_coupling:.9g} N m.",
+        *(f"# {line}" for line in deck_losses(table, forgets(table), wide=_WIDEST)),
         "# moment = stick + slip + bending + plastic + insulation; lowest and highest over a full "
         "turn of the section.",
         "# insulation_share: of the moment. is_doubtful: 1 beyond the range of the insulation's "
@@ -105,9 +108,14 @@ def lookup_json(table: WireTable) -> str:
         "stretch_twist_coupling": table.stretch_twist_coupling,
         "diameter": 2.0 * table.layout.wire_radius,
         "length": table.spec.length,
-        "mass_per_length": table.mass_per_length,
+        "mass_per_length": mass_of(table),
     }
-    whole = {**_about(table), **numbers, "units": {name: _UNITS[name] for name in numbers}}
+    whole = {
+        **_about(table),
+        **numbers,
+        "loss_card": card_numbers(table),
+        "units": {name: _UNITS[name] for name in numbers},
+    }
     return json.dumps(whole, indent=1) + "\n"
 
 

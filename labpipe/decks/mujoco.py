@@ -27,8 +27,10 @@ import numpy as np
 from labpipe.decks.deck_law import (
     facts,
     linear_range,
+    mass_of,
     on_one_line,
 )
+from labpipe.decks.deck_losses import constant_loss, deck_losses, percent
 from labpipe.records.wire import WireTable
 
 CABLE = "wire"
@@ -44,6 +46,7 @@ _USUAL_EDGES = 40  # with more, shorter steps keep the constraint on their lengt
 _REST = 35.0  # times the time 1 / (first angular frequency)
 _NEVER_GIVES = "0.9999 0.9999 0.001"  # impedance: the edges keep their length
 _WIDEST_NAME = 100
+_WIDEST = 1000  # of a comment: one for each sentence
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +128,7 @@ def mujoco_deck(
         table.torsional_stiffness,
         table.spec.length if length is None else length,
         table.layout.wire_radius,
-        table.mass_per_length,
+        mass_of(table),
         edges,
     )
     _require_cable(cable)
@@ -170,10 +173,15 @@ def _comments(table: WireTable, cable: _Cable, origin: str) -> tuple[str, ...]:
         validity = (
             f"within 5 % of the wire's law at curvatures from {close[0]:.4g} to {close[1]:.4g} 1/m"
         )
+    own = (
+        f"This deck: up to {percent(constant_loss(table, cable.stiffness))} of the moment off over "
+        f"its range, and it forgets every bend."
+    )
     return (
         *facts(table, on_one_line(table.name, _WIDEST_NAME)),
         f"MuJoCo's cable is linear: bending stiffness {cable.stiffness:.6g} N m2 ({origin}), "
         f"{validity}. Nothing in the model stops there.",
+        *deck_losses(table, own, wide=_WIDEST),
         f"Torsional stiffness {cable.torsional_stiffness:.6g} N m2, of a wire that does not "
         f"lengthen: the cable does not stretch.",
         "young and shear are these stiffnesses over those of a full circle, not of a material.",

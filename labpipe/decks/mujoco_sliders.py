@@ -17,17 +17,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from labpipe.decks.deck_law import facts, on_one_line
-from labpipe.decks.slider_table import loss_words, no_sliders
+from labpipe.decks.deck_law import facts, mass_of, on_one_line
+from labpipe.decks.deck_losses import loss_words
+from labpipe.decks.slider_table import no_sliders
+from labpipe.law.plays import is_within
 from labpipe.law.slider_directions import TURNS, in_directions, turned
-from labpipe.law.sliders import MOST_SLIDERS, SliderLaw
+from labpipe.law.sliders import MOST_SLIDERS, SliderLaw, as_plays
 from labpipe.law.table_sliders import SLIDERS, sliders_of, table_card
 from labpipe.records.arrays import Floats
 from labpipe.records.wire import WireTable
+from labpipe.wire.end_load import end_loads
 
 DIRECTIONS = 4
 """Of scalar sliders in space; not turned from node to node they bend C4 up to 0.9 mm sideways."""
@@ -44,6 +48,8 @@ _STEP = 1.0  # of the time 1 / (first angular frequency): springs and dampers ar
 _DAMPING = 0.5  # of a node's first stiffness times that time
 _WIDEST_NAME = 100
 _DIGITS = ".7g"
+_CHECKED, _HALVED = 0.3, 6
+"""Of the length, where the tip is in the check; how often that is halved for a law that ends."""
 _NO_SHARE = 1e-9  # of an angle
 _NODE = "@"  # stands for the number of a node
 
@@ -229,7 +235,7 @@ def _chain(table: WireTable, law: SliderLaw, length: float | None, nodes: int) -
         law,
         length,
         table.layout.wire_radius,
-        table.mass_per_length,
+        mass_of(table),
         table.torsional_stiffness,
         nodes,
     )
@@ -299,7 +305,26 @@ def _comments(table: WireTable, chain: _Chain) -> tuple[str, ...]:
         f"Mass {chain.mass_per_length:.4g} kg/m, for the way to rest only: there is no gravity. So "
         "is the damping.",
         "For MuJoCo 4.0 and later: earlier versions have no springyield and refuse this file.",
+        *_check(chain.law, chain.length),
     )
+
+
+@lru_cache(maxsize=4)  # a law is known by its identity
+def _check(law: SliderLaw, length: float) -> tuple[str, ...]:
+    """A load and where it brings the tip: an engine that skips what it does not know shows here."""
+    plays, share = as_plays(law), _CHECKED
+    for _ in range(_HALVED):
+        bent = end_loads(plays, length, np.array([share * length]))
+        if is_within(plays, float(bent.clamp_moment[0])):
+            load = float(bent.load[0])
+            stuck = load * length**3 / (3.0 * law.first_stiffness)
+            return (
+                f"Check: pull_y = {load:.4g} N, ramped, brings the tip to y = "
+                f"{share * length:.4g} m, within 2 %. An engine that leaves springyield out stops "
+                f"at {stuck:.3g} m.",
+            )
+        share *= 0.5
+    return ()
 
 
 def _bodies(chain: _Chain, hinges: _Hinges) -> Iterator[str]:

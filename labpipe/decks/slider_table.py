@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict
 
 from labpipe import __version__
-from labpipe.decks.deck_law import facts, on_one_line
-from labpipe.law.loss_card import LossCard
+from labpipe.decks.deck_law import facts, mass_of, on_one_line
+from labpipe.decks.deck_losses import card_numbers, loss_words
 from labpipe.law.slider_directions import in_directions
 from labpipe.law.sliders import slip_moments
 from labpipe.law.table_sliders import sliders_of, table_card
@@ -37,21 +37,6 @@ _UNITS = {
     "error": "1",
     "sideways": "1",
 }
-
-
-def loss_words(card: LossCard) -> str:
-    """A loss card in one line.
-
-    Parameters
-    ----------
-    card : of the law
-    """
-    sliders = ", ".join(f"{number} sliders {100.0 * lost:.2g} %" for number, lost in card.sliders)
-    return (
-        f"Loss card, largest error of the moment from {card.first:.3g} to {card.last:.4g} 1/m, "
-        f"each form at its best: constant stiffness {100.0 * card.constant:.2g} %, Dahl "
-        f"{100.0 * card.dahl.error:.2g} %, {sliders}."
-    )
 
 
 def no_sliders(error: ValueError) -> str:
@@ -121,14 +106,8 @@ def sliders_json(table: WireTable) -> str:
             "sideways": space.sideways,
         },
         "dahl": {"meaning": _DAHL, **asdict(card.dahl)},
-        "loss_card": {
-            "curvature": [card.first, card.last],
-            "constant": {"stiffness": card.stiffness, "error": card.constant},
-            "dahl": card.dahl.error,
-            "sliders": {str(number): lost for number, lost in card.sliders},
-            "directions": {str(number): lost for number, lost in card.directions},
-        },
-        "mass_per_length": table.mass_per_length,
+        "loss_card": card_numbers(table),
+        "mass_per_length": mass_of(table),
         "torsional_stiffness": table.torsional_stiffness,
         "units": _UNITS,
     }

@@ -23,6 +23,7 @@ DIRECTIONS = 4
 _ENOUGH = 80
 _DECAYS = 60
 _ROUNDS = 25
+_TURNS, _WAY = 40, 41
 _STILL = 1e-12
 """Error of a point that keeps its weight: a law that is met everywhere has no largest one."""
 
@@ -127,6 +128,57 @@ def _fewer(curvature: Floats, moment: Floats) -> tuple[Floats, Floats]:
         return curvature, moment
     rows = np.round(np.linspace(0.0, len(curvature) - 1.0, _ENOUGH)).astype(np.int64)
     return curvature[rows], moment[rows]
+
+
+@dataclass(frozen=True, slots=True)
+class TurnLoss:
+    """What is off on the way back from a bend, as the largest share of the moment at the turn.
+
+    Parameters
+    ----------
+    curve : of a law without memory, which goes back the way it came
+    curve_at : 1/m, the turn after which that is so
+    isotropic : of one that unloads with its first slope and hardens alike on both sides
+    isotropic_at : 1/m
+    """
+
+    curve: float
+    curve_at: float
+    isotropic: float
+    isotropic_at: float
+
+
+def turn_loss(curvature: Floats, moment: Floats) -> TurnLoss:
+    """Work out what is off where a wire is bent and straightened again.
+
+    Parameters
+    ----------
+    curvature : shape (n,), 1/m, from 0, increasing, n >= 2
+    moment : shape (n,), N m, from 0, positive
+
+    Notes
+    -----
+    Turned at curvatures up to half of the range, so that a law that hardens stays inside of it, and
+    gone back to straight; the wire follows Masing's rule, M_0 - 2 M((kappa_0 - kappa) / 2). With
+    isotropic hardening M = M_0 - S (kappa_0 - kappa), S the first slope, down to -M_0; from there
+    on the wire yields the other way, by as much more as the first loading is plastic:
+    M = -M(2 kappa_0 - kappa - 2 M_0 / S).
+    """
+    slope = moment[1] / curvature[1]
+    turn = np.geomspace(min(curvature[1], 0.25 * curvature[-1]), 0.5 * curvature[-1], _TURNS)
+    turn = turn[:, None]
+    at = turn * np.linspace(0.0, 1.0, _WAY)
+    top = np.interp(turn, curvature, moment)
+    wanted = top - 2.0 * np.interp(0.5 * (turn - at), curvature, moment)
+    straight = top - slope * (turn - at)
+    yields = -np.interp(2.0 * turn - at - 2.0 * top / slope, curvature, moment)
+    isotropic = np.where(straight >= -top, straight, yields)
+    found: list[float] = []
+    for carried in (np.interp(at, curvature, moment), isotropic):
+        off = np.max(np.abs((carried - wanted) / top), axis=1)
+        worst = int(np.argmax(off))
+        found += [float(off[worst]), float(turn[worst, 0])]
+    return TurnLoss(*found)
 
 
 def fit_dahl(curvature: Floats, moment: Floats) -> DahlLaw:

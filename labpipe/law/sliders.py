@@ -215,7 +215,7 @@ def fit_sliders(
         raise ValueError(message)
     x, y, start = within_range(curvature, moment, first, last)
     law = _fitted(x, y, n_sliders, start)
-    if law.error > allowed:
+    if not law.error <= allowed:
         enough = _enough(x, y, start, allowed)
         message = (
             f"{n_sliders} sliders lose {100.0 * law.error:.3g} % of the moment, allowed is "

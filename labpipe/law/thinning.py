@@ -87,9 +87,12 @@ def _require_law(curvature: Floats, moment: Floats, most: int) -> None:
             f"at least 2"
         )
         raise ValueError(message)
-    finite = np.all(np.isfinite(curvature)) and np.all(np.isfinite(moment))
-    if not finite or curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
-        message = "the law does not go from zero: allowed are finite, increasing curvatures from 0"
+    finite = np.isfinite(curvature) & np.isfinite(moment)
+    if not finite.all():
+        message = f"point {int(np.argmin(finite)) + 1} of the law is not finite: allowed are numbers"
+        raise ValueError(message)
+    if curvature[0] != 0.0 or moment[0] != 0.0 or np.any(np.diff(curvature) <= 0.0):
+        message = "the law does not go from zero: allowed are increasing curvatures from 0"
         raise ValueError(message)
     if np.any(np.diff(moment) <= 0.0):
         at = curvature[int(np.argmax(np.diff(moment) <= 0.0)) + 1]

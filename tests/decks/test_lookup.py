@@ -58,4 +58,4 @@ def test_the_json_table() -> None:
 def test_every_number_of_the_json_has_a_unit() -> None:
     read = json.loads(lookup_json(wire_table()))
     words = {"schema", "labpipe", "wire", "range", "law", "torsion", "units", "doubtful_beyond"}
-    assert set(read["units"]) == set(read) - words
+    assert set(read["units"]) == set(read) - words - {"loss_card"}

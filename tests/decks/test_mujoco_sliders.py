@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from labpipe.decks.deck_files import DECKS
 from labpipe.decks.mujoco_sliders import REST, mujoco_plane_deck, mujoco_space_deck
 from labpipe.decks.slider_table import sliders_csv, sliders_json
 from labpipe.law.play_fits import concave_law
@@ -173,6 +175,59 @@ def test_what_the_deck_says() -> None:
         assert said in space
     assert plane.count("<fixed ") == 30 * 12
     assert space.count("<fixed ") == 30 * 4 * 8
+
+
+def _checked(deck: str) -> list[float]:
+    """Load, deflection, and that without yielding, of the check at the head of a deck."""
+    said = re.search(r"Check: pull_y = (\S+) N.* y = (\S+) m, within .* stops at (\S+) m", deck)
+    assert said is not None
+    return [float(number) for number in said.groups()]
+
+
+@pytest.mark.parametrize("write", [mujoco_plane_deck, mujoco_space_deck])
+def test_the_check_of_a_deck(write: Callable[[WireTable], str]) -> None:
+    """By it one sees that an engine lets springs yield; one that does not stays far behind."""
+    deck = write(example("C4"))
+    load, deflection, stuck = _checked(deck)
+    assert tips(deck, np.array([load]))[0, 1] == pytest.approx(deflection, rel=0.02)
+    elastic = re.sub(r' springyield="[^"]*"', "", deck)
+    assert tips(elastic, np.array([load]))[0, 1] == pytest.approx(stuck, rel=0.02)
+    assert stuck < 0.1 * deflection
+
+
+def test_a_version_that_does_not_know_of_yielding_refuses_the_deck() -> None:
+    """As MuJoCo 3 does with springyield: no version skips an attribute that it does not know."""
+    import mujoco
+
+    deck = mujoco_plane_deck(example("A2")).replace("springyield=", "springyields=")
+    with pytest.raises(ValueError, match="unrecognized attribute: 'springyields'"):
+        mujoco.MjModel.from_xml_string(deck)
+
+
+def test_the_check_of_a_law_that_ends_early() -> None:
+    """It is made where the law still goes; a law that ends sooner has none."""
+    table = example("A2")
+    for last, share in ((60, None), (170, 0.5)):
+        short = table.curvature <= table.curvature[last]
+        arrays = {
+            name: value[short]
+            for name in WireTable.__annotations__
+            if isinstance(value := getattr(table, name), np.ndarray)
+            and value.shape == table.curvature.shape
+        }
+        deck = mujoco_plane_deck(replace(table, **arrays))
+        if share is None:
+            assert "Check:" not in deck
+        else:
+            assert 1e-4 < _checked(deck)[1] < 0.3 * LENGTH
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, np.nan])
+def test_a_mass_that_is_none(mass: float) -> None:
+    table = replace(example("A2"), mass_per_length=mass)
+    for ending in ("mujoco.xml", "mujoco-plane.xml", "mujoco-space.xml", "abaqus.inp", "ansys.inp"):
+        with pytest.raises(ValueError, match=r"^mass_per_length=\S+: allowed are finite numbers > 0"):
+            DECKS[ending](table)
 
 
 @pytest.mark.parametrize(

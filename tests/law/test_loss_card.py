@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from labpipe.law.loss_card import fit_dahl, loss_card
+from labpipe.law.loss_card import fit_dahl, loss_card, turn_loss
+from labpipe.law.sliders import fit_sliders, slide, virgin_rests
 from tests.builders.wire_tables import wire_table
 
 
@@ -61,3 +62,39 @@ def test_the_best_dahl_law_against_a_search() -> None:
     assert largest(start) == pytest.approx(found.error)
     searched = minimize(largest, start, method="Nelder-Mead", options={"maxiter": 4000})
     assert found.error < 1.03 * searched.fun
+
+
+def test_the_way_back_step_by_step() -> None:
+    """Masing's rule by the sliders, isotropic hardening by a return map in small steps."""
+    table = wire_table("A2")
+    x, y = table.curvature, table.moment
+    law = fit_sliders(x, y, 64)
+    slope = y[1] / x[1]
+    plastic = x - y / slope  # of first loading, against its moment
+    worst = np.zeros(2)
+    for turn in np.geomspace(2.0 * x[1], 0.5 * x[-1], 16):
+        way = np.linspace(turn, 0.0, 401)
+        rests = slide(law, np.array([turn]), virgin_rests(law, 1)).rests
+        top = float(np.interp(turn, x, y))
+        carried, hardened = top, float(np.interp(turn, x, plastic))
+        for before, at in zip(way[:-1], way[1:], strict=True):
+            carried += slope * (at - before)
+            limit = float(np.interp(hardened, plastic, y))
+            if -carried > limit:
+                # M = -Y(p + dp) where S dp = -M_trial - Y: by secants of the table
+                grown = plastic + y / slope
+                hardened = float(np.interp(hardened - carried / slope, grown, plastic))
+                carried = -float(np.interp(hardened, plastic, y))
+            wanted = float(slide(law, np.array([at]), rests).moment[0])
+            forgets = float(np.interp(at, x, y))
+            off = np.abs([forgets - wanted, carried - wanted]) / top
+            worst = np.maximum(worst, off)
+    found = turn_loss(x, y)
+    assert found.curve == pytest.approx(worst[0], rel=0.02)
+    assert found.isotropic == pytest.approx(worst[1], rel=0.02)
+
+
+def test_a_straight_law_loses_nothing_on_its_way_back() -> None:
+    found = turn_loss(np.array([0.0, 1.0, 4.0]), np.array([0.0, 2.0, 8.0]))
+    assert found.curve < 1e-12
+    assert found.isotropic < 1e-12
