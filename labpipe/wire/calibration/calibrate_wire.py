@@ -34,6 +34,7 @@ from labpipe.records.wire_calibration import (
 from labpipe.wire.calibration.fit import (
     FRICTION_NAMES,
     NAMES,
+    WELL,
     Found,
     Settings,
     Wire,
@@ -48,7 +49,7 @@ from labpipe.wire.calibration.fit import (
 )
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, agreement, whiten
 from labpipe.wire.calibration.parameter_search import P, pull_of, search
-from labpipe.wire.calibration.profile_likelihood import Trace, limit_of, traces, union
+from labpipe.wire.calibration.profile_likelihood import Trace, limit_of, reach, traces, union
 from labpipe.wire.calibration.valleys import Valley
 from labpipe.wire.calibration.variances import uncertainty
 
@@ -87,7 +88,10 @@ METHOD = (
     "every least of the objective, with quantiles of t averaged over what that scatter may be"
 )
 _UNLIKELY = 1.727
-"""Rise of the objective, over that at 95 %, up to which another solution is said: 99 %."""
+"""Rise of the objective, over that at 95 %, up to which another solution is said, and up to which
+what is called identified has its value: 99 %."""
+_CLOSE = 1.5
+"""Span of an interval below which that at 99 % spans less than `WELL`, too."""
 _MISSTATED = (0.8, 1.25)  # noise found over noise stated
 _PLAIN = 0.05  # half the slope of the objective: flatter is no wall that was run into
 _SLOW = 0.3  # correlation of neighbouring residuals that is worth a note
@@ -172,15 +176,34 @@ def _parameter(found: Found, solutions: tuple[Solution, ...], number: int) -> Ca
     others = tuple(
         (float(each.values[number]), each.likelihood) for each in solutions if not each.is_allowed
     )
-    parameter = replace(parameter, verdict=_verdict(found, number, parameter, others))
-    return replace(parameter, words=words_of(parameter, others))
+    ends = _widest(found, number, parameter)
+    parameter = replace(parameter, verdict=_verdict(found, number, parameter, others, ends))
+    return replace(parameter, words=words_of(parameter, others, ends))
+
+
+def _widest(found: Found, number: int, parameter: CalibratedParameter) -> tuple[float, float]:
+    """Ends of what the tests allow at 99 %, along the line of the leasts, or at all.
+
+    Noise that happens to end an interval early, so that it just spans too little for a weak
+    verdict, would be called knowledge: what is identified must be so at 99 %, too.
+    """
+    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
+    ends = [low, high, *np.exp(reach(found, number, _UNLIKELY)).tolist()]
+    if _CLOSE < high / low < WELL:
+        for traced in traces(found, number, unlikely=_UNLIKELY):
+            ends += np.exp([traced.lower, traced.upper]).tolist()
+    return min(ends), max(ends)
 
 
 def _verdict(
-    found: Found, number: int, parameter: CalibratedParameter, others: Sequence[tuple[float, float]]
+    found: Found,
+    number: int,
+    parameter: CalibratedParameter,
+    others: Sequence[tuple[float, float]],
+    ends: tuple[float, float],
 ) -> Identified:
     low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
-    wide = [low, high, *(value for value, _ in others)]
+    wide = [*ends, *(value for value, _ in others)]
     conflict = parameter.conflict
     prior = np.inf if conflict is None else float(found.problem.precision[number]) ** -0.5
     return verdict_of(

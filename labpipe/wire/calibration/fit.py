@@ -25,7 +25,7 @@ from labpipe.records.wire_calibration import (
 )
 from labpipe.wire.calibration.measured_curves import MeasuredCurve, usable, whiten
 from labpipe.wire.calibration.parameter_search import Fit, Levels, Problem
-from labpipe.wire.calibration.valleys import Valley, settle, valley_of
+from labpipe.wire.calibration.valleys import Line, Valley, settle, valley_of
 from labpipe.wire.calibration.variances import Uncertainty, quantile
 from labpipe.wire.calibration.wire_parts import WireParts, model_forces, take_apart
 from labpipe.wire.cross_section import CrossSection
@@ -77,6 +77,7 @@ class Found:
     problem, free : what was fitted
     levels : of noise and samples
     valleys : every least of the objective, the lowest first
+    line : on which they lie
     widening : of quantiles, since the family of curves is bent (`bent_family`)
     """
 
@@ -86,6 +87,7 @@ class Found:
     free: Flags
     levels: Levels
     valleys: tuple[Valley, ...]
+    line: Line
     widening: float = 1.0
 
     @property
@@ -133,20 +135,17 @@ def find(
         return posed
     problem, logs, free = posed
     try:
-        fits, levels, widening = settle(problem, logs, free, scatter=settings.scatter)
+        settled = settle(problem, logs, free, scatter=settings.scatter)
     except ValueError as error:
         return CalibrationFailure("model_cannot_follow", str(error))
+    fits, levels = settled.fits, settled.levels
     valleys = tuple(
         valley_of(problem, levels, fit, free, lowest=fits[0], scatter=settings.scatter)
         for fit in fits
-        if fit.objective - fits[0].objective <= _HIGHEST
     )
-    return Found(wire, settings, problem, free, levels, valleys, widening)
-
-
-_HIGHEST = 200.0
-"""Rise of the objective above which no least is looked at: no quantile of so few samples is as
-large."""
+    return Found(
+        wire, settings, problem, free, levels, valleys, settled.line, widening=settled.widening
+    )
 
 
 BOUNDS: Mapping[str, tuple[float, float]] = {
@@ -305,8 +304,8 @@ def verdict_of(
     prior_error : that of its prior; infinite without one
     contradicts : whether prior and tests contradict each other
     is_apart : whether it falls into parts, or another solution lies outside of it
-    span_with_others : the same with the values of solutions that are not in the 95 % set, but not
-        far from it
+    span_with_others : the same with what is not in the 95 % set, but not far from it: other
+        solutions, and the line on which insulation and copper trade places
     """
     if at_bound:
         return Identified.AT_BOUND
@@ -348,7 +347,11 @@ def is_elsewhere(parameter: CalibratedParameter, others: Sequence[tuple[float, f
     )
 
 
-def words_of(parameter: CalibratedParameter, others: Sequence[tuple[float, float]] = ()) -> str:
+def words_of(
+    parameter: CalibratedParameter,
+    others: Sequence[tuple[float, float]] = (),
+    ends: tuple[float, float] | None = None,
+) -> str:
     """Say what is known of a parameter in a sentence.
 
     Parameters
@@ -356,6 +359,7 @@ def words_of(parameter: CalibratedParameter, others: Sequence[tuple[float, float
     parameter : without words
     others : value and likelihood, over that of the best, of solutions that are outside of the 95 %
         set, but not by much
+    ends : of what the tests allow at 99 %, where that is looked at
     """
     key, interval = parameter.name, parameter.interval
     name, value = NAMES[key], in_display_unit(key, parameter.value)
@@ -374,7 +378,17 @@ def words_of(parameter: CalibratedParameter, others: Sequence[tuple[float, float
         return f"{name} is doubtful, for prior and tests contradict each other: it {place} (95 %)"
     said = "has two solutions" if parameter.verdict is Identified.TWO else parameter.verdict.value
     is_said = said if parameter.verdict is Identified.TWO else f"is {said}"
-    return f"{name} {is_said}: it {place} (95 %){_near(parameter, others)}"
+    return (
+        f"{name} {is_said}: it {place} (95 %){_near(parameter, others)}{_at_last(parameter, ends)}"
+    )
+
+
+def _at_last(parameter: CalibratedParameter, ends: tuple[float, float] | None) -> str:
+    """What the tests allow at 99 %, if that is why a short interval is not called identified."""
+    low, high = parameter.intervals[0].lower, parameter.intervals[-1].upper
+    if ends is None or parameter.verdict is not Identified.WEAKLY or high >= WELL * low:
+        return ""
+    return f", and at 99 % between {in_display_unit(parameter.name, *ends)}"
 
 
 def _near(parameter: CalibratedParameter, others: Sequence[tuple[float, float]]) -> str:

@@ -145,7 +145,8 @@ def search(
         steps += 1
         ahead = _ahead(problem, levels, here, step, float(step @ pull))
         if ahead is not None and ahead.objective <= here.objective:
-            idle = idle + 1 if here.objective - ahead.objective <= _IDLE else 0
+            slow = max(_IDLE, (here.objective - lowest) / _MOST_STEPS)  # would not come down to it
+            idle = idle + 1 if here.objective - ahead.objective <= slow else 0
             here, damping = ahead, max(damping / _DAMPING[1] ** 2, _DAMPING[0])
         elif float(step @ pull) <= _JITTER:
             return replace(here, steps=steps, settled=True)

@@ -30,7 +30,7 @@ from labpipe.wire.calibration.parameter_search import (
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from labpipe.wire.calibration.valleys import Valley
 
-_NORMAL, _LEAST_ROOT = 1.96, 0.5
+_LEAST = 1.96
 _CLOSE = 0.01  # of the root of the threshold
 _STEEP = 3.0  # over the threshold: the straight way there may have led into a dead end
 _ENOUGH = 1e-3  # of the objective, to which the others are fitted
@@ -68,16 +68,18 @@ class _Side:
     seen: tuple[tuple[float, float], ...]
 
 
-def traces(found: Found, number: int) -> tuple[Trace, ...]:
+def traces(found: Found, number: int, *, unlikely: float = 1.0) -> tuple[Trace, ...]:
     """Follow the objective from each of its leasts that the interval of a parameter takes in.
 
     Parameters
     ----------
     found : the fit of a calibration
     number : of the parameter
+    unlikely : how high the objective is followed, over the height of the 95 % set
     """
-    allowed = (valley for valley in found.valleys if valley.rise < limit_of(found, valley))
-    return tuple(trace(found, number, valley) for valley in allowed)
+    known = ((valley, unlikely * limit_of(found, valley)) for valley in found.valleys)
+    allowed = (valley for valley, limit in known if valley.rise < limit)
+    return tuple(trace(found, number, valley, unlikely=unlikely) for valley in allowed)
 
 
 def union(parts: tuple[Trace, ...]) -> tuple[tuple[float, float], ...]:
@@ -105,15 +107,47 @@ def limit_of(found: Found, valley: Valley) -> float:
     from the lowest least. Which valley it is the shape of the curves says, so that this is that of
     many points even where the level rests on few samples.
     """
-    lowest = found.valleys[0]
-    here, there = lowest.fit.point, valley.fit.point
+    here, there = found.fit.point, valley.fit.point
     way = np.append(there.logs - here.logs, there.gain - here.gain)
-    error = float(np.sqrt(way @ lowest.spread.covariance @ way))
-    ends = quantiles(lowest.mixture, way[None, :])
-    return (found.widening * _root(float(max(-ends[0][0], ends[1][0])), error)) ** 2
+    return float(_limits(found, way[None, :])[0])
 
 
-def trace(found: Found, number: int, valley: Valley) -> Trace:
+def reach(found: Found, number: int, unlikely: float) -> tuple[float, float]:
+    """Least and greatest value of a parameter on the line of the leasts, in logarithms.
+
+    Parameters
+    ----------
+    found : the fit of a calibration
+    number : of the parameter
+    unlikely : up to which height the line is looked at, over that of the 95 % set
+    """
+    here = found.fit.point
+    ways = found.line.place - np.append(here.logs, here.gain)
+    height = np.sqrt(found.line.rise / np.maximum(_limits(found, ways), 1e-30) / unlikely)
+    values, inside = found.line.place[:, number], height <= 1.0
+    ends = [values[inside]]
+    for low, high in ((slice(None, -1), slice(1, None)), (slice(1, None), slice(None, -1))):
+        leaves = inside[low] & ~inside[high]
+        near, far = height[low][leaves], height[high][leaves]
+        share = (1.0 - near) / (far - near)
+        ends.append(values[low][leaves] + share * (values[high] - values[low])[leaves])
+    reached = np.concatenate(ends)
+    return float(reached.min()), float(reached.max())
+
+
+def _limits(found: Found, ways: Floats) -> Floats:
+    """Squares of the quantiles of combinations of parameters and gain, in standard errors."""
+    lowest = found.valleys[0]
+    error = np.sqrt(np.einsum("ni,ij,nj->n", ways, lowest.spread.covariance, ways))
+    below, above = quantiles(lowest.mixture, ways)
+    roots = [
+        _root(float(end), float(one))
+        for end, one in zip(np.maximum(-below, above), error, strict=True)
+    ]
+    return np.asarray((found.widening * np.array(roots)) ** 2)
+
+
+def trace(found: Found, number: int, valley: Valley, *, unlikely: float = 1.0) -> Trace:
     """Follow the objective to both sides of a least, all other unknowns fitted anew.
 
     Parameters
@@ -121,12 +155,13 @@ def trace(found: Found, number: int, valley: Valley) -> Trace:
     found : the fit of a calibration
     number : of the parameter
     valley : from where; it is followed as much less high as its rise is of what is allowed
+    unlikely : as for `traces`
     """
     problem, levels, fit, free = found.problem, found.levels, valley.fit, found.free
     error = float(np.sqrt(valley.spread.covariance[number, number]))
     below, above = quantiles(valley.mixture, np.eye(P + 1)[[number]])
-    left = 1.0 - valley.rise / limit_of(found, valley) if valley.rise > 0.0 else 1.0
-    wide = found.widening * float(np.sqrt(left))
+    taken = valley.rise / limit_of(found, valley) if valley.rise > 0.0 else 0.0
+    wide = found.widening * float(np.sqrt(unlikely - taken))
     roots = [wide * _root(end, error) for end in (-below[0], above[0])]
     others = free.copy()
     others[number] = False
@@ -165,8 +200,12 @@ def _uphill(side: _Side) -> list[tuple[float, float]]:
 
 
 def _root(quantile: float, error: float) -> float:
-    """Quantile in standard errors; a parameter that nothing bounds is held at a normal one."""
-    return max(float(quantile) / error, _LEAST_ROOT) if error > 0.0 else _NORMAL
+    """Quantile in standard errors, at least the normal one.
+
+    Not to know the levels widens. Where a parameter has lost its effect, as an insulation without
+    stiffness, the linear model is none, and its quantile may be anything on either side.
+    """
+    return max(float(quantile) / error, _LEAST) if error > 0.0 else _LEAST
 
 
 def _direction(problem: Problem, levels: Levels, fit: Fit, free: Flags, number: int) -> Floats:

@@ -49,6 +49,9 @@ _SAME = 0.1
 """Of a stride: what is closer is one place."""
 _ROUGH = 0.01
 """Of the objective, to which points of the line are fitted."""
+_HIGHEST = 200.0
+"""Rise of the objective above which no least is looked at: no quantile of so few samples is as
+large."""
 _HILL = 1.0
 """Rise of the objective between two leasts, above the higher: with less they are one valley."""
 
@@ -71,9 +74,39 @@ class Valley:
     mixture: ScatterMixture
 
 
-def settle(
-    problem: Problem, logs: Floats, free: Flags, *, scatter: float | None
-) -> tuple[list[Fit], Levels, float]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """The line that all leasts lie on, from bound to bound of the copper's strength.
+
+    Parameters
+    ----------
+    place : shape (n, 4), logarithms of the parameters and of the gain
+    rise : shape (n,), of the objective over its least
+    """
+
+    place: Floats
+    rise: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """Parameters and levels that were fitted.
+
+    Parameters
+    ----------
+    fits : every least of the objective, the lowest first
+    levels : those of the lowest
+    line : on which they lie
+    widening : of intervals, since that line is bent (`bent_family`)
+    """
+
+    fits: list[Fit]
+    levels: Levels
+    line: Line
+    widening: float
+
+
+def settle(problem: Problem, logs: Floats, free: Flags, *, scatter: float | None) -> Settled:
     """Fit parameters and levels.
 
     Parameters
@@ -82,11 +115,6 @@ def settle(
     logs : shape (3,), where the search starts
     free : shape (3,)
     scatter : of the samples, in logarithms, where it is given
-
-    Returns
-    -------
-    Every least of the objective, the lowest first; the levels, which are those of the lowest; and
-    by how much intervals are wider since the line that the leasts lie on is bent (`bent_family`).
 
     Raises
     ------
@@ -104,14 +132,20 @@ def settle(
     valleys = leasts(problem, levels, line, fit, free)
     lowest = min(valleys, key=lambda each: each.objective)
     others = [each for each in valleys if each is not lowest]
+    others = [each for each in others if each.objective - lowest.objective <= _HIGHEST]
+    least = lowest.objective
     if lowest is not fit:
         fit, levels = refine(problem, lowest, levels, free, scatter=scatter)
     low = fit.objective
     found = (_again(problem, levels, each, free, lowest=low) for each in others)
     fits = _different([fit, *(each for each in found if each is not None)])
+    fits = [each for each in fits if each.objective - fits[0].objective <= _HIGHEST]
     apart = [each for each in line if abs(_place(each) - _place(fits[0])) > _SAME * _STRIDE]
     line = sorted([*apart, fits[0]], key=_place)
-    return fits, levels, widening(problem, levels, line, fits[0])
+    rises = [0.0 if each is fits[0] else max(each.objective - least, 0.0) for each in line]
+    place = np.array([[*each.point.logs, each.point.gain] for each in line])
+    wider = widening(problem, levels, line, fits[0])
+    return Settled(fits, levels, Line(place, np.array(rises)), wider)
 
 
 def _different(fits: list[Fit]) -> list[Fit]:
@@ -123,9 +157,7 @@ def _different(fits: list[Fit]) -> list[Fit]:
     return kept
 
 
-def _again(
-    problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: float = np.inf
-) -> Fit | None:
+def _again(problem: Problem, levels: Levels, fit: Fit, free: Flags, *, lowest: float) -> Fit | None:
     """Go down from a fit, to a least."""
     try:
         return search(problem, levels, _within(fit.point, levels), free, lowest=lowest)

@@ -52,6 +52,18 @@ def test_a_parameter_at_its_bound() -> None:
     assert below.parameter("insulation_modulus").at_bound == "upper"
 
 
+def test_what_is_identified_is_so_at_99_per_cent() -> None:
+    """An interval that noise ended just early enough is not knowledge."""
+    found = calibrated(measured(seed=4, n=90), Settings(gain=0.005))
+    copper, modulus = found.parameter("copper_scale"), found.parameter("insulation_modulus")
+    (part,) = copper.intervals
+    assert 1.7 < part.upper / part.lower < 1.8
+    assert copper.verdict is Identified.WEAKLY
+    assert ", and at 99 % between 0.66" in copper.words
+    assert modulus.verdict is Identified.WELL
+    assert "99 %" not in modulus.words
+
+
 def test_one_sample_speaks_of_itself() -> None:
     found = calibrated(THREE[:1], Settings(gain=0.005))
     assert "one_sample" in codes(found)

@@ -5,7 +5,7 @@ import pytest
 
 from labpipe.records.wire_calibration import CalibrationFailure, ParameterChoice
 from labpipe.wire.calibration.fit import Found, Settings, find
-from labpipe.wire.calibration.profile_likelihood import _root, traces
+from labpipe.wire.calibration.profile_likelihood import _root, reach, traces
 from labpipe.wire.calibration.scatter_mixture import quantiles
 from tests.builders.loading_tests import measured, wire_of
 
@@ -40,6 +40,26 @@ def test_the_deviance_rises_on_both_sides() -> None:
     assert ends**2 == pytest.approx([traced.threshold_below, traced.threshold_above], rel=0.04)
 
 
+def test_along_the_line_of_the_leasts_the_copper_reaches_as_far_as_its_profile() -> None:
+    """The line is that profile, in strides."""
+    found = found_of(Settings(gain=0.005))
+    (traced,) = traces(found, 2)
+    assert reach(found, 2, 1.0) == pytest.approx((traced.lower, traced.upper), abs=0.01)
+    (higher,) = traces(found, 2, unlikely=1.727)
+    assert reach(found, 2, 1.727) == pytest.approx((higher.lower, higher.upper), abs=0.01)
+    assert higher.threshold_above == pytest.approx(1.727 * traced.threshold_above)
+    assert higher.lower < traced.lower < traced.upper < higher.upper
+    low, high = reach(found, 1, 1.0)  # the insulation gives as the copper is held
+    (modulus,) = traces(found, 1)
+    assert low == pytest.approx(modulus.lower, abs=0.02)
+    assert high == pytest.approx(modulus.upper, abs=0.02)
+
+
+def test_one_that_is_held_has_no_line() -> None:
+    found = found_of(Settings({"copper_scale": FIXED}))
+    assert reach(found, 1, 1.727) == (found.fit.point.logs[1],) * 2
+
+
 def test_open_where_the_objective_levels_out() -> None:
     """Twenty times the noise: friction may as well be nothing."""
     noisy = found_of(Settings(gain=0.005), noise=0.04)
@@ -69,10 +89,10 @@ def test_one_parameter_and_nothing_else() -> None:
 
 
 @pytest.mark.parametrize(
-    ("quantile", "error", "root"), [(3.0, 1.5, 2.0), (0.1, 1.0, 0.5), (7.0, 0.0, 1.96)]
+    ("quantile", "error", "root"), [(3.6, 1.5, 2.4), (0.1, 1.0, 1.96), (7.0, 0.0, 1.96)]
 )
 def test_how_high_the_objective_is_followed(quantile: float, error: float, root: float) -> None:
-    """Quantile in standard errors, half of one at least; that of a normal one without an error."""
+    """Quantile in standard errors, never less than the normal one."""
     assert _root(quantile, error) == root
 
 

@@ -35,17 +35,19 @@ def test_the_same_answer_from_any_start() -> None:
     problem = problem_of()
     generator = np.random.default_rng(7)
     starts = [generator.uniform(-np.log(10.0), np.log(10.0), 3) for _ in range(20)]
-    found = [settle(problem, np.log(TRUTH) + start, ALL, scatter=None) for start in starts]
-    logs = np.array([fits[0].point.logs for fits, _, _ in found])
+    settled = (settle(problem, np.log(TRUTH) + start, ALL, scatter=None) for start in starts)
+    found = [each.fits[0] for each in settled]
+    logs = np.array([fit.point.logs for fit in found])
     # Far below the standard errors, which are about 0.2, 0.02 and 0.05.
     assert np.ptp(logs, axis=0) == pytest.approx(np.zeros(3), abs=5e-3)
-    assert np.ptp([fits[0].objective for fits, _, _ in found]) < 1e-2
-    assert all(fits[0].settled for fits, _, _ in found)
+    assert np.ptp([fit.objective for fit in found]) < 1e-2
+    assert all(fit.settled for fit in found)
 
 
 def test_levels_are_found() -> None:
     problem = problem_of(n=1200, correlation=0.6)
-    (fit, *_), levels, _ = settle(problem, np.log(TRUTH), ALL, scatter=None)
+    settled = settle(problem, np.log(TRUTH), ALL, scatter=None)
+    fit, levels = settled.fits[0], settled.levels
     # Standard errors: sqrt((1 - 0.6^2) / 3600) = 0.013 and sqrt(2 / 3600) = 0.024.
     assert levels.correlation == pytest.approx(0.6, abs=0.05)
     assert levels.noise == pytest.approx(1.0, abs=0.1)
@@ -54,7 +56,8 @@ def test_levels_are_found() -> None:
 
 
 def test_a_given_scatter_of_zero_leaves_no_offsets() -> None:
-    (fit, *_), levels, _ = settle(problem_of(scatter=0.0), np.log(TRUTH), ALL, scatter=0.0)
+    settled = settle(problem_of(scatter=0.0), np.log(TRUTH), ALL, scatter=0.0)
+    fit, levels = settled.fits[0], settled.levels
     assert levels.scatter == 0.0
     assert not fit.point.offsets.any()
 
@@ -63,7 +66,8 @@ def test_levels_that_do_not_rest(monkeypatch: pytest.MonkeyPatch) -> None:
     from labpipe.wire.calibration import valleys as settling
 
     monkeypatch.setattr(settling, "_ROUNDS", 1)
-    (fit, *_), levels, _ = settle(problem_of(), np.log(TRUTH), ALL, scatter=None)
+    settled = settle(problem_of(), np.log(TRUTH), ALL, scatter=None)
+    fit, levels = settled.fits[0], settled.levels
     assert fit.settled
     assert levels.scatter > 0.0
 
@@ -138,5 +142,5 @@ def test_a_least_that_is_found_twice_is_one(monkeypatch: pytest.MonkeyPatch) -> 
         return [replace(fit, objective=fit.objective - 1e-6)]
 
     monkeypatch.setattr("labpipe.wire.calibration.valleys.leasts", lower_by_rounding)
-    fits, _, _ = settle(problem_of(), np.log(TRUTH), ALL, scatter=None)
+    fits = settle(problem_of(), np.log(TRUTH), ALL, scatter=None).fits
     assert len(fits) == 1
