@@ -5,11 +5,26 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from labpipe.wire.calibration.wire_parts import loading_table, take_apart
+from labpipe.wire.heavy_loading import heavy_states
 from tests.coverage import wire_campaigns
 from tests.coverage.study import append
-from tests.coverage.wire_campaigns import FIRST_SEED, KINDS, MAIN, WireKind, campaign
+from tests.coverage.wire_campaigns import (
+    DEEPEST,
+    FIRST_SEED,
+    KINDS,
+    MAIN,
+    POINTS,
+    TRUTH,
+    WireKind,
+    campaign,
+    rig_of,
+    true_curve,
+    wire_of,
+)
 from tests.coverage.wire_judgement import (
     BEGIN,
     END,
@@ -79,6 +94,19 @@ def test_a_campaign_is_the_same_each_time(monkeypatch: pytest.MonkeyPatch) -> No
     assert curves[0].self_weight == pytest.approx(0.0672, abs=1e-4)
     assert campaign(FIRST, FIRST_SEED + 1)[0] != gain
     assert campaign(SECOND, FIRST_SEED)[0] != gain
+
+
+def test_the_truth_is_solved_where_it_is_asked() -> None:
+    """C5 slips in the first tenths of a millimetre: between other points it is 94 uN off."""
+    at = tuple(np.linspace(0.0, DEEPEST, POINTS)[:8].tolist())
+    wire, rig = wire_of("C5"), rig_of(0.12)
+    parts = take_apart(wire.section, wire.contacts)
+    values = np.array([TRUTH.friction, TRUTH.modulus, TRUTH.copper])
+    table = loading_table(parts, values, 40.0)
+    asked = np.array(at[1:])
+    exact = heavy_states(table, 0.12, rig, wire.self_weight, asked, n_stations=48)
+    curve = true_curve("own", "C5", 120, at)
+    assert curve(asked) == pytest.approx(exact.tension - exact.rest_tension, abs=1e-6)
 
 
 def test_an_error_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -32,7 +32,8 @@ SAMPLES, POINTS, DEEPEST = 3, 272, 0.05
 SCATTER, GAIN = 0.03, 0.005
 AT = np.array([0.005, 0.02, 0.05])
 """m, deflections at which the band of another length is looked at."""
-_GOALS = 1.04 * DEEPEST * np.linspace(0.0125, 1.0, 80) ** 1.8
+_BETWEEN = tuple(1.04 * DEEPEST * np.linspace(0.0125, 1.0, 80) ** 1.8)
+"""m, where a curve is solved besides: beyond the deepest, for the clamp goes farther."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -109,22 +110,30 @@ def rig_of(length: float) -> StringRig:
 
 
 @lru_cache
-def true_curve(model: str, wire: str, length: int) -> PchipInterpolator:
-    """Force over deflection from rest, N and m, of a sample without scatter."""
-    long = 1e-3 * length
+def true_curve(model: str, wire: str, length: int, at: tuple[float, ...]) -> PchipInterpolator:
+    """Force over deflection from rest, N and m, of a sample without scatter.
+
+    Parameters
+    ----------
+    model, wire, length : as of a kind
+    at : m, deflections that grow; the curve is solved there, for between points that are a fifth of
+        a millimetre apart the corners where strands begin to slip come to a tenth of a millinewton
+    """
+    goals, long = sorted({*at, *_BETWEEN}), 1e-3 * length
     if model == "foreign":
-        bent = foreign.loading(wire, long, TRUTH)
+        bent = foreign.loading(wire, long, TRUTH, goals=tuple(goal for goal in goals if goal > 0.0))
         return PchipInterpolator(bent.deflection, bent.force)
     made, rig = wire_of(wire), rig_of(long)
     law = play_law(made.section, made.contacts, largest_curvature=80.0, n_plays=200)
     state = straight(law, self_weight=made.self_weight)
     rest = bend_to_travel(law, state, long, rig, 0.0)
     deflections, forces, state = [0.0], [0.0], rest.state
-    for goal in _GOALS:
-        shape = bend_to_travel(law, state, long, rig, float(goal))
-        deflections.append(float(shape.y[-1] - rest.y[-1]))
-        forces.append(shape.tension - rest.tension)
-        state = shape.state
+    for goal in goals:  # travel is a little more than deflection, and later much more
+        if goal > 0.0:
+            shape = bend_to_travel(law, state, long, rig, float(goal))
+            deflections.append(float(shape.y[-1] - rest.y[-1]))
+            forces.append(shape.tension - rest.tension)
+            state = shape.state
     return PchipInterpolator(deflections, forces)
 
 
@@ -133,7 +142,7 @@ def campaign(kind: WireKind, seed: int) -> tuple[float, tuple[MeasuredCurve, ...
     chance = np.random.default_rng([seed, kind.length, *kind.wire.encode(), len(kind.model)])
     gain = float(np.exp(GAIN * chance.normal()))
     deflection = np.linspace(0.0, DEEPEST, POINTS)
-    exact = true_curve(kind.model, kind.wire, kind.length)(deflection)
+    exact = true_curve(kind.model, kind.wire, kind.length, tuple(deflection))(deflection)
     noise, weight = 1e-3 * kind.noise, foreign.weight_of(foreign.BUILDS[kind.wire])
     curves = []
     for number in range(1, SAMPLES + 1):
@@ -186,4 +195,4 @@ def _bands(kind: WireKind, found: Calibration, gain: float) -> list[list[float]]
 
 
 def _at(kind: WireKind) -> Floats:
-    return np.asarray(true_curve(kind.model, kind.wire, kind.other)(AT))
+    return np.asarray(true_curve(kind.model, kind.wire, kind.other, tuple(AT))(AT))

@@ -184,15 +184,25 @@ class Loading:
     force: Numbers
 
 
+_GOALS = tuple(0.052 * np.linspace(0.0125, 1.0, 80) ** 1.8)
+
+
 @cache
 def loading(
-    name: str, length: float, truth: Truth, *, has_weight: bool = True, deepest: float = 0.052
+    name: str,
+    length: float,
+    truth: Truth,
+    *,
+    has_weight: bool = True,
+    goals: tuple[float, ...] = _GOALS,
 ) -> Loading:
-    """First loading of a wire that lies level, its tip held by the string."""
+    """First loading of a wire that lies level, its tip held by the string.
+
+    It is solved at rest and at each of the goals, deflections in m that grow.
+    """
     curvature, moment = law(name, truth)
     weight = weight_of(BUILDS[name]) if has_weight else 0.0
     place = np.linspace(0.0, length, _STATIONS)
-    goals = np.concatenate([[0.0], deepest * np.linspace(0.0125, 1.0, 80) ** 1.8])
     state = np.zeros((4, _STATIONS))
     state[1] = place
     tension = COUNTERWEIGHT + 0.375 * weight * length
@@ -220,7 +230,7 @@ def loading(
         fall = -up * np.cos(angle) + along * np.sin(angle)
         return np.stack([bent(at, present), np.cos(angle), np.sin(angle), fall])
 
-    for goal in goals:
+    for goal in (0.0, *goals):
 
         def missing(clamp: Numbers, tip: Numbers, two: Numbers, goal: float = goal) -> Numbers:
             lacks = [*clamp[:3], tip[1] - two[1], tip[2] - goal, tip[3]]
@@ -234,4 +244,4 @@ def loading(
         pulls.append(float(ends[0]))
         if not rests:
             rests.append(state[3].copy())
-    return Loading(goals, np.array(pulls) - pulls[0])
+    return Loading(np.array([0.0, *goals]), np.array(pulls) - pulls[0])
